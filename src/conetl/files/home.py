@@ -14,7 +14,7 @@ from pydantic import SecretStr
 
 from conetl.model.errors import InputError, cannot_write
 
-FOLDERS = ("exports", "images", "inbox", "logs", "prefect", "receipts", "results")
+FOLDERS = ("exports", "images", "inbox", "logs", "plans", "prefect", "receipts", "results")
 PREFECT_LOGIN, VIEW_TOKEN, WRITER_TOKEN = "prefect_login", "view_token", "writer_token"
 SECRETS = (PREFECT_LOGIN, VIEW_TOKEN, WRITER_TOKEN)
 MIN_SECRET_LENGTH = 16

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
+from conetl.files.documents import read_yaml, shown
 from conetl.model.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -24,18 +24,12 @@ def read_yaml_model(path: Path | None, model: type[Model], what: str) -> Model:
 
 def read_yaml_mapping(path: Path, what: str, example: str = "") -> dict[str, Any]:
     """Keys and values of a YAML file, none if it is empty. Raises InputError."""
-    name = f"{what} {path}"
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{name}: not a YAML file ({error})") from error
+    content = read_yaml(path)
     if content is None:
         return {}
     if not isinstance(content, dict):
         shown = f", for example:{example}" if example else ""
-        raise InputError(f"{name}: expected keys and values{shown}")
+        raise InputError(f"{what} {path}: expected keys and values{shown}")
     return {str(key): value for key, value in content.items()}
 
 
@@ -49,7 +43,7 @@ def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model
         if first["type"] == "extra_forbidden":
             known = ", ".join(_fields_at(model, first["loc"][:-1]))
             raise InputError(f"{name}: {where}: there is no such key here; known are {known}") from error
-        raise InputError(f"{name}: {where}: {first['msg']}; found {first['input']!r}") from error
+        raise InputError(f"{name}: {where}: {first['msg']}; found {shown(first['input'])}") from error
 
 
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:

@@ -27,7 +27,7 @@ def test_without_a_file_or_with_an_empty_one_the_defaults_hold(tmp_path):
         ("reconcile: [1, 2]", r"reconcile: .*found \[1, 2\]"),
         ("nonsense: 1", r"nonsense: there is no such key here; known are .*reconcile"),
         ("- a\n- b", "expected keys and values"),
-        ("a: [", "not a YAML file"),
+        ("a: [", "not YAML"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, text, message):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,12 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
+from conetl.files import documents
 from conetl.files.atomic import atomic_text_file
+from conetl.files.documents import MAX_JSON_BYTES, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import CalibrationError, InputError
 from conetl.model.records import Camera, Lens, Rig
 
 Array = NDArray[np.float64]
@@ -41,28 +43,28 @@ def bad(path: Path, key: str, text: str) -> CalibrationError:
 
 def read_text(path: Path) -> str:
     """Text of a file. Raises CalibrationError."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: this is not a text file") from error
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    with _calibration_errors():
+        return read_limited(path, MAX_JSON_BYTES)
 
 
 def read_yaml(path: Path) -> Any:
     """Content of a YAML file. Raises CalibrationError."""
-    try:
-        return yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise CalibrationError(f"{path}: this is not YAML: {error}") from error
+    with _calibration_errors():
+        return documents.read_yaml(path)
 
 
 def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises CalibrationError."""
+    with _calibration_errors():
+        return documents.read_json(path)
+
+
+@contextmanager
+def _calibration_errors() -> Iterator[None]:
     try:
-        return json.loads(read_text(path))
-    except ValueError as error:
-        raise CalibrationError(f"{path}: this is not JSON: {error}") from error
+        yield
+    except InputError as error:
+        raise CalibrationError(str(error)) from error
 
 
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
@@ -74,7 +76,7 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
 def entry(path: Path, content: Any, key: str, where: str = "") -> Any:
     """Value of a required key; where: the keys above it, for messages. Raises CalibrationError."""
     if not isinstance(content, Mapping) or content.get(key) is None:
-        found = ", ".join(map(str, content)) if isinstance(content, Mapping) else repr(content)[:60]
+        found = ", ".join(map(str, content)) if isinstance(content, Mapping) else shown(content)
         raise bad(path, f"{where}{key}", f"is missing; found {found or 'nothing'}")
     return content[key]
 

@@ -1,0 +1,91 @@
+"""YAML and JSON documents that a stranger may have written: limits on size, depth and aliases; values as messages show them."""
+
+from __future__ import annotations
+
+import json
+import reprlib
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from conetl.model.errors import InputError
+
+#: The largest rig or parameter file is a hundredth of it.
+MAX_YAML_BYTES = 256_000
+MAX_JSON_BYTES = 5_000_000
+MAX_DEPTH = 40
+#: Values of a document, those behind aliases counted wherever they are used.
+MAX_VALUES = 100_000
+MAX_SHOWN = 200
+
+_short = reprlib.Repr()
+_short.maxlevel, _short.maxdict, _short.maxlist = 2, 6, 6
+_short.maxstring = _short.maxother = _short.maxlong = MAX_SHOWN
+
+
+def shown(value: object) -> str:
+    """A value as an error message quotes it: at most `MAX_SHOWN` characters, whatever it holds."""
+    text = _short.repr(value)
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
+
+
+def read_limited(path: Path, max_bytes: int) -> str:
+    """Text (UTF-8) of a small file. Raises InputError where it is larger, no text, or cannot be read."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(max_bytes + 1)
+        text = content.decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: this is not a text file") from error
+    if len(content) > max_bytes:
+        raise InputError(f"{path}: expected at most {max_bytes:,} bytes")
+    return text
+
+
+def read_yaml(path: Path) -> Any:
+    """Content of a YAML file. Raises InputError where it is no YAML, exceeds a limit or cannot be read."""
+    try:
+        text = read_limited(path, MAX_YAML_BYTES)
+        _require_bounded(path, text)
+        return yaml.load(text, Loader=yaml.CSafeLoader)
+    except (yaml.YAMLError, ValueError) as error:  # dates and numbers that do not exist are ValueErrors
+        raise InputError(f"{path}: this is not YAML: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
+
+
+def read_json(path: Path) -> Any:
+    """Content of a JSON file. Raises InputError where it is no JSON, exceeds a limit or cannot be read."""
+    try:
+        return json.loads(read_limited(path, MAX_JSON_BYTES))
+    except RecursionError:
+        raise InputError(f"{path}: nested too deeply") from None
+    except ValueError as error:
+        raise InputError(f"{path}: this is not JSON: {str(error)[:MAX_SHOWN]}") from error
+
+
+def _require_bounded(path: Path, text: str) -> None:
+    """Count depth and values from the parser's events, before anything is built."""
+    sizes: dict[str, int] = {}
+    open_nodes: list[tuple[str | None, int]] = [(None, 0)]  # anchor, values before it
+    values = 0
+    for event in yaml.parse(text, Loader=yaml.CSafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            values += sizes.get(event.anchor, MAX_VALUES)  # an alias to a node around it has no end
+        elif isinstance(event, yaml.CollectionStartEvent):
+            open_nodes.append((event.anchor, values))
+            values += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = open_nodes.pop()
+            if anchor:
+                sizes[anchor] = values - before
+        elif isinstance(event, yaml.ScalarEvent):
+            values += 1
+            if event.anchor:
+                sizes[event.anchor] = 1
+        if len(open_nodes) > MAX_DEPTH or values > MAX_VALUES:
+            raise InputError(
+                f"{path}: line {event.start_mark.line + 1} exceeds {MAX_VALUES:,} values (each alias counts as what it stands "
+                f"for) or {MAX_DEPTH} levels"
+            )

@@ -1,0 +1,76 @@
+"""YAML and JSON that a stranger may have written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conetl.files.documents import MAX_DEPTH, MAX_SHOWN, MAX_YAML_BYTES, read_json, read_yaml, shown
+from conetl.model.errors import InputError
+
+BOMB = "\n".join(f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9) if n else 'x'}]" for n in range(10))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (BOMB, "each alias counts"),
+        ("a: &a [*a]", "each alias counts"),
+        ("[" * 20_000, "levels"),
+        ("{a: " * 20_000, "levels"),
+        ("- " * 20_000, "levels"),
+        ("x: " + "y" * MAX_YAML_BYTES, "at most 256,000 bytes"),
+        ("at: 2026-13-45", "not YAML"),
+        (f"n: {'9' * 5000}", "not YAML"),
+        ("a: !!python/object/apply:os.system [id]", "not YAML"),
+        ("a: b: c", "not YAML"),
+        (b"\xff\xfe", "not a text file"),
+    ],
+)
+def test_hostile_yaml_is_refused_in_one_sentence(tmp_path: Path, text: str | bytes, said: str) -> None:
+    path = tmp_path / "drive.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match=said) as refused:
+        read_yaml(path)
+    assert len(str(refused.value)) < len(str(path)) + MAX_SHOWN + 100
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "{", '{"a": ' * 50_000, "9" * 5000, "NaN,"])
+def test_hostile_json_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "calib.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"not JSON|nested"):
+        read_json(path)
+
+
+trees = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.text("abc :#[]{}*&!|>'\"\n", max_size=9),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text("xyz", min_size=1), inner, max_size=4),
+    max_leaves=20,
+)
+
+
+@given(trees)
+def test_what_was_written_is_read(tmp_path_factory: pytest.TempPathFactory, tree: object) -> None:
+    path = tmp_path_factory.getbasetemp() / "tree.yaml"
+    path.write_text(yaml.safe_dump(tree))
+    assert read_yaml(path) == tree
+
+
+def test_aliases_within_the_limit_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("left: &k {fx: 700.5}\nright: *k\n" + f"deep: {'[' * (MAX_DEPTH - 2)}{']' * (MAX_DEPTH - 2)}\n")
+    assert read_yaml(path)["right"] == {"fx": 700.5}
+
+
+def test_messages_quote_little_of_a_value() -> None:
+    nested: list[object] = ["x" * 1000]
+    for _ in range(30):
+        nested = [nested, nested, nested]
+    for value in (nested, "x" * 10_000, {str(n): n for n in range(1000)}, b"\0" * 5000, 10**4000):
+        assert 0 < len(shown(value)) <= MAX_SHOWN
+    assert shown({"fx": [1.0, None]}) == "{'fx': [1.0, None]}"
