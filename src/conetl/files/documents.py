@@ -72,7 +72,7 @@ def _require_bounded(path: Path, text: str) -> None:
     values = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
         if isinstance(event, yaml.AliasEvent):
-            values += sizes.get(event.anchor, MAX_VALUES)  # an alias to a node around it has no end
+            values += sizes.get(str(event.anchor), MAX_VALUES)  # an alias to a node around it has no end
         elif isinstance(event, yaml.CollectionStartEvent):
             open_nodes.append((event.anchor, values))
             values += 1
@@ -85,7 +85,8 @@ def _require_bounded(path: Path, text: str) -> None:
             if event.anchor:
                 sizes[event.anchor] = 1
         if len(open_nodes) > MAX_DEPTH or values > MAX_VALUES:
+            line = event.start_mark.line + 1 if event.start_mark else 1
             raise InputError(
-                f"{path}: line {event.start_mark.line + 1} exceeds {MAX_VALUES:,} values (each alias counts as what it stands "
+                f"{path}: line {line} exceeds {MAX_VALUES:,} values (each alias counts as what it stands "
                 f"for) or {MAX_DEPTH} levels"
             )
