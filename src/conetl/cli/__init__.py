@@ -42,7 +42,12 @@ def main() -> None:
     except ConetlError as error:
         complain(error)
         sys.exit(error.exit_code)
-    except Exception:
+    except Exception as error:
+        from conetl.services.prefect_api import unavailable  # here: only now needed
+
+        if lost := unavailable(error):
+            complain(lost)
+            sys.exit(lost.exit_code)
         traceback.print_exc()
         err.print("conetl: internal error; please report it with the lines above.")
         sys.exit(EXIT_BUG)

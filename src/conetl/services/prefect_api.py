@@ -46,3 +46,21 @@ def require_access(api: str, auth: str | None, variable: str) -> None:
             f"the Prefect server at {api} requires a user and password, and {given}: set {variable} to the user:password that "
             "the server was started with. Nothing was written."
         )
+
+
+def unavailable(error: BaseException) -> ServiceError | None:
+    """The error of a Prefect server that stopped answering meanwhile, or whose database did; None for any other error."""
+    seen: set[int] = set()
+    cause: BaseException | None = error
+    while cause is not None and id(cause) not in seen:
+        seen.add(id(cause))
+        failed = (
+            isinstance(cause, httpx.HTTPStatusError) and cause.response.status_code >= httpx.codes.INTERNAL_SERVER_ERROR
+        )
+        if failed or isinstance(cause, httpx.TransportError):
+            return ServiceError(
+                f"the Prefect server stopped answering ({str(cause).splitlines()[0] if str(cause) else type(cause).__name__}); it "
+                "may have lost its database. `conetl status` shows what runs; run the same command again: what is on the map stays."
+            )
+        cause = cause.__cause__ or cause.__context__
+    return None

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
+import httpx
 import pytest
 from pydantic import SecretStr
 
@@ -26,7 +27,7 @@ from conetl.files.home import (
 )
 from conetl.model.errors import InputError, ServiceError
 from conetl.pipeline.settings import Settings, prefect_login
-from conetl.services.prefect_api import require_access
+from conetl.services.prefect_api import require_access, unavailable
 
 SECRET = "desk:wide-open"
 VARIABLE = "PREFECT_SERVER_API_AUTH_STRING"
@@ -60,6 +61,23 @@ def test_without_the_password_the_error_names_the_variable(api: str, auth: str |
         require_access(api, auth, VARIABLE)
     assert api in str(refusal.value)
     assert "guessed" not in str(refusal.value)
+
+
+def test_a_server_that_died_is_no_internal_error() -> None:
+    request = httpx.Request("POST", "http://127.0.0.1:4200/api/flow_runs")
+    for status, is_service in ((503, True), (500, True), (409, False)):
+        answer = httpx.Response(status, request=request)
+        try:
+            try:
+                answer.raise_for_status()
+            except httpx.HTTPStatusError as error:
+                raise RuntimeError("the run could not be created") from error
+        except RuntimeError as error:
+            found = unavailable(error)
+            assert (found is not None) == is_service
+            assert found is None or found.exit_code == 3
+    assert unavailable(httpx.ConnectError("refused")) is not None
+    assert unavailable(KeyError("x")) is None
 
 
 def test_clients_use_the_password_of_the_own_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
