@@ -86,5 +86,6 @@ bench-ingest: setup  ## the whole job beside decoding and the network alone: pai
 bench-watch: setup  ## a recorded KITTI drive written again at 10 Hz: latency of conetl watch (ARGS='DRIVE --rate 5')
 	@$(BIN)/python benchmarks/bench_watch.py $(ARGS)
 
-lock:           ## renew requirements.txt from pyproject.toml (needs uv)
+lock:           ## renew the locked dependencies from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt
+	uv pip compile pyproject.toml -c requirements.txt --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements-runtime.txt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import re
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,22 @@ def test_every_variable_is_explained_at_the_top_or_has_a_default() -> None:
     head = text[: text.index("name: conetl")]
     for variable, default in re.findall(r"(?<!\$)\$\{([A-Z_]+)(:-[^}]*)?", text):
         assert default or variable in head, f"{variable} is not explained at the top of compose.yaml"
+
+
+def test_commands_in_python_import_what_exists() -> None:
+    commands = [str(part) for service in COMPOSE["services"].values() for part in service.get("command", [])]
+    imports = [found for command in commands for found in re.findall(r"from ([\w.]+) import (\w+)", command)]
+    assert len(imports) >= 2
+    for module, name in imports:
+        assert hasattr(importlib.import_module(module), name) or importlib.util.find_spec(f"{module}.{name}")
+
+
+def test_no_secret_stands_in_a_definition() -> None:
+    for name, service in COMPOSE["services"].items():
+        for key, value in service.get("environment", {}).items():
+            secret = re.search(r"PASSWORD|AUTH", key) and not key.endswith(("_FILE", "_HASH"))
+            assert not secret, f"{name}: {key}"
+            assert not re.search(r"://[^/@]*:[^/@]*@", str(value)), f"{name}: {key}"
 
 
 def test_only_the_proxy_is_reached_from_outside() -> None:

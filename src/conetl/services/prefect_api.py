@@ -59,8 +59,8 @@ def unavailable(error: BaseException) -> ServiceError | None:
         )
         if failed or isinstance(cause, httpx.TransportError):
             return ServiceError(
-                f"the Prefect server stopped answering ({str(cause).splitlines()[0] if str(cause) else type(cause).__name__}); it "
-                "may have lost its database. `conetl status` shows what runs; run the same command again: what is on the map stays."
+                f"the Prefect server stopped answering ({str(cause).partition(chr(10))[0] or type(cause).__name__}); it may have "
+                "lost its database. `conetl status` shows what runs; run the same command again: what is on the map stays."
             )
         cause = cause.__cause__ or cause.__context__
     return None
