@@ -134,7 +134,7 @@ def desk(services_home: Path) -> Iterator[Desk]:
     scratch.mkdir(parents=True)
     environment = {
         "CONETL_HOME": str(home), "CONETL_DROP_FOLDER": str(home / "arrivals"), "PREFECT_WORKER_QUERY_SECONDS": "2",
-        "CONETL_DRIVE_ROOTS": "/", "TMPDIR": str(scratch),  # a run that is killed leaves its working folder
+        "TMPDIR": str(scratch),  # a run that is killed leaves its working folder
     }  # fmt: skip
     port = free_port()
     api = httpx.Client(base_url=f"http://127.0.0.1:{port}/api", timeout=60, trust_env=False, auth=login_of(home))

@@ -275,7 +275,6 @@ def _environment(settings: Settings, home: Path, api: str, login: str, view: str
         "CONETL_HOME": str(home),
         "CONETL_VIEW_URL": settings.view_url or view,
         "CONETL_DROP_FOLDER": str(settings.inbox.resolve()),
-        "CONETL_DRIVE_ROOTS": settings.drive_roots or f"{Path.cwd()},{settings.inbox.resolve()}",
         "CONETL_WORKERS": os.environ.get("CONETL_WORKERS", str(max(1, settings.workers // workers))),
         "PREFECT_WORKER_QUERY_SECONDS": os.environ.get("PREFECT_WORKER_QUERY_SECONDS", "3"),
     }

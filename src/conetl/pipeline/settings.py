@@ -38,7 +38,7 @@ class Settings(BaseSettings):
     drop_folder: Path | None = None
     """Where new drives arrive, for the deployment `ingest-drop-folder`; `inbox` under `home` unless given."""
     drive_roots: str = ""
-    """Folders below which workers read drives, separated by commas; empty: everywhere. `conetl up` sets it for its workers."""
+    """Folders below which workers read drives, separated by commas; empty: everywhere."""
     drop_quiet_minutes: float = Field(default=10.0, ge=0)
     """A drive without the marker file counts as complete when nothing in it has changed for so long."""
     prefect_database_url: SecretStr | None = None
