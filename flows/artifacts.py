@@ -33,7 +33,7 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Progress
 from conetl.pipeline.publish import PublishedFiles, catch_up, notify, publish
 from conetl.pipeline.settings import Settings
-from conetl.reports.camera_images import draw_boxes, pairs_jpeg
+from conetl.reports.camera_images import draw_boxes, pairs_jpeg, pixelated
 
 #: A request to the server costs about 30 ms of processor time.
 _SHOWN_EVERY_S = 10.0
@@ -85,7 +85,7 @@ def publish_drive(
         create_table_artifact(
             reasons, key="rejections", description=f"{total} records of drive {report.drive_id} are in quarantine"
         )
-    _show_worst_frames(analysed.records)
+    _show_worst_frames(analysed.records, whole=settings.images == "full")
     notify(report, database, send_events)
 
 
@@ -150,8 +150,11 @@ def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Sett
         )  # fmt: skip
 
 
-def _show_worst_frames(records: DriveRecords) -> None:
-    """Show the pairs whose rays fit worst, with the boxes that were found; nothing where no cone was measured."""
+def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
+    """Show the pairs whose rays fit worst, with the boxes that were found; nothing where no cone was measured.
+
+    whole: show images whole; else what is far from the boxes is pixelated.
+    """
     worst: dict[int, float] = defaultdict(float)
     for position in records.positions:
         worst[position.frame_index] = max(worst[position.frame_index], position.residual_rms_px)
@@ -169,6 +172,8 @@ def _show_worst_frames(records: DriveRecords) -> None:
                     if d.frame_index == index and d.side == side
                 ]
                 image = read_pair_image(pairs[index], side, records.drive.rig)
+                if not whole:
+                    image = pixelated(image, [box[:4] for box in boxes])
                 drawn.append(draw_boxes(image, np.array(boxes).reshape(-1, 9)))
         except (ImageFileError, StorageError):  # vanished since it was read; the drive is on the map already
             continue

@@ -60,7 +60,7 @@ def view(
         server: uvicorn.Server | None = None
         app = create_app(
             url, map_name or settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
-            reader_token=token,
+            reader_token=token, whole_images=settings.images == "full",
         )  # fmt: skip
         config = uvicorn.Config(
             app, log_level="error", http=BoundedProtocol, access_log=False, limit_concurrency=_MAX_CONNECTIONS,

@@ -47,6 +47,8 @@ class Settings(BaseSettings):
     """Further names, separated by commas, by which browsers and workers call the Prefect server, such as that of a proxy."""
     writer_token: SecretStr | None = None
     """The web view accepts decisions with this token; see also `conetl view --writer-token-file`."""
+    images: Literal["crop", "full"] = "crop"
+    """What the view, reports and Prefect show of images: detections and their surroundings, the rest pixelated; or everything."""
     view_url: str | None = None
     """Address of `conetl view`, for links in Prefect; `conetl up` sets it for its workers."""
 

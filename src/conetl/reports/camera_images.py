@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
@@ -17,6 +17,8 @@ Image = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
 """x, y (top-left corner), width, height in pixels of the rectified image, counted from its edge."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+#: Width and height of what is shown of an object, in those of its box.
+SURROUNDINGS = 3.0
 #: Blue, green, red. Sky blue with a dark edge is visible on asphalt, orange cones and white stripes.
 _CROP_BOX, _CROP_EDGE = (233, 180, 86), (40, 30, 20)
 _BOX, _FOOT, _TIP = (0, 230, 255), (60, 220, 60), (255, 140, 40)
@@ -41,17 +43,18 @@ def image_file(source_path: str, image_path: str) -> Path:
     return path
 
 
-def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float) -> bytes:
+def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float, whole: bool = False) -> bytes:
     """JPEG of the box and its surroundings, `context` times as tall and wide as the box, with the box drawn.
 
-    Small crops are enlarged to 300 pixels. Raises ImageFileError where the image cannot be decoded.
+    What is farther away than `SURROUNDINGS` is pixelated unless `whole`. Small crops are enlarged to 300 pixels. Raises ImageFileError where the image cannot be decoded.
     """
     image = read_rig_image(path, rig, side)
+    if context > SURROUNDINGS and not whole:
+        image = pixelated(image, [box])
     x, y, w, h = box
-    size = round(max(w * context, h * context, _MIN_CROP_PX))
-    left, right = _interval(x + w / 2, size, image.shape[1])
-    top, bottom = _interval(y + h / 2, size, image.shape[0])
-    crop = image[top:bottom, left:right]
+    rows, columns = _surroundings(image, box, context)
+    top, left = rows.start, columns.start
+    crop = image[rows, columns]
     scale = min(max(1.0, _MIN_HEIGHT_PX / crop.shape[0]), _MAX_SIDE_PX / max(crop.shape[:2]))
     interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
     shown = cv2.resize(crop, None, fx=scale, fy=scale, interpolation=interpolation).astype(np.uint8)
@@ -60,6 +63,29 @@ def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float) -> 
     for colour, thickness in ((_CROP_EDGE, 3), (_CROP_BOX, 1)):
         cv2.rectangle(shown, first, last, colour, thickness, cv2.LINE_AA)
     return _jpeg(shown, 88)
+
+
+def pixelated(image: Image, boxes: Iterable[Box]) -> Image:
+    """A copy of an image (H, W, 3) in which only the boxes and their surroundings can be recognised.
+
+    The rest is averaged over squares of a 64th of the longer side: faces and number plates beside a road are smaller or hardly
+    larger.
+    """
+    height, width = image.shape[:2]
+    square = max(16, round(max(height, width) / 64))
+    coarse = cv2.resize(image, (-(-width // square), -(-height // square)), interpolation=cv2.INTER_AREA)
+    shown = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.uint8)
+    for box in boxes:
+        region = _surroundings(image, box, SURROUNDINGS)
+        shown[region] = image[region]
+    return shown
+
+
+def _surroundings(image: Image, box: Box, context: float) -> tuple[slice, slice]:
+    """Rows and columns of a square around a box, `context` times its longer side, inside the image."""
+    x, y, w, h = box
+    size = round(max(w * context, h * context, _MIN_CROP_PX))
+    return slice(*_interval(y + h / 2, size, image.shape[0])), slice(*_interval(x + w / 2, size, image.shape[1]))
 
 
 def _interval(centre: float, size: int, length: int) -> tuple[int, int]:

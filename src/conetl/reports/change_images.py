@@ -18,13 +18,12 @@ from conetl.model.errors import StorageError
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Rig, Side, utc_from_ns
 from conetl.perception.images import ImageFileError
-from conetl.reports.camera_images import ImageMissingError, crop_jpeg, image_file
+from conetl.reports.camera_images import SURROUNDINGS, ImageMissingError, crop_jpeg, image_file
 from conetl.reports.drive_facts import DriveChange, DriveFacts
 from conetl.reports.html import data_uri
 
 #: Changes with images on one page; the table lists all.
 MAX_ILLUSTRATED = 120
-_CONTEXT = 3.0
 _SIDES: tuple[Side, Side] = ("left", "right")
 
 
@@ -85,7 +84,7 @@ def _expected(facts: DriveFacts, change: DriveChange, drive: DriveObservations) 
 def _crops(title: str, source_path: str, rig: Rig, paths: Sequence[str], boxes: Sequence[Any]) -> PairOfCrops:
     try:
         crops = [
-            data_uri(crop_jpeg(image_file(source_path, path), rig, side, box, context=_CONTEXT), "jpeg")
+            data_uri(crop_jpeg(image_file(source_path, path), rig, side, box, context=SURROUNDINGS), "jpeg")
             for side, path, box in zip(_SIDES, paths, boxes, strict=True)
         ]
     except (ImageMissingError, ImageFileError, StorageError, OSError) as error:

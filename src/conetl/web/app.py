@@ -36,10 +36,12 @@ def create_app(
     closing: Callable[[], bool] = lambda: False,
     writer: decisions.Writer | None = None,
     reader_token: SecretStr | None = None,
+    whole_images: bool = False,
 ) -> FastAPI:
     """The application over one database. Streams end when `closing` returns True. Without `writer` it is read-only.
 
     reader_token: required for reading; the writer's token serves as well. Without it everybody who reaches the server may read.
+    whole_images: show images whole; else what is far from a detection is pixelated.
     """
     pool = ReaderPool(database_url)
     ogc_pool = AsyncReaderPool(database_url, warm)
@@ -57,6 +59,7 @@ def create_app(
     app.state.pool = pool
     app.state.map_name = map_name
     app.state.writer = writer
+    app.state.whole_images = whole_images
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
     for routes in (maps, images, layers, decisions, live):
         app.include_router(routes.router, prefix="/api")

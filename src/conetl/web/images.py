@@ -54,7 +54,9 @@ def sighting_image(
         )
     path = image_file(row["source_path"], row["picture_path"])
     box = (row["x_px"], row["y_px"], row["w_px"], row["h_px"])
-    data = crop_jpeg(path, Rig.model_validate(row["rig"]), side, box, context=context)
+    data = crop_jpeg(
+        path, Rig.model_validate(row["rig"]), side, box, context=context, whole=request.app.state.whole_images
+    )
     return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
 
 
