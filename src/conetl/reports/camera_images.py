@@ -46,7 +46,8 @@ def image_file(source_path: str, image_path: str) -> Path:
 def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float, whole: bool = False) -> bytes:
     """JPEG of the box and its surroundings, `context` times as tall and wide as the box, with the box drawn.
 
-    What is farther away than `SURROUNDINGS` is pixelated unless `whole`. Small crops are enlarged to 300 pixels. Raises ImageFileError where the image cannot be decoded.
+    What is farther away than `SURROUNDINGS` is pixelated unless `whole`. Small crops are enlarged to 300 pixels. Raises
+    ImageFileError where the image cannot be decoded.
     """
     image = read_rig_image(path, rig, side)
     if context > SURROUNDINGS and not whole:
