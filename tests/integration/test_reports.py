@@ -13,7 +13,6 @@ from typing import Any
 from uuid import uuid4
 
 import pytest
-from conetl.pipeline.publication import write_publication
 from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
@@ -27,6 +26,7 @@ from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
+from conetl.pipeline.nightly_publication import write_publication
 from conetl.pipeline.settings import Settings
 from conetl.reports.change_images import images_of
 from conetl.reports.drive_facts import find_drive, read_drive_facts

@@ -18,7 +18,8 @@ from conetl.cli.app import app
 from conetl.cli.tools.calibrate import calibrate
 from conetl.model.errors import CalibrationError, InputError
 from conetl.readers.rigs import read_rig
-from tests.integration.conftest import ROOT, conetl_process
+from tests.command import ROOT
+from tests.integration.conftest import conetl_process
 
 IMAGE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
 

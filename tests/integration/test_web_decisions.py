@@ -10,7 +10,7 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from conetl.cli.view import decide_on, writer_of
+from conetl.cli.view import decision_writer
 from conetl.db.connection import connect, execute
 from conetl.files.home import read_secret
 from conetl.model.errors import InputError
@@ -31,7 +31,7 @@ def client(module_database_url):
     for day in (0, 1):
         merge(conn, survey(day))
     conn.close()
-    writer = Writer(token=SecretStr(TOKEN), decide=decide_on(module_database_url))
+    writer = Writer(SecretStr(TOKEN), module_database_url)
     with TestClient(create_app(module_database_url, "default", writer=writer), base_url=OWN) as test_client:
         yield test_client
     conn = connect(module_database_url)
@@ -174,14 +174,16 @@ def test_a_server_without_a_token_writes_nothing(client, module_database_url):
 
 def test_only_a_server_with_a_token_accepts_decisions_and_none_prints_it(tmp_path: Path, capfd):
     home = Settings(home=tmp_path / "home")
-    assert writer_of(home, "", on_request=False, token_file=None) is None
+    assert decision_writer(home, "", on_request=False, token_file=None) is None
     assert not (tmp_path / "home").exists()
-    made = writer_of(home, "", on_request=True, token_file=None)
+    made = decision_writer(home, "", on_request=True, token_file=None)
     in_file = read_secret(tmp_path / "home" / "writer_token")
     assert made is not None and made.token == in_file
-    named = writer_of(Settings(home=tmp_path, writer_token=SecretStr(TOKEN)), "", on_request=True, token_file=None)
+    named = decision_writer(
+        Settings(home=tmp_path, writer_token=SecretStr(TOKEN)), "", on_request=True, token_file=None
+    )
     assert named is not None and named.token.get_secret_value() == TOKEN and not (tmp_path / "writer_token").exists()
     said = "".join(capfd.readouterr())
     assert "writer_token" in said and TOKEN not in said and in_file.get_secret_value() not in said
     with pytest.raises(InputError, match="CONETL_WRITER_TOKEN"):
-        writer_of(Settings(home=tmp_path, writer_token=SecretStr("short")), "", on_request=False, token_file=None)
+        decision_writer(Settings(home=tmp_path, writer_token=SecretStr("short")), "", on_request=False, token_file=None)

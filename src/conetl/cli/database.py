@@ -21,7 +21,7 @@ from conetl.db.schema import migrate as apply_migrations
 from conetl.files.atomic import sweep
 from conetl.files.expiry import old_images, old_publications, old_results, remove, size_bytes
 from conetl.model.errors import ConetlError, InputError
-from conetl.pipeline.database import database_url as database_url  # noqa: PLC0414 -- for services.py
+from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings
 
 _log = logging.getLogger(__name__)
