@@ -21,6 +21,7 @@ from prefect.settings import (
     PREFECT_FLOWS_HEARTBEAT_FREQUENCY,
     temporary_settings,
 )
+from pydantic import SecretStr
 
 from conetl.files.home import make_home
 from conetl.model.errors import ServiceError
@@ -48,7 +49,8 @@ def prefect_server(home: Path) -> Iterator[str]:
                 "start one for this command. Nothing was written."
             )
         given = PREFECT_API_AUTH_STRING.value()
-        require_access(configured, given.get_secret_value() if given else None, PREFECT_API_AUTH_STRING.name)
+        login = given.get_secret_value() if isinstance(given, SecretStr) else given
+        require_access(configured, login, PREFECT_API_AUTH_STRING.name)
         yield configured
         return
     own = read_services(home).get("prefect")

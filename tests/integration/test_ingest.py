@@ -26,6 +26,7 @@ from conetl.db.live_store import read_provisional
 from conetl.db.map.map_store import list_changesets
 from conetl.exports.wzdx import schema_faults
 from conetl.model.map_records import DeltaKind
+from conetl.pipeline.settings import prefect_login
 from conetl.reports.drive_page import drive_page
 from tests.integration.small_drives import spoil_huffman_table
 
@@ -122,7 +123,7 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
         assert server.stdout is not None
         url = server.stdout.readline().strip()
         assert url.startswith("http://127.0.0.1:"), "the Prefect server did not start"
-        yield Desk({**environment, "PREFECT_API_URL": url})
+        yield Desk({**environment, "PREFECT_API_URL": url, "PREFECT_API_AUTH_STRING": prefect_login(home)})
         assert server.stdin is not None
         server.stdin.close()
 
@@ -362,9 +363,11 @@ def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
 def events_of(desk: Desk, changeset_id: str) -> list[str]:
     """Names of the events of a changeset that the Prefect server holds; they are stored in batches, a moment later."""
     chosen = {"resource": {"id": [f"conetl.map.default.changeset.{changeset_id}"]}, "event": {"prefix": ["conetl."]}}
+    user, _, password = desk.environment["PREFECT_API_AUTH_STRING"].partition(":")
     answer = httpx.post(
-        f"{desk.environment['PREFECT_API_URL']}/events/filter", json={"filter": chosen}, timeout=30, trust_env=False
-    )
+        f"{desk.environment['PREFECT_API_URL']}/events/filter", json={"filter": chosen}, timeout=30, trust_env=False,
+        auth=(user, password),
+    )  # fmt: skip
     return [event["event"] for event in answer.raise_for_status().json()["events"]]
 
 

@@ -296,7 +296,7 @@ def test_the_run_is_kept_with_its_parameters(conn, samples):
 def test_a_map_that_stays_locked_is_reported(conn, database_url):
     second = connect(database_url)
     with map_transaction(conn):
-        with pytest.raises(DatabaseError, match="lock timeout"), map_transaction(second, lock_timeout_s=0.2):
+        with pytest.raises(DatabaseError, match="not free in time"), map_transaction(second, lock_timeout_s=0.2):
             pass
         with map_transaction(second, "another_map", lock_timeout_s=0.2):
             pass

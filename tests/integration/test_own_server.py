@@ -48,7 +48,7 @@ class Servers:
 
 @pytest.fixture(autouse=True)
 def no_other_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def talking_to(url: str) -> AbstractContextManager[None]:
+    def talking_to(home: Path, url: str) -> AbstractContextManager[None]:
         return nullcontext()
 
     monkeypatch.delenv("PREFECT_API_URL", raising=False)

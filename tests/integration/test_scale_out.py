@@ -19,7 +19,7 @@ from conetl.model.records import StereoMatch
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.chunks import Chunk, chunks_of, parts_of
 from conetl.pipeline.detect import detect, match
-from conetl.pipeline.settings import Settings, prefect_environment
+from conetl.pipeline.settings import Settings, prefect_environment, prefect_login
 from conetl.readers.drives import read_drive
 from flows.server import prefect_server
 from flows.tasks import PrefectExecutor, task_runner
@@ -37,6 +37,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             environment.setenv(name, value)
         with prefect_server(folder) as url:
             environment.setenv("PREFECT_API_URL", url)
+            environment.setenv("PREFECT_API_AUTH_STRING", prefect_login(folder))
             yield folder
 
 

@@ -55,6 +55,6 @@ def test_a_home_that_cannot_be_written_to_is_named(tmp_path):
         [*COMMAND, "ingest", str(DRIVE)], env=environment(home), cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
-    assert "cannot be written to" in done.stderr
+    assert "cannot be used" in done.stderr
     assert "CONETL_HOME" in done.stderr
     assert "Traceback" not in done.stderr

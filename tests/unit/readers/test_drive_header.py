@@ -26,15 +26,15 @@ def drive(tmp_path: Path) -> Path:
 
 def test_a_storage_error_is_not_a_property_of_the_drive(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     good = read_header(drive)
-    read = Path.read_text
+    read = Path.open
 
-    def stale(path: Path, *arguments: Any, **options: Any) -> str:
+    def stale(path: Path, *arguments: Any, **options: Any) -> Any:
         if path.name.startswith("calib"):
             raise OSError(errno.ESTALE, "Stale file handle", str(path))
         return read(path, *arguments, **options)
 
     with monkeypatch.context() as failing:
-        failing.setattr(Path, "read_text", stale)
+        failing.setattr(Path, "open", stale)
         bad = read_header(drive)
     assert bad.problem is not None
     assert "Stale file handle" in bad.problem

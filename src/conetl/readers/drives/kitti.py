@@ -65,7 +65,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
         raise DriveFolderError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
-    size = first_size(paths[0] for _, paths in sorted(left.items()))
+    size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
     stamps = _stamps(root, f"{settings.cameras.left}/timestamps.txt", settings, content)
     oxts_stamps = _stamps(root, OXTS_STAMPS, settings, content) if (root / OXTS_STAMPS).is_file() else {}
