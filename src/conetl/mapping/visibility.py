@@ -50,6 +50,8 @@ class DriveObservations:
     """(N, 4, 4) camera -> map."""
     map_SE3_right: Floats
     captured_at_ns: NDArray[np.int64]
+    shows_absence: tuple[bool, ...]
+    """Whether the images of a frame pair show enough to say that a cone is gone."""
     detections: Mapping[int, Sequence[Detection]]
     """Of both images, by frame index."""
     positions_m: Mapping[int, Floats]
@@ -77,6 +79,7 @@ def observations_of_drive(
         map_SE3_left=np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs]),
         map_SE3_right=np.array([map_SE3_right(pair.pose, rig) for pair in frame_pairs]),
         captured_at_ns=np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64),
+        shows_absence=tuple(pair.shows_absence for pair in frame_pairs),
         detections=by_frame,
         positions_m={frame_index: np.array(some) for frame_index, some in xyz_m.items()},
         figures=figures,
@@ -107,7 +110,7 @@ def check_visibility(
             hidden_share(box, [d for d in found if d.side == side])
             for side, box in zip(("left", "right"), boxes[row], strict=True)
         )
-        if is_found or max(left, right) <= drive.figures.evidence.hidden_most:
+        if is_found or (drive.shows_absence[number] and max(left, right) <= drive.figures.evidence.hidden_most):
             visible.append((row, is_found, left, right))
     if not visible:
         return None

@@ -64,14 +64,21 @@ class IngestReport(Record):
 
 
 class TooManyRejectionsError(ConetlError):
-    """The good records were committed, but more frame pairs were rejected than the parameters allow."""
+    """The good records were committed, but more frame pairs are unusable or show too little than the parameters allow."""
 
     exit_code = EXIT_TOO_MANY_REJECTIONS
 
-    def __init__(self, report: IngestReport, allowed_fraction: float) -> None:
+    def __init__(self, report: IngestReport, rejected: int, allowed_fraction: float) -> None:
         total = report.frame_pairs + report.frame_pairs_rejected
+        blind = report.rejections.get(RejectionReason.IMAGE_WITHOUT_DETAIL, 0)
+        cause = (
+            f" The images of {blind} of them show too little detail: look for a covered lens, darkness, fog or blur. What they "
+            "show is used, but no cone is removed by them."
+            if blind
+            else ""
+        )
         super().__init__(
-            f"{report.frame_pairs_rejected} of {total} frame pairs of drive {report.drive_id} were rejected, more than "
-            f"{allowed_fraction:.0%} (max_rejected_fraction). The good ones are on the map; see the table of rejections."
+            f"{rejected} of {total} frame pairs of drive {report.drive_id} were rejected, more than {allowed_fraction:.0%} "
+            f"(max_rejected_fraction). The good ones are on the map; see the table of rejections.{cause}"
         )
         self.report = report

@@ -169,6 +169,10 @@ class Pose(Record):
     sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
 
 
+#: Fine structure (grey levels) below which the detector may be blind: at 4 fog and blur hide at least a third of the cones.
+MIN_DETAIL = 5.0
+
+
 class FramePair(Record):
     """The left and right image of one trigger, with the pose at that instant."""
 
@@ -182,6 +186,13 @@ class FramePair(Record):
     left_sha256: str = ""
     right_sha256: str = ""
     """Of the image files, as they were read with the drive; empty where only their headers were."""
+    detail: NonNegative | None = None
+    """Fine structure that its images show (grey levels), the smaller of both; None where it was not measured."""
+
+    @property
+    def shows_absence(self) -> bool:
+        """Whether a cone that is not detected in its images may be gone: they show enough, or it was not measured."""
+        return self.detail is None or self.detail >= MIN_DETAIL
 
     def image(self, side: Side) -> tuple[str, str]:
         """Path and SHA-256 of the image of one side."""
@@ -190,6 +201,14 @@ class FramePair(Record):
     @property
     def captured_at(self) -> datetime:
         return utc_from_ns(self.captured_at_ns)
+
+
+class ImageDetail(Record):
+    """Fine structure that one image shows, in grey levels (`perception/image_detail.py`)."""
+
+    frame_index: int = Field(ge=0)
+    side: Side
+    detail: NonNegative
 
 
 class Drive(Record):

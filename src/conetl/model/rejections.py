@@ -16,10 +16,12 @@ class RejectionReason(StrEnum):
     IMAGE_UNREADABLE = "image_unreadable"
     IMAGE_TRUNCATED = "image_truncated"
     IMAGE_WRONG_SIZE = "image_wrong_size"
+    IMAGE_FROZEN = "image_frozen"
     TIMESTAMP_MISSING = "timestamp_missing"
     TIMESTAMP_INVALID = "timestamp_invalid"
     POSE_MISSING = "pose_missing"
     POSE_INVALID = "pose_invalid"
+    IMAGE_WITHOUT_DETAIL = "image_without_detail"
     # detections and matches
     DETECTION_INVALID = "detection_invalid"
     BOX_CUT_BY_BORDER = "box_cut_by_border"
@@ -44,19 +46,24 @@ class RejectionReason(StrEnum):
     BOARD_MISFIT = "board_misfit"
 
 
-#: Reasons about delivered data (files, poses); only these count for the exit code.
+#: Reasons about delivered data (files, poses): such a frame pair is not used at all.
 INPUT_REASONS = frozenset(
     {
         RejectionReason.IMAGE_MISSING,
         RejectionReason.IMAGE_UNREADABLE,
         RejectionReason.IMAGE_TRUNCATED,
         RejectionReason.IMAGE_WRONG_SIZE,
+        RejectionReason.IMAGE_FROZEN,
         RejectionReason.TIMESTAMP_MISSING,
         RejectionReason.TIMESTAMP_INVALID,
         RejectionReason.POSE_MISSING,
         RejectionReason.POSE_INVALID,
     }
 )
+
+
+#: Reasons that count for the exit code. A pair whose images show no detail is used, but it is no evidence that a cone is gone.
+DOUBTFUL_REASONS = INPUT_REASONS | {RejectionReason.IMAGE_WITHOUT_DETAIL}
 
 
 class Rejection(BaseModel):

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from conetl.model.errors import DriveFolderError
 from conetl.model.params import DetectionParams
-from conetl.model.records import Detection, Drive, Side, Vec2
+from conetl.model.records import MIN_DETAIL, Detection, Drive, ImageDetail, Side, Vec2
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 
 
@@ -77,6 +77,31 @@ def without_unread(
             f"the first: {undecoded[0].record}: {undecoded[0].detail}"
         )
     return drive.model_copy(update={"frame_pairs": kept}), [d for d in detections if d.frame_index not in lost]
+
+
+def with_detail(drive: Drive, details: Iterable[ImageDetail]) -> tuple[Drive, list[Rejection]]:
+    """The drive with the detail of its images in its frame pairs, and rejections of pairs that are no evidence of absence."""
+    least: dict[int, ImageDetail] = {}
+    for one in details:
+        if one.frame_index not in least or one.detail < least[one.frame_index].detail:
+            least[one.frame_index] = one
+    pairs = tuple(
+        pair.model_copy(update={"detail": least[pair.frame_index].detail}) if pair.frame_index in least else pair
+        for pair in drive.frame_pairs
+    )
+    refused = [
+        Rejection(
+            step="detections",
+            reason=RejectionReason.IMAGE_WITHOUT_DETAIL,
+            record=f"frame pair {pair.frame_index}",
+            detail=f"the {least[pair.frame_index].side} image shows fine structure of {pair.detail:.1f} grey levels, at least "
+            f"{MIN_DETAIL:.0f} are needed to say that a cone is gone: look for a covered lens, darkness, fog or blur",
+            payload={"frame_index": pair.frame_index, "side": least[pair.frame_index].side, "detail": pair.detail},
+        )
+        for pair in pairs
+        if not pair.shows_absence
+    ]
+    return drive.model_copy(update={"frame_pairs": pairs}), refused
 
 
 def _point(xy: list[float]) -> Vec2 | None:

@@ -13,12 +13,13 @@ from typing import Any
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import Detection, Drive, DriveRecords, Position, Rig, StereoMatch, Track
+from conetl.model.records import Detection, Drive, DriveRecords, ImageDetail, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
-from conetl.perception.detections import without_unread
+from conetl.perception.detections import with_detail, without_unread
 from conetl.perception.model_card import read_model_card
+from conetl.perception.stereo_sides import require_left_and_right
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
-from conetl.pipeline.detect import detect, match
+from conetl.pipeline.detect import detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, ThreadExecutor, results
 from conetl.pipeline.odometry import (
     Odometry,
@@ -88,6 +89,7 @@ def analyse(
     unless given. progress: called with the number of images and motions that are done, and of all. Raises ConetlError.
     """
     params, settings = params or IngestParams(), settings or read_settings()
+    require_left_and_right(drive)
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         evidence = read_model_card(settings.model_path).evidence
@@ -99,6 +101,8 @@ def analyse(
         position_paths = executor.run(locate, moved(with_rig(chunks, rig), trajectory), match_paths)
         detections, refused_detections = load_results(detection_paths, Detection)
         drive, detections = without_unread(drive, detections, refused_detections)
+        details, _ = load_results(map(detail_path, detection_paths), ImageDetail)
+        drive, without_detail = with_detail(drive, details)
         matches, refused_matches = load_results(match_paths, StereoMatch)
         positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(fuse, drive, detections, matches, positions, params, evidence, trajectory)
@@ -108,7 +112,7 @@ def analyse(
             tracks, refused_tracks = executor.run(
                 fuse, drive, detections, matches, positions, params, evidence, trajectory
             )
-    refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
+    refused = [*rejections, *refused_detections, *without_detail, *refused_matches, *refused_positions, *refused_tracks]
     records = DriveRecords(drive, detections, matches, positions, tracks, refused)
     return AnalysedDrive(records, trajectory, calibration, params)
 

@@ -17,10 +17,11 @@ from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.errors import ModelFileError
 from conetl.model.params import params_sha256
-from conetl.model.records import Detection, FramePair, Rig, Side, StereoMatch
+from conetl.model.records import Detection, FramePair, ImageDetail, Rig, Side, StereoMatch
 from conetl.model.rejections import INPUT_REASONS, Rejection
 from conetl.perception import detector as detector_io
 from conetl.perception.detections import check_boxes
+from conetl.perception.image_detail import fine_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
@@ -53,7 +54,7 @@ def detect(chunk: Chunk, part: int, rig: Rig | None, tick: Tick | None = None) -
         geometry_key(chunk),
         str(part),
     )
-    if has_result(chunk.results_folder, key):
+    if has_result(chunk.results_folder, key) and has_result(chunk.results_folder, _detail_key(key)):
         detected = result_path(chunk.results_folder, key)
         tick(2 * len(pairs))
         if rig is not None:
@@ -71,6 +72,7 @@ def detect(chunk: Chunk, part: int, rig: Rig | None, tick: Tick | None = None) -
             if k != middle:
                 seen[k] = _search(chunk, pairs[k], first_rows, rig, tick, everywhere=everywhere)
         found += [seen[k] for k in block]
+    save_result(chunk.results_folder, _detail_key(key), [d for f in found for d in f.details], [])
     detected = save_result(
         chunk.results_folder, key, [d for f in found for d in f.detections], [r for f in found for r in f.rejections]
     )
@@ -80,10 +82,20 @@ def detect(chunk: Chunk, part: int, rig: Rig | None, tick: Tick | None = None) -
     return detected
 
 
+def detail_path(detected: Path) -> Path:
+    """The Parquet file of the `ImageDetail`s that were measured along with detections."""
+    return result_path(detected.parent, _detail_key(detected.stem))
+
+
+def _detail_key(detections_key: str) -> str:
+    return result_key("detail", detections_key)
+
+
 class _PairFound(NamedTuple):
     """What one frame pair shows."""
 
     detections: list[Detection]
+    details: list[ImageDetail]
     rejections: list[Rejection]
     matches: list[StereoMatch]
     refused_matches: list[Rejection]
@@ -105,6 +117,7 @@ def _search(
     """Detections, and matches where the rig is known, of one frame pair; the right image where partners can be, or everywhere."""
     images: dict[Side, NDArray[np.uint8]] = {}
     by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
+    details: list[ImageDetail] = []
     rejections: list[Rejection] = []
     for side in _SIDES:
         tick(1)
@@ -116,9 +129,10 @@ def _search(
         image, by_side[side], refused = _detect(chunk, pair, side, first_rows[side], region)
         if image is not None:
             images[side] = image
+            details.append(ImageDetail(frame_index=pair.frame_index, side=side, detail=fine_detail(image)))
         rejections += refused
     matches, refused_matches = ([], []) if rig is None else _match(chunk, pair, by_side, rig, images)
-    return _PairFound([*by_side["left"], *by_side["right"]], rejections, matches, refused_matches)
+    return _PairFound([*by_side["left"], *by_side["right"]], details, rejections, matches, refused_matches)
 
 
 def _detect(

@@ -22,7 +22,7 @@ from conetl.model.errors import ConetlError, ServiceError, is_of_storage, may_pa
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
 from conetl.model.records import Drive
-from conetl.model.rejections import INPUT_REASONS, Rejection
+from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
 from conetl.perception.model_card import NOT_MEASURED
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import (
@@ -118,9 +118,9 @@ def ingest(
         report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
         committed = replace(committed, report=report)
         report = _after_commit(report, lambda: steps.run(publish_new, committed, analysed, settings, db, steps.times()))
-    lost = len(lost_frame_pairs(analysed.records.rejections, INPUT_REASONS))
+    lost = len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS))
     if lost > params.max_rejected_fraction * analysed.drive.expected_frame_count:
-        raise TooManyRejectionsError(report, params.max_rejected_fraction)
+        raise TooManyRejectionsError(report, lost, params.max_rejected_fraction)
     return report
 
 

@@ -118,6 +118,7 @@ def _frame_pair(row: tuple[Any, ...]) -> FramePair:
         ),
         left_sha256="",
         right_sha256="",
+        detail=row[10],
     )
 
 

@@ -75,6 +75,7 @@ def frame_pair_columns(drive_uuid: UUID, srid: int, pairs: Sequence[FramePair]) 
         "map_r_body": binary.double_arrays(np.reshape([p.map_R_body for p in poses], (-1, 9))),
         "sigma_enu_m": binary.double_arrays(np.reshape([p.sigma_enu_m for p in poses], (-1, 3))),
         "sigma_rpy_rad": binary.double_arrays(np.reshape([p.sigma_rpy_rad for p in poses], (-1, 3))),
+        "detail": binary.doubles([pair.detail for pair in pairs]),
     }
 
 

@@ -14,6 +14,7 @@ from conetl.model.records import Drive
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag
 from conetl.readers.drives.formats import DriveFormat, ReadOptions
+from conetl.readers.drives.pairs import without_frozen
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
 
@@ -54,7 +55,9 @@ def read_drive(
         found = find_format(path)
         if found is None:
             raise _not_a_drive(path)
-        return found.read(path, ReadOptions(map_srid, headers_only, images_folder))
+        drive, rejections = found.read(path, ReadOptions(map_srid, headers_only, images_folder))
+    drive, frozen = without_frozen(drive)
+    return drive, [*rejections, *frozen]
 
 
 def _not_a_drive(path: Path) -> DriveFolderError:

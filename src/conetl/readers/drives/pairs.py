@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -19,6 +20,10 @@ from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.drives.timestamps import misplaced, wrong_clocks
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+
+
+#: The pose of a standing vehicle scatters by less.
+MOVED_M = 0.5
 
 
 class ContentHash:
@@ -174,6 +179,39 @@ def drive_of_pairs(
 
 
 # --------------------------------------------------------------------------- images with time stamps: EuRoC folders and bags
+
+
+def without_frozen(drive: Drive) -> tuple[Drive, list[Rejection]]:
+    """The drive without the pairs of a camera that repeats an image while the vehicle moves: the same bytes, another position.
+
+    What such an image shows lies elsewhere. A vehicle that stands may repeat its images: a simulator and some encoders do.
+    """
+    first: dict[Side, FramePair] = {}
+    refused: list[Rejection] = []
+    kept: list[FramePair] = []
+    for pair in drive.frame_pairs:
+        frozen = None
+        for side in ("left", "right"):
+            image, since = pair.image(side), first.get(side)
+            if since is None or not image[1] or since.image(side)[1] != image[1]:
+                first[side] = pair
+            elif math.dist(since.pose.map_t_body_m, pair.pose.map_t_body_m) > MOVED_M:
+                frozen = side, since.frame_index
+        if frozen is None:
+            kept.append(pair)
+            continue
+        side, since_frame = frozen
+        refused.append(
+            Rejection(
+                step="frames",
+                reason=RejectionReason.IMAGE_FROZEN,
+                record=f"frame pair {pair.frame_index}",
+                detail=f"{Path(pair.image(side)[0]).name}: the {side} camera repeats its image of frame {since_frame}, although the vehicle has "
+                f"moved by more than {MOVED_M} m: check the camera and its recorder",
+                payload={"frame_index": pair.frame_index, "side": side, "same_as": since_frame},
+            )
+        )
+    return (drive.model_copy(update={"frame_pairs": tuple(kept)}), refused) if refused else (drive, [])
 
 
 class Image(NamedTuple):
