@@ -1,8 +1,8 @@
 """Whether left is left: images that are swapped, mirrored or upside down put what is near on the wrong side.
 
-In a rectified pair every point lies in the right image at the same row and not farther right than in the left one. Matched ORB features
-(Rublee et al. 2011) say so: on the sample drives and a real street 0 to 1 % of them contradict it; with images swapped, mirrored or
-upside down 85 to 100 % do.
+In a rectified pair every point lies in the right image at the same row and not farther right than in the left one. Of matched ORB
+features (Rublee et al. 2011) in the sample drives and a real street 0 to 1 % contradict it; with images swapped, mirrored or upside
+down 85 to 100 % do.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ _WRONG_SHARE = 0.7
 
 
 def require_left_and_right(drive: Drive) -> None:
-    """Look at some pairs of a drive. Raises DriveFolderError where their sides are wrong; says nothing about images without detail."""
+    """Look at some pairs of a drive. Raises DriveFolderError where their sides are wrong; images without detail pass."""
     chosen = np.unique(np.linspace(0, len(drive.frame_pairs) - 1, _PAIRS).astype(int))
     disparities = np.concatenate([_disparities(drive, int(number)) for number in chosen])
     wrong = int((disparities < -1.0).sum())
     if len(disparities) >= _MIN_MATCHES and wrong > _WRONG_SHARE * len(disparities):
         raise DriveFolderError(
             f"{drive.source_path}: the images are swapped, mirrored or upside down: of {len(disparities)} points in both images "
-            f"{wrong} lie farther right in the right image. Exchange the cameras' folders (drive.yaml: cameras), or turn the images."
+            f"{wrong} lie farther right in the right image. Exchange the cameras' folders (drive.yaml: cameras), or turn the "
+            "images."
         )
 
 

@@ -206,8 +206,8 @@ def without_frozen(drive: Drive) -> tuple[Drive, list[Rejection]]:
                 step="frames",
                 reason=RejectionReason.IMAGE_FROZEN,
                 record=f"frame pair {pair.frame_index}",
-                detail=f"{Path(pair.image(side)[0]).name}: the {side} camera repeats its image of frame {since_frame}, although the vehicle has "
-                f"moved by more than {MOVED_M} m: check the camera and its recorder",
+                detail=f"{Path(pair.image(side)[0]).name}: the {side} camera repeats its image of frame {since_frame}, although "
+                f"the vehicle has moved by more than {MOVED_M} m: check the camera and its recorder",
                 payload={"frame_index": pair.frame_index, "side": side, "same_as": since_frame},
             )
         )
