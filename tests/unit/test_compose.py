@@ -10,6 +10,8 @@ from typing import Any
 
 import yaml
 
+from flows.runs import FLOWS
+
 ROOT = Path(__file__).resolve().parents[2]
 COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text(encoding="utf-8"))
 PREFECT = yaml.safe_load((ROOT / "prefect.yaml").read_text(encoding="utf-8"))
@@ -50,6 +52,10 @@ def test_no_secret_stands_in_a_definition() -> None:
 
 def test_only_the_proxy_is_reached_from_outside() -> None:
     assert [name for name, service in COMPOSE["services"].items() if "ports" in service] == ["proxy"]
+
+
+def test_every_deployment_is_recovered_after_a_crash() -> None:
+    assert {deployment["name"] for deployment in PREFECT["deployments"]} == set(FLOWS)
 
 
 def test_deployments_name_flows_that_exist_and_queues_that_workers_serve() -> None:

@@ -156,7 +156,9 @@ def prune(
     settings, now = read_settings(), datetime.now(UTC)
     since = {kind: now - timedelta(seconds=parse_age(age)) for kind, age in ages.items() if age is not None}
     if keep_positions is None and not since:
-        raise InputError("nothing to prune: use for example --keep-positions 90d or --keep-results 30d (see --help)")
+        raise InputError(
+            "nothing was selected: give at least one age, for example --keep-positions 90d or --keep-results 30d (see --help)"
+        )
     done = "deleted" if do_it else "to delete"
     report: dict[str, Any] = {"deleted": do_it}
     if keep_positions is not None:

@@ -88,7 +88,7 @@ def ingest_drives(
     drives = [as_path(drive) for drive in drives]
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
     if len(missing) == len(drives):  # before any service is started
-        raise InputError(f"no such drive folder: {', '.join(missing)}")
+        raise InputError(f"no such drive folder: {', '.join(missing)}; check the path")
     headers = [read_header(drive) for drive in drives]
     problems = [problem for header in headers if (problem := _problem_of(header))]
     if len(problems) == len(drives):

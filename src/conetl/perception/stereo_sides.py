@@ -1,8 +1,8 @@
 """Whether left is left: images that are swapped, mirrored or upside down put what is near on the wrong side.
 
 In a rectified pair every point lies in the right image at the same row and not farther right than in the left one. Of matched ORB
-features (Rublee et al. 2011) in the sample drives and a real street 0 to 1 % contradict it; with images swapped, mirrored or upside
-down 85 to 100 % do.
+features (Rublee et al. 2011) in the sample drives and a real street 0 to 1 % contradict it; with swapped, mirrored or upside-down
+images 85 to 100 % do.
 """
 
 from __future__ import annotations

@@ -193,7 +193,7 @@ def _judge(
 
 
 def _is_same_recording(header: DriveHeader, drive: DriveOnMap) -> bool:
-    """By id and time; a drive's first and last pair may have been refused."""
+    """By time: the recorded span contains that on the map, whose first and last pair may have been rejected."""
     if header.captured_from_ns is None or header.captured_to_ns is None:
         return False
     return header.captured_from_ns <= drive.captured_from_ns and drive.captured_to_ns <= header.captured_to_ns

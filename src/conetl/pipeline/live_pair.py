@@ -71,7 +71,7 @@ class SearchedImage(NamedTuple):
 
 @dataclass(frozen=True)
 class PairSearch:
-    """Both images of a pair while they are being searched."""
+    """Both images of a pair while cones are detected in them."""
 
     pair: FramePair
     began_s: float
