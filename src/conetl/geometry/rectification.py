@@ -17,7 +17,7 @@ from conetl.geometry import camera as cameras
 from conetl.geometry import lens as lenses
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.records import Camera, Rig, Side
+from conetl.model.records import MIN_BASELINE_M, Camera, Rig, Side
 
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -36,7 +36,6 @@ MAX_HALF_ANGLE_RAD = np.radians(60.0)
 MAX_GROWTH = 2.0
 #: Rigs whose baseline leaves the left camera's rows by more than this share are refused.
 MAX_SLOPE = 0.5
-MIN_BASELINE_M = 0.01
 _BORDER_SAMPLES = 101
 #: A curved border lies this much further in between two samples of it at most (60 px apart in a 24-megapixel image).
 _INSET_PX = 0.1

@@ -29,6 +29,21 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
+# Bounds of what a vehicle can record; every reader uses these.
+Latitude = Annotated[float, Field(ge=-90, le=90)]
+Longitude = Annotated[float, Field(ge=-180, le=180)]
+#: Roads are between -430 and 5,900 m above the sea, and the geoid is within 110 m of the ellipsoid.
+MIN_HEIGHT_M, MAX_HEIGHT_M = -500.0, 9_000.0
+Height = Annotated[float, Field(ge=MIN_HEIGHT_M, le=MAX_HEIGHT_M)]
+MIN_BASELINE_M, MAX_BASELINE_M = 0.01, 10.0
+MAX_LEVER_ARM_M = 100.0
+MAX_SPEED_M_S = 100.0
+#: A 100-megapixel camera still fits.
+MAX_IMAGE_PIXELS = 2**27
+#: The database holds 4 bytes.
+MAX_FRAME_INDEX = 2**31 - 1
+FrameIndex = Annotated[int, Field(ge=0, le=MAX_FRAME_INDEX)]
+
 
 class Record(BaseModel):
     """Base of all records: immutable, closed, finite."""
@@ -80,6 +95,15 @@ class Lens(Record):
         return self
 
 
+class GeodeticPosition(Record):
+    """A position of WGS 84."""
+
+    lat_deg: Latitude
+    lon_deg: Longitude
+    height_m: Height
+    """Above the ellipsoid."""
+
+
 class Camera(Record):
     """Interior orientation of one camera in pixels; a rectified camera is one without a lens (model "none")."""
 
@@ -90,6 +114,12 @@ class Camera(Record):
     cx_px: float
     cy_px: float
     lens: Lens = Lens()
+
+    @model_validator(mode="after")
+    def _not_too_large(self) -> Camera:
+        if self.width_px * self.height_px > MAX_IMAGE_PIXELS:
+            raise ValueError(f"{self.width_px} x {self.height_px} pixels are more than {MAX_IMAGE_PIXELS:,}")
+        return self
 
 
 class SharedErrors(Record):
@@ -153,6 +183,18 @@ class Rig(Record):
     """Of this rig's own parameters; None where unknown. A rectified rig has that of `rectified_from`."""
     rectified_from: Rig | None = None
 
+    @model_validator(mode="after")
+    def _fits_on_a_vehicle(self) -> Rig:
+        if not MIN_BASELINE_M <= self.baseline_m <= MAX_BASELINE_M:
+            raise ValueError(
+                f"the baseline is {self.baseline_m:.4g} m, expected {MIN_BASELINE_M:g} to {MAX_BASELINE_M:g} m: is it in another "
+                "unit? conetl rig convert --unit mm makes a rig.yaml of it"
+            )
+        arm_m = max(abs(self.body_SE3_left[i][3]) for i in range(3))
+        if not arm_m <= MAX_LEVER_ARM_M:
+            raise ValueError(f"the lever arm of body_SE3_left is {arm_m:.4g} m, expected at most {MAX_LEVER_ARM_M:g} m")
+        return self
+
     @property
     def baseline_m(self) -> float:
         a, b = self.body_SE3_left, self.body_SE3_right
@@ -176,7 +218,7 @@ MIN_DETAIL = 5.0
 class FramePair(Record):
     """The left and right image of one trigger, with the pose at that instant."""
 
-    frame_index: int = Field(ge=0)
+    frame_index: FrameIndex
     """Number in the file name; it links images, poses and time stamps."""
     left_path: str
     right_path: str

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from conetl.files.storage import is_present, is_remote, object_bytes, recall, remember
 from conetl.model.errors import StorageError
+from conetl.model.records import MAX_IMAGE_PIXELS
 from conetl.model.rejections import RejectionReason
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -30,8 +31,8 @@ _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})
 #: Larger files are not read at all.
 MAX_FILE_BYTES = 256 * 2**20
-#: Larger images are not decoded where no size is expected (a 100-megapixel camera still fits).
-MAX_PIXELS = 2**27
+#: A larger image has a byte for this many pixels: one with less shows nothing, and fills the memory.
+SMALL_PIXELS, MAX_PIXELS_PER_BYTE = 2**24, 200
 _HEAD_BYTES, _TAIL_BYTES = 2**16, 2**12
 _PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 
@@ -149,8 +150,13 @@ class ImageFileError(Exception):
         return type(self), (self.reason, str(self))  # from a process of its own
 
 
-def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | None) -> ImageHeader:
-    """Check header, size and end marker of an image's bytes. Raises ImageFileError naming `name`."""
+def check_image_bytes(
+    data: bytes, name: str, expected_size: tuple[int, int] | None, file_bytes: int | None = None
+) -> ImageHeader:
+    """Check header, size and end marker of an image's bytes. Raises ImageFileError naming `name`.
+
+    file_bytes: size of the file, where `data` is only a part of it.
+    """
     try:
         header = inspect_image(data)
     except ImageTruncatedError as error:
@@ -164,16 +170,25 @@ def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | N
             f"{name}: {found[0]} x {found[1]} pixels, but the calibration is for {expected_size[0]} x {expected_size[1]}; "
             "use the calibration of these images",
         )
-    if expected_size is None and found[0] * found[1] > MAX_PIXELS:
+    pixels, size_bytes = found[0] * found[1], file_bytes or len(data)
+    if pixels > MAX_IMAGE_PIXELS:
         raise ImageFileError(RejectionReason.IMAGE_WRONG_SIZE, f"{name}: {found[0]} x {found[1]} pixels are too many")
+    if pixels > max(SMALL_PIXELS, MAX_PIXELS_PER_BYTE * size_bytes):
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE,
+            f"{name}: the header states {found[0]} x {found[1]} pixels, too many for {size_bytes:,} bytes; copy it again",
+        )
     return header
 
 
 def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> ImageHeader:
     """Like `check_image_bytes` from a file's first and last bytes only: damage in between goes unseen. Raises ImageFileError."""
-    data = b""
+    data, file_bytes = b"", None
     with _asking(path):
-        if not is_remote(path) and is_present(path) and path.stat().st_size > _HEAD_BYTES + _TAIL_BYTES:
+        if (
+            not is_remote(path) and is_present(path)
+            and (file_bytes := path.stat().st_size) > _HEAD_BYTES + _TAIL_BYTES
+        ):  # fmt: skip
             with path.open("rb") as file:
                 data = file.read(_HEAD_BYTES)
                 file.seek(-_TAIL_BYTES, 2)
@@ -182,7 +197,7 @@ def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> I
         data = data[:33] + _PNG_END if data.rstrip(b"\0").endswith(_PNG_END) else data[:33]
     if data:
         try:
-            return check_image_bytes(data, name, expected_size)
+            return check_image_bytes(data, name, expected_size, file_bytes)
         except ImageFileError:
             pass  # a long header, or really broken: the whole file says which
     return check_image_bytes(read_bytes(path), name, expected_size)
@@ -239,6 +254,8 @@ def read_upright_image(path: Path) -> NDArray[np.uint8]:
         return np.asarray(colour, dtype=np.uint8)
     opaque = 65535.0 if stored.dtype == np.uint16 else 255.0
     has_alpha = stored.ndim == 3 and stored.shape[2] == 4
+    if stored.dtype != np.uint16 and not has_alpha:
+        return np.asarray(colour, dtype=np.uint8)
     image: NDArray[np.float64] = colour.astype(np.float64)
     if stored.dtype == np.uint16:
         deep = stored[..., :3] if stored.ndim == 3 else np.repeat(stored[..., None], 3, axis=2)

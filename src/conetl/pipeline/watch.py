@@ -26,7 +26,7 @@ from conetl.db.receipt_store import held_if_free
 from conetl.db.schema import migrate_once
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import IngestParams
-from conetl.model.records import FramePair, Rig, Track
+from conetl.model.records import MAX_SPEED_M_S, FramePair, Rig, Track
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError
 from conetl.pipeline.database import database_url
@@ -43,7 +43,6 @@ from conetl.pipeline.live_pair import (
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import MARKER
 from conetl.readers.drives.pairs import PairError
-from conetl.readers.drives.trajectories import MAX_SPEED_M_S
 from conetl.readers.recording import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
 
 #: How long an incomplete pair holds up those behind it.

@@ -30,10 +30,11 @@ from conetl.readers.drives.kitti import (
     camera_folder,
     is_number,
     read_rig_for,
+    trigger_problem,
 )
 from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
-from conetl.readers.drives.timestamps import EARLIEST_NS, parse_timestamp
+from conetl.readers.drives.timestamps import clock_problem, parse_timestamp
 from conetl.readers.drives.trajectories import checked_srid
 from conetl.readers.rigs import RIG_YAML
 
@@ -266,6 +267,9 @@ class ArrivingKitti(ArrivingDrive):
         record = self._record_of(name)
         if captured is None or record is None:
             return None
+        right_at = self._time(f"{self.settings.cameras.right}/timestamps.txt", number)
+        if (problem := trigger_problem(captured, right_at, self.settings)) is not None:
+            raise PairError(RejectionReason.TIMESTAMP_INVALID, problem)
         pose_at = self._time(OXTS_STAMPS, number)
         if pose_at is None and (self.root / OXTS_STAMPS).is_file():
             return None
@@ -319,10 +323,9 @@ class ArrivingKitti(ArrivingDrive):
 
 def _require_set_clock(captured: int) -> None:
     """The only check of the clock that is possible without the rest of the drive."""
-    if captured < EARLIEST_NS:
-        raise PairError(
-            RejectionReason.TIMESTAMP_INVALID, f"the time {captured} ns is before 2000: the clock was not set"
-        )
+    problem = clock_problem(captured)
+    if problem is not None:
+        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"the time {captured} ns {problem}")
 
 
 def _record(number: int, pair: ArrivingPair, captured: int, pose: Pose) -> FramePair:

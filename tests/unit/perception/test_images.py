@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import io
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -118,9 +120,23 @@ def test_the_size_is_checked_before_the_decoder_sees_the_file(tmp_path: Path, mo
     with pytest.raises(ImageFileError, match="64 x 48 pixels, but the calibration is for 1242 x 375") as raised:
         read_image(written(tmp_path, PNG), (1242, 375))
     assert raised.value.reason is RejectionReason.IMAGE_WRONG_SIZE
-    monkeypatch.setattr(images, "MAX_PIXELS", 1000)
+    monkeypatch.setattr(images, "MAX_IMAGE_PIXELS", 1000)
     with pytest.raises(ImageFileError, match="too many"):
         read_image(written(tmp_path, PNG))
+
+
+def test_a_header_that_claims_more_than_the_file_can_hold_is_refused_before_decoding(tmp_path: Path) -> None:
+    for width, height, words in (
+        (60_000, 60_000, "too many"),
+        (10_000, 10_000, "too many for"),
+        (2, 2**31, "too many"),
+    ):
+        header = b"IHDR" + struct.pack(">II", width, height) + PNG[24:29]
+        lying = PNG[:12] + header + struct.pack(">I", zlib.crc32(header)) + PNG[33:]
+        with pytest.raises(ImageFileError, match=words):
+            read_image(written(tmp_path, lying))
+        with pytest.raises(ImageFileError, match=words):
+            images.check_image_ends(written(tmp_path, lying + bytes(2**17)), "a.png", (width, height))
 
 
 def test_huge_files_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,6 +117,14 @@ FAULTS: dict[str, tuple[Callable[[list[Frame]], list[Frame]], dict[int, R]]] = {
     "another clock at last": (
         lambda f: changed(f, -1 % len(f), stamp_ns=f[-1].stamp_ns + 400 * 86_400 * 10**9), {9: R.TIMESTAMP_INVALID},
     ),
+    "another century": (lambda f: changed(f, 6, stamp_ns=2_100_000_000 * 10**9), {6: R.TIMESTAMP_INVALID}),
+    "a flight": (
+        lambda f: changed(f, 4, oxts=(*f[4].oxts[:2], 10_000.0, *f[4].oxts[3:]) if f[4].oxts else None), {4: R.POSE_INVALID},
+    ),
+    "two wild fixes": (
+        lambda f: [replace(g, oxts=(g.oxts[0] + 0.01, *g.oxts[1:])) if i in (5, 6) and g.oxts else g for i, g in enumerate(f)],
+        {5: R.POSE_INVALID, 6: R.POSE_INVALID},
+    ),
     "pose is NaN": (lambda f: changed(f, 4, oxts=(math.nan,) * 30), {4: R.POSE_INVALID}),
     "poses missing": (without_poses, dict.fromkeys(range(2, 8), R.POSE_MISSING)),
     "a wild fix": (

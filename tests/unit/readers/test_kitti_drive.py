@@ -127,6 +127,18 @@ def test_numbers_link_files_not_their_order(drive: Path) -> None:
     assert np.linalg.norm(moved[:2]) == pytest.approx(3.0, rel=0.01)
 
 
+def test_right_stamps_are_optional_and_change_the_hash_only_where_they_cost_a_pair(drive: Path) -> None:
+    whole = read_drive(drive)[0].content_sha256
+    change_line(3, stamp(1.31), "image_03")(drive)
+    late, rejections = read_drive(drive)
+    assert (len(rejections), late.content_sha256 != whole) == (1, True)
+    (drive / "drive.yaml").write_text("pair_tolerance_ms: 11\n")
+    assert read_drive(drive)[1] == []
+    (drive / "drive.yaml").unlink()
+    (drive / "image_03/timestamps.txt").unlink()
+    assert read_drive(drive)[0].content_sha256 == whole
+
+
 def test_png_and_jpg_and_short_numbers_mix(drive: Path) -> None:
     data = drive / "image_02" / "data"
     cv2.imwrite(str(data / "2.png"), cv2.imread(str(data / "0000000002.jpg")))
@@ -154,9 +166,9 @@ def change_oxts(number: int, field: int, value: str) -> Callable[[Path], None]:
     return change
 
 
-def change_line(number: int, text: str) -> Callable[[Path], None]:
+def change_line(number: int, text: str, camera: str = "image_02") -> Callable[[Path], None]:
     def change(drive: Path) -> None:
-        path = drive / "image_02" / "timestamps.txt"
+        path = drive / camera / "timestamps.txt"
         lines = path.read_text().splitlines()
         lines[number] = text
         path.write_text("\n".join(lines) + "\n")
@@ -170,8 +182,14 @@ LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = 
     "two images of one number": (
         lambda d: shutil.copy(d / "image_02/data/0000000002.jpg", d / "image_02/data/2.jpg"), 2, R.IMAGE_UNREADABLE, "keep one",
     ),
-    "NaN in OXTS": (change_oxts(3, 0, "nan"), 3, R.POSE_INVALID, "lat_deg is nan"),
-    "latitude out of range": (change_oxts(3, 0, "91"), 3, R.POSE_INVALID, "between -90 and 90"),
+    "NaN in OXTS": (change_oxts(3, 0, "nan"), 3, R.POSE_INVALID, "'lat_deg'"),
+    "latitude out of range": (change_oxts(3, 0, "91"), 3, R.POSE_INVALID, "equal to 90, found 91"),
+    "height of a satellite": (change_oxts(3, 2, "12000"), 3, R.POSE_INVALID, "'height_m'"),
+    "time stamp of 2099": (
+        change_line(3, "2099-03-01 12:00:01.3"), 3, R.TIMESTAMP_INVALID, "line 4: the time is more than a day in the future",
+    ),
+    "right image later": (change_line(3, stamp(1.31), "image_03"), 3, R.TIMESTAMP_INVALID, "10.000 ms apart, allowed 5 ms"),
+    "right stamp garbled": (change_line(3, "soon", "image_03"), 3, R.TIMESTAMP_INVALID, "image_03/timestamps.txt, line 4"),
     "degrees for radians": (change_oxts(3, 4, "12.5"), 3, R.POSE_INVALID, "pitch_rad"),
     "no sigma": (change_oxts(3, 23, "0"), 3, R.POSE_INVALID, "pos_accuracy is 0"),
     "text in OXTS": (change_oxts(3, 7, "fast"), 3, R.POSE_INVALID, "text that is not a number"),
@@ -180,7 +198,7 @@ LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = 
     ),
     "no OXTS": (lambda d: (d / "oxts/data/0000000003.txt").unlink(), 3, R.POSE_MISSING, "no such file"),
     "time stamp garbled": (change_line(3, "2026-03-01"), 3, R.TIMESTAMP_INVALID, "line 4"),
-    "time stamp twice": (change_line(5, stamp(1.4)), 5, R.TIMESTAMP_INVALID, "does not rise"),
+    "time stamp twice": (change_line(5, stamp(1.4)), 5, R.TIMESTAMP_INVALID, "100.000 ms apart"),
     "time stamps end early": (
         lambda d: (d / "image_02/timestamps.txt").write_text("".join(f"{stamp(1 + 0.1 * i)}\n" for i in range(5))),
         5, R.TIMESTAMP_MISSING, "5 lines, line 6 is needed",
@@ -282,7 +300,7 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
         DriveFolderError, "no images",
     ),
     "no time stamps": (lambda d: remove(d, "image_02/timestamps.txt"), DriveFolderError, "image_02/timestamps.txt is missing"),
-    "all poses bad": (lambda d: [change_oxts(i, 0, "nan")(d) for i in range(FRAMES)], DriveFolderError, "lat_deg is nan"),
+    "all poses bad": (lambda d: [change_oxts(i, 0, "nan")(d) for i in range(FRAMES)], DriveFolderError, "'lat_deg'"),
     "all images bad": (
         lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "not one of 6 frame pairs can be used",
     ),

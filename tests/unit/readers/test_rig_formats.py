@@ -103,7 +103,7 @@ def test_opencv_sample_with_two_files_without_size_in_millimetres(tmp_path: Path
     opencv_text(tmp_path / "extrinsics.yml", {"R": R, "T": 1000 * T[:, None], "Q": np.eye(4)})
     with pytest.raises(CalibrationError, match=r"image_width, image_height.*--image-size"):
         read_rig(tmp_path)
-    with pytest.raises(CalibrationError, match=r"baseline of 274\.0 m.*--unit mm"):
+    with pytest.raises(CalibrationError, match=r"baseline is 274 m.*--unit mm"):
         read_rig(tmp_path, image_size=SIZE)
     for path in (tmp_path, tmp_path / "intrinsics.yml", tmp_path / "extrinsics.yml"):
         agrees_with_opencv(read_rig(path, image_size=SIZE, length_unit="mm"))
@@ -309,6 +309,7 @@ BAD_KALIBR = {
     "words": (change("cam0/resolution", "big"), "'cam0.resolution' must be numbers"),
     "half pixels": (change("cam0/resolution", [640.5, 480]), "'cam0.resolution' must be whole numbers"),
     "another image": (change("cam0/resolution", [160, 120]), "'cam0.intrinsics' has the principal point"),
+    "far": (change("cam1/T_cn_cnm1", (np.eye(4) - 1.5e9 * np.eye(4, k=3)).tolist()), r"T_cn_cnm1.*baseline is 1.5e\+09 m"),
     "negative f": (change("cam0/intrinsics", [-900, 900, 640, 360]), "'cam0.intrinsics' must have positive focal"),
 }  # fmt: skip
 BAD_MATLAB = {
@@ -321,6 +322,7 @@ BAD_MATLAB = {
     "NaN": (change("TranslationOfCamera2", [float("nan"), 0, 0]), "'TranslationOfCamera2' must be finite"),
     "swapped": (change("TranslationOfCamera2", [274.0, 0, 0]), "TranslationOfCamera2.*swapped"),
     "no pose": (change("RotationOfCamera2", None), "'PoseCamera2' is missing"),
+    "far": (change("TranslationOfCamera2", [-1.5e12, 0, 0]), r"baseline is 1.5e\+09 m"),
     "unit": (change("WorldUnits", "squares"), "'WorldUnits' 'squares' is not a known unit"),
 }  # fmt: skip
 BAD_ROS = {
@@ -329,6 +331,9 @@ BAD_ROS = {
     "model": (change("distortion_model", "double_sphere"), "'distortion_model' 'double_sphere' is not supported"),
     "count": (change("distortion_coefficients/data", [1.0, 2.0, 3.0]), "'distortion_coefficients' has"),
     "rotation": (change("rectification_matrix/data", [1.0] * 9), "'rectification_matrix' is not a rotation"),
+    "far": (
+        change("projection_matrix/data", [900, 0, 640, -9e12, 0, 900, 360, 0, 0, 0, 1, 0]), r"baseline is 1e\+10 m"
+    ),
     "baseline": (change("projection_matrix/data", [900, 0, 640, 250, 0, 900, 360, 0, 0, 0, 1, 0]), "projection_matrix.*swapped"),
 }  # fmt: skip
 BAD_OPENCV = {
@@ -339,7 +344,7 @@ BAD_OPENCV = {
     "six": (change("D1", np.ones(6)), "'D1' must be 0, 4, 5, 8, 12 or 14 coefficients.*found 6"),
     "prism": (change("D1", np.ones(12)), "'D1' holds thin-prism"),
     "swapped": (change("T", -T), "'R, T'.*swapped"),
-    "far": (change("T", np.array([-270.0, 0, 0])), "'R, T' gives a baseline of 270.0 m"),
+    "far": (change("T", np.array([-270.0, 0, 0])), "'R, T' cannot be used: the baseline is 270 m, expected 0.01 to 10 m"),
     "depth": (change("T", np.array([-0.2, 0, 0.5])), "'R, T'.*does not follow the image rows"),
     "lens": (change("distortion_model", "ftheta"), "'distortion_model' 'ftheta' is not a known lens model"),
 }  # fmt: skip

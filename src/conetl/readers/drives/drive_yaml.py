@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 from conetl.files.names import printable
 from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import DriveFolderError, InputError
-from conetl.model.records import Positive, Record
+from conetl.model.records import GeodeticPosition, Positive, Record
 
 DRIVE_YAML = "drive.yaml"
 
@@ -37,13 +37,9 @@ class Sigmas(Record):
     image_px: Positive = 0.5
 
 
-class Georeference(Record):
-    """Position on the earth of a local trajectory (odometry, SLAM, motion capture), whose frame must be level, z up."""
+class Georeference(GeodeticPosition):
+    """Origin of a local trajectory (odometry, SLAM, motion capture), whose frame must be level, z up."""
 
-    lon_deg: float = Field(ge=-180, le=180)
-    lat_deg: float = Field(ge=-90, le=90)
-    height_m: float = Field(ge=-20_000, le=20_000)
-    """Of the frame's origin, above the WGS 84 ellipsoid."""
     heading_deg: float = Field(ge=-360, le=360)
     """Of the frame's x axis, clockwise from true north; 90 for a frame whose x axis points east."""
 
@@ -75,7 +71,7 @@ class DriveYaml(Record):
     georeference: Georeference | None = None
     streams: Streams = Streams()
     pair_tolerance_ms: Positive = 5.0
-    """EuRoC and bags: left and right images farther apart in time are not a pair."""
+    """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
     max_pose_gap_s: Positive = 0.5
     """EuRoC and bags: poses farther apart in time are not interpolated."""
     antenna_t_m: tuple[float, float, float] | None = None

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -43,6 +42,7 @@ from conetl.readers.drives.trajectories import (
     at,
     attitude_sigmas,
     georeferenced,
+    local_position,
     position_sigmas,
     rotation_of,
     samples,
@@ -245,6 +245,4 @@ def _pose(words: list[str]) -> Array:
         values = [float(word) for word in words[1 : 1 + len(_FIELDS)]]
     except ValueError:
         raise ValueError(f"expected the numbers {', '.join(_FIELDS)}, found other text") from None
-    if not all(math.isfinite(value) and abs(value) < 1e6 for value in values):
-        raise ValueError(f"expected finite metres below 1,000,000, found {values[:3]}")
-    return se3.se3(rotation_of(*values[3:]), values[:3])
+    return se3.se3(rotation_of(*values[3:]), local_position(*values[:3]))

@@ -107,7 +107,7 @@ class HeaderFacts:
         wrong = misplaced(dict(enumerate(stamps)))
         good = [stamp for number, stamp in enumerate(stamps) if number not in wrong]
         if not good:
-            raise DriveFolderError(f"{path}: there is no readable time stamp from 2000 or later")
+            raise DriveFolderError(f"{path}: there is no readable time stamp between 2000 and today")
         self.first_ns, self.last_ns = good[0], good[-1]
 
 

@@ -3,7 +3,7 @@
 Images may be "synced and rectified" or "synced only"; their size decides. The latter are rectified when they are read.
 
     drive/image_02/data/0000000000.{png,jpg}   left images        drive/image_02/timestamps.txt
-    drive/image_03/data/0000000000.{png,jpg}   right images
+    drive/image_03/data/0000000000.{png,jpg}   right images       drive/image_03/timestamps.txt, optional
     drive/oxts/data/0000000000.txt             GNSS/INS           drive/oxts/timestamps.txt
     calib_cam_to_cam.txt, calib_velo_to_cam.txt, calib_imu_to_velo.txt in the drive folder or its parent
     drive/drive.yaml                           optional, see drive_yaml.py
@@ -20,7 +20,7 @@ from pathlib import Path
 
 from conetl.files.storage import fetch, is_remote, object_bytes
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, Rig
+from conetl.model.records import MAX_FRAME_INDEX, Drive, Rig
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives import oxts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
@@ -34,7 +34,7 @@ from conetl.readers.drives.pairs import (
     first_size,
     images_ahead,
 )
-from conetl.readers.drives.timestamps import misplaced, parse_timestamps
+from conetl.readers.drives.timestamps import clock_problem, misplaced, parse_timestamps
 from conetl.readers.drives.trajectories import checked_srid
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 
@@ -68,15 +68,18 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
     stamps = _stamps(root, f"{settings.cameras.left}/timestamps.txt", settings, content)
+    split = _split_triggers(root, settings, stamps, content)
     oxts_stamps = _stamps(root, OXTS_STAMPS, settings, content) if (root / OXTS_STAMPS).is_file() else {}
     srid, track, bad_records = _trajectory(root, path, oxts_stamps, options.map_srid, settings, content)
 
     usable: dict[int, tuple[ImageFile, ImageFile, int]] = {}
-    wrong_times = misplaced({n: t for n in numbers if isinstance(t := stamps.get(n), int)})
+    wrong_times = misplaced({n: t for n in numbers if isinstance(t := stamps.get(n), int) and n not in split})
     for number in images_ahead(numbers, left, right, content):
         try:
             images = check_images(left.get(number, []), right.get(number, []), rig, content, root)
             captured = _captured_at(number, stamps, wrong_times, settings)
+            if number in split:
+                raise PairError(RejectionReason.TIMESTAMP_INVALID, split[number])
             _check_pose(number, captured, bad_records, track, root)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
@@ -172,7 +175,8 @@ def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> d
 
 
 def is_number(stem: str) -> bool:
-    return stem.isascii() and stem.isdigit()
+    """Whether a file's name is a frame number."""
+    return stem.isascii() and stem.isdigit() and int(stem) <= MAX_FRAME_INDEX
 
 
 def _numbered(paths: Iterable[Path]) -> dict[int, list[Path]]:
@@ -191,6 +195,43 @@ def _stamps(root: Path, name: str, settings: DriveYaml, content: ContentHash) ->
     data = (root / name).read_bytes()
     content.add(name, data)
     return parse_timestamps(data.decode("utf-8", errors="replace"), settings.timestamps_timezone)
+
+
+def _split_triggers(
+    root: Path, settings: DriveYaml, left: Mapping[int, int | str], content: ContentHash
+) -> dict[int, str]:
+    """What is wrong with the times of right images, by frame number; nothing without their timestamps.txt.
+
+    The file is part of the content hash only where it rejects a pair: else the hash of drives would change that earlier
+    versions ingested with the same result.
+    """
+    name = f"{settings.cameras.right}/timestamps.txt"
+    if not (root / name).is_file():
+        return {}
+    own = ContentHash()
+    right = _stamps(root, name, settings, own)
+    found = {number: trigger_problem(time, right.get(number), settings) for number, time in left.items()}
+    wrong = {number: f"{name}, line {number + 1}: {problem}" for number, problem in found.items() if problem}
+    if wrong:
+        content.add(name, own.hexdigest().encode())
+    return wrong
+
+
+def trigger_problem(left: int | str, right: int | str | None, settings: DriveYaml) -> str | None:
+    """Why two images (UTC nanoseconds, or what is wrong with a time) are not of one trigger.
+
+    None where they are, where the right image has no time, or where the left time is wrong by itself.
+    """
+    if right is None or isinstance(left, str) or clock_problem(left):
+        return None
+    if isinstance(right, str):
+        return right
+    if abs(right - left) <= settings.pair_tolerance_ns:
+        return None
+    return (
+        f"left and right image are {abs(right - left) * 1e-6:.3f} ms apart, allowed {settings.pair_tolerance_ms:g} ms "
+        "(pair_tolerance_ms in drive.yaml)"
+    )
 
 
 def _trajectory(

@@ -17,7 +17,7 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.records import Pose
 from conetl.readers.drives.drive_yaml import Sigmas
-from conetl.readers.drives.trajectories import VERTICAL_FACTOR, attitude_sigmas, to_pose, wild_fixes
+from conetl.readers.drives.trajectories import VERTICAL_FACTOR, attitude_sigmas, check_fix, to_pose, wild_fixes
 
 Array = NDArray[np.float64]
 
@@ -54,15 +54,13 @@ def parse_oxts(text: str, *, accuracy_required: bool = True) -> OxtsRecord:
     lat, lon, height, roll, pitch, yaw = values[:6]
     record = OxtsRecord(lat, lon, height, roll, pitch, yaw, values[23])
     limits = {
-        "lat_deg": 90.0, "lon_deg": 180.0, "height_m": 20_000.0,
         "roll_rad": math.pi + 1e-3, "pitch_rad": math.pi / 2 + 1e-3, "yaw_rad": 2 * math.pi + 1e-3,
     }  # fmt: skip
     for name, limit in limits.items():
         value = getattr(record, name)
         if not abs(value) <= limit:  # NaN and infinity fail too
             raise ValueError(f"{name} is {value}, expected a number between {-limit:g} and {limit:g}")
-    if record.lat_deg == 0.0 and record.lon_deg == 0.0:
-        raise ValueError("latitude and longitude are both 0: the receiver had no fix")
+    check_fix(lat, lon, height)
     if accuracy_required and not 0.0 < record.pos_accuracy_m <= MAX_POS_ACCURACY_M:
         raise ValueError(
             f"pos_accuracy is {record.pos_accuracy_m}, expected metres between 0 and {MAX_POS_ACCURACY_M:g}; "

@@ -26,7 +26,7 @@ from pydantic import Field, ValidationError
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, Pose, Record, Rig
+from conetl.model.records import Drive, Height, Latitude, Longitude, Pose, Record, Rig
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, overrides, own_rig
@@ -48,9 +48,9 @@ class Row(Record):
     stem: str = Field(min_length=1)
     captured_at: str
     """Like 2026-03-01 12:00:00.123456789, UTC or the time zone of drive.yaml, or with its own offset (Z, +01:00)."""
-    lon_deg: float = Field(ge=-180, le=180)
-    lat_deg: float = Field(ge=-90, le=90)
-    height_m: float = Field(ge=-20_000, le=20_000)
+    lon_deg: Longitude
+    lat_deg: Latitude
+    height_m: Height
     """Above the WGS 84 ellipsoid."""
     roll_deg: float = Field(ge=-180, le=180)
     pitch_deg: float = Field(ge=-90, le=90)

@@ -51,12 +51,14 @@ from conetl.readers.drives.bag_rig import (
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, PairError, drive_of_couples, pair_by_stamp
-from conetl.readers.drives.timestamps import EARLIEST_NS
+from conetl.readers.drives.timestamps import clock_problem
 from conetl.readers.drives.trajectories import (
     at,
     attitude_sigmas,
+    check_fix,
     checked_srid,
     georeferenced,
+    local_position,
     position_sigmas,
     rotation_of,
     samples,
@@ -135,7 +137,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
         header.content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
         header.frame_pairs = bag.counts[topics.left]
         # If the recorder's clock was set while recording, only the end is known; the images have stamps of their own.
-        set_ns = [time_ns for time_ns in bag.recorded_ns if time_ns >= EARLIEST_NS]
+        set_ns = [time_ns for time_ns in bag.recorded_ns if clock_problem(time_ns) is None]
         if set_ns:
             header.first_ns, header.last_ns = set_ns[0], set_ns[-1]
 
@@ -195,11 +197,7 @@ def _fix(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
     if int(message.status.status) < 0:
         raise ValueError("the receiver had no fix (status -1)")
     lat, lon, height = float(message.latitude), float(message.longitude), float(message.altitude)
-    for name, value, limit in (("latitude", lat, 90.0), ("longitude", lon, 180.0), ("altitude", height, 20_000.0)):
-        if not abs(value) <= limit:  # NaN and infinity fail too
-            raise ValueError(f"{name} is {value}, expected a number between {-limit:g} and {limit:g}")
-    if lat == 0.0 and lon == 0.0:
-        raise ValueError("latitude and longitude are both 0: the receiver had no fix")
+    check_fix(lat, lon, height)
     known = int(message.position_covariance_type) != 0
     c = [float(message.position_covariance[i]) for i in (0, 4, 8)]
     recorded = (_root(c[0]), _root(c[1]), _root(c[2])) if known else None
@@ -219,9 +217,7 @@ def _attitude(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]
 def _odometry(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
     """Pose in the odometry's own frame; with the larger of the x and y sigmas, as the frame may be turned. Raises ValueError."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
-    position = [float(p.x), float(p.y), float(p.z)]
-    if not all(abs(value) < 1e6 for value in position):
-        raise ValueError(f"expected finite metres below 1,000,000, found {position}")
+    position = local_position(float(p.x), float(p.y), float(p.z))
     c = [_root(float(message.pose.covariance[i])) for i in (0, 7, 14, 21, 28, 35)]
     level = max(c[0], c[1])
     recorded = (level, level, c[2]) if level > 0.0 and c[2] > 0.0 else None

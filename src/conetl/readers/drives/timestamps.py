@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from bisect import bisect_left
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -11,6 +12,8 @@ from zoneinfo import ZoneInfo
 
 EARLIEST_NS = 946_684_800_000_000_000
 """2000-01-01. A clock that was not set starts in 1970 or 1980; no drive is that old."""
+MAX_AHEAD_NS = 86_400_000_000_000
+"""A day: this computer's clock may be wrong, too, by a time zone."""
 MAX_FROM_MEDIAN_NS = 86_400_000_000_000
 """A day: no drive is longer; a smaller error of a clock shows in the order of the frames or against the poses."""
 _STAMP = re.compile(r"^\s*(\d{4})-(\d\d)-(\d\d)[ T](\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*(Z|[+-]\d\d:?\d\d)?\s*$")
@@ -54,9 +57,18 @@ def misplaced(stamps_ns: Mapping[int, int]) -> dict[int, str]:
     return wrong
 
 
+def clock_problem(time_ns: int) -> str | None:
+    """What is wrong with the clock of a time, None where nothing is. To be put after "the time"."""
+    if time_ns < EARLIEST_NS:
+        return "is before 2000: the clock was not set"
+    if time_ns > time.time_ns() + MAX_AHEAD_NS:
+        return "is more than a day in the future: another clock"
+    return None
+
+
 def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
     """Frames whose clock was not set, or is not that of most others; such stamps may rise nevertheless."""
-    wrong = {n: "is before 2000: the clock was not set" for n, stamp in stamps_ns.items() if stamp < EARLIEST_NS}
+    wrong = {n: problem for n, stamp in stamps_ns.items() if (problem := clock_problem(stamp))}
     others = {number: stamp for number, stamp in stamps_ns.items() if number not in wrong}
     if others:
         middle = median_low(others.values())

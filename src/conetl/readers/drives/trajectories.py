@@ -10,21 +10,25 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationError
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import local_to_map
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import Pose
+from conetl.model.records import MAX_SPEED_M_S, GeodeticPosition, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import PairError
+from conetl.readers.rigs.common import first_message
 
 Array = NDArray[np.float64]
 
 VERTICAL_FACTOR = 1.5
 """The height of a GNSS fix is about this much less accurate than its horizontal position."""
-MAX_SPEED_M_S = 100.0
+MAX_LOCAL_M = 1e6
+"""Positions in a local frame are nearer to its origin."""
+_LOOK_BACK = 500
 
 
 class Samples(NamedTuple):
@@ -52,24 +56,51 @@ def samples(name: str, records: Mapping[int, tuple[Array, tuple[float, ...]]], b
     return Samples(name, times, np.array(poses), np.array(sigmas), dict(bad))
 
 
+def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:
+    """Raise ValueError with the name of the first value that no vehicle on a road has."""
+    try:
+        GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m)
+    except ValidationError as error:
+        raise ValueError(f"{first_message(error)}, found {error.errors()[0]['input']}") from error
+    if lat_deg == 0.0 and lon_deg == 0.0:
+        raise ValueError("latitude and longitude are both 0: the receiver had no fix")
+
+
+def local_position(*position_m: float) -> tuple[float, ...]:
+    """The same x, y, z in a local frame. Raises ValueError."""
+    if not all(abs(value) < MAX_LOCAL_M for value in position_m):  # NaN fails too
+        raise ValueError(f"expected finite metres below {MAX_LOCAL_M:,.0f}, found {position_m}")
+    return position_m
+
+
 def wild_fixes(times_ns: Sequence[int], positions_m: Array) -> dict[int, str]:
-    """What is wrong with some of the positions (N, 3), by index.
+    """What is wrong with some of the positions (N, 3), by index: the fewest without which no step exceeds `MAX_SPEED_M_S`.
 
-    They are reached and left at more than 100 m/s, while their neighbours fit each other.
+    By a longest chain of positions (each at most `_LOOK_BACK` records before the next) that a vehicle can drive through.
     """
-    times = np.array(times_ns)
+    times = np.array(times_ns, dtype=np.int64)
 
-    def speed(a: slice, b: slice) -> Array:
+    def speeds(a: slice, b: slice) -> Array:
         apart_s = np.maximum(np.abs(times[b] - times[a]) * 1e-9, 1e-3)
         return np.asarray(np.linalg.norm(positions_m[b] - positions_m[a], axis=1) / apart_s)
 
-    first, middle, last = slice(None, -2), slice(1, -1), slice(2, None)
-    reached, left, past = speed(first, middle), speed(middle, last), speed(first, last)
-    wild = np.flatnonzero((reached > MAX_SPEED_M_S) & (left > MAX_SPEED_M_S) & (past <= MAX_SPEED_M_S)).tolist()
-    return {
-        i + 1: f"the position is reached and left at {reached[i]:.0f} m/s, more than {MAX_SPEED_M_S:g}: a wild fix"
-        for i in wild
-    }
+    if not np.any(speeds(slice(None, -1), slice(1, None)) > MAX_SPEED_M_S):
+        return {}
+    length, before = np.ones(len(times), np.int64), np.full(len(times), -1)
+    for i in range(1, len(times)):
+        first = max(0, i - _LOOK_BACK)
+        near = slice(first, i)
+        best = np.where(speeds(near, slice(i, i + 1)) <= MAX_SPEED_M_S, length[near], 0)
+        # Of equally long chains the one with the nearest record.
+        chosen = len(best) - 1 - int(np.argmax(best[::-1]))
+        if best[chosen] > 0:
+            length[i], before[i] = best[chosen] + 1, first + chosen
+    kept, at_index = set(), int(np.argmax(length))
+    while at_index >= 0:
+        kept.add(at_index)
+        at_index = int(before[at_index])
+    text = f"the position can only be reached or left at more than {MAX_SPEED_M_S:g} m/s: a wild fix"
+    return {i: text for i in range(len(times)) if i not in kept}
 
 
 def without_wild_fixes(track: Samples) -> Samples:

@@ -22,7 +22,7 @@ from conetl.geometry.geodesy import utm_srid
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
-from conetl.model.records import Cov3
+from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3
 from conetl.readers.base_layers.georeferencing import in_area
 from conetl.readers.maps.tables import MapTable, read_table
 
@@ -304,7 +304,8 @@ def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> ND
     require(np.isfinite(east) & np.isfinite(north), lambda i: f"{_text(xyz[i])} cannot be expressed in EPSG:{srid}")
     heights = xyz[:, 2]
     require(
-        (heights >= -500) & (heights <= 9000), lambda i: f"a height of {heights[i]:g} m is not on this earth's roads"
+        (heights >= MIN_HEIGHT_M) & (heights <= MAX_HEIGHT_M),
+        lambda i: f"a height of {heights[i]:g} m is not on this earth's roads",
     )
     return np.stack([east, north, heights], axis=1)
 

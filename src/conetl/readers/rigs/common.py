@@ -31,8 +31,6 @@ LENGTH_UNITS: Mapping[str, float] = {
     "mm": 0.001, "millimeter": 0.001, "millimeters": 0.001,
     "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
 }  # fmt: skip
-#: No stereo rig on a vehicle is longer; a longer baseline is in another unit.
-MAX_BASELINE_M = 10.0
 _SKEW_SHARE = 1e-6
 
 
@@ -204,14 +202,9 @@ def stereo_rig(
         rotation = se3.nearest_rotation(right_R_left)
         left_SE3_right = se3.invert(se3.se3(rotation, right_t_left_m))
         check_stereo_baseline(left_SE3_right)
+        return rig_of(tool, left, right, left_SE3_right)
     except ValueError as error:
-        raise bad(path, key, f"cannot be used: {error}") from error
-    if np.linalg.norm(right_t_left_m) > MAX_BASELINE_M:
-        raise bad(
-            path, key, f"gives a baseline of {np.linalg.norm(right_t_left_m):.1f} m; is the file in another unit? "
-            "conetl rig convert --unit mm makes a rig.yaml of it",
-        )  # fmt: skip
-    return rig_of(tool, left, right, left_SE3_right)
+        raise bad(path, key, f"cannot be used: {first_message(error)}") from error
 
 
 def rig_of(
@@ -247,5 +240,6 @@ def first_message(error: ValueError) -> str:
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        return f"'{key}': {first['msg']}" if key else first["msg"]
+        message = first["msg"].removeprefix("Value error, ")
+        return f"'{key}': {message}" if key else message
     return str(error)
