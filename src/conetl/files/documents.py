@@ -17,7 +17,8 @@ MAX_JSON_BYTES = 5_000_000
 MAX_DEPTH = 40
 #: Values of a document, those behind aliases counted wherever they are used.
 MAX_VALUES = 100_000
-MAX_SHOWN = 200
+#: Characters of a value in a message, and of a message of a validator, which may quote one.
+MAX_SHOWN, MAX_MESSAGE = 200, 400
 
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxdict, _short.maxlist = 2, 6, 6
@@ -47,8 +48,12 @@ def read_limited(path: Path, max_bytes: int) -> str:
 
 def read_yaml(path: Path) -> Any:
     """Content of a YAML file. Raises InputError where it is no YAML, exceeds a limit or cannot be read."""
+    return parse_yaml(path, read_limited(path, MAX_YAML_BYTES))
+
+
+def parse_yaml(path: Path, text: str) -> Any:
+    """Content of the text of a YAML file. Raises InputError where it is no YAML or exceeds a limit."""
     try:
-        text = read_limited(path, MAX_YAML_BYTES)
         _require_bounded(path, text)
         return yaml.load(text, Loader=yaml.CSafeLoader)
     except (yaml.YAMLError, ValueError) as error:  # dates and numbers that do not exist are ValueErrors

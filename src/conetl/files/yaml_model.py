@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from conetl.files.documents import read_yaml, shown
+from conetl.files.documents import MAX_MESSAGE, MAX_SHOWN, read_yaml, shown
 from conetl.model.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -39,11 +39,11 @@ def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model
         return model.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        where = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN] or "the file"
         if first["type"] == "extra_forbidden":
             known = ", ".join(_fields_at(model, first["loc"][:-1]))
             raise InputError(f"{name}: {where}: there is no such key here; known are {known}") from error
-        raise InputError(f"{name}: {where}: {first['msg']}; found {shown(first['input'])}") from error
+        raise InputError(f"{name}: {where}: {first['msg'][:MAX_MESSAGE]}; found {shown(first['input'])}") from error
 
 
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:

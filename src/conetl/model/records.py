@@ -198,7 +198,8 @@ class Rig(Record):
     @property
     def baseline_m(self) -> float:
         a, b = self.body_SE3_left, self.body_SE3_right
-        return float(sum((a[i][3] - b[i][3]) ** 2 for i in range(3)) ** 0.5)
+        apart_m = [a[i][3] - b[i][3] for i in range(3)]
+        return float(sum(d * d for d in apart_m) ** 0.5)  # a power would raise OverflowError
 
 
 class Pose(Record):

@@ -8,8 +8,9 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
+from conetl.files.documents import MAX_JSON_BYTES, MAX_MESSAGE, MAX_SHOWN, read_limited
 from conetl.model.detector_evidence import DetectorEvidence, Share
-from conetl.model.errors import ModelFileError
+from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.heads import SideDistributionHead, YoloHead
 
 DEFAULT_MODEL = "conetl-cone-2.onnx"
@@ -123,8 +124,8 @@ def read_model_card(model_path: Path | None) -> ModelCard:
     model_path = model_path or shipped_model_path()
     card_path = model_path.with_name(model_path.name + ".json")
     try:
-        text = card_path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_limited(card_path, MAX_JSON_BYTES)
+    except InputError as error:
         raise ModelFileError(
             f"{card_path}: cannot read the model's sidecar ({error}); every model needs one beside it"
         ) from error
@@ -132,5 +133,5 @@ def read_model_card(model_path: Path | None) -> ModelCard:
         return ModelCard.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "file"
-        raise ModelFileError(f"{card_path}: not a valid model sidecar: {key}: {first['msg']}") from error
+        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN] or "file"
+        raise ModelFileError(f"{card_path}: not a valid model sidecar: {key}: {first['msg'][:MAX_MESSAGE]}") from error

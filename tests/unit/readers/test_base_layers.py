@@ -269,6 +269,34 @@ XODR = """<OpenDRIVE><header><geoReference><![CDATA[+proj=utm +zone=32 +ellps=WG
 </OpenDRIVE>"""
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('x="20" y="0"', 'x="1e308" y="0"', "coordinates beyond"),
+        ('<laneSection s="0">', '<laneSection s="-1e15">', "lane sections begin"),
+        ('length="40"', 'length="900000"', "its length is 900000 m"),
+        ('offset x="458000"', 'offset x="nan"', "has x='nan'"),
+    ],
+)
+def test_opendrive_numbers_that_would_not_end_are_refused(tmp_path, old, new, words):
+    path = tmp_path / "a.xodr"
+    path.write_text(XODR.replace(old, new))
+    try:
+        said = read_opendrive(path).refused
+    except InputError as error:
+        said = [str(error)]
+    assert any(words in text for text in said)
+
+
+def test_las_records_after_the_points_must_fit(tmp_path):
+    path = write_las(tmp_path / "a.las", 10)
+    data = bytearray(path.read_bytes())
+    data[243:247] = b"\xff" * 4
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="records after the points"):
+        read_las_header(path)
+
+
 def test_opendrive_lines_and_refused_roads(tmp_path):
     path = tmp_path / "a.xodr"
     path.write_text(XODR)

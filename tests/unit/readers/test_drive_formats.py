@@ -487,3 +487,25 @@ def test_a_named_kitti_camera_must_not_be_a_link_to_the_outside(tmp_path: Path, 
     with pytest.raises(DriveFolderError, match="is outside the drive folder") as refusal:
         read(path, tmp_path / "cache")
     assert read_header(path).problem == str(refusal.value)
+
+
+def test_a_bag_whose_metadata_is_a_bomb_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_bag(tmp_path / "run", frames, rig)
+    bomb = "\n".join(f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9) if n else 'x'}]" for n in range(10))
+    (path / "metadata.yaml").write_text(bomb)
+    with pytest.raises(DriveFolderError, match="each alias counts"):
+        read(path, tmp_path / "cache")
+
+
+@pytest.mark.parametrize(
+    "row", ["9" * 5000 + ",a.jpg", "1772366401000000000," + "a" * 300, "1772366401000000000,a\0.jpg"]
+)
+def test_rows_of_a_euroc_folder_that_name_no_file_cost_their_pair(
+    row: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = write_euroc(tmp_path / "run", frames, rig)
+    with (path / "mav0/cam0/data.csv").open("a") as file:
+        file.write(row + "\n")
+    drive, rejections = read(path, tmp_path / "cache")
+    assert (len(drive.frame_pairs), len(rejections)) == (len(frames), 1)
+    assert len(rejections[0].detail) < 500

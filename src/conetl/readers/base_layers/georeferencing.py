@@ -16,6 +16,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 from scipy.spatial import cKDTree
 
+from conetl.files.documents import shown
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.errors import InputError
 
@@ -51,7 +52,9 @@ def parse_crs(text: str) -> CRS:
     try:
         return CRS.from_user_input(int(text) if text.strip().isdigit() else text)
     except CRSError as error:
-        raise ValueError(f"{text!r} is not a coordinate reference system; write it like 25832 or EPSG:25832") from error
+        raise ValueError(
+            f"{shown(text)} is not a coordinate reference system; write it like 25832 or EPSG:25832"
+        ) from error
 
 
 def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from conetl.files.documents import MAX_SHOWN
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.point_tiles import Cloud
 
@@ -18,7 +19,7 @@ CHUNK_POINTS = 400_000
 #: ASPRS classes of low and high noise.
 _NOISE = (7, 18)
 _PLAIN_SHADE = 170
-_VLR_HEADER_BYTES = 54
+_VLR_HEADER_BYTES, _EVLR_HEADER_BYTES = 54, 60
 
 
 def read_las_header(path: Path) -> tuple[int, CRS | None]:
@@ -79,8 +80,9 @@ def _reading(path: Path) -> Iterator[None]:
     except (InputError, GeneratorExit, KeyboardInterrupt, SystemExit):
         raise
     except BaseException as error:  # pyo3's PanicException is not an Exception
+        text = str(error)[:MAX_SHOWN]
         raise InputError(
-            f"{path}: the points cannot be read ({error}). Expected a complete LAS or LAZ file; this one is cut off or damaged: "
+            f"{path}: the points cannot be read ({text}). Expected a complete LAS or LAZ file; this one is cut off or damaged: "
             "copy it again"
         ) from error
 
@@ -90,14 +92,17 @@ def _check_header(path: Path) -> None:
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
-            head = file.read(104)
+            head = file.read(247)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if head[:4] != b"LASF":
         raise InputError(f"{path}: this is not a LAS or LAZ file (expected LASF at its beginning)")
-    count = int.from_bytes(head[100:104], "little")
-    if count * _VLR_HEADER_BYTES > size:
-        raise InputError(
-            f"{path}: the header states {count:,} records before the points, which do not fit into {size:,} bytes. It is cut off "
-            "or damaged: copy it again"
-        )
+    records = [("before", int.from_bytes(head[100:104], "little"), _VLR_HEADER_BYTES)]
+    if head[25:26] >= b"\4":  # of version 1.4 on
+        records.append(("after", int.from_bytes(head[243:247], "little"), _EVLR_HEADER_BYTES))
+    for where, count, record_bytes in records:
+        if count * record_bytes > size:
+            raise InputError(
+                f"{path}: the header states {count:,} records {where} the points, which do not fit into {size:,} bytes. It is "
+                "cut off or damaged: copy it again"
+            )

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pyogrio
-import pyogrio.errors
 import pyogrio.raw
 import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
+from conetl.files.documents import MAX_SHOWN, shown
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.lanelet2 import read_lanelet2
@@ -41,26 +41,28 @@ def read_vector_file(path: Path) -> LineFile:
     systems: dict[str, None] = {}
     try:
         for name, _ in pyogrio.list_layers(path):
+            if pyogrio.read_info(path, layer=name, force_feature_count=True)["features"] > MAX_LINES:
+                raise InputError(f"{path}: more than {MAX_LINES:,} features in layer {shown(name)}: import it in parts")
             meta, fids, geometries, fields = pyogrio.raw.read(
-                path, layer=name, return_fids=True, force_2d=False, datetime_as_string=True, max_features=MAX_LINES + 1
+                path, layer=name, return_fids=True, force_2d=False, datetime_as_string=True
             )
             if geometries is None:
                 continue
-            if len(geometries) > MAX_LINES:
-                raise InputError(f"{path}: more than {MAX_LINES:,} features in layer {name}: import it in parts")
             found = _lines(name, meta["fields"], fids, geometries, fields, refused)
             if found and meta["crs"]:
                 systems[meta["crs"]] = None
             lines += found
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, pyogrio.errors.FieldError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # GDAL raises many types for a broken file
         raise InputError(f"{path}: not a file of lines that GDAL can read ({_first(error)})") from error
-    except (shapely.errors.ShapelyError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"{path}: a feature cannot be read ({_first(error)})") from error
     if not lines:
         reasons = f"; {refused[0]}" if refused else ""
         raise InputError(f"{path}: there is no line; expected LineString or MultiLineString features{reasons}")
     if len(systems) > 1:
-        raise InputError(f"{path}: its layers have different CRSs ({', '.join(systems)}): write one file for each")
+        raise InputError(
+            f"{path}: its layers have different CRSs ({', '.join(systems)[:MAX_SHOWN]}): write one file for each"
+        )
     try:
         return LineFile(lines, CRS.from_user_input(next(iter(systems))) if systems else None, refused)
     except CRSError:
@@ -70,7 +72,7 @@ def read_vector_file(path: Path) -> LineFile:
 def _lines(layer: str, names: Any, fids: Any, geometries: Any, fields: Any, refused: list[str]) -> list[Line]:
     lines: list[Line] = []
     for row, (fid, data) in enumerate(zip(fids, geometries, strict=True)):
-        what = f"feature {fid} of layer {layer}"
+        what = f"feature {fid} of layer {layer[:MAX_SHOWN]}"
         if data is None:
             refused.append(f"{what}: it has no geometry")
             continue
@@ -99,7 +101,7 @@ def _plain(value: Any) -> Any:
 
 
 def _first(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
+    return str(error).splitlines()[0][:MAX_SHOWN] if str(error) else type(error).__name__
 
 
 #: By suffix; `read_vector_file` reads all other formats that GDAL supports.

@@ -17,6 +17,7 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from conetl.files.documents import MAX_SHOWN, shown
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.base_layers.lines import Line, LineFile, add_line
@@ -30,7 +31,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _ARC_LENGTH_SAMPLES = 512
 #: Largest deviation of omitted vertices from the line.
 TOLERANCE_M = 0.01
-_MAX_ROAD_M = 1_000_000.0
+_MAX_ROAD_M = 100_000.0
+MAX_COORDINATE_M = 1e9
+#: Vertices that are simplified at once: the time for a curled line rises with the square of it.
+_BLOCK = 2_000
 
 
 class Cubic(NamedTuple):
@@ -180,14 +184,17 @@ def read_opendrive(path: Path) -> LineFile:
         raise InputError(f"{path}: its root is <{root.tag}>, expected <OpenDRIVE>")
     lines: list[Line] = []
     refused: list[str] = []
-    move = _header_offset(root)
+    try:
+        move = _header_offset(root)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
     for road in root.iter("road"):
-        what = f"road {road.get('id')}"
+        what = f"road {road.get('id', '')[:MAX_SHOWN]}"
         try:
             for line in _road_lines(road):
                 moved = line._replace(xyz=_simplified(line.xyz) @ move[0].T + move[1])
                 add_line(moved, f"{what}, {line.attributes.get('border')}", lines, refused)
-        except (ValueError, KeyError) as error:
+        except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
             refused.append(f"{what}: {error}")
     if not lines:
         raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
@@ -222,6 +229,8 @@ def _road_lines(road: Element) -> Iterator[Line]:
     )
     sections = sorted(road.findall("lanes/laneSection"), key=lambda section: _number(section, "s"))
     starts = [_number(section, "s") for section in sections]
+    if starts and not 0 <= starts[0] <= starts[-1] <= length:
+        raise ValueError(f"its lane sections begin from {starts[0]:g} to {starts[-1]:g} m; expected 0 to {length:g} m")
     for section, start, end in zip(sections, starts, [*starts[1:], length], strict=True):
         if end <= start:
             continue
@@ -286,7 +295,7 @@ def _number(element: Element, name: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f"<{element.tag}> has {name}={text!r}; expected a number")
+        raise ValueError(f"<{element.tag}> has {name}={shown(text)}; expected a number")
     return value
 
 
@@ -304,13 +313,16 @@ def _header_offset(root: Element) -> tuple[Array, Array]:
 
 
 def _simplified(xyz: Array) -> Array:
-    """The vertices required by plan or height within TOLERANCE_M."""
+    """The vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one. Raises ValueError."""
+    if not (np.abs(xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
+        raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
     keep = np.zeros(len(xyz), bool)
     keep[[0, -1]] = True
     for flat in (xyz[:, :2], np.column_stack([along, xyz[:, 2]])):
-        kept = {
-            tuple(p) for p in shapely.get_coordinates(shapely.simplify(shapely.LineString(flat), TOLERANCE_M)).tolist()
-        }
-        keep |= np.array([tuple(p) in kept for p in flat.tolist()])
+        for start in range(0, len(xyz) - 1, _BLOCK):
+            block = flat[start : start + _BLOCK + 1]
+            line = shapely.simplify(shapely.LineString(block), TOLERANCE_M)
+            kept = {tuple(p) for p in shapely.get_coordinates(line).tolist()}
+            keep[start : start + _BLOCK + 1] |= np.array([tuple(p) in kept for p in block.tolist()])
     return np.asarray(xyz[keep])

@@ -8,26 +8,22 @@ under the hash of its bytes: compressed ones as they were recorded, byte for byt
 from __future__ import annotations
 
 import hashlib
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
 from mcap.records import Schema
-from mcap.stream_reader import CRCValidationError
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.rosbag2 import ReaderError
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from conetl.files.atomic import aside
-from conetl.model.errors import DriveFolderError
+from conetl.files.documents import MAX_SHOWN, read_yaml
+from conetl.model.errors import ConetlError, DriveFolderError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, check_image_bytes
 from conetl.readers.drives.drive_yaml import is_bare_bag
@@ -82,26 +78,39 @@ def bag_files(path: Path) -> Path | None:
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
     """The bag of `bag_files`. Raises DriveFolderError where it is cut off or damaged."""
+    with ExitStack() as opened:
+        with _library_errors(path):
+            if path.is_dir():
+                if (path / METADATA).is_file():
+                    read_yaml(path / METADATA)  # within the limits, before rosbags builds it
+                reader = opened.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
+                bag = _bag_of_folder(reader, path)
+            else:
+                bag = _bag_of_file(make_reader(opened.enter_context(path.open("rb")), validate_crcs=True), path)
+        yield bag
+
+
+@contextmanager
+def _library_errors(path: Path) -> Iterator[None]:
+    """All errors of the bag libraries in a damaged file, which are of many types, as DriveFolderError."""
     try:
-        if path.is_dir():
-            with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-                yield _bag_of_folder(reader)
-        else:
-            with path.open("rb") as file:
-                yield _bag_of_file(make_reader(file, validate_crcs=True), path)
-    except (McapError, AnyReaderError, ReaderError, TypesysError, CRCValidationError, OSError) as error:
-        text = str(error) or type(error).__name__
+        yield
+    except ConetlError as error:
+        raise DriveFolderError(str(error)) from error
+    except Exception as error:
+        text = str(error)[:MAX_SHOWN] or type(error).__name__
         raise DriveFolderError(
             f"{path}: the bag cannot be read: {text}. A recording that was cut off is repaired by 'mcap recover' (MCAP) or "
             "'ros2 bag reindex'"
         ) from error
 
 
-def _bag_of_folder(reader: AnyReader) -> Bag:
+def _bag_of_folder(reader: AnyReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
-        for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
-            yield Message(connection.topic, _decoded(reader.deserialize, raw, connection.msgtype), at_ns)
+        with _library_errors(path):
+            for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
+                yield Message(connection.topic, _decoded(reader.deserialize, raw, connection.msgtype), at_ns)
 
     types = {c.topic: c.msgtype for c in reader.connections}
     counts = {topic: info.msgcount for topic, info in reader.topics.items()}
@@ -130,9 +139,10 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [topic for topic in topics if topic in types]
         # Without an index the file is in the order of recording; to sort it, all of it would be kept in memory.
-        for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
-            content = _decoded(store.deserialize_cdr, message.data, types[channel.topic])
-            yield Message(channel.topic, content, message.log_time)
+        with _library_errors(path):
+            for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
+                content = _decoded(store.deserialize_cdr, message.data, types[channel.topic])
+                yield Message(channel.topic, content, message.log_time)
 
     statistics = summary.statistics
     counts = {
@@ -146,7 +156,7 @@ def _decoded(deserialize: Callable[[bytes, str], object], raw: bytes, kind: str)
     """Fields of a message as attributes; None where its bytes do not match its type."""
     try:
         return deserialize(raw, kind)
-    except (SerdeError, AnyReaderError, struct.error, ValueError, IndexError, KeyError):
+    except Exception:  # of many types; a stated length may also exceed the memory
         return None
 
 

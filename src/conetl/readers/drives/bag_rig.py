@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import MAX_SHOWN
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Rig
@@ -20,6 +21,10 @@ Array = NDArray[np.float64]
 COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 CAMERA_INFO, FIX, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
 ODOMETRY, TRANSFORMS, TF_STATIC = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "/tf_static"
+
+
+#: Characters of a list of topics in a message.
+_MAX_LISTED = 600
 
 
 class Topics(NamedTuple):
@@ -42,7 +47,7 @@ def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> T
     for key, topic in streams.model_dump(exclude_none=True).items():
         if topic not in types:
             raise DriveFolderError(
-                f"{source}: drive.yaml: streams.{key}: the bag has no topic {topic}; {_listing(types)}"
+                f"{source}: drive.yaml: streams.{key}: the bag has no topic {topic[:MAX_SHOWN]}; {_listing(types)}"
             )
     left, right = _cameras(types, streams, source)
     infos = {t for t, kind in types.items() if kind == CAMERA_INFO}
@@ -91,7 +96,7 @@ def _only(types: Mapping[str, str], kind: str, key: str, source: Path) -> str | 
     found = sorted(t for t, k in types.items() if k == kind)
     if len(found) > 1:
         raise DriveFolderError(
-            f"{source}: {len(found)} topics are {kind}: {', '.join(found)}; name one in drive.yaml (streams.{key})"
+            f"{source}: {len(found)} topics are {kind}: {', '.join(found)[:_MAX_LISTED]}; name one in drive.yaml (streams.{key})"
         )
     return found[0] if found else None
 
@@ -103,7 +108,7 @@ def _info_of(topic: str, infos: set[str]) -> str | None:
 
 
 def _listing(types: Mapping[str, str]) -> str:
-    return f"found {', '.join(f'{t} ({k})' for t, k in sorted(types.items())) or 'no topics'}"
+    return f"found {', '.join(f'{t} ({k})' for t, k in sorted(types.items()))[:_MAX_LISTED] or 'no topics'}"
 
 
 def rig_of_infos(topics: Topics, infos: Mapping[str, Any], source: Path) -> Rig:

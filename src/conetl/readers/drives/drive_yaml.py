@@ -7,6 +7,7 @@ from zoneinfo import ZoneInfo
 
 from pydantic import Field, field_validator
 
+from conetl.files.documents import shown
 from conetl.files.names import printable
 from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import DriveFolderError, InputError
@@ -96,7 +97,9 @@ class DriveYaml(Record):
         try:
             ZoneInfo(value)
         except (KeyError, ValueError, OSError) as error:
-            raise ValueError(f"'{value}' is not a time zone; expected a name such as UTC or Europe/Berlin") from error
+            raise ValueError(
+                f"{shown(value)} is not a time zone; expected a name such as UTC or Europe/Berlin"
+            ) from error
         return value
 
 
@@ -131,5 +134,5 @@ def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     root = folder.resolve()
     path = (root / beside / name).resolve()
     if not path.is_relative_to(root):
-        raise DriveFolderError(f"{source}: '{name}' is outside the drive folder {folder}; name a path inside it")
+        raise DriveFolderError(f"{source}: {shown(name)} is outside the drive folder {folder}; name a path inside it")
     return path

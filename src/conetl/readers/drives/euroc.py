@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Camera, Drive, Rig, Side
@@ -55,6 +56,8 @@ from conetl.readers.rigs.common import bad, entry, numbers, pinhole_camera, read
 Array = NDArray[np.float64]
 NAME = "euroc"
 READS_OBJECTS = False
+#: Bytes of a file's name on most file systems.
+_LONGEST_NAME = 255
 SENSOR_YAML = "sensor.yaml"
 TRAJECTORIES = ("state_groundtruth_estimate0", "state_groundtruth_estimate", "odometry0", "odometry")
 _FIELDS = ("p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
@@ -131,8 +134,8 @@ def _images(root: Path, name: str, content: ContentHash) -> list[Image]:
         stamp = _stamp(words[0], f"{name}/data.csv, line {line}")
         file = words[1].strip() if len(words) > 1 else ""
         image = Image(stamp, path.parent / "data" / file)
-        if not file or not image.path.resolve().is_relative_to(root):
-            detail = f"{name}/data.csv, line {line}: '{file}' is not a file name inside the drive folder"
+        if not 0 < len(file.encode()) <= _LONGEST_NAME or "\0" in file or not image.path.resolve().is_relative_to(root):
+            detail = f"{name}/data.csv, line {line}: {shown(file)} is not a file name inside the drive folder"
             image = Image(stamp, path, PairError(RejectionReason.IMAGE_MISSING, detail))
         found.append(image)
     return found
@@ -145,15 +148,18 @@ def _rows(path: Path, root: Path, content: ContentHash) -> Iterator[tuple[int, l
     data = path.read_bytes()
     content.add(path.relative_to(root).as_posix(), data)
     reader = csv.reader(io.StringIO(data.decode("utf-8-sig", errors="replace"), newline=""))
-    for words in reader:
-        if words and words[0].strip() and not words[0].lstrip().startswith("#"):
-            yield reader.line_num, words
+    try:
+        for words in reader:
+            if words and words[0].strip() and not words[0].lstrip().startswith("#"):
+                yield reader.line_num, words
+    except csv.Error as error:
+        raise DriveFolderError(f"{path}: this is not CSV: {error}") from error
 
 
 def _stamp(text: str, where: str) -> int | str:
     """UTC nanoseconds, or what is wrong."""
     word = text.strip()
-    if word.isascii() and word.isdigit() and 0 < int(word) < 2**63:
+    if word.isascii() and word.isdigit() and len(word) < 20 and 0 < int(word) < 2**63:
         return int(word)
     return f"{where}: '{word[:40]}' is not a time stamp; expected nanoseconds since 1970"
 

@@ -23,6 +23,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
+from conetl.files.documents import MAX_SHOWN, shown
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
@@ -45,7 +46,7 @@ Sigma = Annotated[float, Field(gt=0, le=1000)]
 class Row(Record):
     """One row of trajectory.csv; the columns may be in any order."""
 
-    stem: str = Field(min_length=1)
+    stem: str = Field(min_length=1, max_length=255)
     captured_at: str
     """Like 2026-03-01 12:00:00.123456789, UTC or the time zone of drive.yaml, or with its own offset (Z, +01:00)."""
     lon_deg: Longitude
@@ -75,6 +76,12 @@ class Rows:
 
     def add(self, text: str) -> None:
         """Append whole lines of the file, the header first. Raises DriveFolderError where its columns are not those of `Row`."""
+        try:
+            self._add(text)
+        except csv.Error as error:
+            raise DriveFolderError(f"{self.path}: this is not CSV: {error}") from error
+
+    def _add(self, text: str) -> None:
         reader = csv.DictReader(io.StringIO(text, newline=""), fieldnames=self._columns)
         if self._columns is None:
             self._columns = reader.fieldnames
@@ -85,9 +92,9 @@ class Rows:
             try:
                 row: Row | str = Row.model_validate({str(key): value for key, value in values.items()})
             except ValidationError as error:
-                row = f"{where}: {first_message(error)}, found {error.errors()[0]['input']!r}"
+                row = f"{where}: {first_message(error)}, found {shown(error.errors()[0]['input'])}"
             if stem in self.by_stem:
-                row = f"{where}: the stem '{stem}' is in two rows; keep one"
+                row = f"{where}: the stem {shown(stem)} is in two rows; keep one"
             self.by_stem[stem] = row
             self.numbers.setdefault(stem, self._count)
             self._count += 1
@@ -95,7 +102,7 @@ class Rows:
     def _check_columns(self) -> None:
         wanted, found = set(Row.model_fields), set(self._columns or ())
         wrong = [f"missing {', '.join(sorted(wanted - found))}"] if wanted - found else []
-        wrong += [f"unknown {', '.join(sorted(found - wanted))}"] if found - wanted else []
+        wrong += [f"unknown {', '.join(sorted(found - wanted))[:MAX_SHOWN]}"] if found - wanted else []
         if wrong:
             raise DriveFolderError(f"{self.path}: wrong columns: {'; '.join(wrong)}")
 

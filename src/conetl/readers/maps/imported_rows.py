@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
+from conetl.files.documents import shown
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import utm_srid
 from conetl.model.errors import InputError
@@ -148,7 +149,7 @@ class _Rows:
                 feature_id = UUID(str(text))
             except ValueError:
                 raise self.fail(
-                    index, f"feature_id is {text!r}, which is not a UUID (--new-ids makes new ones)"
+                    index, f"feature_id is {shown(text)}, which is not a UUID (--new-ids makes new ones)"
                 ) from None
             if feature_id in first:
                 raise self.fail(index, f"feature_id {feature_id} is in row {first[feature_id] + 1} already")
@@ -198,7 +199,7 @@ class _Rows:
         if micros is not None:
             if isinstance(micros, int | float) and math.isfinite(micros) and abs(micros) < 9e15:
                 return int(micros) * 1000
-            raise self.fail(index, f"{name}_us is {micros!r}, expected microseconds since 1970")
+            raise self.fail(index, f"{name}_us is {shown(micros)}, expected microseconds since 1970")
         if value is None:
             return default
         try:
@@ -206,7 +207,7 @@ class _Rows:
             instant = value if isinstance(value, datetime) else datetime.fromisoformat(text)
             return _ns(instant if instant.tzinfo else instant.replace(tzinfo=UTC))
         except (ValueError, OverflowError):
-            raise self.fail(index, f"{name} is {value!r}, expected a time like 2026-03-02T10:00:00Z") from None
+            raise self.fail(index, f"{name} is {shown(value)}, expected a time like 2026-03-02T10:00:00Z") from None
 
 
 def _require_all(

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from conetl.files.documents import MAX_SHOWN, shown
 from conetl.model.errors import InputError
 
 #: Larger files are not cone maps and do not fit into memory.
@@ -257,7 +258,7 @@ def _number(path: Path, index: int, name: str, text: Any) -> float:
     try:
         return float(text)
     except (TypeError, ValueError):
-        raise InputError(f"{path}, row {index + 1}: {name} is {text!r}, which is not a number") from None
+        raise InputError(f"{path}, row {index + 1}: {name} is {shown(text)}, which is not a number") from None
 
 
 def _check_flatgeobuf_header(path: Path) -> None:
@@ -296,4 +297,4 @@ def _crs_of(path: Path, text: str | None) -> CRS | None:
 
 def _line(error: BaseException) -> str:
     lines = str(error).splitlines()
-    return lines[0].rstrip(".") if lines else type(error).__name__
+    return lines[0].rstrip(".")[:MAX_SHOWN] if lines else type(error).__name__

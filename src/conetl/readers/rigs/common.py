@@ -15,11 +15,11 @@ from pydantic import ValidationError
 
 from conetl.files import documents
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import MAX_JSON_BYTES, read_limited, shown
+from conetl.files.documents import MAX_JSON_BYTES, MAX_MESSAGE, MAX_SHOWN, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.errors import CalibrationError, InputError
-from conetl.model.records import Camera, Lens, Rig
+from conetl.model.records import MAX_IMAGE_PIXELS, Camera, Lens, Rig
 
 Array = NDArray[np.float64]
 Size = tuple[int, int]
@@ -51,6 +51,12 @@ def read_yaml(path: Path) -> Any:
         return documents.read_yaml(path)
 
 
+def parse_yaml(path: Path, text: str) -> Any:
+    """Content of the text of a YAML file. Raises CalibrationError."""
+    with _calibration_errors():
+        return documents.parse_yaml(path, text)
+
+
 def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises CalibrationError."""
     with _calibration_errors():
@@ -74,7 +80,7 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
 def entry(path: Path, content: Any, key: str, where: str = "") -> Any:
     """Value of a required key; where: the keys above it, for messages. Raises CalibrationError."""
     if not isinstance(content, Mapping) or content.get(key) is None:
-        found = ", ".join(map(str, content)) if isinstance(content, Mapping) else shown(content)
+        found = shown([*content]) if isinstance(content, Mapping) else shown(content)
         raise bad(path, f"{where}{key}", f"is missing; found {found or 'nothing'}")
     return content[key]
 
@@ -94,8 +100,8 @@ def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = No
         value = data.reshape(rows, cols)
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise bad(path, key, f"must be numbers, found {str(value)[:60]!r}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise bad(path, key, f"must be numbers, found {shown(value)}") from None
     if shape is None:
         array = array.reshape(-1)
     elif array.size == np.prod(shape) and 1 in (*shape, *array.shape, array.ndim):
@@ -111,7 +117,7 @@ def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = No
 def size_of_images(path: Path, key: str, value: Any) -> Size:
     """Width and height in pixels. Raises CalibrationError."""
     size = numbers(path, key, value, (2,))
-    if not np.all((size >= 1) & (size == np.round(size))):
+    if not np.all((size >= 1) & (size <= MAX_IMAGE_PIXELS) & (size == np.round(size))):
         raise bad(path, key, f"must be whole numbers of pixels, found {size[0]:g} x {size[1]:g}")
     return int(size[0]), int(size[1])
 
@@ -129,7 +135,10 @@ def camera_from_matrix(path: Path, key: str, k: Array, size: Size, lens: Lens) -
     # A principal point outside the image by the image's size belongs to another image size.
     if not (-width < cx < 2 * width and -height < cy < 2 * height):
         raise bad(path, key, f"has the principal point ({cx:.1f}, {cy:.1f}), far outside {width} x {height} pixels")
-    return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
+    try:
+        return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
+    except ValueError as error:
+        raise bad(path, key, f"cannot be used: {first_message(error)}") from error
 
 
 def pinhole_camera(
@@ -142,12 +151,12 @@ def pinhole_camera(
     """
     model = entry(path, content, "camera_model", where)
     if model != "pinhole":
-        raise bad(path, f"{where}camera_model", f"'{model}' is not supported, only pinhole")
+        raise bad(path, f"{where}camera_model", f"{shown(model)} is not supported, only pinhole")
     key = "distortion_model"
     lens_model = content.get(key) if None in lenses else entry(path, content, key, where)
     if lens_model not in lenses:
         known = ", ".join(name for name in lenses if name)
-        raise bad(path, f"{where}{key}", f"'{lens_model}' is not supported; known: {known}")
+        raise bad(path, f"{where}{key}", f"{shown(lens_model)} is not supported; known: {known}")
     lens, kind = Lens(), lenses[lens_model]
     if kind is not None:
         make = fisheye_lens if kind == "fisheye" else opencv_lens
@@ -239,7 +248,7 @@ def first_message(error: ValueError) -> str:
     """One sentence of a validation error, with its key."""
     if isinstance(error, ValidationError):
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
+        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN]
+        message = first["msg"].removeprefix("Value error, ")[:MAX_MESSAGE]
         return f"'{key}': {message}" if key else message
     return str(error)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import intrinsics
@@ -43,8 +44,7 @@ def read_kalibr_rig(path: Path) -> Rig:
     names = [str(name) for name in content if str(name).startswith("cam")]
     if sorted(names) != ["cam0", "cam1"]:
         raise CalibrationError(
-            f"{path}: expected the two cameras cam0 (left) and cam1 (right), found {', '.join(names) or 'none'}; "
-            "keep these two"
+            f"{path}: expected the two cameras cam0 (left) and cam1 (right), found {shown(names)}; keep these two"
         )
     left, right = (
         pinhole_camera(path, content[name], f"{name}.", "distortion_coeffs", _LENSES) for name in ("cam0", "cam1")

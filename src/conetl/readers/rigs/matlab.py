@@ -17,6 +17,7 @@ import numpy as np
 import scipy.io
 
 from conetl.files.atomic import atomic_text_file
+from conetl.files.documents import MAX_SHOWN, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -56,7 +57,7 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     content = _read_mat(path) if path.suffix.lower() == ".mat" else read_json(path)
     found = _structure(content)
     if found is None:
-        names = ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
+        names = shown([*content]) if isinstance(content, Mapping) else type(content).__name__
         raise bad(path, "CameraParameters1", f"is missing; found {names or 'nothing'}. {_HOW}")
     left = _camera(path, entry(path, found, "CameraParameters1"), "CameraParameters1.", image_size)
     right = _camera(path, entry(path, found, "CameraParameters2"), "CameraParameters2.", image_size)
@@ -66,7 +67,7 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
         raise bad(
             path,
             "WorldUnits",
-            f"'{unit}' is not a known unit; known: {known}. Give it with conetl rig convert --unit mm",
+            f"{shown(unit)} is not a known unit; known: {known}. Give it with conetl rig convert --unit mm",
         )
     key, right_R_left, t = _relative(path, found)
     return stereo_rig(path, key, "matlab", left, right, right_R_left, t * LENGTH_UNITS[unit])
@@ -144,11 +145,14 @@ def _read_mat(path: Path) -> Mapping[str, Any]:
     except NotImplementedError as error:
         raise CalibrationError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}") from error
     except Exception as error:  # scipy's parser raises errors of many types
-        raise CalibrationError(f"{path}: this is not a .mat file, or it is damaged ({error})") from error
+        raise CalibrationError(
+            f"{path}: this is not a .mat file, or it is damaged ({str(error)[:MAX_SHOWN]})"
+        ) from error
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     if _structure(variables) is None:
+        names = shown([*variables]) if variables else "only objects"
         raise CalibrationError(
-            f"{path}: no structure of a stereoParameters object, found {', '.join(variables) or 'only objects'}; only MATLAB "
+            f"{path}: no structure of a stereoParameters object, found {names}; only MATLAB "
             f"can read a saved object itself. {_HOW}"
         )
     return variables

@@ -8,14 +8,18 @@ in the file, and the stereo sample does not write the image size either.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 
 from conetl.files.atomic import atomic_text_file
+from conetl.files.documents import MAX_DEPTH, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -30,12 +34,16 @@ from conetl.readers.rigs.common import (
     numbers,
     opencv_coefficients,
     opencv_lens,
+    parse_yaml,
+    read_json,
     read_text,
-    read_yaml,
     size_of_images,
     stereo_rig,
 )
 
+_YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*\n")
+_MATRIX_TAG = re.compile(r"!!opencv-(nd-)?matrix")
+_DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 _NAMES: Mapping[str, tuple[str, ...]] = {
     "left.K": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "camera_matrix1", "camera_matrix_left", "left_camera_matrix",
@@ -59,31 +67,59 @@ _MODEL_NAMES = ("distortion_model", "model", "camera_model")
 
 
 def read_storage(path: Path) -> dict[str, Any]:
-    """Content of an OpenCV file as plain dictionaries, lists and arrays. Raises CalibrationError."""
+    """Content of an OpenCV file as plain dictionaries, lists and texts. Raises CalibrationError.
+
+    Not by `cv2.FileStorage`: a damaged file overwrites its memory (OpenCV 5.0).
+    """
     text = read_text(path)
-    if path.suffix.lower() in {".yml", ".yaml"} and not text.lstrip().startswith("%YAML") and "!!opencv" not in text:
-        content = read_yaml(path)
-        if not isinstance(content, dict):
-            raise CalibrationError(f"{path}: expected a YAML mapping with the keys M1, D1, M2, D2, R, T")
-        return content
+    if path.suffix.lower() == ".json":
+        content = read_json(path)
+    elif path.suffix.lower() == ".xml":
+        content = _read_xml(path, text)
+    else:
+        content = parse_yaml(path, _MATRIX_TAG.sub("", _YAML_HEADER.sub("", text, count=1)))
+    if not isinstance(content, dict):
+        raise CalibrationError(f"{path}: expected keys and values such as M1, D1, M2, D2, R, T")
+    return {str(key): _plain(value) for key, value in content.items()}
+
+
+def _read_xml(path: Path, text: str) -> Any:
+    """Elements as dictionaries by name, those named `_` as lists, their texts as they are."""
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-        return {key: _plain(storage.getNode(key)) for key in storage.root().keys()}  # noqa: SIM118 -- a FileNode is no dict
-    except (cv2.error, SystemError) as error:
-        raise CalibrationError(f"{path}: OpenCV cannot read this file; is it complete?") from error
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise CalibrationError(f"{path}: this is not XML: {error}") from error
+    return _of_element(path, root, 0)
 
 
-def _plain(node: Any) -> Any:
-    if node.isMap():
-        keys = node.keys()
-        if {"dt", "data"} <= set(keys):  # opencv-matrix, and opencv-nd-matrix of OpenCV 5
-            return node.mat()
-        return {key: _plain(node.getNode(key)) for key in keys}
-    if node.isSeq():
-        return [_plain(node.at(i)) for i in range(node.size())]
-    if node.isString():
-        return node.string()
-    return int(node.real()) if node.isInt() else node.real() if node.isReal() else None
+def _of_element(path: Path, element: ElementTree.Element, depth: int) -> Any:
+    if depth > MAX_DEPTH:
+        raise CalibrationError(f"{path}: nested too deeply")
+    if len(element) == 0:
+        return (element.text or "").strip().strip('"')
+    if element[0].tag == "_":
+        return [_of_element(path, child, depth + 1) for child in element]
+    return {child.tag: _of_element(path, child, depth + 1) for child in element}
+
+
+def _plain(value: Any) -> Any:
+    """A value of the file; matrices and lists of numbers as `numbers` reads them."""
+    if isinstance(value, dict) and {"dt", "data"} <= value.keys():
+        sizes = _words(value["sizes"]) if "sizes" in value else [value.get("rows"), value.get("cols")]
+        channels = re.match(r"\d*", str(value["dt"]).strip())
+        many = int(channels.group()[:2]) if channels and channels.group() else 1
+        rows, *others = [int(str(n)) if str(n).isdecimal() and len(str(n)) < 9 else 0 for n in sizes] or [0]
+        return {"rows": rows, "cols": math.prod(others) * many, "data": _words(value["data"])}
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    words = _words(value)
+    return words if isinstance(value, list) or len(words) > 1 else value
+
+
+def _words(value: Any) -> list[Any]:
+    """The numbers of a list, or of a text of several; OpenCV writes NaN and infinity with a dot."""
+    words = value if isinstance(value, list) else value.split() if isinstance(value, str) else [value]
+    return [_DOTTED.get(word.lower(), word) if isinstance(word, str) else word for word in words]
 
 
 def looks_like_opencv(content: Any) -> bool:
@@ -111,7 +147,7 @@ def read_opencv_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     stated = next((str(content[name]) for name in _UNIT_NAMES if name in content), "m")
     unit = length_unit or stated
     if unit not in LENGTH_UNITS:
-        raise bad(first, "length_unit", f"must be one of {', '.join(LENGTH_UNITS)}, found '{unit}'")
+        raise bad(first, "length_unit", f"must be one of {', '.join(LENGTH_UNITS)}, found {shown(unit)}")
     t = numbers(first, key_t, translation, (3,)) * LENGTH_UNITS[unit]
     key = f"{key_r}, {key_t}"
     return stereo_rig(first, key, "opencv", cameras["left"], cameras["right"], numbers(first, key_r, r, (3, 3)), t)
@@ -139,8 +175,7 @@ def _named(path: Path, content: Mapping[str, Any], what: str, names: tuple[str, 
     found = _first(content, names)
     if found is not None:
         return found
-    shown = ", ".join(content) or "nothing"
-    raise bad(path, names[0], f"({what}) is missing; found {shown}. Known names: {', '.join(names[:6])}")
+    raise bad(path, names[0], f"({what}) is missing; found {shown([*content])}. Known names: {', '.join(names[:6])}")
 
 
 def _camera(path: Path, content: Mapping[str, Any], side: Side, image_size: Size | None) -> Camera:
@@ -180,7 +215,7 @@ def _is_fisheye(path: Path, content: Mapping[str, Any], side: Side) -> bool:
     known = {"fisheye": True, "equidistant": True, "kannala_brandt4": True, "plumb_bob": False, "radtan": False,
              "rational_polynomial": False, "pinhole": False, "brown": False, "opencv": False, "standard": False}  # fmt: skip
     if str(model[1]).lower() not in known:
-        raise bad(path, model[0], f"'{model[1]}' is not a known lens model; known: {', '.join(known)}")
+        raise bad(path, model[0], f"{shown(model[1])} is not a known lens model; known: {', '.join(known)}")
     return known[str(model[1]).lower()]
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -107,7 +108,7 @@ def _camera(path: Path, content: Any) -> tuple[Camera, Array, Array]:
     )
     model = entry(path, content, "distortion_model")
     if model not in _MODELS:
-        raise bad(path, "distortion_model", f"'{model}' is not supported; known: {', '.join(_MODELS)}")
+        raise bad(path, "distortion_model", f"{shown(model)} is not supported; known: {', '.join(_MODELS)}")
     key = "distortion_coefficients"
     lens = (fisheye_lens if model == "equidistant" else opencv_lens)(path, key, numbers_at(path, content, key))
     k = numbers_at(path, content, "camera_matrix", (3, 3))

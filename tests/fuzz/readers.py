@@ -1,0 +1,332 @@
+"""All readers of files that a stranger may have made: how to write a small valid one, and how to read it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pyogrio.raw
+import scipy.io
+import shapely
+import yaml
+
+from conetl.cli.map.work_zones import Rules
+from conetl.exports.wzdx import read_feed_info
+from conetl.files.yaml_model import read_yaml_model
+from conetl.model.params import ImportParams, IngestParams
+from conetl.model.records import Camera, Rig
+from conetl.model.rejections import Rejection
+from conetl.perception.images import ImageFileError, check_image_ends, read_image, read_upright_image
+from conetl.perception.model_card import read_model_card, shipped_model_path
+from conetl.readers.base_layers.lanelet2 import read_lanelet2
+from conetl.readers.base_layers.las_file import las_chunks, read_las_header
+from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_file
+from conetl.readers.base_layers.opendrive import read_opendrive
+from conetl.readers.drives import read_drive
+from conetl.readers.drives.header import read_header
+from conetl.readers.drives.oxts import parse_oxts
+from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.timestamps import misplaced, parse_timestamps
+from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
+from conetl.readers.maps.imported_rows import read_map_file
+from conetl.readers.recording import open_arriving
+from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
+from tests.unit.readers import drive_formats as formats
+from tests.unit.readers import test_base_layers as layers
+from tests.unit.readers import test_rig_formats as rig_files
+
+WIDTH, HEIGHT = 96, 32
+FRAMES = 4
+SIDE_FILES = ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
+
+
+class Reader(NamedTuple):
+    """One reader: `write` makes a small valid file or folder in a folder, `read` reads it with a folder for its results."""
+
+    write: Callable[[Path], Path]
+    read: Callable[[Path, Path], object]
+
+
+# --------------------------------------------------------------------------- drives
+
+
+def small_rig() -> Rig:
+    camera = Camera(width_px=WIDTH, height_px=HEIGHT, fx_px=60.0, fy_px=60.0, cx_px=47.0, cy_px=15.0)
+    full = read_kitti_rig(formats.SAMPLE / "calib_cam_to_cam.txt", body_required=True)
+    return full.model_copy(update={"left": camera, "right": camera})
+
+
+def small_frames() -> list[formats.Frame]:
+    pixels = np.random.default_rng(0).integers(0, 255, (HEIGHT // 8, WIDTH // 8, 3), np.uint8)
+    image = bytes(cv2.imencode(".jpg", cv2.resize(pixels, (WIDTH, HEIGHT)))[1])
+    return [replace(frame, left=image, right=image) for frame in formats.sample_frames()[:FRAMES]]
+
+
+def write_drive(name: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        path = formats.WRITERS[name](folder / "run", small_frames(), small_rig())
+        if name == "kitti":
+            calibration = path / "calib_cam_to_cam.txt"
+            lines = calibration.read_text().splitlines()
+            sized = [f"{line[:9]}: {WIDTH} {HEIGHT}" if line.startswith("S_rect_0") else line for line in lines]
+            calibration.write_text("\n".join(sized) + "\n")
+            (path / "drive.yaml").write_text("sigmas: {horizontal_m: 0.02, yaw_deg: 0.1}\ncameras: {left: image_02}\n")
+        if name == "plain":
+            (path / "drive.yaml").write_text("drive_id: morning\ntimestamps_timezone: Europe/Berlin\nmap_srid: 25832\n")
+        if name == "bag":
+            (path / "drive.yaml").write_text("pair_tolerance_ms: 4\nantenna_t_m: [0.4, -0.2, 1.1]\n")
+        return path
+
+    return write
+
+
+def read_whole_drive(path: Path, scratch: Path) -> object:
+    read_header(path).shown_path.encode()
+    drive, rejections = read_drive(path, images_folder=scratch)
+    drive.model_dump_json()
+    return rejections
+
+
+def read_arriving(path: Path, _: Path) -> object:
+    arriving = open_arriving(path)
+    if arriving is None:
+        return None
+    rejections: list[Rejection] = []
+    for pair in sorted(arriving.new_pairs(None), key=arriving.order):
+        arriving.rig()
+        try:
+            arriving.frame_pair(pair, None)
+        except PairError as error:
+            rejections.append(error.rejection(pair.key, 0))
+    return rejections
+
+
+# --------------------------------------------------------------------------- rigs
+
+
+def written(name: str, text: str | bytes) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+        return folder / name
+
+    return write
+
+
+def write_kitti_rig(folder: Path) -> Path:
+    for name in ("calib_cam_to_cam.txt", *SIDE_FILES):
+        shutil.copy(formats.SAMPLE / name, folder / name)
+    return folder / "calib_cam_to_cam.txt"
+
+
+def write_opencv(suffix: str) -> Callable[[Path], Path]:
+    values = {
+        "M1": rig_files.K1, "D1": rig_files.D1, "M2": rig_files.K2, "D2": rig_files.D2, "R": rig_files.R,
+        "T": rig_files.T[:, None], "image_width": 1280, "image_height": 720,
+    }  # fmt: skip
+    return lambda folder: rig_files.opencv_text(folder / f"stereo{suffix}", values)
+
+
+def write_rig(folder: Path) -> Path:
+    write_rig_yaml(rig_files.make_rig(rig_files.LENSES["brown"]), folder / "rig.yaml")
+    with (folder / "rig.yaml").open("a") as file:
+        file.write("sigmas: {left.fx_px: 0.5, relative.rx_deg: 0.01}\n")
+    return folder / "rig.yaml"
+
+
+def write_mat(folder: Path) -> Path:
+    scipy.io.savemat(folder / "stereo.mat", {"s": rig_files.matlab_content(new=False)}, do_compression=True)
+    return folder / "stereo.mat"
+
+
+def read_any_rig(path: Path, _: Path) -> object:
+    read_rig_for_images(path, (1242, 375))
+    return read_rig(path)
+
+
+# --------------------------------------------------------------------------- point clouds, lanes, maps
+
+LON_LAT = ((8.4262, 49.0037), (8.4263, 49.0038), (8.4264, 49.0039))
+ROWS: dict[str, list[object]] = {
+    "category": ["traffic_cone"] * 3, "height_m": [0.5, 0.5, 0.75], "sigma_e_m": [0.02] * 3, "observation_count": [4, 5, 6],
+    "feature_id": [f"00000000-0000-4000-8000-00000000000{i}" for i in range(3)],
+    "last_seen_at": ["2026-03-02T10:00:00Z", "2026-03-02T10:00:01.5Z", "2026/03/02 10:00:02+01:00"],
+}  # fmt: skip
+
+
+def points() -> np.ndarray:
+    return np.asarray(
+        shapely.to_wkb([shapely.Point(lon, lat, 115.0) for lon, lat in LON_LAT], output_dimension=3), object
+    )
+
+
+def write_by_gdal(name: str, driver: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        columns = [
+            np.array(values) if not isinstance(values[0], str) else np.array(values, object) for values in ROWS.values()
+        ]
+        pyogrio.raw.write(
+            folder / name, points(), columns, list(ROWS), geometry_type="Point Z", crs="EPSG:4326", driver=driver
+        )
+        return folder / name
+
+    return write
+
+
+def write_map_csv(folder: Path) -> Path:
+    with (folder / "map.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["lon_deg", "lat_deg", "ellipsoidal_height_m", *ROWS])
+        rows.writerows([*lon_lat, 115.0, *values] for lon_lat, *values in zip(LON_LAT, *ROWS.values(), strict=True))
+    return folder / "map.csv"
+
+
+def write_geoparquet(folder: Path) -> Path:
+    geo = {
+        "version": "1.1.0",
+        "primary_column": "geometry",
+        "columns": {"geometry": {"encoding": "WKB", "geometry_types": []}},
+    }
+    table = pa.table({**ROWS, "geometry": [bytes(p) for p in points()]})
+    pq.write_table(table.replace_schema_metadata({"geo": json.dumps(geo)}), folder / "map.parquet")
+    return folder / "map.parquet"
+
+
+def read_map(path: Path, _: Path) -> object:
+    return read_map_file(path, ImportParams(), map_srid=32632)
+
+
+def read_points(path: Path, _: Path) -> object:
+    count, _crs = read_las_header(path)
+    return sum(len(cloud.xyz_m) for cloud in las_chunks(path, count))
+
+
+def read_lines(path: Path, _: Path) -> object:
+    reader = {".osm": read_lanelet2, ".xodr": read_opendrive}.get(path.suffix, read_vector_file)
+    found = reader(path)
+    json.dumps([dict(line.attributes) for line in found.lines])
+    read_lane_lines(path, srid=32632)
+    return found
+
+
+def write_lanes(name: str, driver: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        lines = np.asarray(shapely.to_wkb([shapely.LineString(LON_LAT), shapely.LineString(LON_LAT[1:])]), object)
+        kinds = [np.array(["solid", "dashed"], object), np.array([0.12, 0.15])]
+        pyogrio.raw.write(
+            folder / name, lines, kinds, ["kind", "width"], geometry_type="LineString", crs="EPSG:4326", driver=driver
+        )
+        return folder / name
+
+    return write
+
+
+# --------------------------------------------------------------------------- small files of drives
+
+
+def write_scans(folder: Path) -> Path:
+    data = folder / "run/velodyne_points/data"
+    data.mkdir(parents=True)
+    for i in range(2):
+        np.random.default_rng(i).uniform(-20, 20, (40, 4)).astype("<f4").tofile(data / f"{i:010d}.bin")
+    for name in ("start", "end"):
+        stamps = "".join(f"2026-03-02 10:00:0{i}.{'1' if name == 'end' else '0'}00000000\n" for i in range(2))
+        (data.parent / f"timestamps_{name}.txt").write_text(stamps)
+    write_kitti_rig(folder / "run")
+    return folder / "run"
+
+
+def read_scans(path: Path, _: Path) -> object:
+    scan_period_s(path)
+    for scan in list_scans(path).values():
+        try:
+            read_scan(scan)
+        except ScanFileError:
+            continue
+    return left_SE3_velo(read_kitti_rig(path / "calib_cam_to_cam.txt", body_required=True), path)
+
+
+def read_stamps(path: Path, _: Path) -> object:
+    stamps = parse_timestamps(path.read_bytes().decode(errors="replace"), "Europe/Berlin")
+    return misplaced({number: time for number, time in stamps.items() if isinstance(time, int)})
+
+
+def read_oxts(path: Path, _: Path) -> object:
+    try:
+        return parse_oxts(path.read_bytes().decode(errors="replace"))
+    except ValueError as error:  # which readers of drives make a rejection of
+        return str(error)
+
+
+def read_one_image(path: Path, _: Path) -> object:
+    for read in (lambda: read_image(path, (WIDTH, HEIGHT)), lambda: read_image(path), lambda: read_upright_image(path),
+                 lambda: check_image_ends(path, path.name, (WIDTH, HEIGHT))):  # fmt: skip
+        try:
+            read()
+        except ImageFileError as error:
+            assert len(str(error)) < 500, str(error)[:1000]
+    return None
+
+
+def image_bytes(suffix: str, *flags: int, channels: int = 3) -> bytes:
+    pixels = np.random.default_rng(1).integers(0, 255, (HEIGHT, WIDTH, channels), np.uint8)
+    return bytes(cv2.imencode(suffix, pixels, list(flags))[1])
+
+
+PARAMS = {
+    "detection": {"score_threshold": 0.4, "search_right": "everywhere"}, "match": {"max_range_m": 30.0, "refine": True},
+    "track": {"max_gap_frames": 9}, "reconcile": {"gate_chi2": 12}, "chunk_pairs": 64,
+}  # fmt: skip
+RULES = {"layout": {"sigmas": 2.5}, "zones": {"min_cones": 4, "kerb_side": "left", "lane_width_m": [2.4, 4.8]}}
+FEED = {"publisher": "City", "road_names": ["A 8", "B 10"], "contact_email": "a@b.de", "update_frequency_s": 60}
+
+
+def write_card(folder: Path) -> Path:
+    card = shipped_model_path()
+    return written("m.onnx.json", card.with_name(card.name + ".json").read_bytes())(folder)
+
+
+READERS: dict[str, Reader] = {
+    **{name.replace(" ", "_"): Reader(write_drive(name), read_whole_drive) for name in formats.WRITERS},
+    "kitti_arriving": Reader(write_drive("kitti"), read_arriving),
+    "plain_arriving": Reader(write_drive("plain"), read_arriving),
+    "oxts": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/data/0000000000.txt", f)), read_oxts),
+    "timestamps": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/timestamps.txt", f)), read_stamps),
+    "velodyne": Reader(write_scans, read_scans),
+    "rig_yaml": Reader(write_rig, read_any_rig),
+    "rig_kitti": Reader(write_kitti_rig, read_any_rig),
+    "rig_opencv_yml": Reader(write_opencv(".yml"), read_any_rig),
+    "rig_opencv_xml": Reader(write_opencv(".xml"), read_any_rig),
+    "rig_opencv_json": Reader(write_opencv(".json"), read_any_rig),
+    "rig_kalibr": Reader(written("camchain.yaml", yaml.safe_dump(rig_files.kalibr_content())), read_any_rig),
+    "rig_ros": Reader(rig_files.ros_pair, read_any_rig),
+    "rig_matlab_json": Reader(written("s.json", json.dumps(rig_files.matlab_content(new=True))), read_any_rig),
+    "rig_matlab_mat": Reader(write_mat, read_any_rig),
+    "image_jpeg": Reader(written("a.jpg", image_bytes(".jpg")), read_one_image),
+    "image_png": Reader(written("a.png", image_bytes(".png", channels=4)), read_one_image),
+    "points_las": Reader(lambda f: layers.write_las(f / "a.las", 50), read_points),
+    "points_laz": Reader(lambda f: layers.write_las(f / "a.laz", 50), read_points),
+    "lanes_lanelet2": Reader(written("a.osm", layers.OSM), read_lines),
+    "lanes_opendrive": Reader(written("a.xodr", layers.XODR), read_lines),
+    "lanes_geojson": Reader(write_lanes("a.geojson", "GeoJSON"), read_lines),
+    "lanes_gpkg": Reader(write_lanes("a.gpkg", "GPKG"), read_lines),
+    "map_geojson": Reader(write_by_gdal("map.geojson", "GeoJSON"), read_map),
+    "map_csv": Reader(write_map_csv, read_map),
+    "map_gpkg": Reader(write_by_gdal("map.gpkg", "GPKG"), read_map),
+    "map_fgb": Reader(write_by_gdal("map.fgb", "FlatGeobuf"), read_map),
+    "map_parquet": Reader(write_geoparquet, read_map),
+    "params": Reader(
+        written("p.yaml", yaml.safe_dump(PARAMS)), lambda path, _: read_yaml_model(path, IngestParams, "parameters")
+    ),
+    "rules": Reader(written("r.yaml", yaml.safe_dump(RULES)), lambda path, _: read_yaml_model(path, Rules, "rules")),
+    "feed": Reader(written("f.yaml", yaml.safe_dump(FEED)), lambda path, _: read_feed_info(path)),
+    "model_card": Reader(write_card, lambda path, _: read_model_card(path.with_suffix(""))),
+}

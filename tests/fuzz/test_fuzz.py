@@ -1,0 +1,29 @@
+"""A short run of the fuzzer with fixed cases; `make fuzz` has the long one."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.fuzz_readers import run_case, valid_files
+from tests.fuzz.readers import READERS
+
+CASES = 30
+SEED = 1
+#: Later cases with this seed that once crashed, hung, filled the memory, or quoted a whole file.
+FOUND = {
+    "plain": (124, 175, 1551, 2767, 3750, 9723), "euroc": (177, 200, 202, 220, 413, 529), "rig_opencv_xml": (40, 151),
+    "lanes_opendrive": (106, 137, 371), "lanes_geojson": (79, 142), "lanes_gpkg": (145,), "map_geojson": (44, 192),
+    "map_csv": (189, 360, 383), "model_card": (807,),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", READERS)
+def test_mutated_files_give_a_result_a_rejection_or_an_error_of_conetl(name: str, tmp_path: Path) -> None:
+    valid = valid_files(READERS[name], tmp_path)
+    cases = [*range(CASES), *FOUND.get(name, ())]
+    problems = {case: run_case(READERS[name], valid, random.Random(f"{SEED}/{name}/{case}"))[1] for case in cases}
+    assert {case: problem for case, problem in problems.items() if problem} == {}
