@@ -43,7 +43,7 @@ def _disparities(drive: Drive, number: int) -> NDArray[np.float64]:
         images = [read_pair_image(pair, side, drive.rig, grey=True) for side in ("left", "right")]
     except ImageFileError:
         return np.empty(0)
-    orb = cv2.ORB_create(_FEATURES)
+    orb = cv2.ORB.create(_FEATURES)
     points, features = zip(
         *(
             orb.detectAndCompute(cv2.resize(i, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), None)

@@ -24,6 +24,7 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 
 #: The pose of a standing vehicle scatters by less.
 MOVED_M = 0.5
+SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class ContentHash:
@@ -191,7 +192,7 @@ def without_frozen(drive: Drive) -> tuple[Drive, list[Rejection]]:
     kept: list[FramePair] = []
     for pair in drive.frame_pairs:
         frozen = None
-        for side in ("left", "right"):
+        for side in SIDES:
             image, since = pair.image(side), first.get(side)
             if since is None or not image[1] or since.image(side)[1] != image[1]:
                 first[side] = pair
