@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shutil
+from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 
@@ -317,6 +318,20 @@ def test_streams_are_limited_and_released(module_database_url):
         assert (await anext(watcher.events("default"))).startswith("event: changeset")
 
     asyncio.run(crowd())
+    pool.close()
+
+
+def test_connections_that_the_server_closed_are_replaced(module_database_url):
+    pool = ReaderPool(module_database_url)
+    with pool.reading() as first, pool.reading() as second:
+        pids = [conn.info.backend_pid for conn in (first, second)]
+    with closing(connect(module_database_url)) as conn:
+        for pid in pids:
+            execute(conn, "select pg_terminate_backend(%(pid)s, 10000)", {"pid": pid})
+    for _ in range(2):
+        with pool.reading() as conn:
+            assert execute(conn, "select 1 as one") == [{"one": 1}]
+            assert conn.info.backend_pid not in pids
     pool.close()
 
 

@@ -1,10 +1,12 @@
-"""compose.yaml and prefect.yaml, checked without running them."""
+"""compose.yaml, its image and prefect.yaml, checked without running containers."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +53,42 @@ def test_no_secret_stands_in_a_definition() -> None:
 
 
 def test_only_the_proxy_is_reached_from_outside() -> None:
-    assert [name for name, service in COMPOSE["services"].items() if "ports" in service] == ["proxy"]
+    """The view shares the proxy's network, but listens on loopback only."""
+    services: dict[str, Any] = COMPOSE["services"]
+    assert [name for name, service in services.items() if "ports" in service] == ["network"]
+    inside = [name for name, service in services.items() if service.get("network_mode") == "service:network"]
+    assert inside == ["view", "proxy"]
+
+
+def test_the_image_can_be_built_beside_the_secrets_and_does_not_hold_them() -> None:
+    left_out = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
+    for secret in COMPOSE["secrets"].values():
+        assert Path(secret["file"]).parts[0] in left_out
+    assert {".env", ".git"} <= set(left_out)
+    assert {"/.env", "/secrets/"} <= set((ROOT / ".gitignore").read_text(encoding="utf-8").splitlines())
+
+
+def test_pages_of_prefect_can_be_written_and_are_in_no_volume() -> None:
+    prefect: dict[str, Any] = COMPOSE["services"]["prefect"]
+    folder = Path(prefect["environment"]["PREFECT_SERVER_UI_STATIC_DIRECTORY"])
+    assert folder.parent == Path("/tmp")
+    volumes = [Path(volume.split(":")[1]) for volume in prefect["volumes"] if volume.count("/") and "$" not in volume]
+    assert volumes
+    assert not any(volume in folder.parents for volume in volumes)
+
+
+def test_the_entry_point_hands_secrets_over_and_becomes_the_command(tmp_path: Path) -> None:
+    secrets = tmp_path / "secrets"
+    secrets.mkdir()
+    (secrets / "ONE").write_text("a 'b' $c=d\n", encoding="utf-8")
+    script = tmp_path / "with_secrets.sh"
+    text = (ROOT / "scripts/with_secrets.sh").read_text(encoding="utf-8")
+    script.write_text(text.replace("/run/secrets", str(secrets)), encoding="utf-8")
+    script.chmod(0o755)
+    show = "import os; print(os.getpid(), os.environ['ONE'])"
+    with subprocess.Popen([script, sys.executable, "-c", show], stdout=subprocess.PIPE, text=True) as process:
+        said, _ = process.communicate(timeout=60)
+    assert said == f"{process.pid} a 'b' $c=d\n"
 
 
 def test_every_deployment_is_recovered_after_a_crash() -> None:

@@ -47,7 +47,7 @@ class ReaderPool:
         if not self._slots.acquire(timeout=WAIT_S):
             raise DatabaseError("The database is busy: all connections of the view are in use. Try again.")
         try:
-            conn = self._free.pop() if self._free else open_reader(self._url)
+            conn = self._idle() or open_reader(self._url)
             try:
                 yield conn
             finally:
@@ -56,6 +56,15 @@ class ReaderPool:
                     self._free.append(conn)
         finally:
             self._slots.release()
+
+    def _idle(self) -> Connection | None:
+        """A connection that was returned, if its server still holds it: a restart of PostgreSQL must not cost six requests."""
+        while self._free:
+            conn = self._free.pop()
+            if not _has_input(conn, 0.0):  # nothing was asked, so this would be its end
+                return conn
+            conn.close()
+        return None
 
     def listener(self) -> Connection:
         """One more connection, which receives notifications of changes; the caller closes it. Raises DatabaseError."""
@@ -73,14 +82,18 @@ class ReaderPool:
 
 def wait_for_news(conn: Connection, timeout_s: float) -> bool:
     """Wait for a notification of a change; False if none came in time. Raises DatabaseError if the connection was lost."""
-    waiting = select.poll()  # supports file numbers beyond select's 1024
-    waiting.register(conn.fileno(), select.POLLIN)
-    waiting.poll(timeout_s * 1000)
+    _has_input(conn, timeout_s)
     with database_errors("The connection to the database was lost"):
         conn.poll()
     notified = bool(conn.notifies)
     conn.notifies.clear()
     return notified
+
+
+def _has_input(conn: Connection, timeout_s: float) -> bool:
+    waiting = select.poll()  # supports file numbers beyond select's 1024
+    waiting.register(conn.fileno(), select.POLLIN)
+    return bool(waiting.poll(timeout_s * 1000))
 
 
 def open_reader(url: str) -> Connection:
