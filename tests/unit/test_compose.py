@@ -103,3 +103,9 @@ def test_deployments_name_flows_that_exist_and_queues_that_workers_serve() -> No
         queue = deployment["work_pool"]["work_queue_name"]
         assert f"--work-queue {queue} " in workers[queue]
         assert deployment["concurrency_limit"]["limit"] >= 1
+
+
+def test_runs_survive_a_restart_of_the_database_behind_prefect() -> None:
+    """Its API answers 500 meanwhile, which its clients do not try again by themselves."""
+    for name in ("register", "desk", "drives"):
+        assert COMPOSE["services"][name]["environment"]["PREFECT_CLIENT_RETRY_EXTRA_CODES"] == "500"
