@@ -59,7 +59,9 @@ def put_images(root: Path, width: int, height: int) -> None:
         (root / camera / "data").mkdir(parents=True)
         shutil.copy(SAMPLE / camera / "timestamps.txt", root / camera)
         for frame in range(3):
-            cv2.imwrite(str(root / camera / "data" / f"{frame:010d}.jpg"), np.full((height, width, 3), 90 + frame, np.uint8))
+            cv2.imwrite(
+                str(root / camera / "data" / f"{frame:010d}.jpg"), np.full((height, width, 3), 90 + frame, np.uint8)
+            )
 
 
 def test_kittis_raw_cameras_see_what_its_rectified_ones_see(kitti: Path) -> None:
