@@ -67,8 +67,9 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
         )
         assert heard[-1] == (8, 8), "6 images and 2 motions, whoever counted them"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind / "results").iterdir()}
-    assert len(written["threads"]) == 13, (
-        "3 of detections, 3 of their matches, 2 of a chunk's, 2 of positions; points followed, motions, self-calibration"
+    assert len(written["threads"]) == 16, (
+        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions; points followed, motions, "
+        "self-calibration"
     )
     assert written["processes"] == written["threads"]
     assert written["dask"] == written["threads"]
@@ -80,7 +81,7 @@ def test_matches_are_the_same_from_images_in_memory_and_read_again(chunks: list[
         chunk = chunks[0].model_copy(update={"results_folder": tmp_path / str(early)})
         parts = [detect(chunk, part, chunk.rig if early else None) for part in range(len(parts_of(chunk)))]
         before = len(list(chunk.results_folder.iterdir()))
-        assert before == (4 if early else 2), "with the rig at hand, matches come along with the detections"
+        assert before == (6 if early else 4), "with the rig at hand, matches come along with the detections"
         matches, _ = load_result(match(chunk, chunk.rig, *parts), StereoMatch)
         assert any(match.refined for match in matches)
         written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})

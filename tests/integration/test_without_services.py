@@ -189,7 +189,7 @@ def test_a_failure_after_the_commit_leaves_a_receipt_that_says_committed(attempt
     receipt = attempt(lambda *_, **__: done)
     assert receipt["state"] == "committed"
     assert receipt["reason"] == "the map's file cannot be written"
-    receipt = attempt(raising(TooManyRejectionsError(done, 0.1)))
+    receipt = attempt(raising(TooManyRejectionsError(done, 1, 0.1)))
     assert receipt["state"] == "committed"
     assert "the map's file cannot be written" in receipt["reason"]
     assert "max_rejected_fraction" in receipt["reason"]
