@@ -16,7 +16,7 @@ from pydantic import Field
 
 from conetl.db.receipt_store import drive_lock
 from conetl.files.storage import as_path
-from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import analysis_of
 from conetl.pipeline.database import MapDatabase
@@ -85,14 +85,14 @@ def ingest_drive(
             _describe_run(header, settings.map_name)
             report = ingest_in_run(header, settings, params, map_srid=map_srid, database=database)
             problem = report.unpublished or ""
-        except TooManyRejectionsError as error:
+        except NeedsAttentionError as error:
             report, problem = error.report, " ".join(filter(None, (str(error), error.report.unpublished)))
         except Exception as error:
             keep(failed(begun, error), settings, database)
             raise
         keep(ended(begun, report, time.monotonic() - started, problem), settings, database)
     if problem:
-        return Completed(name="CommittedNeedsALook", message=problem)
+        return Completed(name="OnHold" if report.on_hold else "CommittedNeedsALook", message=problem)
     counts = ", ".join(f"{count} {kind}" for kind, count in report.counts.items())
     return Completed(message=f"{report.status}: {counts}")
 

@@ -26,6 +26,7 @@ _COMMANDS = {
         "backfill": "backfill:backfill",
         "watch": "watch:watch",
         "inspect": "inspect_drive:inspect",
+        "drive": "",
     },
     "Map": {"map": "", "view": "view:view", "report": "", "base": ""},
     "Services": {"up": "services:up", "down": "services:down", "status": "services:status", "db": ""},
@@ -42,6 +43,10 @@ _COMMANDS = {
 }
 #: Group of commands -> its help, and its commands likewise.
 _GROUPS = {
+    "drive": (
+        "Drives on hold: recordings that contradict themselves.",
+        {"held": "drive:held", "accept": "drive:accept"},
+    ),
     "map": (
         "Show, compare, export, import and correct the map.",
         {

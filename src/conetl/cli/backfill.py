@@ -28,7 +28,7 @@ from conetl.cli.console import (
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
 from conetl.db.run_store import QUIET, pending_changesets
-from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
+from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, EXIT_SERVICE_MISSING
 from conetl.pipeline.settings import prefect_environment, read_settings
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def backfill(
 
 def _exit_code(ended: list[Receipt], failed: list[Receipt]) -> int:
     if not failed:  # a committed drive has a reason if too many of its records were rejected
-        return EXIT_TOO_MANY_REJECTIONS if any(receipt.reason for receipt in ended) else EXIT_DONE
+        return EXIT_NEEDS_ATTENTION if any(receipt.reason for receipt in ended) else EXIT_DONE
     return EXIT_SERVICE_MISSING if all(receipt.may_pass for receipt in failed) else EXIT_BAD_INPUT
 
 

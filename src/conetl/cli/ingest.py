@@ -31,15 +31,8 @@ from conetl.files.atomic import sweep
 from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
-from conetl.model.errors import (
-    EXIT_BAD_INPUT,
-    EXIT_DONE,
-    EXIT_TOO_MANY_REJECTIONS,
-    ConetlError,
-    InputError,
-    ServiceError,
-)
-from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
+from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
@@ -119,7 +112,7 @@ def ingest_drives(
                     report = ingest_by_command(
                         header, settings, params, map_srid=map_srid, database=database, progress=update
                     )
-            except TooManyRejectionsError as error:
+            except NeedsAttentionError as error:
                 report, complaints = error.report, [error]
             except Exception as raised:
                 failure = as_known(raised)
@@ -136,7 +129,7 @@ def ingest_drives(
                 complaints.append(report.unpublished)
             for complaint in complaints:
                 complain(complaint)
-                exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
+                exit_code = max(exit_code, EXIT_NEEDS_ATTENTION)
     return reports, exit_code
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from conetl.cli.console import Columns, JsonOption, MapSridOption, print_json, print_records, print_table, say
-from conetl.model.errors import EXIT_DONE, EXIT_TOO_MANY_REJECTIONS
+from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import drive_format, read_drive
@@ -58,7 +58,7 @@ def inspect(
         if picture is not None:
             say(f"Image: {picture}")
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs
-    raise typer.Exit(EXIT_TOO_MANY_REJECTIONS if lost > IngestParams().max_rejected_fraction else EXIT_DONE)
+    raise typer.Exit(EXIT_NEEDS_ATTENTION if lost > IngestParams().max_rejected_fraction else EXIT_DONE)
 
 
 def estimated_seconds(summary: DriveSummary, workers: int) -> float:

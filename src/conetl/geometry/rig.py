@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.model.records import Camera, Pose, Rig, Side
@@ -60,6 +61,23 @@ def infinity_shift_px(rig: Rig, left_uv_px: Array) -> Array:
     )
     shift: Array = uv - right
     return shift
+
+
+def right_camera_turned(rig: Rig, rotation_rad: Array) -> Rig:
+    """The rig with its right camera, and the one that took its images, turned by a rotation vector (3,) in the camera's frame.
+
+    A small turn about x moves all rows of the right image down, about y all columns to the right.
+    """
+    own = body_SE3_camera(rig, "right")
+    in_body = own[:3, :3] @ Rotation.from_rotvec(rotation_rad).as_matrix() @ own[:3, :3].T
+
+    def turned(one: Rig) -> Rig:
+        pose = body_SE3_camera(one, "right")
+        pose[:3, :3] = in_body @ pose[:3, :3]
+        return one.model_copy(update={"body_SE3_right": se3.to_matrix4(pose)})
+
+    taken = rig.rectified_from
+    return turned(rig).model_copy(update={"rectified_from": taken and turned(taken)})
 
 
 def body_is_left_camera(rig: Rig) -> bool:

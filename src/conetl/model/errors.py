@@ -5,11 +5,11 @@ from __future__ import annotations
 import errno
 
 EXIT_DONE = 0
-#: Done, but something needs a person: too many rejections, or files that could not be published.
-EXIT_TOO_MANY_REJECTIONS = 1
+#: Done, but something needs a person: too many rejections, a drive on hold, or files that could not be published.
+EXIT_NEEDS_ATTENTION = 1
 EXIT_BAD_INPUT = 2
 EXIT_SERVICE_MISSING = 3
-#: Internal error (EX_SOFTWARE); Python's own 1 would mean EXIT_TOO_MANY_REJECTIONS.
+#: Internal error (EX_SOFTWARE); Python's own 1 would mean EXIT_NEEDS_ATTENTION.
 EXIT_BUG = 70
 #: Ctrl-C: 128 + SIGINT, as in shells.
 EXIT_INTERRUPTED = 130

@@ -6,7 +6,8 @@ from datetime import datetime
 from typing import Literal
 from uuid import UUID
 
-from conetl.model.errors import EXIT_TOO_MANY_REJECTIONS, ConetlError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError
+from conetl.model.health import HealthCheck
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import Record, Vec3
 from conetl.model.rejections import RejectionReason
@@ -56,17 +57,40 @@ class IngestReport(Record):
     """Outcome of the self-calibration, as a sentence; None for a known drive."""
     committed_at: datetime | None
     counts_on_map: bool = True
-    """False for a known drive that was reverted or analysed again."""
+    """False for a drive on hold, and for a known one that was reverted or analysed again."""
+    health: tuple[HealthCheck, ...] = ()
+    """Checks of the recording; empty for a known drive."""
+    on_hold: str | None = None
+    """Why the drive does not count until a person accepts it; None unless it is on hold."""
     unpublished: str | None = None
     """Files or notifications that failed after the commit, and what to do; None if all succeeded."""
     replayed_drives: int = 0
     """Later drives that were compared with the map again because this one came late."""
 
 
-class TooManyRejectionsError(ConetlError):
-    """The good records were committed, but more frame pairs are unusable or show too little than the parameters allow."""
+class NeedsAttentionError(ConetlError):
+    """The drive was stored, but a person has to look at it."""
 
-    exit_code = EXIT_TOO_MANY_REJECTIONS
+    exit_code = EXIT_NEEDS_ATTENTION
+
+    def __init__(self, report: IngestReport, message: str) -> None:
+        super().__init__(message)
+        self.report = report
+
+
+class DriveOnHoldError(NeedsAttentionError):
+    """The recording contradicts itself: it is stored and changes nothing on the map until a person accepts it."""
+
+    def __init__(self, report: IngestReport) -> None:
+        super().__init__(
+            report,
+            f"Drive {report.drive_id} is on hold and changes nothing on the map. {report.on_hold} Deliver the drive again with "
+            f"that corrected, or accept it as it is: conetl drive accept {report.drive_id} --note REASON",
+        )
+
+
+class TooManyRejectionsError(NeedsAttentionError):
+    """The good records were committed, but more frame pairs are unusable or show too little than the parameters allow."""
 
     def __init__(self, report: IngestReport, rejected: int, allowed_fraction: float) -> None:
         total = report.frame_pairs + report.frame_pairs_rejected
@@ -78,7 +102,7 @@ class TooManyRejectionsError(ConetlError):
             else ""
         )
         super().__init__(
+            report,
             f"{rejected} of {total} frame pairs of drive {report.drive_id} were rejected, more than {allowed_fraction:.0%} "
-            f"(max_rejected_fraction). The good ones are on the map; see the table of rejections.{cause}"
+            f"(max_rejected_fraction). The good ones are on the map; see the table of rejections.{cause}",
         )
-        self.report = report

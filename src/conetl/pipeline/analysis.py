@@ -12,17 +12,19 @@ from typing import Any
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.records import Detection, Drive, DriveRecords, ImageDetail, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
 from conetl.perception.detections import with_detail, without_unread
 from conetl.perception.model_card import read_model_card
-from conetl.perception.stereo_sides import require_left_and_right
+from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
 from conetl.pipeline.detect import detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, ThreadExecutor, results
 from conetl.pipeline.odometry import (
     Odometry,
+    check_poses,
     motions,
     moved,
     odometry,
@@ -34,6 +36,7 @@ from conetl.pipeline.odometry import (
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov, pose_cov
+from conetl.tracking.health import check_calibration
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.tracking.tracks import fuse_tracks
@@ -49,6 +52,8 @@ class AnalysedDrive:
     trajectory: RefinedTrajectory
     calibration: SelfCalibration
     params: IngestParams
+    health: tuple[HealthCheck, ...] = ()
+    """Checks of the recording."""
 
     @property
     def drive(self) -> Drive:
@@ -89,12 +94,14 @@ def analyse(
     unless given. progress: called with the number of images and motions that are done, and of all. Raises ConetlError.
     """
     params, settings = params or IngestParams(), settings or read_settings()
-    require_left_and_right(drive)
+    rig, health = check_stereo(drive)
+    drive = drive.model_copy(update={"rig": rig})
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         evidence = read_model_card(settings.model_path).evidence
         chunks = chunks_of(drive, settings, params)
         detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, executor, progress)
+        logged = drive.frame_pairs
         drive = drive.model_copy(update={"rig": rig})
         trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
@@ -103,6 +110,7 @@ def analyse(
         drive, detections = without_unread(drive, detections, refused_detections)
         details, _ = load_results(map(detail_path, detection_paths), ImageDetail)
         drive, without_detail = with_detail(drive, details)
+        health += check_poses(logged, drive, motion_paths, trajectory, params.trajectory)
         matches, refused_matches = load_results(match_paths, StereoMatch)
         positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(fuse, drive, detections, matches, positions, params, evidence, trajectory)
@@ -114,7 +122,8 @@ def analyse(
             )
     refused = [*rejections, *refused_detections, *without_detail, *refused_matches, *refused_positions, *refused_tracks]
     records = DriveRecords(drive, detections, matches, positions, tracks, refused)
-    return AnalysedDrive(records, trajectory, calibration, params)
+    health += check_calibration(calibration)
+    return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
 
 
 def _run_chunks(

@@ -26,6 +26,7 @@ from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.errors import MapMismatchError
+from conetl.model.health import hold_reason
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
@@ -122,9 +123,16 @@ def commit(
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
         if known is not None:  # another ingest of the same drive was faster
             return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
-        changeset = _changeset(drive, settings.map_name, identity)
+        changeset, hold = _changeset(drive, settings.map_name, identity), hold_reason(analysed.health)
         merged = merge_drive(
-            conn, records, changeset, params, map_name=settings.map_name, evidence=identity.evidence, run=run
+            conn,
+            records,
+            changeset,
+            params,
+            map_name=settings.map_name,
+            evidence=identity.evidence,
+            run=run,
+            hold=hold,
         )
     deltas = merged.changeset.deltas
     report = IngestReport(
@@ -151,6 +159,9 @@ def commit(
         trajectory=analysed.trajectory.detail,
         calibration=analysed.calibration.detail,
         committed_at=None,
+        counts_on_map=hold is None,
+        health=analysed.health,
+        on_hold=hold,
         replayed_drives=merged.replayed,
     )
     return CommittedDrive(merged.result.changeset, drive, deltas, tuple(merged.extension.untouched), report)
@@ -163,6 +174,7 @@ def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo
         "calibration": analysed.calibration.detail,
         "trajectory_outcome": analysed.trajectory.outcome.value,
         "calibration_outcome": analysed.calibration.outcome.value,
+        "health": [check.model_dump(mode="json") for check in analysed.health],
         **code_facts(),
     }
     return RunInfo(uuid4(), datetime.now(UTC), analysed.params.model_dump(mode="json"), flow_run_id, facts)
@@ -230,6 +242,7 @@ def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_na
         seconds=0.0,
         committed_at=known.committed_at,
         counts_on_map=known.counts,
+        on_hold=known.hold,
     )
 
 

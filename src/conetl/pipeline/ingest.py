@@ -19,7 +19,7 @@ from conetl.db.run_store import StepTime
 from conetl.files.home import make_home
 from conetl.files.storage import forget_all
 from conetl.model.errors import ConetlError, ServiceError, is_of_storage, may_pass, storage_failed
-from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
 from conetl.model.records import Drive
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
@@ -79,8 +79,9 @@ def ingest(
     with one that was before. The images of the drive are read once where they fit into `files.storage.CACHE_BYTES`; those of a
     larger drive are read again.
 
-    Raises ConetlError (bad input, service unavailable: nothing was written) and TooManyRejectionsError (committed, but too many
-    frame pairs were rejected). What fails after the commit is in the report (`unpublished`).
+    Raises ConetlError (bad input, service unavailable: nothing was written), DriveOnHoldError (stored, but the recording
+    contradicts itself) and TooManyRejectionsError (committed, but too many frame pairs were rejected). What fails after the
+    commit is in the report (`unpublished`).
     """
     params, settings, started = params or IngestParams(), settings or read_settings(), time.monotonic()
     make_home(settings.home)
@@ -104,7 +105,7 @@ def ingest(
             return _after_commit(report, lambda: steps.run(publish_known, report, settings, db))
 
         if (report := known()) is not None:
-            return report
+            return _unless_held(report)
         refuse_other_delivery(drive, settings, db)
         analysed = analyse(drive, params, rejections=rejections, settings=settings, executor=steps, progress=progress)
         try:
@@ -112,15 +113,22 @@ def ingest(
         except Exception:  # the commit may have succeeded, and the database's or Prefect's answer have been lost
             if (report := known()) is None:
                 raise
-            return report
+            return _unless_held(report)
         if committed.report.status != "committed":  # another ingest of the same drive was faster
-            return known() or committed.report
+            return _unless_held(known() or committed.report)
         report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
         committed = replace(committed, report=report)
         report = _after_commit(report, lambda: steps.run(publish_new, committed, analysed, settings, db, steps.times()))
+    _unless_held(report)
     lost = len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS))
     if lost > params.max_rejected_fraction * analysed.drive.expected_frame_count:
         raise TooManyRejectionsError(report, lost, params.max_rejected_fraction)
+    return report
+
+
+def _unless_held(report: IngestReport) -> IngestReport:
+    if report.on_hold is not None:
+        raise DriveOnHoldError(report)
     return report
 
 

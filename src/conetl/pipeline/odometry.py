@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
+from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
@@ -21,6 +22,7 @@ from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key
 from conetl.pipeline.executor import Tick, ignore
+from conetl.tracking.health import check_trajectory
 from conetl.tracking.self_calibration import SelfCalibration, choose_spans, span_params, spread_spans
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
 from conetl.tracking.trajectory import RefinedTrajectory, refine_with_cones
@@ -138,6 +140,21 @@ def refine(drive: Drive, motions: list[Path], matches: list[Path], params: Inges
     result = refine_with_cones(drive.frame_pairs, drive.rig, measured, found, params)
     _log.info("Trajectory %s: %s", result.outcome.replace("_", " "), result.detail)
     return result
+
+
+def check_poses(
+    logged: Sequence[FramePair],
+    drive: Drive,
+    motions: Sequence[Path],
+    trajectory: RefinedTrajectory,
+    params: TrajectoryParams,
+) -> list[HealthCheck]:
+    """Checks of the poses as logged against what the images show. drive: with what its images show (`FramePair.detail`)."""
+    details = {pair.frame_index: pair.detail for pair in drive.frame_pairs}
+    pairs = [
+        pair.model_copy(update={"detail": details[pair.frame_index]}) for pair in logged if pair.frame_index in details
+    ]
+    return check_trajectory(pairs, drive.rig, load_results(motions, RelativeMotion)[0], trajectory, params)
 
 
 def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:

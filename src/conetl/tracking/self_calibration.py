@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import (
@@ -30,7 +29,7 @@ from conetl.geometry.calibration.self_calibration import SpanPoints, as_camera, 
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import vec3
-from conetl.geometry.rig import body_SE3_camera
+from conetl.geometry.rig import body_SE3_camera, right_camera_turned
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import CalibrationCovariance, Record, Rig, SharedErrors, Vec3
 
@@ -194,19 +193,11 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
         matrix=as_rows(_shared_after(prior, by_parameter, lift @ (before - after) @ back, found, _floor(rig, params))),
     )
     covariance = CalibrationCovariance(names=names, matrix=as_rows(left_over), shared=shared)
-    own = body_SE3_camera(rig, "right")
     rotation, shift_px = as_camera(np.array([*found.rotation_rad, found.bend]), rig.right.fx_px)
-    in_body = own[:3, :3] @ Rotation.from_rotvec(rotation).as_matrix() @ own[:3, :3].T
-
-    def turn(one: Rig) -> Rig:
-        pose = body_SE3_camera(one, "right")
-        pose[:3, :3] = in_body @ pose[:3, :3]
-        return one.model_copy(update={"body_SE3_right": se3.to_matrix4(pose)})
-
+    rig = right_camera_turned(rig, rotation)
     if rig.rectified_from is None:
-        right = rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})
-        return with_covariance(turn(rig).model_copy(update={"right": right}), covariance)
-    return with_covariance(turn(rig).model_copy(update={"rectified_from": turn(rig.rectified_from)}), covariance)
+        rig = rig.model_copy(update={"right": rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})})
+    return with_covariance(rig, covariance)
 
 
 def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: SelfCalibration, floor: Floats) -> Floats:

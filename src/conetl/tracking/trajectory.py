@@ -96,11 +96,11 @@ def refine_trajectory(
 
     if not params.refine:
         return as_logged(RefinementOutcome.SWITCHED_OFF, "refinement is switched off")
-    log = _read_log(frame_pairs, rig, params)
-    measured = _measured(frame_pairs, motions, params)
+    log = read_log(frame_pairs, rig, params)
+    measured = measured_motions(frame_pairs, motions, params)
     if not len(measured.start):
         return as_logged(RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared")
-    good = _plausible(log, measured)
+    good = plausible_motions(log, measured)
     if not good.any():
         detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
         return as_logged(RefinementOutcome.NO_MEASUREMENT, detail)
@@ -207,7 +207,7 @@ def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Fl
     return cov.reshape(count * POSE, count * POSE)
 
 
-def _read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams) -> LoggedPoses:
+def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams) -> LoggedPoses:
     sigma_p = np.maximum([pair.pose.sigma_enu_m for pair in frame_pairs], _LEAST_SIGMA_M)
     sigma_a = np.maximum([pair.pose.sigma_rpy_rad for pair in frame_pairs], _LEAST_SIGMA_RAD)
     share = np.repeat([params.gnss_white_share, params.attitude_white_share], 3)
@@ -222,7 +222,7 @@ def _read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryPara
     )  # fmt: skip
 
 
-def _measured(
+def measured_motions(
     frame_pairs: Sequence[FramePair], motions: Sequence[RelativeMotion], params: TrajectoryParams
 ) -> MeasuredMotions:
     """Measured intervals with the error floors added to their covariance."""
@@ -245,7 +245,7 @@ def _measured(
     )
 
 
-def _plausible(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]:
+def plausible_motions(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]:
     """(M,): which measured intervals are plausible.
 
     An interval is refused if it contradicts GNSS/INS beyond its errors, or if it alone departs from its neighbours while

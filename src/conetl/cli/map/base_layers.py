@@ -24,7 +24,7 @@ from conetl.cli.console import (
 from conetl.cli.database import open_map
 from conetl.db.base_store import drop_base_layer, list_base_sources, read_map_ground
 from conetl.db.map.map_store import find_map
-from conetl.model.errors import EXIT_BAD_INPUT, EXIT_TOO_MANY_REJECTIONS, InputError
+from conetl.model.errors import EXIT_BAD_INPUT, EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # GDAL and the LAS libraries take seconds to load: only where a file is imported
@@ -82,7 +82,7 @@ def import_files(
     if failed:
         raise typer.Exit(EXIT_BAD_INPUT)
     if any(item.refused > _MAX_REFUSED_SHARE * item.read for item in done):
-        raise typer.Exit(EXIT_TOO_MANY_REJECTIONS)
+        raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
 def import_one(

@@ -49,9 +49,9 @@ def revert(
 
     settings = read_settings()
     with open_map(settings) as conn:
-        decided = decisions.revert(conn, what, map_name=settings.map_name, note=note, decided_by=_who(by))
+        decided = decisions.revert(conn, what, map_name=settings.map_name, note=note, decided_by=who_decides(by))
         numbers = {c.changeset_id: c.changeset_no for c in list_changesets(conn, map_name=settings.map_name)}
-    _print(decided, as_json)
+    print_outcome(decided, as_json)
     if as_json or not decided.conflicts:
         return
     say("Other drives changed these features as well; their changes are kept:")
@@ -98,19 +98,21 @@ def _decide_place(
     settings = read_settings()
     with open_map(settings) as conn:
         decided = decide_place(
-            conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note, decided_by=_who(by)
+            conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note, decided_by=who_decides(by)
         )
-    _print(decided, as_json)
+    print_outcome(decided, as_json)
 
 
-def _who(by: str | None) -> str:
+def who_decides(by: str | None) -> str:
+    """The name that is stored with a decision: as given, or that of the login."""
     try:
         return by or getpass.getuser()
     except (OSError, KeyError) as error:  # a container whose user has no name
         raise InputError("the login name is unknown: give the name of the person who decides with --by NAME") from error
 
 
-def _print(decided: DecisionOutcome, as_json: bool) -> None:
+def print_outcome(decided: DecisionOutcome, as_json: bool) -> None:
+    """Print what a decision did."""
     if as_json:
         print_json(decided._asdict() | {"conflicts": [conflict._asdict() for conflict in decided.conflicts]})
         return

@@ -12,7 +12,7 @@ import typer
 from conetl.cli.console import JsonOption, err, print_json, print_table, progress_bar, say
 from conetl.geometry.calibration.stereo_calibration import MODELS, BoardShape, calibrate_stereo, rig_of
 from conetl.geometry.rectification import check_stereo_baseline
-from conetl.model.errors import EXIT_TOO_MANY_REJECTIONS, CalibrationError, InputError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, CalibrationError, InputError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.boards.boards import Board, parse_board
 from conetl.perception.boards.images import (
@@ -112,7 +112,7 @@ def calibrate(
     else:
         _print(content)
     if len(rejected) > MAX_REJECTED_SHARE * 2 * len(pairs):
-        raise typer.Exit(EXIT_TOO_MANY_REJECTIONS)
+        raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
 def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) -> list[ImagePair]:

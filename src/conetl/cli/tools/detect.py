@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from conetl.cli.console import JsonOption, answer, complain, progress_bar, say
 from conetl.files.atomic import atomic_text_file
 from conetl.model.detector_evidence import DetectorEvidence, calibrated_probability
-from conetl.model.errors import EXIT_TOO_MANY_REJECTIONS, InputError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_upright_image
 from conetl.pipeline.settings import read_settings
@@ -64,7 +64,7 @@ def detect(
     if draw is not None and not as_json:
         say(f"annotated images -> {draw}")
     if refused:
-        raise typer.Exit(EXIT_TOO_MANY_REJECTIONS)
+        raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
 def _entry(path: Path, box: NDArray[np.float64], evidence: DetectorEvidence | None) -> dict[str, Any]:

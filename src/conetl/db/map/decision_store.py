@@ -21,7 +21,7 @@ def list_decisions(conn: Connection, *, map_name: str = "default") -> list[Store
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
     """The decisions about places, in the form for the comparison of drives."""
-    places: dict[str, list[Location]] = {"suppress": [], "pin": [], "revert": []}
+    places: dict[str, list[Location]] = {"suppress": [], "pin": []}
     for decision in list_decisions(conn, map_name=map_name):
         if decision.place is not None:
             places[decision.kind].append(decision.place)
@@ -48,7 +48,7 @@ def insert_decision(
     changeset_id: UUID | None = None,
     withdraws: UUID | None = None,
 ) -> UUID:
-    """Write a decision inside the caller's `map_transaction`; its id. kind: suppress, pin, revert or withdraw."""
+    """Write a decision inside the caller's `map_transaction`; its id. kind: suppress, pin, revert, hold or withdraw."""
     decision_id = uuid4()
     easting_m, northing_m = place.xy_m if place else (None, None)
     parameters = {

@@ -74,7 +74,9 @@ class CommittedChangeset:
     captured_from_ns: int
     captured_to_ns: int
     counts: bool
-    """False if the drive was reverted, or another analysis of the same recording replaced it."""
+    """False if the drive is on hold or was reverted, or another analysis of the same recording replaced it."""
+    hold: str | None
+    """Why the drive is on hold; None unless it is."""
 
 
 @dataclass(frozen=True)
@@ -175,12 +177,12 @@ class Replay:
 
 @dataclass(frozen=True)
 class StoredDecision:
-    """A person's decision about a map."""
+    """A person's decision about a map, or the hold of a drive."""
 
     decision_id: UUID
     decision_no: int
     kind: str
-    """suppress, pin or revert."""
+    """suppress, pin, revert or hold."""
     easting_m: float | None
     northing_m: float | None
     radius_m: float | None
@@ -188,7 +190,7 @@ class StoredDecision:
     changeset_id: UUID | None
     note: str
     decided_by: str | None
-    """None if no name was given."""
+    """None of a hold, and if no name was given."""
     decided_at: datetime
 
     @property

@@ -13,7 +13,7 @@ from uuid import UUID
 
 from conetl.db.connection import LOCK_TIMEOUT_S, Connection
 from conetl.db.map.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
-from conetl.db.map.map_store import find_features, map_transaction, require_map, system_time
+from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
 from conetl.db.map.replay_store import affected_drives, drives_at, read_open_version, superseded_drives, write_replay
 from conetl.db.map.results import Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
@@ -21,7 +21,7 @@ from conetl.model.errors import ConflictError, InputError
 from conetl.model.map_records import FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
-SUPPRESS, PIN, REVERT, WITHDRAW = "suppress", "pin", "revert", "withdraw"
+SUPPRESS, PIN, REVERT, HOLD, WITHDRAW = "suppress", "pin", "revert", "hold", "withdraw"
 #: A larger area is no statement about one cone.
 MAX_RADIUS_M = 20.0
 
@@ -116,7 +116,7 @@ def revert(
         decided_at = system_time(conn, info, now)
         if target.kind == "changeset":
             if any(decision.changeset_id == target.id for decision in list_decisions(conn, map_name=map_name)):
-                raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
+                raise ConflictError(f"changeset {target.id} is reverted or on hold already: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
         elif target.kind == WITHDRAW or not target.active:
             raise ConflictError(f"decision {target.id} is not in force any more: make it again instead")
@@ -144,6 +144,24 @@ def revert(
         else:
             raise InputError(f"decision {target.id} cannot be reverted")
     return DecisionOutcome(decision_id, kind, decided_at, written, replayed, conflicts)
+
+
+def accept_drive(
+    conn: Connection, drive: str, *, map_name: str, note: str = "", decided_by: str | None = None
+) -> DecisionOutcome:
+    """Withdraw the hold of a drive, so that it counts. drive: its id, or its changeset's number. Raises InputError where no such
+    drive is on hold."""
+    named = [
+        known.changeset_id
+        for known in list_changesets(conn, map_name=map_name)
+        if drive in (known.drive_id, str(known.changeset_no))
+    ]
+    holds = [d for d in list_decisions(conn, map_name=map_name) if d.kind == HOLD and d.changeset_id in named]
+    if not holds:
+        raise InputError(f"no drive {drive} is on hold on the map {map_name}: `conetl drive held` lists them")
+    if len(holds) > 1:
+        raise InputError(f"{len(holds)} drives {drive} are on hold: give the number that `conetl drive held` lists")
+    return revert(conn, str(holds[0].decision_id), map_name=map_name, note=note, decided_by=decided_by)
 
 
 def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:

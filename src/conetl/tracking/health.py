@@ -1,0 +1,145 @@
+"""Whether the poses of a drive agree with what its images show: health checks of trajectory and calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.motion.pose_graph import MeasuredMotions, motion_residuals
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.motion.stereo_tracks import expected_motions
+from conetl.model.health import HealthCheck, Verdict
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import MIN_DETAIL, FramePair, Rig
+from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
+from conetl.tracking.trajectory import (
+    RefinedTrajectory,
+    RefinementOutcome,
+    measured_motions,
+    plausible_motions,
+    read_log,
+)
+
+Floats = NDArray[np.float64]
+#: A shorter drive says too little about itself.
+_LEAST_INTERVALS = 8
+_MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
+#: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
+_JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
+#: What a vehicle may gain or lose in speed, m/s^2, and how far around an interval its motion is taken from neighbours.
+_ACCELERATION, _NEIGHBOURS = 8.0, 4
+
+
+def check_trajectory(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    motions: Sequence[RelativeMotion],
+    trajectory: RefinedTrajectory,
+    params: TrajectoryParams,
+) -> list[HealthCheck]:
+    """Checks of the logged poses against visual odometry; none of a short drive. frame_pairs: as logged, with `detail`."""
+    intervals = len(frame_pairs) - 1
+    if not params.refine or intervals < _LEAST_INTERVALS:
+        return []
+    log, measured = read_log(frame_pairs, rig, params), measured_motions(frame_pairs, motions, params)
+    good = plausible_motions(log, measured) if len(measured.start) else np.zeros(0, dtype=bool)
+    return [
+        _measured(frame_pairs, len(measured.start)),
+        _agreement(measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]),
+        _jumps(frame_pairs, rig, measured, good),
+        HealthCheck(
+            name="stated sigmas of the poses",
+            verdict=Verdict.HOLD if trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS else Verdict.PASS,
+            value=None,
+            detail=f"{trajectory.detail[0].upper()}{trajectory.detail[1:]}.",
+        ),
+    ]
+
+
+def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
+    """Whether the images contradict the calibration by more than it can be corrected."""
+    verdict = {
+        SelfCalibrationOutcome.IMPLAUSIBLE: Verdict.HOLD,
+        SelfCalibrationOutcome.APPLIED: Verdict.CORRECTED,
+    }.get(calibration.outcome, Verdict.PASS)
+    detail = f"{calibration.detail[0].upper()}{calibration.detail[1:]}."
+    if verdict is Verdict.HOLD:
+        detail += " Calibrate the rig anew (conetl calibrate), or see whether the images were cropped or shifted."
+    return [HealthCheck(name="calibration", verdict=verdict, value=None, detail=detail)]
+
+
+def _measured(frame_pairs: Sequence[FramePair], measured: int) -> HealthCheck:
+    """Whether images that show enough for it can be followed from frame to frame."""
+    intervals = len(frame_pairs) - 1
+    share = measured / intervals
+    seeing = np.median([pair.detail if pair.detail is not None else 0.0 for pair in frame_pairs]) >= MIN_DETAIL
+    lost = seeing and share < _LEAST_MEASURED_SHARE
+    detail = f"Visual odometry measured {measured} of {intervals} intervals between frame pairs."
+    if lost:
+        detail = (
+            f"Visual odometry could measure only {measured} of {intervals} intervals, although the images show enough: the poses "
+            "are not those of these images, or left and right images do not belong together. Check numbers, order and time "
+            "stamps of images and poses."
+        )
+    return HealthCheck(
+        name="intervals measured by visual odometry", verdict=Verdict.HOLD if lost else Verdict.PASS, value=share,
+        limit=_LEAST_MEASURED_SHARE, detail=detail,
+    )  # fmt: skip
+
+
+def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Floats) -> HealthCheck:
+    """Whether the motions agree with the log within the errors of both."""
+    refused = int((~good).sum())
+    share = refused / max(len(good), 1)
+    held = refused > 1 and share > _MAX_REFUSED_SHARE
+    detail = f"{len(good) - refused} of {len(good)} measured motions agree with GNSS/INS."
+    if held:
+        metres, degrees = (
+            np.median(np.linalg.norm(part[~good], axis=1)) for part in (residual[:, 3:], np.degrees(residual[:, :3]))
+        )
+        detail = (
+            f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
+            "median. Check the clocks of cameras and GNSS/INS, the alignment of both, and the stated sigmas."
+        )
+    return HealthCheck(
+        name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
+        limit=_MAX_REFUSED_SHARE, detail=detail,
+    )  # fmt: skip
+
+
+def _jumps(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_]
+) -> HealthCheck:
+    """Intervals that no accepted motion confirms, and in which the log moves otherwise than their neighbours."""
+    times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
+    steps_s = np.maximum(np.diff(times_s), 1e-3)
+    logged = np.array([motion[:3, 3] for motion in expected_motions(frame_pairs, rig)])
+    speeds = np.full_like(logged, np.nan)
+    speeds[measured.start[good]] = measured.next_SE3_first[good, :3, 3] / steps_s[measured.start[good], None]
+    sigma_m = np.array([max(pair.pose.sigma_enu_m) for pair in frame_pairs])
+    worst_m, worst = 0.0, 0
+    for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
+        near = slice(max(k - _NEIGHBOURS, 0), k + _NEIGHBOURS + 1)
+        known = ~np.isnan(speeds[near, 0])
+        if known.sum() < 2:
+            continue
+        off_m = float(np.linalg.norm(logged[k] - np.median(speeds[near][known], axis=0) * steps_s[k]))
+        reach_s = float(times_s[min(k + _NEIGHBOURS + 1, len(times_s) - 1)] - times_s[max(k - _NEIGHBOURS, 0)])
+        allowed_m = (
+            max(_JUMP_M, _JUMP_SIGMAS * float(sigma_m[k : k + 2].max())) + _ACCELERATION * steps_s[k] * reach_s / 2
+        )
+        if off_m > max(allowed_m, worst_m):
+            worst_m, worst = off_m, int(k)
+    detail = "The poses do not jump."
+    if worst_m:
+        first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
+        detail = (
+            f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, and the images do not: which side is "
+            "right cannot be told. Process the GNSS/INS log anew, or deliver the parts as drives of their own."
+        )
+    return HealthCheck(
+        name="jumps of the poses", verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_JUMP_M, unit="m",
+        detail=detail,
+    )  # fmt: skip

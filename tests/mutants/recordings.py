@@ -1,0 +1,118 @@
+"""Recordings that are well-formed and wrong: changes of a drive in memory, each of which leaves valid records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.packing import vec3
+from conetl.model.records import Drive, Pose
+
+Mutant = Callable[[Drive], Drive]
+
+
+def with_poses(drive: Drive, pose_of: Callable[[int], Pose]) -> Drive:
+    pairs = tuple(pair.model_copy(update={"pose": pose_of(k)}) for k, pair in enumerate(drive.frame_pairs))
+    return drive.model_copy(update={"frame_pairs": pairs})
+
+
+def displaced(shift_m: Callable[[int, int], NDArray[np.float64] | tuple[float, float, float]]) -> Mutant:
+    """shift_m: of pose k of n."""
+
+    def mutant(drive: Drive) -> Drive:
+        count = len(drive.frame_pairs)
+
+        def pose_of(k: int) -> Pose:
+            pose = drive.frame_pairs[k].pose
+            return pose.model_copy(update={"map_t_body_m": vec3(np.array(pose.map_t_body_m) + shift_m(k, count))})
+
+        return with_poses(drive, pose_of)
+
+    return mutant
+
+
+def jump(metres: float, first: int = 20, last: int = 10**6) -> Mutant:
+    return displaced(lambda k, _: (metres * (first <= k < last), 0.0, 0.0))
+
+
+def drift(metres: float) -> Mutant:
+    return displaced(lambda k, count: (metres * k / count, 0.0, 0.0))
+
+
+def noise(metres: float) -> Mutant:
+    shifts = np.random.default_rng(1).normal(0.0, metres, (1000, 3))
+    return displaced(lambda k, _: shifts[k])
+
+
+def late(records: int) -> Mutant:
+    """Poses that come so many records late."""
+    return lambda drive: with_poses(drive, lambda k: drive.frame_pairs[max(k - records, 0)].pose)
+
+
+def clock(milliseconds: float) -> Mutant:
+    """Poses of another instant than the images."""
+    return lambda drive: with_poses(
+        drive, lambda k: pose_at(drive, drive.frame_pairs[k].captured_at_ns + milliseconds * 1e6)
+    )
+
+
+def pose_at(drive: Drive, at_ns: float) -> Pose:
+    """The pose between, or beyond, the logged ones."""
+    times = np.array([pair.captured_at_ns for pair in drive.frame_pairs], dtype=np.float64)
+    k = int(np.clip(np.searchsorted(times, at_ns) - 1, 0, len(times) - 2))
+    share = (at_ns - times[k]) / (times[k + 1] - times[k])
+    first, second = (se3.map_SE3_body(drive.frame_pairs[i].pose) for i in (k, k + 1))
+    turn = Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).as_rotvec()
+    rotation = first[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+    place = (1 - share) * first[:3, 3] + share * second[:3, 3]
+    return drive.frame_pairs[k].pose.model_copy(
+        update={"map_R_body": se3.to_matrix3(rotation), "map_t_body_m": vec3(place)}
+    )
+
+
+def reversed_poses(drive: Drive) -> Drive:
+    return with_poses(drive, lambda k: drive.frame_pairs[len(drive.frame_pairs) - 1 - k].pose)
+
+
+def frozen_place(drive: Drive) -> Drive:
+    place = drive.frame_pairs[0].pose.map_t_body_m
+    return with_poses(drive, lambda k: drive.frame_pairs[k].pose.model_copy(update={"map_t_body_m": place}))
+
+
+def turned(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Mutant:
+    turn = Rotation.from_euler("xyz", (roll_deg, pitch_deg, yaw_deg), degrees=True).as_matrix()
+
+    def pose_of(pose: Pose) -> Pose:
+        return pose.model_copy(update={"map_R_body": se3.to_matrix3(np.array(pose.map_R_body) @ turn)})
+
+    return lambda drive: with_poses(drive, lambda k: pose_of(drive.frame_pairs[k].pose))
+
+
+def right_late(frames: int) -> Mutant:
+    """Right images of so many frames before."""
+
+    def mutant(drive: Drive) -> Drive:
+        pairs = drive.frame_pairs
+        moved = tuple(
+            pair.model_copy(update={"right_path": old.right_path, "right_sha256": old.right_sha256})
+            for pair, old in zip(pairs[frames:], pairs, strict=False)
+        )
+        return drive.model_copy(update={"frame_pairs": moved})
+
+    return mutant
+
+
+def baseline(factor: float) -> Mutant:
+    """A calibration whose baseline is so many times the true one."""
+
+    def mutant(drive: Drive) -> Drive:
+        left, right = np.array(drive.rig.body_SE3_left), np.array(drive.rig.body_SE3_right)
+        right[:3, 3] = left[:3, 3] + factor * (right[:3, 3] - left[:3, 3])
+        rig = drive.rig.model_copy(update={"body_SE3_right": se3.to_matrix4(right)})
+        return drive.model_copy(update={"rig": rig})
+
+    return mutant

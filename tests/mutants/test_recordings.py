@@ -1,0 +1,96 @@
+"""Recordings whose poses, clocks or calibration contradict their images: held with their cause named, never believed."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import SecretStr
+
+from conetl.db.connection import connect
+from conetl.db.map.map_store import list_changesets, read_current_features
+from conetl.model.errors import InputError
+from conetl.model.health import Verdict, hold_reason
+from conetl.model.ingest_report import DriveOnHoldError
+from conetl.pipeline.analysis import analyse
+from conetl.pipeline.commit import commit
+from conetl.pipeline.ingest import ingest
+from conetl.pipeline.maps.decisions import accept_drive
+from conetl.pipeline.settings import Settings
+from conetl.readers.drives import read_drive
+from tests.integration.small_drives import SAMPLES
+from tests.mutants import recordings as wrong
+
+#: Name -> what is wrong, and what the reason of the hold must say.
+HELD: dict[str, tuple[wrong.Mutant, str]] = {
+    "GNSS jumps 50 m": (wrong.jump(50.0), "GNSS/INS jumps by 50.0 m between frame pairs 19 and 20"),
+    "GNSS jumps 5 m": (wrong.jump(5.0), "GNSS/INS jumps by 5.0 m between frame pairs 19 and 20"),
+    "GNSS jumps 1 m": (wrong.jump(1.0), "GNSS/INS jumps by 1.0 m between frame pairs 19 and 20"),
+    "GNSS jumps and returns": (wrong.jump(50.0, 20, 25), "GNSS/INS jumps by 50.0 m"),
+    "GNSS drifts 3 m": (wrong.drift(3.0), "contradict GNSS/INS"),
+    "GNSS noise 0.3 m": (wrong.noise(0.3), "contradict GNSS/INS"),
+    "poses 5 records late": (wrong.late(5), "contradict GNSS/INS"),
+    "poses in reverse": (wrong.reversed_poses, "the poses are not those of these images"),
+    "GNSS frozen": (wrong.frozen_place, "the poses are not those of these images"),
+    "yaw 5 degrees": (wrong.turned(0.0, 0.0, 5.0), "contradict GNSS/INS"),
+    "yaw 2 degrees": (wrong.turned(0.0, 0.0, 2.0), "contradict GNSS/INS"),
+    "right camera a frame late": (wrong.right_late(1), "right images belong to left images 1 frames earlier"),
+    "right camera 3 frames late": (wrong.right_late(3), "right images belong to left images 3 frames earlier"),
+    "baseline 5 % too long": (wrong.baseline(1.05), "contradict GNSS/INS"),
+}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Detections are made once for all mutants."""
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_a_recording_that_contradicts_itself_is_held(home: Path, name: str) -> None:
+    drive, _ = read_drive(SAMPLES[0])
+    mutant, cause = HELD[name]
+    assert cause in (hold_reason(analyse(mutant(drive), settings=Settings(home=home, workers=2)).health) or "")
+
+
+@pytest.mark.parametrize("folder", SAMPLES, ids=lambda folder: folder.name)
+def test_good_recordings_pass(home: Path, folder: Path) -> None:
+    checks = analyse(read_drive(folder)[0], settings=Settings(home=home, workers=2)).health
+    assert checks
+    assert {check.verdict for check in checks} == {Verdict.PASS}, [c for c in checks if c.verdict is not Verdict.PASS]
+
+
+def test_a_drive_on_hold_changes_nothing_until_it_is_accepted(database_url: str, home: Path, tmp_path: Path) -> None:
+    settings = Settings(home=home, database_url=SecretStr(database_url), workers=2)
+    assert len(ingest(SAMPLES[0], settings=settings).changes) == 9
+    drive, _ = read_drive(SAMPLES[1])
+    moved = wrong.jump(5.0)(drive)
+    report = commit(analyse(moved, settings=settings), settings).report
+    assert report.on_hold is not None and not report.counts_on_map and not report.changes
+    with closing(connect(database_url)) as conn:
+        before = read_current_features(conn)
+        assert len(before) == 9
+        assert [known.hold for known in list_changesets(conn)] == [report.on_hold, None]
+        with pytest.raises(InputError, match="no drive elsewhere is on hold"):
+            accept_drive(conn, "elsewhere", map_name="default")
+        accepted = accept_drive(conn, drive.drive_id, map_name="default", note="a test", decided_by="somebody")
+        assert accepted.versions_written and read_current_features(conn) != before
+        assert [(known.hold, known.counts) for known in list_changesets(conn)] == [(None, True)] * 2
+
+
+def test_ingest_of_a_drive_on_hold_ends_with_its_cause(database_url: str, home: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "jumping"
+    shutil.copytree(SAMPLES[0], folder)
+    for path in sorted((folder / "oxts" / "data").iterdir())[20:]:
+        latitude, *others = path.read_text().split()
+        path.write_text(" ".join([str(float(latitude) + np.degrees(5.0 / 6_378_137.0)), *others]))
+    settings = Settings(home=home, database_url=SecretStr(database_url), workers=2)
+    for _ in range(2):  # a second time it is known, and on hold as before
+        with pytest.raises(DriveOnHoldError, match=r"on hold .* jumps by 5.0 m .* conetl drive accept jumping") as held:
+            ingest(folder, settings=settings)
+        assert held.value.exit_code == 1
+    with closing(connect(database_url)) as conn:
+        assert not read_current_features(conn)
