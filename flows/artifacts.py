@@ -77,6 +77,9 @@ def publish_drive(
     if report.changes:
         rows = [_change_row(line) for line in report.changes]
         create_table_artifact(rows, key="changes", description=f"Changes by drive {report.drive_id}")
+    if report.health:
+        checks = [check.model_dump(mode="json") for check in report.health]
+        create_table_artifact(checks, key="health", description=f"Health checks of drive {report.drive_id}")
     if report.rejections:
         reasons = [
             {"reason": str(reason).replace("_", " "), "records": count} for reason, count in report.rejections.items()

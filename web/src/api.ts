@@ -127,7 +127,7 @@ export interface BaseLine {
 /** A decision in effect. */
 export interface Decision {
   decision_id: string;
-  kind: "suppress" | "pin" | "revert";
+  kind: "suppress" | "pin" | "revert" | "hold";
   /** Centre of the area with the radius radius_m. */
   xy_m: [number, number] | null;
   radius_m: number | null;

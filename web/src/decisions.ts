@@ -27,7 +27,7 @@ export interface Choice {
 
 export function aboutFeature(all: Decision[], id: string, xyz: [number, number, number] | undefined): Decision[] {
   return all.filter((d) => {
-    if (d.kind === "revert") return false;
+    if (d.kind === "revert" || d.kind === "hold") return false;
     if (d.feature_id === id) return true;
     return xyz !== undefined && d.xy_m !== null && Math.hypot(d.xy_m[0] - xyz[0], d.xy_m[1] - xyz[1]) <= (d.radius_m ?? 0);
   });
@@ -45,12 +45,19 @@ export const placeChoice = (kind: "suppress" | "pin", id: string, version: numbe
   done: kind === "suppress" ? "Suppressed." : "Pinned.",
 });
 
+const WITHDRAWALS: Record<Decision["kind"], [text: string, submit: string, explain: string]> = {
+  suppress: ["Withdraw …", "Withdraw the decision", "The decision no longer applies: drives update this position again."],
+  pin: ["Unpin …", "Unpin", "The decision no longer applies: drives update this position again."],
+  revert: ["Withdraw …", "Withdraw the decision", "The drive counts again."],
+  hold: ["Accept …", "Accept the drive", "The drive counts as it is, whatever its health checks found."],
+};
+
 export const withdrawChoice = (d: Decision): Choice => ({
-  text: d.kind === "pin" ? "Unpin …" : "Withdraw …",
-  explain: d.kind === "revert" ? "The drive counts again." : "The decision no longer applies: drives update this position again.",
-  submit: d.kind === "pin" ? "Unpin" : "Withdraw the decision",
+  text: WITHDRAWALS[d.kind][0],
+  submit: WITHDRAWALS[d.kind][1],
+  explain: WITHDRAWALS[d.kind][2],
   request: ({ decided_by, reason }) => ({ kind: "withdraw", decision_id: d.decision_id, decided_by, reason }),
-  done: "Withdrawn.",
+  done: d.kind === "hold" ? "Accepted." : "Withdrawn.",
 });
 
 export const revertChoice = (changesetId: string, driveId: string): Choice => ({
@@ -61,12 +68,12 @@ export const revertChoice = (changesetId: string, driveId: string): Choice => ({
   done: "Reverted.",
 });
 
-const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", revert: "Reverted" };
+const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", revert: "Reverted", hold: "On hold" };
 
 /** "Pinned by Ada: stands on a kerb", with the time. */
 export function sentence(d: Decision): HTMLElement {
   return el("div", { class: "decision" },
-    el("b", { textContent: `${LABELS[d.kind]}${d.drive_id ? ` ${d.drive_id}` : ""}` }), ` by ${d.decided_by ?? "an unknown person"}`,
+    el("b", { textContent: `${LABELS[d.kind]}${d.drive_id ? ` ${d.drive_id}` : ""}` }), ` by ${d.decided_by ?? (d.kind === "hold" ? "health checks" : "an unknown person")}`,
     Boolean(d.reason) && `: ${d.reason}`, el("small", { textContent: `${utc(d.decided_at)} UTC${d.radius_m === null ? "" : ` · within ${d.radius_m} m`}` })); // prettier-ignore
 }
 

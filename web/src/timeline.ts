@@ -117,7 +117,7 @@ function driveView(actions: TimelineActions) {
         el("strong", { textContent: t.drive_id }),
         el("span", { textContent: `drive ${index + 1} of ${items.length} · recorded ${utc(t.captured_from)} UTC · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
         el("span", { class: "chips" }, ...changesOf(t).map((c) => el("span", { class: "chip" }, icon(c.kind), c.text)),
-          !t.counts && el("span", { class: "chip off", title: "It was reverted, or a later analysis of the same recording replaced it.", textContent: "not counted" })),
+          !t.counts && el("span", { class: "chip off", title: "It is on hold or was reverted, or a later analysis of the same recording replaced it.", textContent: "not counted" })),
       ); // prettier-ignore
     },
   };

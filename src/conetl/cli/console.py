@@ -24,6 +24,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
+from conetl.model.health import HealthCheck, Verdict
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 ParamsOption = Annotated[
@@ -118,6 +119,13 @@ def print_records(title: str, columns: Columns, records: Iterable[object], *, nu
     readers = [attrgetter(value) if isinstance(value, str) else value for value in columns.values()]
     rows = [[read(record) for read in readers] for record in records]
     print_table(title, list(columns), rows, numbers_from=numbers_from)
+
+
+def print_checks(checks: Sequence[HealthCheck]) -> None:
+    """The health checks of a recording that did not pass, a line each."""
+    for check in checks:
+        if check.verdict is not Verdict.PASS:
+            out.print(f"[bold]{check.verdict.value}[/] {escape(check.name)}: {escape(check.detail)}")
 
 
 def cell(value: object) -> str:

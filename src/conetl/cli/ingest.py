@@ -21,6 +21,7 @@ from conetl.cli.console import (
     counted,
     note_unmeasured,
     out,
+    print_checks,
     print_json,
     print_records,
     print_table,
@@ -209,6 +210,7 @@ def print_report(report: IngestReport) -> None:
         out.print(f"Trajectory: {report.trajectory}.")
     if report.calibration:
         out.print(f"Calibration: {report.calibration}.")
+    print_checks(report.health)
     if report.replayed_drives:
         later = counted(report.replayed_drives, "later drive")
         out.print(f"{later} over the same roads compared with the map again.")

@@ -8,9 +8,20 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, MapSridOption, print_json, print_records, print_table, say
+from conetl.cli.console import (
+    Columns,
+    JsonOption,
+    MapSridOption,
+    print_checks,
+    print_json,
+    print_records,
+    print_table,
+    say,
+)
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
+from conetl.model.health import hold_reason
 from conetl.model.params import IngestParams
+from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import drive_format, read_drive
 from conetl.readers.drives.summary import DriveSummary, summarise
@@ -38,27 +49,31 @@ def inspect(
 ) -> None:
     """Show what a drive contains: format, rig, frame pairs and losses, rate, gaps, pose quality, extent, expected time.
 
-    Only headers and ends of the images are read; nothing is decoded and nothing is written to the map. Exit code 2 if the drive
-    cannot be ingested, 1 if it can but too many of its pairs are lost.
+    Only headers and ends of the images are read, and five pairs are compared; nothing is written to the map. Exit code 2 if the
+    drive cannot be ingested, 1 if it can but too many of its pairs are lost, its poses jump, or a health check would hold it.
     """
     settings = read_settings()
     found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
     kind = drive_format(drive) or "kitti"
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)
+    checks = [] if kind == "bag" else check_stereo(found)[1]  # nothing of a bag is unpacked
     if picture is not None:
         from conetl.reports.inspection_images import draw_drive  # matplotlib takes half a second to load
 
         draw_drive(picture, found, summary)
     if as_json:
         facts = {"format": kind, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
+        facts["health"] = [check.model_dump(mode="json") for check in checks]
         print_json({**facts, "picture": None if picture is None else str(picture)})
     else:
         _print(drive, kind, summary, seconds, settings.workers)
+        print_checks(checks)
         if picture is not None:
             say(f"Image: {picture}")
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs
-    raise typer.Exit(EXIT_NEEDS_ATTENTION if lost > IngestParams().max_rejected_fraction else EXIT_DONE)
+    doubtful = lost > IngestParams().max_rejected_fraction or summary.poses.jumps or hold_reason(checks)
+    raise typer.Exit(EXIT_NEEDS_ATTENTION if doubtful else EXIT_DONE)
 
 
 def estimated_seconds(summary: DriveSummary, workers: int) -> float:

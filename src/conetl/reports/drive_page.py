@@ -88,7 +88,9 @@ def alerts(facts: DriveFacts) -> list[Alert]:
 def _alerts(facts: DriveFacts) -> Iterator[Alert]:
     kinds = Counter(c.kind for c in facts.changes)
     if not facts.changeset.counts:
-        yield Alert(True, "This changeset is not in effect: it was reverted, or the drive was analysed again.")
+        hold = facts.changeset.hold
+        reason = f"the drive is on hold. {hold}" if hold else "it was reverted, or the drive was analysed again."
+        yield Alert(True, f"This changeset is not in effect: {reason}")
     if facts.lost_pairs:
         expected = int(facts.header["expected_frame_count"])
         share, limit = facts.lost_pairs / expected, facts.params.get("max_rejected_fraction")
@@ -164,6 +166,10 @@ def _trajectory_rows(facts: DriveFacts) -> list[tuple[str, str]]:
     rows = [
         ("trajectory", str(facts.run_facts.get("trajectory", "not stored"))),
         ("self-calibration", str(facts.run_facts.get("calibration", "not stored"))),
+        *(
+            (f"check: {check['name']}", f"{check['verdict']}. {check['detail']}")
+            for check in facts.run_facts.get("health", ())
+        ),
         (
             "rig",
             f"{facts.rig.rig_id}: baseline {facts.rig.baseline_m:.3f} m, focal length {facts.rig.left.fx_px:.1f} px",

@@ -137,7 +137,7 @@ def _jumps(
         first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
         detail = (
             f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, and the images do not: which side is "
-            "right cannot be told. Process the GNSS/INS log anew, or deliver the parts as drives of their own."
+            "right is unknown. Process the GNSS/INS log anew, or deliver the parts as drives of their own."
         )
     return HealthCheck(
         name="jumps of the poses", verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_JUMP_M, unit="m",

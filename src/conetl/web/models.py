@@ -71,7 +71,7 @@ class TimelineItem(Answer):
     rejection_count: int
     code_version: str
     counts: bool
-    """False if it was reverted, or a later analysis of the same recording replaced it."""
+    """False if it is on hold or was reverted, or a later analysis of the same recording replaced it."""
 
 
 class Timeline(Answer):
@@ -205,7 +205,7 @@ class Decision(Answer):
     """A decision in effect."""
 
     decision_id: UUID
-    kind: Literal["suppress", "pin", "revert"]
+    kind: Literal["suppress", "pin", "revert", "hold"]
     xy_m: tuple[float, float] | None
     """Centre of a suppressed or pinned area with the radius `radius_m`."""
     radius_m: float | None
@@ -213,7 +213,7 @@ class Decision(Answer):
     """The feature that the person selected."""
     changeset_id: UUID | None
     drive_id: str | None
-    """Drive of a reverted changeset."""
+    """Drive of a changeset that is reverted or on hold."""
     decided_by: str | None
     reason: str
     decided_at: datetime
