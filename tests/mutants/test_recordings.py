@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import csv
 import shutil
 from contextlib import closing
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from pydantic import SecretStr
 
 from conetl.db.connection import connect
 from conetl.db.map.map_store import list_changesets, read_current_features
+from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import InputError
 from conetl.model.health import Verdict, hold_reason
 from conetl.model.ingest_report import DriveOnHoldError
-from conetl.pipeline.analysis import analyse
+from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.maps.decisions import accept_drive
@@ -30,6 +34,7 @@ HELD: dict[str, tuple[wrong.Mutant, str]] = {
     "GNSS jumps 5 m": (wrong.jump(5.0), "GNSS/INS jumps by 5.0 m between frame pairs 19 and 20"),
     "GNSS jumps 1 m": (wrong.jump(1.0), "GNSS/INS jumps by 1.0 m between frame pairs 19 and 20"),
     "GNSS jumps and returns": (wrong.jump(50.0, 20, 25), "GNSS/INS jumps by 50.0 m"),
+    "GNSS drifts 1 m": (wrong.drift(1.0), "distances -1.5"),
     "GNSS drifts 3 m": (wrong.drift(3.0), "contradict GNSS/INS"),
     "GNSS noise 0.3 m": (wrong.noise(0.3), "contradict GNSS/INS"),
     "poses 5 records late": (wrong.late(5), "contradict GNSS/INS"),
@@ -39,8 +44,20 @@ HELD: dict[str, tuple[wrong.Mutant, str]] = {
     "yaw 2 degrees": (wrong.turned(0.0, 0.0, 2.0), "contradict GNSS/INS"),
     "right camera a frame late": (wrong.right_late(1), "right images belong to left images 1 frames earlier"),
     "right camera 3 frames late": (wrong.right_late(3), "right images belong to left images 3 frames earlier"),
+    "baseline 1 % too long": (wrong.baseline(1.01), "distances +1.0"),
     "baseline 5 % too long": (wrong.baseline(1.05), "contradict GNSS/INS"),
 }
+
+
+def against_truth(analysed: AnalysedDrive, folder: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Horizontal errors (m) of the tracks, and their squares by the stated covariances."""
+    with (folder / "truth.csv").open() as rows:
+        truth = np.array([(float(row["easting_m"]), float(row["northing_m"])) for row in csv.DictReader(rows)])
+    xy = np.array([track.xyz_m[:2] for track in analysed.tracks])
+    apart = xy[:, None] - truth
+    off = apart[np.arange(len(xy)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
+    cov = np.array([cov_matrix(track.cov_m2)[:2, :2] for track in analysed.tracks])
+    return np.linalg.norm(off, axis=1), np.einsum("ni,nij,nj->n", off, np.linalg.inv(cov), off)
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +71,37 @@ def test_a_recording_that_contradicts_itself_is_held(home: Path, name: str) -> N
     drive, _ = read_drive(SAMPLES[0])
     mutant, cause = HELD[name]
     assert cause in (hold_reason(analyse(mutant(drive), settings=Settings(home=home, workers=2)).health) or "")
+
+
+@pytest.mark.parametrize("milliseconds", [-100, -50, 50, 100, 200])
+def test_an_offset_of_the_clocks_is_found_and_corrected(home: Path, milliseconds: int) -> None:
+    drive, _ = read_drive(SAMPLES[1])
+    analysed = analyse(wrong.clock(milliseconds)(drive), settings=Settings(home=home, workers=2))
+    clock = analysed.trajectory.clock
+    assert clock is not None and abs(1e3 * clock.offset_s - milliseconds) < 5.0
+    assert hold_reason(analysed.health) is None
+    assert Verdict.CORRECTED in {check.verdict for check in analysed.health if check.name.startswith("clock")}
+    errors_m, chi2 = against_truth(analysed, SAMPLES[1])
+    assert np.median(errors_m) <= 0.03 and chi2.max() < 18.4
+
+
+def test_a_small_offset_of_the_clocks_widens_the_sigmas(home: Path) -> None:
+    analysed = analyse(wrong.clock(10)(read_drive(SAMPLES[0])[0]), settings=Settings(home=home, workers=2))
+    assert against_truth(analysed, SAMPLES[0])[1].max() < 18.4
+
+
+@pytest.mark.parametrize("rows", [3, 12])
+def test_right_images_some_rows_off_are_corrected(home: Path, tmp_path: Path, rows: int) -> None:
+    folder = tmp_path / SAMPLES[0].name
+    shutil.copytree(SAMPLES[0], folder)
+    for path in (folder / "image_03" / "data").iterdir():
+        image = np.asarray(cv2.imread(str(path)), np.uint8)
+        cv2.imwrite(str(path), np.vstack([image[:1]] * rows + [image[:-rows]]), [cv2.IMWRITE_JPEG_QUALITY, 95])
+    analysed = analyse(read_drive(folder)[0], settings=Settings(home=home, workers=2))
+    check = next(check for check in analysed.health if check.name.startswith("rows"))
+    assert check.verdict is Verdict.CORRECTED and check.value == pytest.approx(rows, abs=0.3)
+    assert hold_reason(analysed.health) is None
+    assert against_truth(analysed, folder)[1].max() < 18.4
 
 
 @pytest.mark.parametrize("folder", SAMPLES, ids=lambda folder: folder.name)

@@ -173,6 +173,10 @@ class TrajectoryParams(Params):
     """... and common to the whole drive: errors of baseline and focal length scale all distances alike."""
     robust_sigmas: Positive = 3.0
     """Huber's bound for an interval in the adjustment of the trajectory."""
+    clock_sigma_s: Positive = 0.001
+    """Sigma of the offset between the clocks of cameras and GNSS/INS, unless the drive shows a larger one and it is corrected."""
+    lever_arm_sigma_m: Positive = 0.01
+    """Sigma of each coordinate of the lever arm between GNSS/INS and cameras."""
     gnss_correlation_s: Positive = 20.0
     """Correlation time of the error of GNSS/INS (first-order Gauss-Markov process) ..."""
     gnss_white_share: Fraction = 0.1

@@ -101,7 +101,6 @@ def analyse(
         evidence = read_model_card(settings.model_path).evidence
         chunks = chunks_of(drive, settings, params)
         detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, executor, progress)
-        logged = drive.frame_pairs
         drive = drive.model_copy(update={"rig": rig})
         trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
@@ -110,7 +109,7 @@ def analyse(
         drive, detections = without_unread(drive, detections, refused_detections)
         details, _ = load_results(map(detail_path, detection_paths), ImageDetail)
         drive, without_detail = with_detail(drive, details)
-        health += check_poses(logged, drive, motion_paths, trajectory, params.trajectory)
+        health += check_poses(drive, motion_paths, trajectory, params.trajectory)
         matches, refused_matches = load_results(match_paths, StereoMatch)
         positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(fuse, drive, detections, matches, positions, params, evidence, trajectory)

@@ -143,16 +143,17 @@ def refine(drive: Drive, motions: list[Path], matches: list[Path], params: Inges
 
 
 def check_poses(
-    logged: Sequence[FramePair],
     drive: Drive,
     motions: Sequence[Path],
     trajectory: RefinedTrajectory,
     params: TrajectoryParams,
 ) -> list[HealthCheck]:
-    """Checks of the poses as logged against what the images show. drive: with what its images show (`FramePair.detail`)."""
+    """Checks of the poses as logged against the images. drive: with what its images show (`FramePair.detail`)."""
     details = {pair.frame_index: pair.detail for pair in drive.frame_pairs}
     pairs = [
-        pair.model_copy(update={"detail": details[pair.frame_index]}) for pair in logged if pair.frame_index in details
+        pair.model_copy(update={"detail": details[pair.frame_index]})
+        for pair in trajectory.logged
+        if pair.frame_index in details
     ]
     return check_trajectory(pairs, drive.rig, load_results(motions, RelativeMotion)[0], trajectory, params)
 

@@ -13,6 +13,7 @@ from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import MIN_DETAIL, FramePair, Rig
+from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
 from conetl.tracking.trajectory import (
     RefinedTrajectory,
@@ -26,6 +27,8 @@ Floats = NDArray[np.float64]
 #: A shorter drive says too little about itself.
 _LEAST_INTERVALS = 8
 _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
+#: The scale of the motions may be off by so many of its prior sigmas, and of its own.
+_MAX_SCALE_SIGMAS = 2.5
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
 _JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
 #: What a vehicle may gain or lose in speed, m/s^2, and how far around an interval its motion is taken from neighbours.
@@ -39,7 +42,7 @@ def check_trajectory(
     trajectory: RefinedTrajectory,
     params: TrajectoryParams,
 ) -> list[HealthCheck]:
-    """Checks of the logged poses against visual odometry; none of a short drive. frame_pairs: as logged, with `detail`."""
+    """Checks of the poses against visual odometry; none of a short drive. frame_pairs: `trajectory.logged`, with `detail`."""
     intervals = len(frame_pairs) - 1
     if not params.refine or intervals < _LEAST_INTERVALS:
         return []
@@ -49,6 +52,8 @@ def check_trajectory(
         _measured(frame_pairs, len(measured.start)),
         _agreement(measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]),
         _jumps(frame_pairs, rig, measured, good),
+        _clock(trajectory.clock, params),
+        *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
         HealthCheck(
             name="stated sigmas of the poses",
             verdict=Verdict.HOLD if trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS else Verdict.PASS,
@@ -101,11 +106,43 @@ def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Flo
         )
         detail = (
             f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
-            "median. Check the clocks of cameras and GNSS/INS, the alignment of both, and the stated sigmas."
+            "median. Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
         )
     return HealthCheck(
         name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
         limit=_MAX_REFUSED_SHARE, detail=detail,
+    )  # fmt: skip
+
+
+def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
+    """The offset between the clocks of cameras and GNSS/INS."""
+    name = "clock of GNSS/INS against the cameras"
+    if clock is None or clock.sigma_s > MAX_SIGMA_S:
+        detail = f"The drive does not show the offset of the clocks; {1e3 * params.clock_sigma_s:g} ms are assumed (1 sigma)."
+        return HealthCheck(name=name, verdict=Verdict.PASS, value=None, detail=detail)
+    text = f"{1e3 * clock.offset_s:+.0f} +- {1e3 * clock.sigma_s:.0f} ms"
+    detail = f"The clocks agree ({text})."
+    if clock.is_significant:
+        detail = f"The stamps of GNSS/INS lag by {text}: corrected. Correct the synchronisation of the recorder."
+    return HealthCheck(
+        name=name, verdict=Verdict.CORRECTED if clock.is_significant else Verdict.PASS, value=1e3 * clock.offset_s,
+        sigma=1e3 * clock.sigma_s, limit=1e3 * LEAST_S, unit="ms", detail=detail,
+    )  # fmt: skip
+
+
+def _scale(scale: float, sigma: float, prior: float) -> HealthCheck:
+    """Whether images and GNSS/INS show the same distances."""
+    limit = _MAX_SCALE_SIGMAS * prior
+    held = abs(scale) > max(limit, _MAX_SCALE_SIGMAS * sigma)
+    detail = "Images and GNSS/INS show the same distances."
+    if held:
+        detail = (
+            f"The images show distances {100 * scale:+.1f} +- {100 * sigma:.1f} % longer than GNSS/INS: the calibration's "
+            "baseline or focal length is wrong, or GNSS/INS drifts. Calibrate the rig (conetl calibrate) or process its log anew."
+        )
+    return HealthCheck(
+        name="distances by images and by GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=100 * scale,
+        sigma=100 * sigma, limit=100 * limit, unit="%", detail=detail,
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.chain_solver import ChainCovariance
 from conetl.geometry.motion.pose_graph import (
     POSE,
+    STATE,
     LandmarkObservation,
     LoggedPoses,
     MeasuredMotions,
@@ -33,8 +34,9 @@ from conetl.geometry.packing import cov3, cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import FramePair, Pose, Position, Rig, StereoMatch
+from conetl.model.records import FramePair, Pose, Position, Rig, StereoMatch, Vec3
 from conetl.tracking.association import MotionError, chain_positions
+from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.positions import locate_positions
 
 Floats = NDArray[np.float64]
@@ -74,6 +76,12 @@ class RefinedTrajectory:
     """(4, 4)"""
     covariance: ChainCovariance | None
     """Of the states; None unless refined."""
+    scale: tuple[float, float] | None = None
+    """By what share the images show longer distances than GNSS/INS, with its sigma; None unless refined."""
+    clock: ClockOffset | None = None
+    """Between cameras and GNSS/INS; None where the drive does not show it."""
+    logged: tuple[FramePair, ...] = ()
+    """Poses as logged, at the instants of the images where the clock was corrected."""
 
 
 def refine_trajectory(
@@ -108,7 +116,7 @@ def refine_trajectory(
     solved = adjust(log, kept, _sightings(frame_pairs, cones), params.robust_sigmas, params.scale_sigma)
     if solved is None:
         return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
-    rotations, places, normal = solved
+    rotations, places, scale, normal = solved
     shift = places - log.places
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
     worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
@@ -135,7 +143,10 @@ def refine_trajectory(
         f"poses moved by up to {np.linalg.norm(shift, axis=1).max():.2f} m and {np.degrees(np.abs(turn).max()):.2f} degrees"
     )
     map_SE3_left = se3.compose(se3.se3(rotations, places), log.body_SE3_left)
-    return RefinedTrajectory(pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov)
+    return RefinedTrajectory(
+        pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov,
+        (scale, float(cov.shared[0, 0]) ** 0.5),
+    )  # fmt: skip
 
 
 def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats | None:
@@ -299,9 +310,50 @@ def refine_with_cones(
     one fixed point in many frames. The poses are those of the adjustment with cones, their covariance that of the adjustment
     without: the same observations make the tracks afterwards and must count only once.
 
-    frame_pairs: as logged. motions: as for `refine_trajectory`. The result is that of visual odometry alone without
-    `trajectory.cone_landmarks`, beside good GNSS/INS, without such cones, and if the adjustment with cones fails.
+    A clock that the drive shows to be off is corrected first; what is left of its offset, and the error of the lever arm, are in
+    the covariance. frame_pairs: as logged. motions: as for `refine_trajectory`. The result is that of visual odometry alone
+    without `trajectory.cone_landmarks`, beside good GNSS/INS, without such cones, and if the adjustment with cones fails.
     """
+    log, measured = (
+        read_log(frame_pairs, rig, params.trajectory),
+        measured_motions(frame_pairs, motions, params.trajectory),
+    )
+    clock = estimate_clock(frame_pairs, log, measured) if params.trajectory.refine else None
+    if clock is not None and clock.is_significant:
+        frame_pairs = at_images(frame_pairs, log, clock.offset_s)
+    refined = _refine_with_cones(frame_pairs, rig, motions, matches, params)
+    refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
+    return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory)
+
+
+def _with_common_errors(refined: RefinedTrajectory, params: TrajectoryParams) -> RefinedTrajectory:
+    """The trajectory with the errors of clock and lever arm, which move all poses together."""
+    assert refined.covariance is not None
+    poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
+    times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
+    turn = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).as_rotvec()
+    steps = np.hstack([np.diff(poses[:, :3, 3], axis=0), turn]) / np.maximum(np.diff(times_s), _LEAST_STEP_S)[:, None]
+    reach = np.zeros((len(poses), STATE, 4))
+    reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
+    reach[:, :3, 1:] = poses[:, :3, :3]
+    clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
+    cov = chain_solver.with_common_errors(
+        refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3])
+    )
+    sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
+    pairs = tuple(
+        _with_sigmas(pair, vec3(own[:3]), vec3(own[3:])) for pair, own in zip(refined.frame_pairs, sigma, strict=True)
+    )
+    return replace(refined, frame_pairs=pairs, covariance=cov)
+
+
+def _refine_with_cones(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    motions: Sequence[RelativeMotion],
+    matches: Sequence[StereoMatch],
+    params: IngestParams,
+) -> RefinedTrajectory:
     alone = refine_trajectory(frame_pairs, rig, motions, params.trajectory)
     if not params.trajectory.cone_landmarks or alone.outcome is not RefinementOutcome.REFINED:
         return alone
@@ -320,14 +372,15 @@ def refine_with_cones(
     pairs_of = zip(together.frame_pairs, alone.frame_pairs, strict=True)
     return replace(
         together,
-        frame_pairs=tuple(_with_sigmas_of(pair, stated.pose) for pair, stated in pairs_of),
+        frame_pairs=tuple(_with_sigmas(pair, own.pose.sigma_enu_m, own.pose.sigma_rpy_rad) for pair, own in pairs_of),
         covariance=alone.covariance,
+        scale=alone.scale,
         detail=f"{together.detail}; {len(cones)} cones as landmarks",
     )
 
 
-def _with_sigmas_of(pair: FramePair, pose: Pose) -> FramePair:
-    sigmas = {"sigma_enu_m": pose.sigma_enu_m, "sigma_rpy_rad": pose.sigma_rpy_rad}
+def _with_sigmas(pair: FramePair, sigma_enu_m: Vec3, sigma_rpy_rad: Vec3) -> FramePair:
+    sigmas = {"sigma_enu_m": sigma_enu_m, "sigma_rpy_rad": sigma_rpy_rad}
     return pair.model_copy(update={"pose": pair.pose.model_copy(update=sigmas)})
 
 

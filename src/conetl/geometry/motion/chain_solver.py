@@ -9,7 +9,7 @@ up to three seconds per call on a busy machine.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,19 @@ def covariance(normal: ChainNormal) -> ChainCovariance:
         shared = (shared + shared.T) / 2
     cov = chain + reach @ shared @ np.swapaxes(reach, 1, 2)
     return ChainCovariance(cov, gain, chain, -reach, shared, _strides(gain))
+
+
+def with_common_errors(result: ChainCovariance, reach: Floats, sigma: Floats) -> ChainCovariance:
+    """The covariance with errors that all states share and that the observations say nothing about.
+
+    reach (K, n, c): change of each state by one of c independent errors; sigma (c,). As the "considered" parameters of Schmidt
+    (1966).
+    """
+    shared = np.zeros((result.shared.shape[0] + len(sigma),) * 2)
+    known = len(result.shared)
+    shared[:known, :known], shared[known:, known:] = result.shared, np.diag(sigma**2)
+    cov = result.cov + (reach * sigma**2) @ np.swapaxes(reach, 1, 2)
+    return replace(result, cov=cov, reach=np.concatenate([result.reach, reach], axis=2), shared=shared)
 
 
 def cross_covariance(result: ChainCovariance, first: int, second: int) -> Floats:

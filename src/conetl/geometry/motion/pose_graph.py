@@ -75,8 +75,9 @@ def adjust(
     sightings: Sequence[LandmarkObservation],
     robust_sigmas: float,
     scale_sigma: float,
-) -> tuple[Floats, Floats, ChainNormal] | None:
-    """Rotations (K, 3, 3), positions (K, 3) and the last normal equations, or None where the iteration does not converge."""
+) -> tuple[Floats, Floats, float, ChainNormal] | None:
+    """Rotations (K, 3, 3), positions (K, 3), scale of the measured motions less one, and the last normal equations, whose first
+    shared unknown it is; None where the iteration does not converge."""
     rotations, places = log.rotations.copy(), log.places.copy()
     bias = np.zeros((len(places), POSE))
     cones = 1 + max((s.cone for s in sightings), default=-1)
@@ -95,7 +96,7 @@ def adjust(
         bias = bias + step[:, POSE:]
         shared = shared + common
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
-            return rotations, places, normal
+            return rotations, places, float(shared[0]), normal
     return None
 
 

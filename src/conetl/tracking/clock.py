@@ -1,0 +1,157 @@
+"""Offset between the clock of the cameras and that of GNSS/INS, from visual odometry against the logged poses.
+
+Turns and changes of speed that the images show earlier or later than the log tell the offset (the idea of Rehder, Siegwart &
+Furgale 2016, with motions in place of feature tracks). A boresight error and an error of scale, which act on the same motions,
+are estimated along with it. On a straight drive at constant speed the offset cannot be observed, and its sigma says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
+from conetl.geometry.packing import vec3
+from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.records import FramePair
+
+Floats = NDArray[np.float64]
+#: Offsets that are tried, s.
+_TRIED_S = np.arange(-0.4, 0.41, 0.04)
+#: Both signals are smoothed by this many intervals, so that interpolation smooths the noise of the log no further (it would draw
+#: the offset towards the middle between two records); so many successive values then count as one.
+_SMOOTHED = 1.5
+_CORRELATED = 2 * np.pi**0.5 * _SMOOTHED
+#: Sigmas of a boresight error (rad) and of the scale beside the offset.
+_BORESIGHT_RAD, _SCALE = 0.03, 0.02
+#: An offset is corrected from so many seconds, and so many of its sigmas, on, if it is known this well.
+LEAST_S, _SIGNIFICANT, MAX_SIGMA_S = 0.005, 4.0, 0.01
+#: ... and from so many of its sigmas on it widens those of the positions.
+_DOUBTFUL = 2.0
+_ITERATIONS, _HUBER, _LEAST_INTERVALS = 12, 2.0, 20
+
+
+class ClockOffset(NamedTuple):
+    """By how much the stamps of the poses lag behind those of the images (s), with its sigma."""
+
+    offset_s: float
+    sigma_s: float
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the poses are to be corrected by it."""
+        least_s = max(LEAST_S, _SIGNIFICANT * self.sigma_s)
+        return self.sigma_s <= MAX_SIGMA_S and least_s < abs(self.offset_s) < _TRIED_S[-1] - 0.02
+
+    def remaining_s(self, assumed_s: float) -> float:
+        """Sigma of the offset that is left: of the correction, else as assumed, and wider where the drive is in doubt of that."""
+        if self.is_significant:
+            return self.sigma_s
+        doubtful = self.sigma_s <= MAX_SIGMA_S and abs(self.offset_s) > _DOUBTFUL * self.sigma_s
+        return max(assumed_s, abs(self.offset_s) if doubtful else 0.0)
+
+
+def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: MeasuredMotions) -> ClockOffset | None:
+    """The offset under which logged and measured motions agree best; None where too few motions were measured."""
+    if len(motions.start) < _LEAST_INTERVALS:
+        return None
+    times_s = _times_s(frame_pairs)
+    steps_s, middle_s = np.diff(times_s), (times_s[1:] + times_s[:-1]) / 2
+    left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
+    logged = _smoothed(_rates(se3.compose(se3.invert(left[1:]), left[:-1]), steps_s), np.ones(len(steps_s)))
+    known = np.zeros(len(steps_s))
+    known[motions.start] = 1.0
+    raw = np.zeros((len(steps_s), 6))
+    raw[motions.start] = _rates(motions.next_SE3_first, steps_s[motions.start])
+    measured = _smoothed(raw, known)
+    used = (known > 0) & (middle_s - _TRIED_S.max() >= middle_s[0]) & (middle_s - _TRIED_S.min() <= middle_s[-1])
+    if used.sum() < _LEAST_INTERVALS:
+        return None
+    signal, at_s, target = CubicSpline(middle_s, logged), middle_s[used], measured[used]
+    slope = signal.derivative()
+
+    def linearised(offset_s: float) -> tuple[Floats, Floats]:
+        """(N, 6) misfit and (N, 6, 5) its derivatives by offset, boresight and scale."""
+        values = signal(at_s - offset_s)
+        by = np.zeros((*values.shape, 5))
+        by[..., 0] = -slope(at_s - offset_s)
+        by[:, :3, 1:4], by[:, 3:, 1:4] = -cross_matrix(values[:, :3]), -cross_matrix(values[:, 3:])
+        by[:, 3:, 4] = values[:, 3:]
+        return target - values, by
+
+    prior = np.diag([0.0, *[_BORESIGHT_RAD**-2] * 3, _SCALE**-2])
+    fits = [_fit(*linearised(tried), prior, 3, held=True) for tried in _TRIED_S]
+    offset_s = float(_TRIED_S[int(np.argmin([cost for _, _, cost in fits]))])
+    normal = prior
+    for _ in range(_ITERATIONS):
+        step, normal, _ = _fit(*linearised(offset_s), prior, 5)
+        offset_s = float(np.clip(offset_s + step[0], _TRIED_S[0], _TRIED_S[-1]))
+        if abs(step[0]) < 1e-5:
+            break
+    return ClockOffset(offset_s, float(np.linalg.inv(normal)[0, 0] ** 0.5))
+
+
+def _fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False) -> tuple[Floats, Floats, float]:
+    """Robust solution (5,), its normal matrix, and the sum of logarithms of what remains; held: without a change of offset."""
+    free = slice(1 if held else 0, 5)
+    solution, normal = np.zeros(5), prior
+    sigma = np.maximum(_spread(misfit), 1e-9)
+    for _ in range(rounds):
+        left_over = misfit - by @ solution
+        sigma = np.maximum(_spread(left_over), 1e-9)
+        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(left_over / sigma), 1e-9)) / sigma**2 / _CORRELATED
+        normal = np.einsum("nia,ni,nib->ab", by, weight, by) + prior
+        right = np.einsum("nia,ni,ni->a", by, weight, misfit)
+        solution = np.zeros(5)
+        solution[free] = np.linalg.solve(normal[free, free], right[free])
+    return solution, normal, float(np.log(sigma).sum())
+
+
+def _spread(values: Floats) -> Floats:
+    """(6,) robust sigma of each column around zero."""
+    return np.asarray(np.median(np.abs(values), axis=0) * 1.4826)
+
+
+def _rates(next_SE3_first: Floats, steps_s: Floats) -> Floats:
+    """(N, 6): turn rate (rad/s) and speed (m/s) of motions (N, 4, 4)."""
+    turn = Rotation.from_matrix(next_SE3_first[:, :3, :3]).as_rotvec()
+    return np.hstack([turn, next_SE3_first[:, :3, 3]]) / steps_s[:, None]
+
+
+def _smoothed(signal: Floats, known: Floats) -> Floats:
+    """(N, 6) a signal with gaps, smoothed; known (N,): 1 where it has a value, else 0."""
+    weight = gaussian_filter1d(known, _SMOOTHED, mode="nearest")
+    total = gaussian_filter1d(signal * known[:, None], _SMOOTHED, axis=0, mode="nearest")
+    return np.asarray(total / np.maximum(weight, 1e-6)[:, None])
+
+
+def at_images(frame_pairs: Sequence[FramePair], log: LoggedPoses, offset_s: float) -> tuple[FramePair, ...]:
+    """The frame pairs with the poses of their own instants, where the stamps of the log lag by `offset_s`."""
+    times_s = _times_s(frame_pairs)
+    wanted_s = times_s - offset_s
+    k = np.clip(np.searchsorted(times_s, wanted_s, side="right") - 1, 0, len(times_s) - 2)
+    share = (wanted_s - times_s[k]) / (times_s[k + 1] - times_s[k])
+    turn = Rotation.from_matrix(np.swapaxes(log.rotations[k], 1, 2) @ log.rotations[k + 1]).as_rotvec()
+    rotations = log.rotations[k] @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
+    places = log.places[k] + share[:, None] * (log.places[k + 1] - log.places[k])
+    return tuple(
+        pair.model_copy(
+            update={
+                "pose": pair.pose.model_copy(
+                    update={"map_R_body": se3.to_matrix3(rotation), "map_t_body_m": vec3(place)}
+                )
+            }
+        )
+        for pair, rotation, place in zip(frame_pairs, rotations, places, strict=True)
+    )
+
+
+def _times_s(frame_pairs: Sequence[FramePair]) -> Floats:
+    return np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
