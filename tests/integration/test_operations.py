@@ -9,7 +9,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
@@ -25,20 +24,14 @@ from conetl.db.connection import connect, execute
 from conetl.exports import FORMATS
 from conetl.files.home import PREFECT_LOGIN, make_secret, read_secret
 from conetl.services.processes import TOKEN, read_services
-from tests.command import conetl
+from tests.chromium import chromium
+from tests.command import conetl, free_port
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 #: Late, so that it fails once: what failed is tried again when the backfill is taken up.
 POISONED = "2026-04-06_small"
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PATIENCE_S = 600
 DROP_FOLDER = "ingest-drop-folder/ingest-drop-folder"
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
@@ -267,9 +260,7 @@ def test_every_changeset_is_an_event(desk: Desk) -> None:
     assert {"conetl.added", "conetl.removed", "conetl.map"} <= set(events[0]["resource"])
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)")
 def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
-    playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `dev`)")
     images = Path(os.environ.get("CONETL_SCREENSHOTS", tmp_path))
     address = f"http://127.0.0.1:{desk.port}"
     runs = desk.post("/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 100})
@@ -281,8 +272,7 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
     day = on_map[-1]["drive_id"].removesuffix("_small")
     assert drive["name"].startswith(f"{day}_small ({day} ")
     assert {f"drive:{day}_small", f"day:{day}", "map:default"} <= set(drive["tags"])
-    with playwright_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-quic"])
+    with chromium() as browser:
         page = browser.new_page(viewport={"width": 1400, "height": 1000})
         page.set_default_timeout(120_000)
         page.goto(address)
@@ -302,4 +292,3 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
             for word in words:
                 page.get_by_text(word).first.wait_for()
             page.screenshot(path=images / f"prefect-{name}.png", full_page=True)
-        browser.close()
