@@ -25,9 +25,9 @@ up: setup       ## PostGIS, Prefect, workers, schedules and the web view; make d
 down:           ## stop what `make up` started; data are kept
 	@$(BIN)/conetl down
 
-# A file's tests stay on one worker: they share servers, and some build on the one before.
+# A file's tests stay on one worker: they share servers, and some build on the one before. tests/conftest.py orders the files.
 test: setup     ## all tests
-	@$(BIN)/python -m pytest -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: setup    ## lint, types, import contracts, wording, documentation and the fast tests
 	$(BIN)/ruff check .

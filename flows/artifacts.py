@@ -22,6 +22,7 @@ from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
 from conetl.db.run_store import RemovedCone, StepTime
+from conetl.files.names import as_markdown
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.records import DriveRecords, Side
@@ -53,7 +54,9 @@ def progress_artifact(drive_id: str, progress: Progress | None = None) -> Progre
             progress(done, total)
         now = time.monotonic()
         if shown is None:
-            made = create_progress_artifact(0.0, key="progress", description=f"Images and motions of drive {drive_id}")
+            made = create_progress_artifact(
+                0.0, key="progress", description=f"Images and motions of drive {as_markdown(drive_id)}"
+            )
             assert isinstance(made, UUID)  # a coroutine only where an event loop runs
             shown, shown_at = made, now
         elif now - shown_at >= _SHOWN_EVERY_S or done == total:
@@ -72,21 +75,22 @@ def publish_drive(
 ) -> None:
     """Write the files of a drive that was committed now, show them as artifacts, and send its events."""
     files, report = publish(committed, settings, database, times), committed.report
+    drive = as_markdown(report.drive_id)
     _show_files(committed, files, settings)
-    create_table_artifact(summary_rows(report), key="summary", description=f"Drive {report.drive_id}: {report.status}")
+    create_table_artifact(summary_rows(report), key="summary", description=f"Drive {drive}: {report.status}")
     if report.changes:
         rows = [_change_row(line) for line in report.changes]
-        create_table_artifact(rows, key="changes", description=f"Changes by drive {report.drive_id}")
+        create_table_artifact(rows, key="changes", description=f"Changes by drive {drive}")
     if report.health:
         checks = [check.model_dump(mode="json") for check in report.health]
-        create_table_artifact(checks, key="health", description=f"Health checks of drive {report.drive_id}")
+        create_table_artifact(checks, key="health", description=f"Health checks of drive {drive}")
     if report.rejections:
         reasons = [
             {"reason": str(reason).replace("_", " "), "records": count} for reason, count in report.rejections.items()
         ]
         total = sum(report.rejections.values())
         create_table_artifact(
-            reasons, key="rejections", description=f"{total} records of drive {report.drive_id} are in quarantine"
+            reasons, key="rejections", description=f"{total} records of drive {drive} are in quarantine"
         )
     _show_worst_frames(analysed.records, whole=settings.images == "full")
     notify(report, database, send_events)
@@ -135,21 +139,21 @@ def send_events(report: IngestReport, vanished: Sequence[RemovedCone]) -> None:
 
 def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Settings) -> None:
     """The plan view; links to the QA report and the map, in the web view if there is one: browsers open no file from a page."""
-    drive_id, changeset_no = committed.changeset.drive_id, committed.changeset.changeset_no
+    drive, changeset_no = as_markdown(committed.changeset.drive_id), committed.changeset.changeset_no
     encoded = base64.b64encode(files.plan_view.read_bytes()).decode()
     create_image_artifact(
-        f"data:image/png;base64,{encoded}", key="plan-view", description=f"Plan view of drive {drive_id}"
+        f"data:image/png;base64,{encoded}", key="plan-view", description=f"Plan view of drive {drive}"
     )
     view = (settings.view_url or "").rstrip("/")
     served = f"{view}/api/maps/{settings.map_name}/changesets/{changeset_no}/report"
     create_link_artifact(
         served if view else files.page.as_uri(),
-        link_text=f"QA report of drive {drive_id}", key="qa-report", description=f"The file: {files.page}",
+        link_text=f"QA report of drive {drive}", key="qa-report", description=f"The file: {as_markdown(files.page)}",
     )  # fmt: skip
     if view:
         create_link_artifact(
             f"{view}/#map={settings.map_name}&changeset={changeset_no}",
-            link_text=f"Drive {drive_id} on the map", key="map", description="The web view",
+            link_text=f"Drive {drive} on the map", key="map", description="The web view",
         )  # fmt: skip
 
 
@@ -186,7 +190,7 @@ def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
         encoded = base64.b64encode(pairs_jpeg(rows)).decode()
         create_image_artifact(
             f"data:image/jpeg;base64,{encoded}", key="worst-frames",
-            description=f"Drive {records.drive.drive_id}: the pairs whose rays fit worst, left and right",
+            description=f"Drive {as_markdown(records.drive.drive_id)}: the pairs whose rays fit worst, left and right",
         )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from prefect.artifacts import (
     update_progress_artifact,
 )
 
+from conetl.files.names import as_markdown
 from conetl.pipeline.backfill_plan import reasons
 
 if TYPE_CHECKING:
@@ -53,17 +54,18 @@ def show_summary(standing: Standing) -> None:
     lines = [
         f"## {standing.done} drives committed to map {plan.map_name}, {len(standing.failed)} failed",
         "",
-        f"{len(plan.lines)} drives below `{plan.root}`, planned in {plan.seconds:.1f} s, done in {standing.seconds:.0f} s, "
-        f"{standing.parallel} at a time ({'by workers' if standing.where == 'workers' else 'in this process'}).",
+        f"{len(plan.lines)} drives below {as_markdown(plan.root)}, planned in {plan.seconds:.1f} s, "
+        f"done in {standing.seconds:.0f} s, {standing.parallel} at a time "
+        f"({'by workers' if standing.where == 'workers' else 'in this process'}).",
         "",
         "| plan | drives |",
         "|---|---|",
-        *(f"| {_cell(reason)} | {count} |" for reason, count in reasons(plan)),
+        *(f"| {as_markdown(reason)} | {count} |" for reason, count in reasons(plan)),
     ]
     if standing.failed:
         lines += ["", "| failed | recorded in | reason |", "|---|---|---|"]
         lines += [
-            f"| {_cell(r.drive_id)} | `{_cell(r.drive_path)}` | {_cell(r.reason)} |"
+            f"| {as_markdown(r.drive_id)} | {as_markdown(r.drive_path)} | {as_markdown(r.reason)} |"
             for r in standing.failed[:_SHOWN_ROWS]
         ]
         lines += ["", "Run the same backfill again to try the failed drives again; what is on the map is left alone."]
@@ -87,12 +89,12 @@ def _write_table(standing: Standing) -> None:
             state, why = ("in work" if line.header.header_sha256 in running else "waiting"), line.why
         rows.append(
             {
-                "drive": line.header.drive_id,
+                "drive": as_markdown(line.header.drive_id),
                 "recorded": f"{line.header.captured_from:%Y-%m-%d %H:%M}" if line.header.captured_from else "",
                 "frame pairs": line.header.frame_pairs,
                 "state": state,
                 "seconds": round(receipt.seconds, 1) if receipt is not None and receipt.seconds else None,
-                "why": why,
+                "why": as_markdown(why),
             }
         )
     order = ("failed", "crashed", "in work", "waiting", "committed", "known", "nothing to do")
@@ -122,7 +124,3 @@ def minutes(seconds: float) -> str:
     if seconds < 5400:
         return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.1f} h"
-
-
-def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")

@@ -13,7 +13,7 @@ from prefect.artifacts import create_table_artifact
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.files.names import printable
+from conetl.files.names import as_markdown
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import plan_drives
 from conetl.pipeline.publish import catch_up_all
@@ -49,7 +49,7 @@ def ingest_drop_folder(
             plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         if arriving:
             rows = [
-                {"drive": printable(path.name), "quiet for s": round(quiet, 1), "needed s": quiet_s}
+                {"drive": as_markdown(path.name), "quiet for s": round(quiet, 1), "needed s": quiet_s}
                 for path, quiet in arriving
             ]
             create_table_artifact(

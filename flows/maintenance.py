@@ -12,6 +12,7 @@ from pydantic import Field
 from conetl.db.audits import run_audits
 from conetl.db.map.map_store import find_map
 from conetl.exports import FORMATS
+from conetl.files.names import as_markdown
 from conetl.pipeline.nightly_publication import REPORT, write_publication
 from conetl.pipeline.settings import read_settings
 from flows.runs import MapName, alive, recover, settings_for
@@ -45,14 +46,14 @@ def publish_map(
     create_table_artifact(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",
-        description=f"Map {settings.map_name} -> {published}",
+        description=f"Map {settings.map_name} -> {as_markdown(published)}",
     )
     page = published / REPORT
     create_link_artifact(
         page.resolve().as_uri(),
         key="qa-report-night",
         link_text="QA report of the last 24 hours",
-        description=f"The file: {page}",
+        description=f"The file: {as_markdown(page)}",
     )
     return Completed(message=f"{len(manifests)} files in {published}")
 
@@ -70,7 +71,9 @@ def audit() -> State[Any]:
     create_table_artifact(rows, key="audit", description="The map against its own rules")
     broken = [result for result in results if not result.passed]
     if broken:
-        found = [{"audit": r.name, **{k: str(v) for k, v in row.items()}} for r in broken for row in r.rows[:20]]
+        found = [
+            {"audit": r.name, **{k: as_markdown(str(v)) for k, v in row.items()}} for r in broken for row in r.rows[:20]
+        ]
         create_table_artifact(found, key="audit-rows", description="Rows that must not be; the first 20 of each audit")
         return Failed(message=f"{', '.join(r.name for r in broken)}: rows that must not be; see `conetl db audit`")
     return Completed(message=f"{len(results)} audits passed")

@@ -23,6 +23,13 @@ settings.load_profile("untimed")
 
 HOMES = Path("/tmp")
 TEMPLATE = "conetl_template"
+#: Files that take the most time, those that wait for servers and those that compute in turn.
+LONGEST = (
+    "integration/test_operations.py", "integration/test_ingest.py", "integration/test_strangers.py",
+    "integration/test_without_services.py", "mutants/test_cameras.py", "integration/test_cluster.py",
+    "integration/test_scale_out.py", "synthetic/test_raw_drive.py", "integration/test_python_api.py",
+    "synthetic/test_drives_of_one_rig.py", "integration/test_wheel.py",
+)  # fmt: skip
 _numbers = itertools.count()
 
 
@@ -35,6 +42,12 @@ def _test_home(config: pytest.Config) -> Path:
 def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         _remove_leftovers()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first, so that no worker of pytest-xdist works on one when the others have nothing left to do."""
+    rank = {f"tests/{name}": number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.nodeid.partition("::")[0], len(LONGEST)))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

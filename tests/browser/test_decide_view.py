@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,11 +14,13 @@ from pyproj import Transformer
 from typer.testing import CliRunner
 
 from conetl.cli.app import app as command_line
+from conetl.db.connection import execute
 from conetl.db.map.decision_store import list_decisions
-from conetl.db.map.map_store import read_current_features
+from conetl.db.map.map_store import list_changesets, read_current_features
 from conetl.pipeline.maps.decisions import PIN, decide_place
 from conetl.web.decisions import Writer
 from tests.browser.test_view import click_cone, settle
+from tests.chromium import HTML, HTML_NAME, nothing_of_html_happens
 from tests.integration.drives_of_days import merge, survey
 from tests.unit.readers.test_base_layers import geojson, line
 from tests.view_map import serving
@@ -118,6 +121,65 @@ def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):
     assert page.locator("form.decide").count() == 0
     page.keyboard.press("Escape")
     page.wait_for_selector(".panel", state="hidden")
+
+
+def test_stored_html_is_text(browser, address, conn, module_database_url, tmp_path: Path):
+    """What strangers name and write: drives, files, refused records, decisions, the licence."""
+    environment = {
+        "CONETL_DATABASE_URL": module_database_url, "CONETL_HOME": str(tmp_path / "home"), "CONETL_MAP_NAME": "hostile",
+    }  # fmt: skip
+
+    def conetl(*arguments: object) -> str:
+        done = CliRunner().invoke(command_line, list(map(str, arguments)), env=environment)
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    conn.rollback()
+    merge(conn, survey(0, name=HTML), map_name="hostile")
+    refused = (
+        "insert into conetl.quarantine (changeset_id, step, reason, record, detail, payload) "
+        "select changeset_id, 'tracks', 'never_near', %(html)s, %(html)s, '{}' from conetl.changeset join conetl.drive using "
+        "(drive_uuid) where drive_id = %(html)s"
+    )
+    execute(conn, refused, {"html": HTML})
+    conn.commit()
+    one, other = sorted(str(f.feature_id) for f in read_current_features(conn, map_name="hostile"))[:2]
+    conn.rollback()
+    copied, project, layer = tmp_path / f"{HTML_NAME}.geojson", tmp_path / "map.qgs", tmp_path / "map.geojson"
+    conetl("map", "licence", HTML)
+    conetl("map", "export", "--out", copied)
+    conetl("map", "import", copied)
+    conetl("map", "pin", one, "--note", HTML, "--by", HTML)
+    conetl("map", "suppress", other, "--note", HTML, "--by", HTML)
+    conetl("map", "export", "--out", layer)
+    conetl("map", "qgis", "--out", project)
+    for path in (layer, project):  # labels and map tips of QGIS, and what others make of the GeoJSON, may be HTML
+        assert "<img" not in path.read_text().replace(json.dumps(HTML), "") and "<script" not in path.read_text(), path
+    night = tmp_path / "night.html"
+    conetl("report", "night", "--since", "2000-01-01", "--until", "2100-01-01", "--out", night)
+
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    with nothing_of_html_happens(tab):
+        tab.goto(f"{address}#map=hostile")
+        tab.wait_for_selector("canvas[data-frames]")
+        tab.get_by_text(HTML_NAME).first.wait_for()
+        for decided in (one, other):
+            tab.fill("#search", decided)
+            tab.press("#search", "Enter")
+            tab.wait_for_selector(f"h2:text-is('{decided[:8]}')")
+            tab.locator(".panel").get_by_text(f"by {HTML}: {HTML}").first.wait_for()
+        for mode in ("Compare two", "Any time", "Drive by drive"):
+            tab.click(f"text={mode}")
+            settle(tab)
+        tab.locator(".changeset-slider").press("ArrowLeft")
+        tab.locator(".drive-text strong").get_by_text(HTML_NAME).wait_for()
+    of_drive = min(changeset.changeset_no for changeset in list_changesets(conn, map_name="hostile"))
+    conn.rollback()
+    for page in (f"{address}api/maps/hostile/changesets/{of_drive}/report", night.as_uri()):
+        with nothing_of_html_happens(tab):
+            tab.goto(page)
+            assert HTML_NAME in tab.text_content("body")
+    tab.close()
 
 
 def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: Path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,17 +19,12 @@ import pytest
 
 from conetl.db.map.map_store import read_current_features
 from conetl.model.records import utc_from_ns
+from tests.command import free_port
 from tests.view_map import commit, cone, missed
 
 ROOT = Path(__file__).resolve().parents[2]
 #: As in web/src/kinds.ts; red, green, blue.
 ADDED, MOVED, MISSED = (0x00, 0x68, 0xB4), (0xA8, 0x32, 0x7F), (0x5F, 0x45, 0xB8)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def _wait_until_up(url: str, server: subprocess.Popen[bytes]) -> None:
@@ -46,7 +40,7 @@ def _wait_until_up(url: str, server: subprocess.Popen[bytes]) -> None:
 
 @pytest.fixture(scope="module")
 def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]:
-    port = _free_port()
+    port = free_port()
     command = [sys.executable, "-c", "from conetl.cli import main; main()", "view", "--port", str(port), "--no-login"]
     environment = {**os.environ, "CONETL_DATABASE_URL": module_database_url, "PYTHONPATH": f"{ROOT / 'src'}:{ROOT}"}
     with subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.DEVNULL) as server:

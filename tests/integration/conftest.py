@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -13,9 +14,13 @@ from typer.testing import CliRunner
 from conetl.cli.app import app
 from conetl.db.connection import Connection, connect
 from conetl.model.errors import ConetlError
+from conetl.pipeline.settings import prefect_login
 from tests import command
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import Survey, failed_audits, merge, valid_time_map
+
+#: Prefect tells nobody that it runs.
+QUIET = {"PREFECT_SERVER_ANALYTICS_ENABLED": "false", "DO_NOT_TRACK": "1"}
 
 
 def command_line(home: Path, database_url: str) -> Callable[..., str]:
@@ -34,11 +39,34 @@ def command_line(home: Path, database_url: str) -> Callable[..., str]:
 
 
 def conetl_process(
-    home: Path, database_url: str, *arguments: object, before: str = "", folder: Path = command.ROOT
+    home: Path, database_url: str, *arguments: object, before: str = "", folder: Path = command.ROOT, **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """A command of conetl in a process of its own, with `--json`. before: Python that runs first."""
-    where = {"CONETL_HOME": home, "CONETL_DATABASE_URL": database_url}
+    where = {"CONETL_HOME": home, "CONETL_DATABASE_URL": database_url, **environment}
     return command.conetl(*arguments, "--json", before=before, cwd=folder, **where)
+
+
+@pytest.fixture(scope="session")
+def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """One Prefect server for the tests of all files that need any: what leads a command to it. A start costs about 10 s."""
+    home = tmp_path_factory.mktemp("prefect-home")
+    script = (
+        "import sys; from pathlib import Path; from flows.server import prefect_server\n"
+        "with prefect_server(Path(sys.argv[1])) as url:\n    print(url, flush=True); sys.stdin.read()"
+    )
+    environment = command.environment_of(PREFECT_HOME=home / "prefect", **QUIET)
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(home)],
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as server:
+        assert server.stdin is not None and server.stdout is not None
+        url = server.stdout.readline().strip()
+        assert url.startswith("http://127.0.0.1:"), "the Prefect server did not start"
+        yield {"PREFECT_API_URL": url, "PREFECT_API_AUTH_STRING": prefect_login(home)}
+        server.stdin.close()
 
 
 @pytest.fixture

@@ -22,15 +22,16 @@ from conetl.db.map.map_store import (
     system_time,
 )
 from conetl.db.map.replay_store import affected_drives, write_replay
-from conetl.geometry.calibration.covariance import calibration_id, unpack_all, with_covariance
+from conetl.geometry.calibration.covariance import calibration_id, unpack_all
 from conetl.geometry.packing import cov_matrix
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
-from conetl.model.records import CalibrationCovariance, SharedErrorJacobian
+from conetl.model.records import SharedErrorJacobian
 from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import (
+    AGAIN,
     CALIBRATED,
     DAYS,
     RIG,
@@ -41,14 +42,6 @@ from tests.integration.drives_of_days import (
     valid_time_map,
 )
 
-#: Calibrated another time, with more parameters open.
-AGAIN = with_covariance(
-    RIG,
-    CalibrationCovariance(
-        names=("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m"),
-        matrix=np.diag([1.0, 0.25, 2.5e-7, 1e-6]).tolist(),
-    ),
-)
 #: The rig of each day: one whose calibration is exact, and calibrations that some of the drives have in common.
 RIGS = {"exact": (RIG,) * 4, "calibrated": (CALIBRATED, CALIBRATED, AGAIN, RIG)}
 

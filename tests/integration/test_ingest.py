@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,8 +26,8 @@ from conetl.db.live_store import read_provisional
 from conetl.db.map.map_store import list_changesets
 from conetl.exports.wzdx import schema_faults
 from conetl.model.map_records import DeltaKind
-from conetl.pipeline.settings import prefect_login
 from conetl.reports.drive_page import drive_page
+from tests.integration.conftest import QUIET
 from tests.integration.small_drives import spoil_huffman_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,33 +99,10 @@ class Desk:
 
 
 @pytest.fixture(scope="session")
-def office(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
-    """Home folder and Prefect server that all tests here share; detections are computed once."""
+def office(tmp_path_factory: pytest.TempPathFactory, prefect: dict[str, str]) -> Desk:
+    """Home folder that all tests here share; detections are computed once."""
     home = tmp_path_factory.mktemp("home")
-    environment = {
-        **os.environ,
-        "CONETL_HOME": str(home),
-        "PREFECT_HOME": str(home / "prefect"),
-        "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
-        "DO_NOT_TRACK": "1",
-    }
-    script = (
-        "import sys; from pathlib import Path; from flows.server import prefect_server\n"
-        "with prefect_server(Path(sys.argv[1])) as url:\n    print(url, flush=True); sys.stdin.read()"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", script, str(home)],
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as server:
-        assert server.stdout is not None
-        url = server.stdout.readline().strip()
-        assert url.startswith("http://127.0.0.1:"), "the Prefect server did not start"
-        yield Desk({**environment, "PREFECT_API_URL": url, "PREFECT_API_AUTH_STRING": prefect_login(home)})
-        assert server.stdin is not None
-        server.stdin.close()
+    return Desk({**os.environ, "CONETL_HOME": str(home), "PREFECT_HOME": str(home / "prefect"), **QUIET, **prefect})
 
 
 @pytest.fixture
@@ -332,21 +309,26 @@ def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, small_drive: Path, 
     assert [report["drive_id"] for report in result.json] == ["small"]
 
 
+@pytest.fixture(scope="module")
+def clean_tables(
+    office: Desk, module_database_url: str, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, list[str]]:
+    """What `small_drive` leaves in an empty database, once or twice."""
+    drive = part_of(DRIVES[0], tmp_path_factory.mktemp("clean") / "small", 16, skip=4)
+    clean = office.with_database(module_database_url)
+    assert clean.run("ingest", drive).code == 0
+    tables = clean.final_tables()
+    assert clean.run("ingest", drive, "--json").json[0]["status"] == "no changes"
+    assert clean.final_tables() == tables
+    return tables
+
+
 @pytest.mark.parametrize("point", ["start", "detection", "matching", "merge"])
 def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
-    office: Desk, database_url: str, tmp_path: Path, small_drive: Path, point: str
+    desk: Desk, clean_tables: dict[str, list[str]], database_url: str, tmp_path: Path, small_drive: Path, point: str
 ) -> None:
-    clean = office.with_database(database_url)
-    assert clean.run("ingest", small_drive).code == 0
-    expected = clean.final_tables()
-    with closing(connect(database_url)) as conn:
-        execute(conn, "truncate conetl.map, conetl.run, conetl.drive, conetl.frame_pair, conetl.detection, "
-                      "conetl.stereo_match, conetl.position, conetl.track_member, conetl.feature_version cascade")  # fmt: skip
-        execute(conn, "alter table conetl.map alter map_id restart")
-        conn.commit()
-
     home = tmp_path / "home"
-    victim = Desk({**clean.environment, "CONETL_HOME": str(home)})
+    victim = Desk({**desk.environment, "CONETL_HOME": str(home)})
     with subprocess.Popen(
         victim.command("ingest", small_drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
     ) as process:
@@ -356,8 +338,7 @@ def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
     half = victim.final_tables()
     assert not any(half.values()), "half-written"
     assert victim.run("ingest", small_drive).code == 0
-    assert victim.final_tables() == expected
-    assert victim.run("ingest", small_drive, "--json").json[0]["status"] == "no changes"
+    assert victim.final_tables() == clean_tables
 
 
 def events_of(desk: Desk, changeset_id: str) -> list[str]:

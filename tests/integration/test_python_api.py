@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import conetl
-from tests.integration.small_drives import SAMPLES
+from tests.integration.small_drives import SAMPLES, cut_drive
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -88,11 +88,14 @@ finally:
 """
 
 
-def test_an_ingest_opens_each_image_once_and_few_connections(tmp_path: Path, conn: object, database_url: str) -> None:
+def test_an_ingest_opens_each_image_once_and_few_connections(
+    tmp_path: Path, conn: object, database_url: str, prefect: dict[str, str]
+) -> None:
+    drive = cut_drive(SAMPLES[0], tmp_path / "cut", "2026-05-01")
     code = _COUNT.replace("finally:", "except SystemExit as end:\n    assert not end.code\nfinally:")
-    done = python(code, "ingest", SAMPLES[0], home=tmp_path, CONETL_DATABASE_URL=database_url, errors=True)
+    done = python(code, "ingest", drive, home=tmp_path, CONETL_DATABASE_URL=database_url, errors=True, **prefect)
     counted = json.loads(done.splitlines()[-1])
-    every_image = sorted(map(str, SAMPLES[0].glob("image_0?/data/*.jpg")))
+    every_image = sorted(map(str, drive.glob("image_0?/data/*.jpg")))
     assert sorted(counted["images"]) == every_image, "each once"
     assert counted["connections"] <= 2
     assert counted["checks"] == 1

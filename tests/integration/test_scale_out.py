@@ -8,6 +8,7 @@ from pathlib import Path
 import cloudpickle
 import pytest
 from prefect import flow
+from prefect.settings import PREFECT_API_AUTH_STRING, PREFECT_API_URL, temporary_settings
 
 from conetl.cli.ingest import ingest_drives
 from conetl.db.connection import connect, execute
@@ -19,25 +20,26 @@ from conetl.model.records import StereoMatch
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.chunks import Chunk, chunks_of, parts_of
 from conetl.pipeline.detect import detect, match
-from conetl.pipeline.settings import Settings, prefect_environment, prefect_login
+from conetl.pipeline.settings import Settings, prefect_environment
 from conetl.readers.drives import read_drive
-from flows.server import prefect_server
 from flows.tasks import PrefectExecutor, task_runner
 from tests.integration.small_drives import SAMPLES, cut_drive
 from tests.object_storage import BUCKET, object_storage
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A home folder with a Prefect server that runs."""
+def home(tmp_path_factory: pytest.TempPathFactory, prefect: dict[str, str]) -> Iterator[Path]:
+    """A home folder, while this process and its children use a Prefect server that runs."""
     folder = tmp_path_factory.mktemp("scale")
     (folder / "prefect").mkdir()
     with pytest.MonkeyPatch.context() as environment:
         for name, value in prefect_environment(folder).items():
             environment.setenv(name, value)
-        with prefect_server(folder) as url:
-            environment.setenv("PREFECT_API_URL", url)
-            environment.setenv("PREFECT_API_AUTH_STRING", prefect_login(folder))
+        for name, value in prefect.items():
+            environment.setenv(name, value)
+        with temporary_settings(
+            {PREFECT_API_URL: prefect["PREFECT_API_URL"], PREFECT_API_AUTH_STRING: prefect["PREFECT_API_AUTH_STRING"]}
+        ):
             yield folder
 
 

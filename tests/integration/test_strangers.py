@@ -11,7 +11,6 @@ import re
 import shutil
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -24,33 +23,24 @@ import pytest
 
 from conetl.db.cluster.cluster import cluster_remove
 from conetl.files.home import VIEW_TOKEN
+from tests import command
+from tests.chromium import CHROMIUM, chromium
+from tests.command import free_port
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 #: Loopback, but none of the addresses that need no password.
 HOST = "127.0.0.2"
 DRIVES = Path(tempfile.gettempdir())
-CHROMIUM = shutil.which("chromium")
 OPEN = ("services.json", "services.lock", "start.lock", "postgres.location")
 WORD = "s3cr3t-of-the-desk"
 AUTH = f"desk:{WORD}"
 
 
-def free_port(host: str) -> int:
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        return int(probe.getsockname()[1])
-
-
 def conetl(home: Path, *arguments: object, auth: str | None = AUTH) -> subprocess.CompletedProcess[str]:
     """One command with --json, in a shell that knows the password, another one, or none."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
-    environment |= {"CONETL_HOME": str(home), "TMPDIR": str(home / "tmp"), "CONETL_DRIVE_ROOTS": str(DRIVES)}
-    if auth:
-        environment["PREFECT_SERVER_API_AUTH_STRING"] = auth
-    return subprocess.run(
-        [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments), "--json"],
-        env=environment, capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
+    login = {"PREFECT_SERVER_API_AUTH_STRING": auth} if auth else {}
+    environment = {"CONETL_HOME": home, "TMPDIR": home / "tmp", "CONETL_DRIVE_ROOTS": DRIVES, **login}
+    return command.conetl(*arguments, "--json", **environment)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +61,7 @@ def home(services_home: Path) -> Iterator[Path]:
 
 def test_a_protected_server_serves_those_who_know_the_password(home: Path, tmp_path: Path) -> None:
     port = free_port(HOST)
-    view_port = free_port("127.0.0.1")
+    view_port = free_port()
     up = ("up", "--host", HOST, "--port", port, "--view-port", view_port)
     drives = [cut_drive(SAMPLES[n], tmp_path / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)]
     done = conetl(home, *up)
@@ -80,14 +70,14 @@ def test_a_protected_server_serves_those_who_know_the_password(home: Path, tmp_p
     api, view = f"http://{HOST}:{port}/api", f"http://127.0.0.1:{view_port}"
     assert conetl(home, "status", auth=None).returncode == 0
 
-    for auth, command in (
+    for auth, words in (
         (None, ("ingest", drives[0])),
         ("desk:guessed", ("backfill", tmp_path)),
         ("desk:guessed", up),
         (None, ("up", "--port", port)),
     ):
-        refused = conetl(home, *command, auth=auth)
-        assert refused.returncode == 3, (command, refused.stdout, refused.stderr)
+        refused = conetl(home, *words, auth=auth)
+        assert refused.returncode == 3, (words, refused.stdout, refused.stderr)
         assert "set PREFECT_SERVER_API_AUTH_STRING" in refused.stderr
         assert "Traceback" not in refused.stderr
 
@@ -190,20 +180,17 @@ def nobody_reads(home: Path) -> None:
 
 def pages_of_other_origins_learn_nothing(*urls: str) -> None:
     """A page of another origin in Chromium: no answer can be read, with or without CORS."""
-    playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `dev`)")
     fetch = """async ([url, mode]) => {
         try { const r = await fetch(url, {mode, credentials: 'include'}); return r.type + (await r.text()) }
         catch (error) { return 'refused' }
     }"""
-    with socket.create_server(("127.0.0.1", 0)) as other, playwright_api.sync_playwright() as playwright:
+    with socket.create_server(("127.0.0.1", 0)) as other, chromium() as browser:
         page_of(other)
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-quic"])
         page = browser.new_page()
         page.goto(f"http://localhost:{other.getsockname()[1]}/")
         for url in urls:
             assert page.evaluate(fetch, [url, "cors"]) == "refused"
             assert page.evaluate(fetch, [url, "no-cors"]) in ("refused", "opaque")
-        browser.close()
 
 
 def page_of(listener: socket.socket) -> None:

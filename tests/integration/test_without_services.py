@@ -1,4 +1,7 @@
-"""Drives on one machine where nothing of `conetl up` runs: receipts, batches, and what goes wrong around a commit."""
+"""Drives on one machine where nothing of `conetl up` runs: receipts, batches, and what goes wrong around a commit.
+
+The first test lets the command start Prefect; the others use a server that runs.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +35,13 @@ from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 LONG_ID = "漢" * 70
 
 
-def _backfill(root: Path, home: Path, database_url: str, *options: str) -> tuple[int, dict[str, dict[str, object]]]:
+def _backfill(
+    root: Path, home: Path, database_url: str, *options: str, **environment: str
+) -> tuple[int, dict[str, dict[str, object]]]:
     """Exit code, and by drive id what became of the drives; the plan's lines where there was nothing to do."""
-    done = conetl_process(home, database_url, "backfill", root.name, "--here", *options, folder=root.parent)
+    done = conetl_process(
+        home, database_url, "backfill", root.name, "--here", *options, folder=root.parent, **environment
+    )
     assert done.stdout, done.stderr
     said = json.loads(done.stdout)
     return done.returncode, {d["drive_id"]: d for d in said["drives"] or said["plan"]["lines"]}
@@ -80,7 +87,9 @@ def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts
     assert "changed since" in str(drives["2026-05-03_good"]["why"])
 
 
-def test_a_folder_of_links_to_drives_is_ingested_once(tmp_path: Path, database_url: str) -> None:
+def test_a_folder_of_links_to_drives_is_ingested_once(
+    tmp_path: Path, database_url: str, prefect: dict[str, str]
+) -> None:
     """Links by other names, and one drive whose calibration lies beside the link only."""
     here, beside = (
         cut_drive(SAMPLES[n], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)
@@ -91,7 +100,7 @@ def test_a_folder_of_links_to_drives_is_ingested_once(tmp_path: Path, database_u
         calibration.rename(links / calibration.name)
     for name, drive in (("monday", here), ("monday-again", here), ("tuesday", beside)):
         (links / name).symlink_to(drive)
-    backfill = partial(_backfill, links, tmp_path / "home", database_url)
+    backfill = partial(_backfill, links, tmp_path / "home", database_url, **prefect)
 
     code, drives = backfill()
     assert {name: drive["state"] for name, drive in drives.items()} == {
@@ -107,7 +116,9 @@ def test_a_folder_of_links_to_drives_is_ingested_once(tmp_path: Path, database_u
         assert execute(conn, "select count(*) as n from conetl.changeset")[0]["n"] == 2
 
 
-def test_one_odd_folder_does_not_stop_the_drives_beside_it(tmp_path: Path, database_url: str) -> None:
+def test_one_odd_folder_does_not_stop_the_drives_beside_it(
+    tmp_path: Path, database_url: str, prefect: dict[str, str]
+) -> None:
     """A name that is not UTF-8, an id of more bytes than a file name may have, a first stamp before all times."""
     drives = tmp_path / "drives"
     cut_drive(SAMPLES[1], drives / os.fsdecode(b"M\xfcnchen"), "2026-05-01")
@@ -115,7 +126,7 @@ def test_one_odd_folder_does_not_stop_the_drives_beside_it(tmp_path: Path, datab
     (odd / "drive.yaml").write_text(f"drive_id: {LONG_ID}\ntimestamps_timezone: Europe/Berlin\n", encoding="utf-8")
     stamps = odd / "image_02" / "timestamps.txt"
     stamps.write_text("0001-01-01 00:00:00\n" + stamps.read_text().partition("\n")[2])
-    backfill = partial(_backfill, drives, tmp_path / "home", database_url)
+    backfill = partial(_backfill, drives, tmp_path / "home", database_url, **prefect)
     code, planned = backfill("--dry-run")
     assert {name: line["action"] for name, line in planned.items()} == {"M\\xfcnchen": "refuse", LONG_ID: "ingest"}
     assert code == 0
@@ -239,12 +250,14 @@ def test_what_was_is_pending_is_published_without_the_drive(
     assert len(events) == 3
 
 
-def test_a_batch_tells_what_an_earlier_one_could_not(tmp_path: Path, conn: Any, database_url: str) -> None:
+def test_a_batch_tells_what_an_earlier_one_could_not(
+    tmp_path: Path, conn: Any, database_url: str, prefect: dict[str, str]
+) -> None:
     home = tmp_path / "home"
     cut_drive(SAMPLES[0], tmp_path / "drives" / "2026-05-01_run", "2026-05-01")
     in_the_way = home / "exports" / "default.geojson"
     in_the_way.mkdir(parents=True)
-    done = conetl_process(home, database_url, "backfill", tmp_path / "drives", "--here")
+    done = conetl_process(home, database_url, "backfill", tmp_path / "drives", "--here", **prefect)
     (drive,) = json.loads(done.stdout)["drives"]
     assert drive["state"] == "committed", done.stderr
     assert "default.geojson" in drive["reason"]
@@ -254,18 +267,20 @@ def test_a_batch_tells_what_an_earlier_one_could_not(tmp_path: Path, conn: Any, 
     shutil.rmtree(in_the_way)
     execute(conn, "update conetl.changeset set committed_at = committed_at - interval '1 hour'")
     conn.commit()
-    done = conetl_process(home, database_url, "backfill", tmp_path / "drives", "--here")
+    done = conetl_process(home, database_url, "backfill", tmp_path / "drives", "--here", **prefect)
     assert done.returncode == 0, done.stderr
     assert is_published(conn, changeset.changeset_id)
     assert in_the_way.is_file()
 
 
-def test_an_ingest_that_cannot_publish_says_that_it_committed(tmp_path: Path, conn: Any, database_url: str) -> None:
+def test_an_ingest_that_cannot_publish_says_that_it_committed(
+    tmp_path: Path, conn: Any, database_url: str, prefect: dict[str, str]
+) -> None:
     home = tmp_path / "home"
     drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
     in_the_way = home / "exports" / "default.geojson"
     in_the_way.mkdir(parents=True)
-    done = conetl_process(home, database_url, "ingest", drive)
+    done = conetl_process(home, database_url, "ingest", drive, **prefect)
     assert done.returncode == 1, done.stderr
     (said,) = json.loads(done.stdout)
     assert said["status"] == "committed"
@@ -276,11 +291,11 @@ def test_an_ingest_that_cannot_publish_says_that_it_committed(tmp_path: Path, co
     assert not is_published(conn, changeset.changeset_id)
     conn.rollback()
 
-    again = conetl_process(home, database_url, "ingest", drive)
+    again = conetl_process(home, database_url, "ingest", drive, **prefect)
     assert again.returncode == 1, "it is still in the way"
     assert json.loads(again.stdout)[0]["status"] == "no changes"
     in_the_way.rmdir()
-    again = conetl_process(home, database_url, "ingest", drive)
+    again = conetl_process(home, database_url, "ingest", drive, **prefect)
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)[0]["unpublished"] is None
     assert is_published(conn, changeset.changeset_id)
@@ -303,9 +318,11 @@ PrefectExecutor.run = run_and_lose_the_answer
 """
 
 
-def test_a_commit_whose_answer_was_lost_is_a_commit(tmp_path: Path, conn: Any, database_url: str) -> None:
+def test_a_commit_whose_answer_was_lost_is_a_commit(
+    tmp_path: Path, conn: Any, database_url: str, prefect: dict[str, str]
+) -> None:
     drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
-    done = conetl_process(tmp_path / "home", database_url, "ingest", drive, before=_LOST_ANSWER)
+    done = conetl_process(tmp_path / "home", database_url, "ingest", drive, before=_LOST_ANSWER, **prefect)
     assert done.returncode == 0, done.stderr
     (changeset,) = list_changesets(conn)
     assert json.loads(done.stdout)[0]["changeset_id"] == str(changeset.changeset_id)
@@ -321,9 +338,11 @@ parquet_store._read = fail
 """
 
 
-def test_a_disk_that_fails_is_no_mistake_of_conetl(tmp_path: Path, conn: Any, database_url: str) -> None:
+def test_a_disk_that_fails_is_no_mistake_of_conetl(
+    tmp_path: Path, conn: Any, database_url: str, prefect: dict[str, str]
+) -> None:
     drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
-    done = conetl_process(tmp_path / "home", database_url, "ingest", drive, before=_FAILING_DISK)
+    done = conetl_process(tmp_path / "home", database_url, "ingest", drive, before=_FAILING_DISK, **prefect)
     assert done.returncode == 3, done.stderr
     assert "results/chunk.parquet: the storage failed (Input/output error)" in " ".join(done.stderr.split())
     assert list_changesets(conn) == []

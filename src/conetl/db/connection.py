@@ -80,8 +80,8 @@ def connect(url: str) -> Connection:
         )
     except (psycopg2.Error, UnicodeError) as error:
         raise DatabaseError(
-            f"The database {_without_password(url)} cannot be reached: {_first_line(error)}. Start it (`conetl db up` for the "
-            "private one) or correct CONETL_DATABASE_URL."
+            f"The PostgreSQL database {_without_password(url)} cannot be reached: {_first_line(error)}. Start it (`conetl db up` "
+            "for the private one) or correct CONETL_DATABASE_URL."
         ) from error
     psycopg2.extras.register_uuid(conn_or_curs=conn)
     with database_errors("The connection could not be prepared"):

@@ -130,7 +130,9 @@ class AsyncReaderPool:
                 "The database is busy: all connections of the OGC API are in use. Try again."
             ) from error
         except (OSError, asyncpg.PostgresError, asyncpg.InterfaceError) as error:
-            raise DatabaseError(f"The database cannot be reached: {error}. Start it (`conetl db up`).") from error
+            raise DatabaseError(
+                f"The PostgreSQL database cannot be reached: {error}. Start it (`conetl db up`)."
+            ) from error
         try:
             yield conn
         except (OSError, asyncpg.InterfaceError, asyncpg.PostgresConnectionError) as error:

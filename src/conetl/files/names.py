@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from conetl.model.errors import DriveFolderError
+
+#: What Markdown, of GitHub's kind too, gives a meaning within a line.
+_MARKDOWN = re.compile(r"([\\`*_~<>\[\]()!|&:@]|(?<=www)\.)")
 
 
 def printable(text: str | Path) -> str:
@@ -15,6 +19,11 @@ def printable(text: str | Path) -> str:
     except UnicodeEncodeError:  # a lone surrogate, as YAML may contain
         raw = text.encode(errors="surrogatepass")
     return raw.decode(errors="backslashreplace").replace("\0", "\\x00")
+
+
+def as_markdown(text: str | Path) -> str:
+    """Any text, such as a drive's id, as a line of Markdown that shows it as it is: no HTML, image, link, code or cell."""
+    return _MARKDOWN.sub(r"\\\1", " ".join(printable(text).split()))
 
 
 def require_utf8(folder: Path) -> None:

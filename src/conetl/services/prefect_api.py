@@ -49,18 +49,26 @@ def require_access(api: str, auth: str | None, variable: str) -> None:
 
 
 def unavailable(error: BaseException) -> ServiceError | None:
-    """The error of a Prefect server that stopped answering meanwhile, or whose database did; None for any other error."""
-    seen: set[int] = set()
+    """The error of a Prefect server that stopped answering meanwhile, or whose database did; None for any other error.
+
+    Where conetl noticed first that a service is gone, and Prefect failed because of that, the first one is the error.
+    """
+    chain: list[BaseException] = []
     cause: BaseException | None = error
-    while cause is not None and id(cause) not in seen:
-        seen.add(id(cause))
+    while cause is not None and cause not in chain:
+        chain.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    for cause in chain:
+        if isinstance(cause, ServiceError):
+            return cause
+    for cause in chain:
         failed = (
             isinstance(cause, httpx.HTTPStatusError) and cause.response.status_code >= httpx.codes.INTERNAL_SERVER_ERROR
         )
         if failed or isinstance(cause, httpx.TransportError):
+            said = str(cause).partition("\n")[0].partition(" - ")[0] or type(cause).__name__
             return ServiceError(
-                f"the Prefect server stopped answering ({str(cause).partition(chr(10))[0] or type(cause).__name__}); it may have "
-                "lost its database. `conetl status` shows what runs; run the same command again: what is on the map stays."
+                f"the Prefect server stopped answering ({said}); it may have lost its database, which is PostgreSQL under "
+                "`conetl up`. `conetl status` shows what runs; run the same command again: what is on the map stays."
             )
-        cause = cause.__cause__ or cause.__context__
     return None

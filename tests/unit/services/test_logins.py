@@ -25,7 +25,7 @@ from conetl.files.home import (
     read_secret,
     share_home,
 )
-from conetl.model.errors import InputError, ServiceError
+from conetl.model.errors import DatabaseError, InputError, ServiceError
 from conetl.pipeline.settings import Settings, prefect_login
 from conetl.services.prefect_api import require_access, unavailable
 
@@ -78,6 +78,17 @@ def test_a_server_that_died_is_no_internal_error() -> None:
             assert found is None or found.exit_code == 3
     assert unavailable(httpx.ConnectError("refused")) is not None
     assert unavailable(KeyError("x")) is None
+
+
+def test_what_conetl_noticed_first_is_the_error() -> None:
+    """Prefect keeps its runs in PostgreSQL, and cannot store that this one failed."""
+    try:
+        try:
+            raise DatabaseError("PostgreSQL is gone")
+        except DatabaseError:
+            raise httpx.ConnectError("refused")  # noqa: B904 -- as in Prefect
+    except httpx.ConnectError as error:
+        assert str(unavailable(error)) == "PostgreSQL is gone"
 
 
 def test_clients_use_the_password_of_the_own_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

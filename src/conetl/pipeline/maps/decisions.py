@@ -6,8 +6,10 @@ transaction.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
+from functools import partial
 from typing import NamedTuple
 from uuid import UUID
 
@@ -70,8 +72,7 @@ def decide_place(
     where the same was decided already, or the feature's version is not `expected_version`, on which the person decided."""
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"a radius of {radius_m} m is not between 0 and {MAX_RADIUS_M:g} m")
-    with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
-        info = require_map(conn, map_name)
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as (info, decided_at, insert):
         state = _feature(conn, map_name, feature)
         before = read_decisions(conn, map_name=map_name)
         if is_within(state, before.suppressed if kind == SUPPRESS else before.pinned):
@@ -82,17 +83,7 @@ def decide_place(
                 f"{state.version} now. Look at it again."
             )
         place = Location(xy_m=state.xyz_m[:2], radius_m=radius_m)
-        decided_at = system_time(conn, info, now)
-        decision_id = insert_decision(
-            conn,
-            info,
-            kind,
-            decided_at=decided_at,
-            note=note,
-            decided_by=decided_by,
-            place=place,
-            feature_id=state.feature_id,
-        )
+        decision_id = insert(kind, place=place, feature_id=state.feature_id)
         written, replayed = _judge_place(conn, info, kind, place, decided_at)
     return DecisionOutcome(decision_id, kind, decided_at, written, replayed, ())
 
@@ -110,10 +101,8 @@ def revert(
     """Revert a changeset (its drive does not count any more) or a decision. what: its id, the beginning of it, or the changeset's
     number. Nothing is lost: reverting the decision brings everything back. Raises InputError, ConflictError where that was done
     already."""
-    with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
-        info = require_map(conn, map_name)
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as (info, decided_at, insert):
         target = _target(conn, map_name, what)
-        decided_at = system_time(conn, info, now)
         if target.kind == "changeset":
             if any(decision.changeset_id == target.id for decision in list_decisions(conn, map_name=map_name)):
                 raise ConflictError(f"changeset {target.id} is reverted or on hold already: see `conetl map decisions`")
@@ -124,16 +113,7 @@ def revert(
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
         decision = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
         counted_before = superseded_drives(conn, target.drive_uuid) if target.drive_uuid else []
-        decision_id = insert_decision(
-            conn,
-            info,
-            kind,
-            decided_at=decided_at,
-            note=note,
-            decided_by=decided_by,
-            changeset_id=changeset_id,
-            withdraws=withdraws,
-        )
+        decision_id = insert(kind, changeset_id=changeset_id, withdraws=withdraws)
         conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
             counted_now = superseded_drives(conn, target.drive_uuid)
@@ -162,6 +142,21 @@ def accept_drive(
     if len(holds) > 1:
         raise InputError(f"{len(holds)} drives {drive} are on hold: give the number that `conetl drive held` lists")
     return revert(conn, str(holds[0].decision_id), map_name=map_name, note=note, decided_by=decided_by)
+
+
+@contextmanager
+def _deciding(
+    conn: Connection, map_name: str, note: str, decided_by: str | None, lock_timeout_s: float, now: datetime | None
+) -> Iterator[tuple[MapInfo, datetime, Callable[..., UUID]]]:
+    """The map under its lock, the instant of the decision, and `insert_decision` for it."""
+    with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
+        info = require_map(conn, map_name)
+        decided_at = system_time(conn, info, now)
+        yield (
+            info,
+            decided_at,
+            partial(insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by),
+        )
 
 
 def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:
