@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
+from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import FramePair, Position
@@ -224,14 +225,14 @@ def test_cones_as_landmarks_correct_the_length_of_the_way() -> None:
         matches = draw_positions(np.random.default_rng(seed), RIG, cones, PoseErrors()).matches
         log = log_of(truth, np.random.default_rng(50 + seed), 0.4, 0.0009, PARAMS)
         motions = [longer(m, 1.015) for m in motions_of(truth, RIG, np.random.default_rng(9 + seed), PARAMS)]
-        alone = refine_trajectory(log, RIG, motions, PARAMS)
+        alone = refine_with_cones(log, RIG, motions, [], IngestParams())
         together = refine_with_cones(log, RIG, motions, matches, IngestParams())
         for result, errors in ((alone, before), (together, after)):
             assert result.outcome is RefinementOutcome.REFINED
             errors.append(slide(pose_errors(result.frame_pairs, truth)))
         assert together.detail.endswith(f"{len(cones)} cones as landmarks")
         for one, other in zip(alone.frame_pairs, together.frame_pairs, strict=True):
-            assert one.pose.sigma_enu_m == other.pose.sigma_enu_m
+            assert one.pose.sigma_enu_m == pytest.approx(other.pose.sigma_enu_m, rel=1e-4)
             assert one.pose.map_t_body_m != other.pose.map_t_body_m
     assert np.mean(after) < 0.6 * np.mean(before)
 
@@ -245,7 +246,7 @@ def test_cones_do_not_bend_what_rtk_says() -> None:
     log, motions = log_of(truth, rng, 0.02, 0.0009, PARAMS), motions_of(truth, RIG, rng, PARAMS)
     result = refine_with_cones(log, RIG, motions, matches, IngestParams())
     assert result.outcome is RefinementOutcome.REFINED
-    assert result.frame_pairs == refine_trajectory(log, RIG, motions, PARAMS).frame_pairs
+    assert result.frame_pairs == refine_with_cones(log, RIG, motions, [], IngestParams()).frame_pairs
 
 
 def longer(motion: RelativeMotion, factor: float) -> RelativeMotion:
@@ -256,8 +257,24 @@ def longer(motion: RelativeMotion, factor: float) -> RelativeMotion:
 
 def test_without_cones_the_trajectory_is_that_of_visual_odometry() -> None:
     _, log, motions = drive(3)
-    alone = refine_trajectory(log, RIG, motions, PARAMS)
-    assert refine_with_cones(log, RIG, motions, [], IngestParams()).frame_pairs == alone.frame_pairs
+    alone, result = (
+        refine_trajectory(log, RIG, motions, PARAMS),
+        refine_with_cones(log, RIG, motions, [], IngestParams()),
+    )
+    assert np.array_equal(alone.map_SE3_left, result.map_SE3_left)
+
+
+def test_common_errors_are_not_averaged_out() -> None:
+    """Clock, lever arm and a constant offset of GNSS/INS move all poses together, however many records there are."""
+    _, log, motions = drive(3)
+    result = refine_with_cones(log, RIG, motions, [], IngestParams())
+    assert result.covariance is not None
+    stated = np.min([pair.pose.sigma_enu_m for pair in log], axis=0)
+    assert (np.array([pair.pose.sigma_enu_m for pair in result.frame_pairs]) >= stated).all()
+    first, last = (result.covariance.cov[k][:3, :3] for k in (0, -1))
+    common = chain_solver.cross_covariance(result.covariance, 0, len(log) - 1)[:3, :3]
+    difference = first + last - common - common.T
+    assert np.diag(difference).max() < 0.5 * np.diag(first).min()  # what is common does not move one against the other
 
 
 def seen(frame: int, cone: int, xyz: np.ndarray) -> Position:

@@ -327,18 +327,22 @@ def refine_with_cones(
 
 
 def _with_common_errors(refined: RefinedTrajectory, params: TrajectoryParams) -> RefinedTrajectory:
-    """The trajectory with the errors of clock and lever arm, which move all poses together."""
+    """The trajectory with the errors of clock and lever arm, and of GNSS/INS as its best record states it, which move all poses
+    together: however many records there are, their common error is not averaged out."""
     assert refined.covariance is not None
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
     turn = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).as_rotvec()
     steps = np.hstack([np.diff(poses[:, :3, 3], axis=0), turn]) / np.maximum(np.diff(times_s), _LEAST_STEP_S)[:, None]
-    reach = np.zeros((len(poses), STATE, 4))
+    best = np.min([pair.pose.sigma_enu_m for pair in refined.logged], axis=0)
+    known = np.diagonal(refined.covariance.cov, axis1=1, axis2=2)[:, :3].min(axis=0)
+    systematic = np.sqrt(np.maximum(best**2 - known, 0.0))
+    reach = np.zeros((len(poses), STATE, 7))
     reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
-    reach[:, :3, 1:] = poses[:, :3, :3]
+    reach[:, :3, 1:4], reach[:, :3, 4:] = poses[:, :3, :3], np.eye(3)
     clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
     cov = chain_solver.with_common_errors(
-        refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3])
+        refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic])
     )
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
     pairs = tuple(
