@@ -31,19 +31,24 @@ def shown(value: object) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
-def read_limited(path: Path, max_bytes: int) -> str:
-    """Text (UTF-8) of a small file. Raises InputError where it is larger, no text, or cannot be read."""
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """A small file. Raises InputError where it is larger, or cannot be read."""
     try:
         with path.open("rb") as file:
             content = file.read(max_bytes + 1)
-        text = content.decode("utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: this is not a text file") from error
     if len(content) > max_bytes:
         raise InputError(f"{path}: expected at most {max_bytes:,} bytes")
-    return text
+    return content
+
+
+def read_limited(path: Path, max_bytes: int) -> str:
+    """Text (UTF-8) of a small file. Raises InputError where it is larger, no text, or cannot be read."""
+    try:
+        return read_bytes(path, max_bytes).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: this is not a text file") from error
 
 
 def read_yaml(path: Path) -> Any:

@@ -45,6 +45,12 @@ def read_text(path: Path) -> str:
         return read_limited(path, MAX_JSON_BYTES)
 
 
+def read_bytes(path: Path) -> bytes:
+    """A file that is not text. Raises CalibrationError."""
+    with _calibration_errors():
+        return documents.read_bytes(path, MAX_JSON_BYTES)
+
+
 def read_yaml(path: Path) -> Any:
     """Content of a YAML file. Raises CalibrationError."""
     with _calibration_errors():
@@ -154,7 +160,7 @@ def pinhole_camera(
         raise bad(path, f"{where}camera_model", f"{shown(model)} is not supported, only pinhole")
     key = "distortion_model"
     lens_model = content.get(key) if None in lenses else entry(path, content, key, where)
-    if lens_model not in lenses:
+    if not isinstance(lens_model, str | None) or lens_model not in lenses:
         known = ", ".join(name for name in lenses if name)
         raise bad(path, f"{where}{key}", f"{shown(lens_model)} is not supported; known: {known}")
     lens, kind = Lens(), lenses[lens_model]
