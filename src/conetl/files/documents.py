@@ -27,7 +27,10 @@ _short.maxstring = _short.maxother = _short.maxlong = MAX_SHOWN
 
 def shown(value: object) -> str:
     """A value as an error message quotes it: at most `MAX_SHOWN` characters, whatever it holds."""
-    text = _short.repr(value)
+    try:
+        text = _short.repr(value)
+    except ValueError:  # more digits than Python converts
+        return "a number of thousands of digits"
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 

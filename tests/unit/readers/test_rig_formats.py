@@ -332,6 +332,9 @@ BAD_MATLAB = {
 BAD_ROS = {
     "no projection": (change("projection_matrix", None), "'projection_matrix' is missing"),
     "rows": (change("camera_matrix/rows", 4), "'camera_matrix' has 4 rows and 3 columns, but 9 numbers"),
+    "true rows": (change("camera_matrix/rows", True), "'camera_matrix' has True rows and 3 columns, but 9 numbers"),
+    "negative rows": (change("camera_matrix", {"rows": -3, "cols": -3, "data": [1.0] * 9}), "'camera_matrix' has -3 rows"),
+    "long rows": (change("camera_matrix/rows", "3" * 5000), r"'camera_matrix' has '3{9,99}\.\.\.3+' rows"),
     "model": (change("distortion_model", "double_sphere"), "'distortion_model' 'double_sphere' is not supported"),
     "count": (change("distortion_coefficients/data", [1.0, 2.0, 3.0]), "'distortion_coefficients' has"),
     "rotation": (change("rectification_matrix/data", [1.0] * 9), "'rectification_matrix' is not a rotation"),

@@ -101,8 +101,8 @@ def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = No
     if isinstance(value, Mapping):
         rows, cols = value.get("rows"), value.get("cols")
         data = numbers(path, key, value.get("data", []))
-        if not isinstance(rows, int) or not isinstance(cols, int) or rows * cols != data.size:
-            raise bad(path, key, f"has {rows} rows and {cols} columns, but {data.size} numbers")
+        if not (type(rows) is type(cols) is int and rows > 0 and rows * cols == data.size):  # True is an int, too
+            raise bad(path, key, f"has {shown(rows)} rows and {shown(cols)} columns, but {data.size} numbers")
         value = data.reshape(rows, cols)
     try:
         array = np.asarray(value, dtype=np.float64)
