@@ -297,6 +297,20 @@ def test_las_records_after_the_points_must_fit(tmp_path):
         read_las_header(path)
 
 
+def test_laz_chunks_must_fit(tmp_path):
+    """The decoder ends the process where it cannot allocate as many as are stated."""
+    path = write_las(tmp_path / "a.laz")
+    data = path.read_bytes()
+    (points_at,) = struct.unpack_from("<I", data, 96)
+    (table_at,) = struct.unpack_from("<q", data, points_at)
+    wrong = data[: table_at + 4] + struct.pack("<I", 2**32 - 1) + data[table_at + 8 :]
+    streamed = wrong[:points_at] + struct.pack("<q", -1) + wrong[points_at + 8 :] + struct.pack("<q", table_at)
+    for content in (wrong, streamed):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="4,294,967,295 chunks"):
+            read_all(path)
+
+
 def test_opendrive_lines_and_refused_roads(tmp_path):
     path = tmp_path / "a.xodr"
     path.write_text(XODR)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import laspy
 import numpy as np
@@ -20,6 +21,8 @@ CHUNK_POINTS = 400_000
 _NOISE = (7, 18)
 _PLAIN_SHADE = 170
 _VLR_HEADER_BYTES, _EVLR_HEADER_BYTES = 54, 60
+#: A chunk of compressed points begins with one that is not.
+_CHUNK_BYTES = 20
 
 
 def read_las_header(path: Path) -> tuple[int, CRS | None]:
@@ -87,22 +90,37 @@ def _reading(path: Path) -> Iterator[None]:
         ) from error
 
 
+def _laz_chunks(file: BinaryIO, points_at: int, size: int) -> int:
+    """Number of chunks that the chunk table of a LAZ file states. It is found by a number before the points, else the last."""
+    for at in (points_at, size - 8):
+        file.seek(max(at, 0))
+        table_at = int.from_bytes(file.read(8), "little")
+        if points_at < table_at < size:
+            file.seek(table_at + 4)
+            return int.from_bytes(file.read(4), "little")
+    return 0
+
+
 def _check_header(path: Path) -> None:
-    """Reject a number of records before the points that cannot be true: laspy would try to read as many."""
+    """Reject a number of records or chunks that cannot be true: laspy would try to read as many, its decoder abort."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
             head = file.read(247)
+            chunks = _laz_chunks(file, int.from_bytes(head[96:100], "little"), size) if head[104:105] >= b"@" else 0
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if head[:4] != b"LASF":
         raise InputError(f"{path}: this is not a LAS or LAZ file (expected LASF at its beginning)")
-    records = [("before", int.from_bytes(head[100:104], "little"), _VLR_HEADER_BYTES)]
+    records = [
+        ("records before the points", int.from_bytes(head[100:104], "little"), _VLR_HEADER_BYTES),
+        ("chunks of points", chunks, _CHUNK_BYTES),
+    ]
     if head[25:26] >= b"\4":  # of version 1.4 on
-        records.append(("after", int.from_bytes(head[243:247], "little"), _EVLR_HEADER_BYTES))
-    for where, count, record_bytes in records:
+        records.append(("records after the points", int.from_bytes(head[243:247], "little"), _EVLR_HEADER_BYTES))
+    for what, count, record_bytes in records:
         if count * record_bytes > size:
             raise InputError(
-                f"{path}: the header states {count:,} records {where} the points, which do not fit into {size:,} bytes. It is "
+                f"{path}: the header states {count:,} {what}, which do not fit into {size:,} bytes. It is "
                 "cut off or damaged: copy it again"
             )
