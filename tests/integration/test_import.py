@@ -29,6 +29,7 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.maps.import_map import import_map
+from conetl.readers.base_layers.line_files import read_vector_file
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.maps.tables import MAX_TEXT_BYTES
 from tests.conftest import cloned_database
@@ -532,6 +533,23 @@ def test_a_file_that_claims_gigabytes_is_not_believed(tmp_path):
     assert (tmp_path / "bomb.parquet").stat().st_size < 1 << 20
     with pytest.raises(InputError, match="states more than 2 GiB"):
         read_map_file(tmp_path / "bomb.parquet", PARAMS, map_srid=32632)
+
+
+@pytest.mark.parametrize("name", ["map.geojson", "map.gpkg"])
+@pytest.mark.parametrize("kind", ["VRT", "pipeline"])
+def test_a_file_that_names_other_files_is_refused(tmp_path, name, kind):
+    other = tmp_path / "private.csv"
+    other.write_text("WKT,last_seen_at\nPOINT Z (8.43 49.01 115),2026-03-01T08:00:00Z\n")
+    layer = f'<OGRVRTLayer name="private"><SrcDataSource>{other}</SrcDataSource></OGRVRTLayer>'
+    command = f"gdal vector select {other} --fields last_seen_at"
+    text = {
+        "VRT": f"<OGRVRTDataSource>{layer}</OGRVRTDataSource>",
+        "pipeline": json.dumps({"type": "gdal_streamed_alg", "command_line": command}),
+    }
+    (tmp_path / name).write_text(text[kind])
+    for read in (lambda path: read_map_file(path, PARAMS, crs="EPSG:4326", map_srid=32632), read_vector_file):
+        with pytest.raises(InputError, match=rf"{name}.*not recognized"):
+            read(tmp_path / name)
 
 
 def test_a_survey_before_2000_or_in_the_future_is_refused(tmp_path):
