@@ -288,6 +288,17 @@ def test_opendrive_numbers_that_would_not_end_are_refused(tmp_path, old, new, wo
     assert any(words in text for text in said)
 
 
+def test_opendrive_roads_that_are_too_many_together_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a.xodr"
+    start, rest = XODR.split("<road", 1)
+    road = "<road" + rest.split("</road>", 1)[0] + "</road>"
+    path.write_text(start + road * 50 + "</OpenDRIVE>")
+    assert len(read_opendrive(path).lines) == 200
+    monkeypatch.setattr("conetl.readers.base_layers.opendrive.MAX_POINTS", 40_000)
+    with pytest.raises(InputError, match=r"a\.xodr: road 1: .* more than 40,000 points, .*; import the file in parts"):
+        read_opendrive(path)
+
+
 def test_las_records_after_the_points_must_fit(tmp_path):
     path = write_las(tmp_path / "a.las", 10)
     data = bytearray(path.read_bytes())
