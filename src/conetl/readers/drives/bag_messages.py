@@ -11,14 +11,19 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple, NoReturn
 
 import cv2
+import lz4.frame  # type: ignore[import-untyped]
+import mcap.stream_reader
 import numpy as np
 from mcap.reader import McapReader, make_reader
 from mcap.records import Schema
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import reader as rosbag2_reader
+from rosbags.rosbag2 import storage_mcap as rosbag2_mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from conetl.files.atomic import aside
@@ -38,6 +43,37 @@ _TO_BGR: dict[str, int | None] = {
     "bayer_gbrg8": cv2.COLOR_BayerGR2BGR, "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
 }  # fmt: skip
 _CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "rgba8": 4, "bgra8": 4}
+
+#: Largest chunk of messages, uncompressed; recorders make chunks of one to four megabytes, or of one message.
+MAX_CHUNK_BYTES = 256 << 20
+
+
+def _limited(new: Callable[[], Any]) -> Callable[..., bytes]:
+    """A function that decompresses at most MAX_CHUNK_BYTES, whatever size is stated. Raises ValueError."""
+
+    def decompress(data: bytes, _stated: int = 0) -> bytes:
+        decompressor = new()
+        plain: bytes = decompressor.decompress(data, MAX_CHUNK_BYTES)
+        if not decompressor.eof:
+            raise ValueError(
+                f"a compressed chunk is incomplete or larger than {MAX_CHUNK_BYTES >> 20} MB: record smaller chunks"
+            )
+        return plain
+
+    return decompress
+
+
+def _whole_file(*_: object) -> NoReturn:
+    raise ValueError(
+        "its files are compressed as a whole: 'ros2 bag convert' makes a bag of plain or compressed messages"
+    )
+
+
+# Both libraries allocate what a chunk states, or decompress as much as it makes.
+_zstd, _lz4 = _limited(vars(rosbag2_reader)["zstd"].ZstdDecompressor), _limited(lz4.frame.LZ4FrameDecompressor)
+rosbag2_mcap.DECOMPRESSORS.update(zstd=_zstd, lz4=_lz4)
+vars(rosbag2_reader)["zstd"] = SimpleNamespace(decompress=_zstd, open=_whole_file)
+vars(mcap.stream_reader).update(zstandard=SimpleNamespace(decompress=_zstd), lz4=SimpleNamespace(decompress=_lz4))
 
 
 class Message(NamedTuple):
