@@ -552,6 +552,15 @@ def test_a_file_that_names_other_files_is_refused(tmp_path, name, kind):
             read(tmp_path / name)
 
 
+def test_a_broken_geometry_is_named_by_its_row(tmp_path):
+    geo = {"primary_column": "geometry", "columns": {"geometry": {"encoding": "WKB"}}}
+    points = [shapely.to_wkb(shapely.Point(8.43, 49.01, 115.0)), b"\x01\x01\x03\0\0"]
+    table = pa.table({"geometry": points, "last_seen_at": [SEEN["last_seen_at"]] * 2})
+    pq.write_table(table.replace_schema_metadata({"geo": json.dumps(geo)}), tmp_path / "map.parquet")
+    with pytest.raises(InputError, match="row 2: no or a broken geometry where a point is expected"):
+        read_map_file(tmp_path / "map.parquet", PARAMS, map_srid=32632)
+
+
 def test_a_survey_before_2000_or_in_the_future_is_refused(tmp_path):
     path = geojson(tmp_path / "map.geojson", [(OTHER, {})])
     for year in (1970, 2199):

@@ -404,6 +404,12 @@ def test_files_that_are_cut_off_or_of_another_kind(tmp_path: Path) -> None:
     complaint(tmp_path / "cam.yaml", "name the files left.yaml and right.yaml")
 
 
+def test_world_units_that_are_numbers_are_millimetres(tmp_path: Path) -> None:
+    path = tmp_path / "stereo.mat"
+    scipy.io.savemat(path, {"s": matlab_content(new=False) | {"WorldUnits": np.ones(3)}})
+    assert read_rig(path).baseline_m == pytest.approx(float(np.linalg.norm(T)))
+
+
 def mat_element(kind: int, content: bytes) -> bytes:
     return struct.pack("<II", kind, len(content)) + content
 

@@ -174,7 +174,7 @@ def _derivative(c: tuple[float, float, float, float], p: Array) -> Array:
 
 
 def read_opendrive(path: Path) -> LineFile:
-    """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or beyond MAX_POINTS."""
+    """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
     try:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
@@ -221,7 +221,7 @@ def read_opendrive(path: Path) -> LineFile:
 
 
 def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]:
-    """Lines of a road; `spend` is told before how many points are computed."""
+    """Lines of a road; `spend` is called with the number of points before they are computed."""
     length = _number(road, "length")
     if not 0 < length <= _MAX_ROAD_M:
         raise ValueError(f"its length is {length:g} m; expected more than 0 and at most {_MAX_ROAD_M:g}")

@@ -206,11 +206,17 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
     parts = []
     count = 0
     for batch in batches:
-        points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object))
+        points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")
         bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
         if len(bad):
             point = points[bad[0]]
-            kind = "nothing" if point is None else "an empty point" if point.geom_type == "Point" else point.geom_type
+            kind = (
+                "no or a broken geometry"
+                if point is None
+                else "an empty point"
+                if point.geom_type == "Point"
+                else point.geom_type
+            )
             raise InputError(f"{table.path}, row {count + int(bad[0]) + 1}: {kind} where a point is expected")
         parts.append(shapely.get_coordinates(points, include_z=True))
         count += batch.num_rows

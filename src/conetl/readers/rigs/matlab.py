@@ -131,8 +131,8 @@ def _given(content: Any, key: str) -> bool:
 
 def _unit(found: Mapping[str, Any]) -> str:
     inner = found.get("CameraParameters1")
-    unit = found.get("WorldUnits") or (inner.get("WorldUnits") if isinstance(inner, Mapping) else None)
-    return unit if isinstance(unit, str) else "mm"  # MATLAB's own default
+    units = (found.get("WorldUnits"), inner.get("WorldUnits") if isinstance(inner, Mapping) else None)
+    return next((unit for unit in units if isinstance(unit, str) and unit), "mm")  # MATLAB's own default
 
 
 def _structure(content: Any) -> Mapping[str, Any] | None:
