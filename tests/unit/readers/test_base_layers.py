@@ -322,6 +322,25 @@ def test_laz_chunks_must_fit(tmp_path):
             read_all(path)
 
 
+@pytest.mark.parametrize("form", range(11))
+@pytest.mark.parametrize("extra", [[], ["u1", "f8"]])
+def test_laz_layers_must_fit(tmp_path, form, extra):
+    """As chunks."""
+    path = tmp_path / "a.laz"
+    las = laspy.create(point_format=form, file_version="1.4")
+    las.add_extra_dims([laspy.ExtraBytesParams(f"e{i}", kind) for i, kind in enumerate(extra)])
+    las.x, las.y, las.z = np.random.default_rng(0).uniform(0, 9, (3, 60_000))
+    las.write(path)
+    assert len(read_all(path)) == 60_000
+    data = path.read_bytes()
+    (points_at,) = struct.unpack_from("<I", data, 96)
+    at = points_at + 8 + las.point_format.size + 4
+    path.write_bytes(data[:at] + struct.pack("<I", 2**31) + data[at + 4 :])
+    if form > 5:
+        with pytest.raises(InputError, match=r"chunk 1 of 2 .* bytes of layers; expected"):
+            read_all(path)
+
+
 def test_opendrive_lines_and_refused_roads(tmp_path):
     path = tmp_path / "a.xodr"
     path.write_text(XODR)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import laspy
+import lazrs  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
@@ -23,6 +24,8 @@ _PLAIN_SHADE = 170
 _VLR_HEADER_BYTES, _EVLR_HEADER_BYTES = 54, 60
 #: A chunk of compressed points begins with one that is not.
 _CHUNK_BYTES = 20
+#: Layers of a chunk by point format, without one for each extra byte; older formats have none.
+_LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}
 
 
 def read_las_header(path: Path) -> tuple[int, CRS | None]:
@@ -37,6 +40,8 @@ def read_las_header(path: Path) -> tuple[int, CRS | None]:
             )
         if header.point_count == 0:
             raise InputError(f"{path}: the file has no points")
+        if header.are_points_compressed:
+            _check_chunks(path, header)
         try:
             crs = header.parse_crs()
         except Exception:  # of many types, from pyproj and laspy: the file has no usable CRS
@@ -99,6 +104,27 @@ def _laz_chunks(file: BinaryIO, points_at: int, size: int) -> int:
             file.seek(table_at + 4)
             return int.from_bytes(file.read(4), "little")
     return 0
+
+
+def _check_chunks(path: Path, header: laspy.LasHeader) -> None:
+    """Reject sizes of LAZ chunks and their layers that cannot be true: the decoder allocates them and aborts without memory."""
+    vlr = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
+    form = header.point_format
+    layers = _LAYERS[form.id] + form.num_extra_bytes if form.id in _LAYERS else 0
+    size, at = path.stat().st_size, header.offset_to_point_data + 8  # after the chunk table's offset
+    with path.open("rb") as file:
+        file.seek(header.offset_to_point_data)
+        table = lazrs.read_chunk_table(file, vlr)
+        for number, (_, chunk_bytes) in enumerate(table):
+            file.seek(at + form.size + 4)  # after a point and the number of points
+            stated = int(np.frombuffer(file.read(4 * layers), "<u4").sum(dtype=np.int64))
+            at += chunk_bytes
+            if vlr.item_size() != form.size or stated > chunk_bytes or at > size:
+                raise InputError(
+                    f"{path}: chunk {number + 1} of {len(table)} states points of {vlr.item_size()} bytes and {stated:,} bytes "
+                    f"of layers; expected points of {form.size} bytes and layers of at most {chunk_bytes:,} bytes within the "
+                    f"{size:,} of the file. It is damaged: copy it again"
+                )
 
 
 def _check_header(path: Path) -> None:
