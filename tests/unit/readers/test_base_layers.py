@@ -8,6 +8,7 @@ import struct
 from pathlib import Path
 
 import laspy
+import lazrs  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -325,7 +326,7 @@ def test_laz_chunks_must_fit(tmp_path):
 @pytest.mark.parametrize("form", range(11))
 @pytest.mark.parametrize("extra", [[], ["u1", "f8"]])
 def test_laz_layers_must_fit(tmp_path, form, extra):
-    """As chunks."""
+    """As chunks, whose decoder holds all of their points."""
     path = tmp_path / "a.laz"
     las = laspy.create(point_format=form, file_version="1.4")
     las.add_extra_dims([laspy.ExtraBytesParams(f"e{i}", kind) for i, kind in enumerate(extra)])
@@ -337,8 +338,13 @@ def test_laz_layers_must_fit(tmp_path, form, extra):
     at = points_at + 8 + las.point_format.size + 4
     path.write_bytes(data[:at] + struct.pack("<I", 2**31) + data[at + 4 :])
     if form > 5:
-        with pytest.raises(InputError, match=r"chunk 1 of 2 .* bytes of layers; expected"):
+        with pytest.raises(InputError, match=r"chunk 1 of 2 states 50,000 points .* bytes of layers; expected"):
             read_all(path)
+    vlr = lazrs.LazVlr(laspy.open(path).header.vlrs.get("LasZipVlr")[0].record_data).record_data()
+    at = data.index(vlr) + 12  # the size of chunks
+    path.write_bytes(data[:at] + struct.pack("<I", 2**30) + data[at + 4 :])
+    with pytest.raises(InputError, match=r"chunk 1 of 2 states 1,073,741,824 points"):
+        read_all(path)
 
 
 def test_opendrive_lines_and_refused_roads(tmp_path):

@@ -24,6 +24,8 @@ _PLAIN_SHADE = 170
 _VLR_HEADER_BYTES, _EVLR_HEADER_BYTES = 54, 60
 #: A chunk of compressed points begins with one that is not.
 _CHUNK_BYTES = 20
+#: Points of a chunk, which the decoder holds at once; most programs write 50,000.
+_MAX_CHUNK_POINTS = 5_000_000
 #: Layers of a chunk by point format, without one for each extra byte; older formats have none.
 _LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}
 
@@ -115,15 +117,15 @@ def _check_chunks(path: Path, header: laspy.LasHeader) -> None:
     with path.open("rb") as file:
         file.seek(header.offset_to_point_data)
         table = lazrs.read_chunk_table(file, vlr)
-        for number, (_, chunk_bytes) in enumerate(table):
+        for number, (points, chunk_bytes) in enumerate(table):
             file.seek(at + form.size + 4)  # after a point and the number of points
             stated = int(np.frombuffer(file.read(4 * layers), "<u4").sum(dtype=np.int64))
             at += chunk_bytes
-            if vlr.item_size() != form.size or stated > chunk_bytes or at > size:
+            if points > _MAX_CHUNK_POINTS or vlr.item_size() != form.size or stated > chunk_bytes or at > size:
                 raise InputError(
-                    f"{path}: chunk {number + 1} of {len(table)} states points of {vlr.item_size()} bytes and {stated:,} bytes "
-                    f"of layers; expected points of {form.size} bytes and layers of at most {chunk_bytes:,} bytes within the "
-                    f"{size:,} of the file. It is damaged: copy it again"
+                    f"{path}: chunk {number + 1} of {len(table)} states {points:,} points of {vlr.item_size()} bytes, {stated:,} "
+                    f"bytes of layers; expected at most {_MAX_CHUNK_POINTS:,} points of {form.size} bytes, layers of at most "
+                    f"{chunk_bytes:,} bytes within the {size:,} of the file. It is damaged: copy it again"
                 )
 
 
