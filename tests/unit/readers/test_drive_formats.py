@@ -551,6 +551,17 @@ def test_a_chunk_that_grows_beyond_the_limit_is_refused(
         read(path, tmp_path / "images")
 
 
+@pytest.mark.parametrize("name", ["bag", "mcap file", "odometry bag"])
+def test_a_type_with_other_fields_is_not_the_type(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = WRITERS[name](tmp_path / "run", frames[:3], rig)
+    file = path if path.is_file() else next(f for f in path.iterdir() if f.suffix in (".mcap", ".db3"))
+    old, new = (b"float64[9] k", b"float64[9] q")  # the same number of bytes in all definitions of CameraInfo
+    assert old in file.read_bytes()
+    file.write_bytes(file.read_bytes().replace(old, new))
+    with pytest.raises((DriveFolderError, CalibrationError), match=r"CameraInfo|bag cannot be read"):
+        read(path, tmp_path / "images")
+
+
 def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = write_bag(tmp_path / "run", frames[:3], rig)
     text = (path / "metadata.yaml").read_text()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, NoReturn
@@ -25,6 +26,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import reader as rosbag2_reader
 from rosbags.rosbag2 import storage_mcap as rosbag2_mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from conetl.files.atomic import aside
 from conetl.files.documents import MAX_SHOWN, read_yaml
@@ -119,7 +121,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
             if path.is_dir():
                 if (path / METADATA).is_file():
                     read_yaml(path / METADATA)  # within the limits, before rosbags builds it
-                reader = opened.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
+                reader = opened.enter_context(AnyReader([path], default_typestore=_ros_types()))
                 bag = _bag_of_folder(reader, path)
             else:
                 bag = _bag_of_file(make_reader(opened.enter_context(path.open("rb")), validate_crcs=True), path)
@@ -148,7 +150,7 @@ def _bag_of_folder(reader: AnyReader, path: Path) -> Bag:
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
                 yield Message(connection.topic, _decoded(reader.deserialize, raw, connection.msgtype), at_ns)
 
-    types = {c.topic: c.msgtype for c in reader.connections}
+    types = {c.topic: _type_name(reader.typestore, c.msgtype) for c in reader.connections}
     counts = {topic: info.msgcount for topic, info in reader.topics.items()}
     return Bag(types, counts, (reader.start_time, reader.end_time - 1), messages)  # its end is exclusive
 
@@ -166,7 +168,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
             found = get_types_from_msg(schema.data.decode("utf-8"), _ros_name(schema))
             store.register({name: fields for name, fields in found.items() if name not in store.types})
     types = {
-        channel.topic: _ros_name(summary.schemas[channel.schema_id])
+        channel.topic: _type_name(store, _ros_name(summary.schemas[channel.schema_id]))
         for channel in summary.channels.values()
         if channel.message_encoding == "cdr" and channel.schema_id in summary.schemas
     }
@@ -194,6 +196,21 @@ def _decoded(deserialize: Callable[[bytes, str], object], raw: bytes, kind: str)
         return deserialize(raw, kind)
     except Exception:  # of many types; a stated length may also exceed the memory
         return None
+
+
+def _type_name(store: Typestore, name: str) -> str:
+    """The name of a message type; with a remark where the bag defines other fields than ROS."""
+    ros = _ros_types()
+    try:
+        same = name not in ros.fielddefs or store.hash_rihs01(name) == ros.hash_rihs01(name)
+    except Exception:  # of many types, for a definition that refers to what the bag does not define
+        same = False
+    return name if same else f"{name} with other fields"
+
+
+@cache
+def _ros_types() -> Typestore:
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def _ros_name(schema: Schema) -> str:
