@@ -289,6 +289,14 @@ def test_opendrive_numbers_that_would_not_end_are_refused(tmp_path, old, new, wo
     assert any(words in text for text in said)
 
 
+def test_an_opendrive_road_longer_than_its_geometry_stays_at_its_end(tmp_path):
+    """Thousands of equal points, which GEOS compares each with each where it keeps the topology."""
+    path = tmp_path / "a.xodr"
+    path.write_text(XODR.replace('length="40"', 'length="40000"'))
+    lines = read_opendrive(path).lines
+    assert all(len(line.xyz) < 60 for line in lines)
+
+
 def test_opendrive_roads_that_are_too_many_together_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "a.xodr"
     start, rest = XODR.split("<road", 1)

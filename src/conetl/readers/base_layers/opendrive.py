@@ -338,13 +338,16 @@ def _simplified(xyz: Array) -> Array:
     """The vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one. Raises ValueError."""
     if not (np.abs(xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
         raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
+    xyz = xyz[
+        np.concatenate([[True], np.any(np.diff(xyz, axis=0) != 0, axis=1)])
+    ]  # equal ones where a geometry is too short
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
     keep = np.zeros(len(xyz), bool)
     keep[[0, -1]] = True
     for flat in (xyz[:, :2], np.column_stack([along, xyz[:, 2]])):
         for start in range(0, len(xyz) - 1, _BLOCK):
             block = flat[start : start + _BLOCK + 1]
-            line = shapely.simplify(shapely.LineString(block), TOLERANCE_M)
+            line = shapely.simplify(shapely.LineString(block), TOLERANCE_M, preserve_topology=False)
             kept = {tuple(p) for p in shapely.get_coordinates(line).tolist()}
             keep[start : start + _BLOCK + 1] |= np.array([tuple(p) in kept for p in block.tolist()])
     return np.asarray(xyz[keep])
