@@ -19,6 +19,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Rig
@@ -546,6 +547,37 @@ def test_a_chunk_that_grows_beyond_the_limit_is_refused(
     compressed_chunks(file, compression, bytes(9 << 20))
     with pytest.raises(DriveFolderError, match=f"{path.name}: .* larger than 8 MB"):
         read(path, tmp_path / "images")
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "message"),
+    [
+        ("/stereo/right", "/stereo/right" + 300 * "9", "which two topics"),
+        ("pair_tolerance_ms: 4", "pair_tolerance_ms: 1e308", r"pair_tolerance_ms.*less than or equal to 60000"),
+        ("max_pose_gap_s: 1", "max_pose_gap_s: 1e308", r"max_pose_gap_s.*less than or equal to 3600"),
+    ],
+)
+def test_values_of_a_bag_beyond_all_bounds_are_refused(
+    was: str, now: str, message: str, tmp_path: Path, frames: list[Frame], rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_bag(tmp_path / "run", frames[:3], rig, image_name=now[8:] if was[0] == "/" else "image_raw/compressed")
+    (path / "drive.yaml").write_text("pair_tolerance_ms: 4\nmax_pose_gap_s: 1\n".replace(was, now))
+    with pytest.raises(DriveFolderError, match=message) as refused:
+        read(path, tmp_path / "images")
+    assert len(str(refused.value)) < 1000
+
+
+def test_a_lever_arm_that_tf_static_makes_too_long_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    far = rig.model_copy(
+        update={f"body_SE3_{side}": moved(rigs.body_SE3_camera(rig, side)) for side in ("left", "right")}
+    )
+    path = write_bag(tmp_path / "run", frames[:3], far)
+    with pytest.raises(CalibrationError, match=r"the lever arm of body_SE3_left is .* expected at most 100 m"):
+        read(path, tmp_path / "images")
+
+
+def moved(pose: Any) -> Any:
+    return se3.to_matrix4(se3.se3(np.eye(3), [500.0, 0.0, 0.0]) @ pose)
 
 
 @pytest.mark.parametrize("name", ["bag", "mcap file", "odometry bag"])

@@ -46,6 +46,8 @@ _TO_BGR: dict[str, int | None] = {
 }  # fmt: skip
 _CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "rgba8": 4, "bgra8": 4}
 
+#: Characters of a topic's name; DDS has no longer ones, and messages quote them.
+MAX_TOPIC = 255
 #: Largest chunk of messages, uncompressed; recorders make chunks of one to four megabytes, or of one message.
 MAX_CHUNK_BYTES = 256 << 20
 
@@ -125,7 +127,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
                 bag = _bag_of_folder(reader, path)
             else:
                 bag = _bag_of_file(make_reader(opened.enter_context(path.open("rb")), validate_crcs=True), path)
-        yield bag
+        yield bag._replace(types={topic: kind for topic, kind in bag.types.items() if len(topic) <= MAX_TOPIC})
 
 
 @contextmanager
