@@ -14,6 +14,10 @@ from typing import TYPE_CHECKING, Any
 # for the first time; a number of one's own stays.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# GDAL chooses the driver by the content of a file, whatever its name is. These read other files and addresses that the content
+# names, or run programs. It reads this when pyogrio is imported for the first time.
+os.environ.setdefault("OGR_SKIP", "OGR_VRT,GDALG,GPSBabel,ADBC,WFS,CSW,OAPIF,OGCAPI")
+
 if TYPE_CHECKING:
     from conetl.model.errors import ConetlError, InputError, ServiceError
     from conetl.model.ingest_report import IngestReport

@@ -8,13 +8,15 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pyogrio.raw
+import rosbags.highlevel.anyreader
+import rosbags.serde.cdr
 import scipy.io
 import shapely
 import yaml
@@ -31,7 +33,7 @@ from conetl.readers.base_layers.lanelet2 import read_lanelet2
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_file
 from conetl.readers.base_layers.opendrive import read_opendrive
-from conetl.readers.drives import read_drive
+from conetl.readers.drives import bag_messages, read_drive
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.oxts import parse_oxts
 from conetl.readers.drives.pairs import PairError
@@ -143,8 +145,10 @@ def write_rig(folder: Path) -> Path:
 
 
 def write_mat(folder: Path) -> Path:
-    scipy.io.savemat(folder / "stereo.mat", {"s": rig_files.matlab_content(new=False)}, do_compression=True)
-    return folder / "stereo.mat"
+    path = folder / "stereo.mat"
+    scipy.io.savemat(path, {"s": rig_files.matlab_content(new=False)})  # plain: mutations reach what is in it
+    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + path.read_bytes()[116:])  # without the time
+    return path
 
 
 def read_any_rig(path: Path, _: Path) -> object:
@@ -293,6 +297,27 @@ def write_card(folder: Path) -> Path:
     card = shipped_model_path()
     return written("m.onnx.json", card.with_name(card.name + ".json").read_bytes())(folder)
 
+
+def cached(function: Callable[..., Any]) -> Callable[..., Any]:
+    results: dict[str, Any] = {}
+
+    def call(*args: Any) -> Any:
+        if len(results) > 300:
+            results.clear()
+        key = repr(args)
+        if key not in results:
+            results[key] = function(*args)
+        return results[key]
+
+    return call
+
+
+# Most of the time of a small bag is that for its message types, which are the same in nearly all cases.
+for module, function in (
+    (rosbags.serde.cdr, "compile_lines"), (rosbags.highlevel.anyreader, "get_types_from_msg"),
+    (bag_messages, "get_types_from_msg"),
+):  # fmt: skip
+    setattr(module, function, cached(getattr(module, function)))
 
 READERS: dict[str, Reader] = {
     **{name.replace(" ", "_"): Reader(write_drive(name), read_whole_drive) for name in formats.WRITERS},

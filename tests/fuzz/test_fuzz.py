@@ -14,9 +14,11 @@ CASES = 30
 SEED = 1
 #: Later cases with this seed that once crashed, hung, filled the memory, or quoted a whole file.
 FOUND = {
-    "plain": (124, 175, 1551, 2767, 3750, 9723), "euroc": (177, 200, 202, 220, 413, 529), "rig_opencv_xml": (40, 151),
-    "lanes_opendrive": (106, 137, 371), "lanes_geojson": (79, 142), "lanes_gpkg": (145,), "map_geojson": (44, 192),
-    "map_csv": (189, 360, 383), "model_card": (807,),
+    "plain": (124, 175, 1551, 2767, 3750, 9723), "euroc": (177, 200, 202, 220, 413, 529, 6233), "rig_opencv_xml": (40, 151),
+    "rig_kalibr": (2003,), "rig_ros": (292, 341), "rig_matlab_mat": (6102,), "map_parquet": (85, 2105),
+    "points_laz": (388, 812, 873, 891), "lanes_opendrive": (106, 137, 371, 2367, 8516), "lanes_geojson": (79, 142),
+    "lanes_gpkg": (145,), "map_geojson": (44, 192), "map_csv": (189, 360, 383), "model_card": (807,), "odometry_bag": (2960,),
+    "bag": (4210, 5444, 6669), "mcap_file": (495, 4535, 5646, 7141, 8777),
 }  # fmt: skip
 
 

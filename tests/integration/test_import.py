@@ -29,7 +29,9 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.maps.import_map import import_map
+from conetl.readers.base_layers.line_files import read_vector_file
 from conetl.readers.maps.imported_rows import read_map_file
+from conetl.readers.maps.tables import MAX_TEXT_BYTES
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
@@ -396,6 +398,22 @@ BAD = {
     "no sigma": (OTHER, SEEN | {"sigma_u_m": 0.0}, r"row 2: sigma_u_m is 0"),
     "no time": (OTHER, SEEN | {"first_seen_at": "yesterday"}, r"row 2: first_seen_at is 'yesterday'"),
     "times crossed": (OTHER, SEEN | {"first_seen_at": "2026-03-02T08:00:00Z"}, "row 2: first_seen_at, last_seen_at"),
+    "before 2000": (
+        OTHER,
+        SEEN | {"first_seen_at": "1980-01-06T00:00:00Z"},
+        "row 2: first_seen_at, '1980.*before 2000",
+    ),
+    "in the future": (OTHER, SEEN | {"last_seen_at": "2199-01-01T00:00:00Z"}, "row 2: last_seen_at, '2199.*future"),
+    "valid before 2000": (
+        OTHER,
+        SEEN | {"valid_from": "0001-01-01"},
+        "row 2: valid_from, '0001-01-01', is before 2000",
+    ),
+    "microseconds": (
+        OTHER,
+        SEEN | {"last_seen_at_us": 10**12},
+        "row 2: last_seen_at_us, 1000000000000, is before 2000",
+    ),
     "same place": (GOOD[0], SEEN, "row 2: the same position as row 1"),
     "a formula": (OTHER, SEEN | {"category": "=1+1"}, r"row 2: category is '=1\+1', expected .*letters, digits"),
     "a formula of names": (OTHER, SEEN | {"category": "-A1"}, r"row 2: category is '-A1'"),
@@ -515,6 +533,62 @@ def test_a_file_that_claims_gigabytes_is_not_believed(tmp_path):
     assert (tmp_path / "bomb.parquet").stat().st_size < 1 << 20
     with pytest.raises(InputError, match="states more than 2 GiB"):
         read_map_file(tmp_path / "bomb.parquet", PARAMS, map_srid=32632)
+
+
+@pytest.mark.parametrize("name", ["map.geojson", "map.gpkg"])
+@pytest.mark.parametrize("kind", ["VRT", "pipeline"])
+def test_a_file_that_names_other_files_is_refused(tmp_path, name, kind):
+    other = tmp_path / "private.csv"
+    other.write_text("WKT,last_seen_at\nPOINT Z (8.43 49.01 115),2026-03-01T08:00:00Z\n")
+    layer = f'<OGRVRTLayer name="private"><SrcDataSource>{other}</SrcDataSource></OGRVRTLayer>'
+    command = f"gdal vector select {other} --fields last_seen_at"
+    text = {
+        "VRT": f"<OGRVRTDataSource>{layer}</OGRVRTDataSource>",
+        "pipeline": json.dumps({"type": "gdal_streamed_alg", "command_line": command}),
+    }
+    (tmp_path / name).write_text(text[kind])
+    for read in (lambda path: read_map_file(path, PARAMS, crs="EPSG:4326", map_srid=32632), read_vector_file):
+        with pytest.raises(InputError, match=rf"{name}.*not recognized"):
+            read(tmp_path / name)
+
+
+def test_a_broken_geometry_is_named_by_its_row(tmp_path):
+    geo = {"primary_column": "geometry", "columns": {"geometry": {"encoding": "WKB"}}}
+    points = [shapely.to_wkb(shapely.Point(8.43, 49.01, 115.0)), b"\x01\x01\x03\0\0"]
+    table = pa.table({"geometry": points, "last_seen_at": [SEEN["last_seen_at"]] * 2})
+    pq.write_table(table.replace_schema_metadata({"geo": json.dumps(geo)}), tmp_path / "map.parquet")
+    with pytest.raises(InputError, match="row 2: no or a broken geometry where a point is expected"):
+        read_map_file(tmp_path / "map.parquet", PARAMS, map_srid=32632)
+
+
+def test_a_survey_before_2000_or_in_the_future_is_refused(tmp_path):
+    path = geojson(tmp_path / "map.geojson", [(OTHER, {})])
+    for year in (1970, 2199):
+        with pytest.raises(InputError, match=f"--surveyed-at.*{year}.*(before 2000|future)"):
+            read_map_file(path, PARAMS, map_srid=32632, stated_at=datetime(year, 1, 2, tzinfo=UTC))
+
+
+@pytest.mark.parametrize("name", ["map.geojson", "map.csv"])
+def test_text_files_beyond_the_limits_are_refused(tmp_path, name):
+    with (tmp_path / name).open("wb") as file:
+        file.truncate(MAX_TEXT_BYTES + 1)
+    with pytest.raises(InputError, match=rf"{name} has 536,870,913 bytes, expected at most"):
+        read_map_file(tmp_path / name, PARAMS, map_srid=32632)
+
+
+def test_names_that_make_a_table_of_many_columns_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("conetl.readers.maps.tables.MAX_VALUES", 500_000)
+    rows = [(GOOD[0], {f"p{100 * i + j}": 1 for j in range(100)}) for i in range(80)]  # 8,000 columns of 80 rows
+    with pytest.raises(InputError, match="80 features with 8,000 columns, expected at most 500,000 values"):
+        read_map_file(geojson(tmp_path / "wide.geojson", rows), PARAMS, map_srid=32632)
+
+
+@pytest.mark.parametrize("depth", [60, 100_000])
+def test_deeply_nested_geojson_is_refused(tmp_path, depth):
+    nested = json.dumps(point_features([GOOD])[0])[:-2] + f', "a": {"[" * depth}{"]" * depth}' + "}}"
+    (tmp_path / "deep.geojson").write_text(nested)
+    with pytest.raises(InputError, match=r"deep\.geojson cannot be read as a map .*nest"):
+        read_map_file(tmp_path / "deep.geojson", PARAMS, map_srid=32632)
 
 
 def test_a_new_map_wants_its_crs_stated(tmp_path):

@@ -27,23 +27,31 @@ _short.maxstring = _short.maxother = _short.maxlong = MAX_SHOWN
 
 def shown(value: object) -> str:
     """A value as an error message quotes it: at most `MAX_SHOWN` characters, whatever it holds."""
-    text = _short.repr(value)
+    try:
+        text = _short.repr(value)
+    except ValueError:  # more digits than Python converts
+        return "a number of thousands of digits"
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """A small file. Raises InputError where it is larger, or cannot be read."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(max_bytes + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if len(content) > max_bytes:
+        raise InputError(f"{path}: expected at most {max_bytes:,} bytes")
+    return content
 
 
 def read_limited(path: Path, max_bytes: int) -> str:
     """Text (UTF-8) of a small file. Raises InputError where it is larger, no text, or cannot be read."""
     try:
-        with path.open("rb") as file:
-            content = file.read(max_bytes + 1)
-        text = content.decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+        return read_bytes(path, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: this is not a text file") from error
-    if len(content) > max_bytes:
-        raise InputError(f"{path}: expected at most {max_bytes:,} bytes")
-    return text
 
 
 def read_yaml(path: Path) -> Any:

@@ -71,6 +71,6 @@ def test_messages_quote_little_of_a_value() -> None:
     nested: list[object] = ["x" * 1000]
     for _ in range(30):
         nested = [nested, nested, nested]
-    for value in (nested, "x" * 10_000, {str(n): n for n in range(1000)}, b"\0" * 5000, 10**4000):
+    for value in (nested, "x" * 10_000, {str(n): n for n in range(1000)}, b"\0" * 5000, 10**4000, 1 << 20_000):
         assert 0 < len(shown(value)) <= MAX_SHOWN
     assert shown({"fx": [1.0, None]}) == "{'fx': [1.0, None]}"

@@ -8,6 +8,7 @@ import struct
 from pathlib import Path
 
 import laspy
+import lazrs  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -288,6 +289,25 @@ def test_opendrive_numbers_that_would_not_end_are_refused(tmp_path, old, new, wo
     assert any(words in text for text in said)
 
 
+def test_an_opendrive_road_longer_than_its_geometry_stays_at_its_end(tmp_path):
+    """Thousands of equal points, which GEOS compares each with each where it keeps the topology."""
+    path = tmp_path / "a.xodr"
+    path.write_text(XODR.replace('length="40"', 'length="40000"'))
+    lines = read_opendrive(path).lines
+    assert all(len(line.xyz) < 60 for line in lines)
+
+
+def test_opendrive_roads_that_are_too_many_together_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a.xodr"
+    start, rest = XODR.split("<road", 1)
+    road = "<road" + rest.split("</road>", 1)[0] + "</road>"
+    path.write_text(start + road * 50 + "</OpenDRIVE>")
+    assert len(read_opendrive(path).lines) == 200
+    monkeypatch.setattr("conetl.readers.base_layers.opendrive.MAX_POINTS", 40_000)
+    with pytest.raises(InputError, match=r"a\.xodr: road 1: .* more than 40,000 points, .*; import the file in parts"):
+        read_opendrive(path)
+
+
 def test_las_records_after_the_points_must_fit(tmp_path):
     path = write_las(tmp_path / "a.las", 10)
     data = bytearray(path.read_bytes())
@@ -295,6 +315,44 @@ def test_las_records_after_the_points_must_fit(tmp_path):
     path.write_bytes(data)
     with pytest.raises(InputError, match="records after the points"):
         read_las_header(path)
+
+
+def test_laz_chunks_must_fit(tmp_path):
+    """The decoder ends the process where it cannot allocate as many as are stated."""
+    path = write_las(tmp_path / "a.laz")
+    data = path.read_bytes()
+    (points_at,) = struct.unpack_from("<I", data, 96)
+    (table_at,) = struct.unpack_from("<q", data, points_at)
+    wrong = data[: table_at + 4] + struct.pack("<I", 2**32 - 1) + data[table_at + 8 :]
+    streamed = wrong[:points_at] + struct.pack("<q", -1) + wrong[points_at + 8 :] + struct.pack("<q", table_at)
+    for content in (wrong, streamed):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="4,294,967,295 chunks"):
+            read_all(path)
+
+
+@pytest.mark.parametrize("form", range(11))
+@pytest.mark.parametrize("extra", [[], ["u1", "f8"]])
+def test_laz_layers_must_fit(tmp_path, form, extra):
+    """As chunks, whose decoder holds all of their points."""
+    path = tmp_path / "a.laz"
+    las = laspy.create(point_format=form, file_version="1.4")
+    las.add_extra_dims([laspy.ExtraBytesParams(f"e{i}", kind) for i, kind in enumerate(extra)])
+    las.x, las.y, las.z = np.random.default_rng(0).uniform(0, 9, (3, 60_000))
+    las.write(path)
+    assert len(read_all(path)) == 60_000
+    data = path.read_bytes()
+    (points_at,) = struct.unpack_from("<I", data, 96)
+    at = points_at + 8 + las.point_format.size + 4
+    path.write_bytes(data[:at] + struct.pack("<I", 2**31) + data[at + 4 :])
+    if form > 5:
+        with pytest.raises(InputError, match=r"chunk 1 of 2 states 50,000 points .* bytes of layers; expected"):
+            read_all(path)
+    vlr = lazrs.LazVlr(laspy.open(path).header.vlrs.get("LasZipVlr")[0].record_data).record_data()
+    at = data.index(vlr) + 12  # the size of chunks
+    path.write_bytes(data[:at] + struct.pack("<I", 2**30) + data[at + 4 :])
+    with pytest.raises(InputError, match=r"chunk 1 of 2 states 1,073,741,824 points"):
+        read_all(path)
 
 
 def test_opendrive_lines_and_refused_roads(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 from collections import Counter
 from collections.abc import Callable
@@ -14,7 +15,11 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 
+from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Rig
@@ -495,6 +500,104 @@ def test_a_bag_whose_metadata_is_a_bomb_is_refused(tmp_path: Path, frames: list[
     (path / "metadata.yaml").write_text(bomb)
     with pytest.raises(DriveFolderError, match="each alias counts"):
         read(path, tmp_path / "cache")
+
+
+def compressed_chunks(path: Path, compression: CompressionType, extra: bytes) -> None:
+    """Write an MCAP file anew as one compressed chunk, with another message in it."""
+    with path.open("rb") as file:
+        messages = list(make_reader(file).iter_messages())
+    with path.open("wb") as file:
+        writer = McapWriter(file, chunk_size=1 << 30, compression=compression)
+        writer.start(profile="ros2")
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for schema, channel, message in messages:
+            assert schema is not None
+            if channel.id not in channels:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
+                )
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        last = messages[-1][2]
+        writer.add_message(channels[last.channel_id], last.log_time, extra, last.publish_time)
+        writer.finish()
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+@pytest.mark.parametrize("name", ["bag", "mcap file"])
+def test_a_chunk_that_grows_beyond_the_limit_is_refused(
+    name: str,
+    compression: CompressionType,
+    tmp_path: Path,
+    frames: list[Frame],
+    rig: Rig,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = WRITERS[name](tmp_path / "run", frames[:3], rig)
+    file = path if path.is_file() else next(path.glob("*.mcap"))
+    compressed_chunks(file, compression, b"")
+    assert len(read(path, tmp_path / "images")[0].frame_pairs) == 3
+    data = file.read_bytes()
+    at = data.index(bytes([6]), data.index(b"ros2"))  # the chunk, after the header
+    file.write_bytes(data[: at + 25] + (2**40).to_bytes(8, "little") + data[at + 33 :])  # the size that it states
+    assert len(read(path, tmp_path / "images")[0].frame_pairs) == 3, "nobody allocates it"
+    monkeypatch.setattr("conetl.readers.drives.bag_messages.MAX_CHUNK_BYTES", 8 << 20)
+    file.write_bytes(data)
+    compressed_chunks(file, compression, bytes(9 << 20))
+    with pytest.raises(DriveFolderError, match=f"{path.name}: .* larger than 8 MB"):
+        read(path, tmp_path / "images")
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "message"),
+    [
+        ("/stereo/right", "/stereo/right" + 300 * "9", "which two topics"),
+        ("pair_tolerance_ms: 4", "pair_tolerance_ms: 1e308", r"pair_tolerance_ms.*less than or equal to 60000"),
+        ("max_pose_gap_s: 1", "max_pose_gap_s: 1e308", r"max_pose_gap_s.*less than or equal to 3600"),
+    ],
+)
+def test_values_of_a_bag_beyond_all_bounds_are_refused(
+    was: str, now: str, message: str, tmp_path: Path, frames: list[Frame], rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_bag(tmp_path / "run", frames[:3], rig, image_name=now[8:] if was[0] == "/" else "image_raw/compressed")
+    (path / "drive.yaml").write_text("pair_tolerance_ms: 4\nmax_pose_gap_s: 1\n".replace(was, now))
+    with pytest.raises(DriveFolderError, match=message) as refused:
+        read(path, tmp_path / "images")
+    assert len(str(refused.value)) < 1000
+
+
+def test_a_lever_arm_that_tf_static_makes_too_long_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    far = rig.model_copy(
+        update={f"body_SE3_{side}": moved(rigs.body_SE3_camera(rig, side)) for side in ("left", "right")}
+    )
+    path = write_bag(tmp_path / "run", frames[:3], far)
+    with pytest.raises(CalibrationError, match=r"the lever arm of body_SE3_left is .* expected at most 100 m"):
+        read(path, tmp_path / "images")
+
+
+def moved(pose: Any) -> Any:
+    return se3.to_matrix4(se3.se3(np.eye(3), [500.0, 0.0, 0.0]) @ pose)
+
+
+@pytest.mark.parametrize("name", ["bag", "mcap file", "odometry bag"])
+def test_a_type_with_other_fields_is_not_the_type(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = WRITERS[name](tmp_path / "run", frames[:3], rig)
+    file = path if path.is_file() else next(f for f in path.iterdir() if f.suffix in (".mcap", ".db3"))
+    old, new = (b"float64[9] k", b"float64[9] q")  # the same number of bytes in all definitions of CameraInfo
+    assert old in file.read_bytes()
+    file.write_bytes(file.read_bytes().replace(old, new))
+    with pytest.raises((DriveFolderError, CalibrationError), match=r"CameraInfo|bag cannot be read"):
+        read(path, tmp_path / "images")
+
+
+def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_bag(tmp_path / "run", frames[:3], rig)
+    text = (path / "metadata.yaml").read_text()
+    text = re.sub("compression_format:.*", "compression_format: zstd", text)
+    (path / "metadata.yaml").write_text(re.sub("compression_mode:.*", "compression_mode: file", text))
+    with pytest.raises(DriveFolderError, match="compressed as a whole"):
+        read(path, tmp_path / "images")
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from conetl.files.documents import MAX_JSON_BYTES
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
@@ -302,6 +305,7 @@ BAD_KALIBR = {
     "three numbers": (change("cam0/intrinsics", [1, 2, 3]), "'cam0.intrinsics' must be 4 numbers, found 3"),
     "omni": (change("cam0/camera_model", "omni"), "'cam0.camera_model' 'omni' is not supported"),
     "fov": (change("cam1/distortion_model", "fov"), "'cam1.distortion_model' 'fov' is not supported"),
+    "list": (change("cam1/distortion_model", ["radtan"]), r"'cam1.distortion_model' \['radtan'\] is not supported"),
     "no pose": (change("cam1/T_cn_cnm1", None), "'cam1.T_cn_cnm1' is missing"),
     "3x4": (change("cam1/T_cn_cnm1", np.eye(4)[:3].tolist()), "'cam1.T_cn_cnm1' must be 4 x 4 numbers, found 3 x 4"),
     "swapped": (change("cam1/T_cn_cnm1", (np.eye(4) + 0.3 * np.eye(4, k=3)).tolist()), "T_cn_cnm1.*swapped"),
@@ -328,6 +332,9 @@ BAD_MATLAB = {
 BAD_ROS = {
     "no projection": (change("projection_matrix", None), "'projection_matrix' is missing"),
     "rows": (change("camera_matrix/rows", 4), "'camera_matrix' has 4 rows and 3 columns, but 9 numbers"),
+    "true rows": (change("camera_matrix/rows", True), "'camera_matrix' has True rows and 3 columns, but 9 numbers"),
+    "negative rows": (change("camera_matrix", {"rows": -3, "cols": -3, "data": [1.0] * 9}), "'camera_matrix' has -3 rows"),
+    "long rows": (change("camera_matrix/rows", "3" * 5000), r"'camera_matrix' has '3{9,99}\.\.\.3+' rows"),
     "model": (change("distortion_model", "double_sphere"), "'distortion_model' 'double_sphere' is not supported"),
     "count": (change("distortion_coefficients/data", [1.0, 2.0, 3.0]), "'distortion_coefficients' has"),
     "rotation": (change("rectification_matrix/data", [1.0] * 9), "'rectification_matrix' is not a rotation"),
@@ -395,6 +402,38 @@ def test_files_that_are_cut_off_or_of_another_kind(tmp_path: Path) -> None:
     complaint(tmp_path / "left_cam.yaml", "right_cam.yaml is missing")
     (tmp_path / "cam.yaml").write_text(yaml.safe_dump(ros_content("left")))
     complaint(tmp_path / "cam.yaml", "name the files left.yaml and right.yaml")
+
+
+def test_world_units_that_are_numbers_are_millimetres(tmp_path: Path) -> None:
+    path = tmp_path / "stereo.mat"
+    scipy.io.savemat(path, {"s": matlab_content(new=False) | {"WorldUnits": np.ones(3)}})
+    assert read_rig(path).baseline_m == pytest.approx(float(np.linalg.norm(T)))
+
+
+def mat_element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content
+
+
+def test_a_mat_file_beyond_the_limits_is_refused(tmp_path: Path) -> None:
+    """Too many bytes, few that become many, and structures in structures."""
+    path = tmp_path / "stereo.mat"
+    scipy.io.savemat(path, {"a": np.zeros(MAX_JSON_BYTES // 8)})
+    complaint(path, "at most 5,000,000 bytes")
+    scipy.io.savemat(path, {"a": np.zeros(MAX_JSON_BYTES // 8)}, do_compression=True)
+    assert path.stat().st_size < 10_000
+    complaint(path, "at most 5,000,000 bytes uncompressed")
+    scipy.io.savemat(path, {"a": 1.0})
+    header = path.read_bytes()[:128]
+    start = (
+        mat_element(6, bytes([2, 0, 0, 0, 0, 0, 0, 0])) + mat_element(5, struct.pack("<ii", 1, 1)) + mat_element(1, b"")
+    )
+    start += struct.pack("<HHi", 5, 4, 8) + mat_element(1, b"inner\0\0\0")
+    structure = b""
+    for _ in range(500):
+        structure = mat_element(14, start + structure)
+    for content in (structure, mat_element(15, zlib.compress(structure))):
+        path.write_bytes(header + content)
+        complaint(path, "nested too deeply")
 
 
 def test_a_folder_with_two_calibrations_is_not_guessed_at(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ and border. s runs along the reference line in plan, t to its left. Lengths in m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 from xml.etree import ElementTree
@@ -32,6 +32,9 @@ _ARC_LENGTH_SAMPLES = 512
 #: Largest deviation of omitted vertices from the line.
 TOLERANCE_M = 0.01
 _MAX_ROAD_M = 100_000.0
+#: Points that are computed for all lines of a file, and how many of them a line costs at least.
+MAX_POINTS = 50_000_000
+_LINE_POINTS = 100
 MAX_COORDINATE_M = 1e9
 #: Vertices that are simplified at once: the time for a curled line rises with the square of it.
 _BLOCK = 2_000
@@ -75,12 +78,10 @@ class Lane(NamedTuple):
 def cubic_at(pieces: Sequence[Cubic], s_m: Array) -> Array:
     """Value (N,) of piecewise cubics at s; 0 where there are none or before the first."""
     s = np.asarray(s_m, np.float64)
-    value = np.zeros_like(s)
-    for piece in sorted(pieces, key=lambda p: p.start_m):
-        here = s >= piece.start_m
-        ds = s[here] - piece.start_m
-        value[here] = piece.a + ds * (piece.b + ds * (piece.c + ds * piece.d))
-    return value
+    start, a, b, c, d = np.array([Cubic(-np.inf, 0.0), *sorted(pieces, key=lambda p: p.start_m)]).T
+    owner = np.searchsorted(start, s, side="right") - 1
+    ds = np.where(owner > 0, s - start[owner], 0.0)
+    return np.asarray(a[owner] + ds * (b[owner] + ds * (c[owner] + ds * d[owner])))
 
 
 def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Array:
@@ -173,7 +174,7 @@ def _derivative(c: tuple[float, float, float, float], p: Array) -> Array:
 
 
 def read_opendrive(path: Path) -> LineFile:
-    """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road."""
+    """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
     try:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
@@ -188,10 +189,21 @@ def read_opendrive(path: Path) -> LineFile:
         move = _header_offset(root)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
+    left = float(MAX_POINTS)
+
+    def spend(points: float) -> None:
+        nonlocal left
+        left -= points
+        if left < 0:
+            raise InputError(
+                f"{path}: {what}: up to here the lanes have more than {MAX_POINTS:,} points, one each {STEP_M:g} m; "
+                "import the file in parts"
+            )
+
     for road in root.iter("road"):
         what = f"road {road.get('id', '')[:MAX_SHOWN]}"
         try:
-            for line in _road_lines(road):
+            for line in _road_lines(road, spend):
                 moved = line._replace(xyz=_simplified(line.xyz) @ move[0].T + move[1])
                 add_line(moved, f"{what}, {line.attributes.get('border')}", lines, refused)
         except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
@@ -208,11 +220,12 @@ def read_opendrive(path: Path) -> LineFile:
     return LineFile(lines, crs, refused)
 
 
-def _road_lines(road: Element) -> Iterator[Line]:
+def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]:
+    """Lines of a road; `spend` is called with the number of points before they are computed."""
     length = _number(road, "length")
     if not 0 < length <= _MAX_ROAD_M:
         raise ValueError(f"its length is {length:g} m; expected more than 0 and at most {_MAX_ROAD_M:g}")
-    pieces = [_piece(g) for g in road.findall("planView/geometry")]
+    pieces = sorted((_piece(g) for g in road.findall("planView/geometry")), key=lambda piece: piece.start_m)
     if not pieces:
         raise ValueError("it has no planView geometry")
     if not sum(p.length_m for p in pieces) <= _MAX_ROAD_M:
@@ -221,6 +234,7 @@ def _road_lines(road: Element) -> Iterator[Line]:
     roll = _cubics(road.findall("lateralProfile/superelevation"), "s")
     offset = _cubics(road.findall("lanes/laneOffset"), "s")
     about = {"road": road.get("id"), "road_name": road.get("name") or None}
+    spend(_points(pieces, 0.0, length))
     s = samples_m(pieces, 0.0, length)
     yield Line(
         "reference_line",
@@ -234,8 +248,9 @@ def _road_lines(road: Element) -> Iterator[Line]:
     for section, start, end in zip(sections, starts, [*starts[1:], length], strict=True):
         if end <= start:
             continue
-        s = samples_m(pieces, start, end)
         elements = {int(_number(lane, "id")): lane for lane in section.iter("lane")}
+        spend(_points(pieces, start, end) * (len(elements) + 1))
+        s = samples_m(pieces, start, end)
         lanes = [
             Lane(number, _cubics(lane.findall("width"), "sOffset"), _cubics(lane.findall("border"), "sOffset"))
             for number, lane in elements.items()
@@ -254,6 +269,13 @@ def _road_lines(road: Element) -> Iterator[Line]:
             yield Line(
                 "lane_border" if paint == "none" else paint, offset_line(pieces, elevation, roll, s, t), attributes
             )
+
+
+def _points(pieces: Sequence[Piece], from_m: float, to_m: float) -> float:
+    """Points that one line between these s costs, with those that its pieces (in order) are integrated over."""
+    ends = [*(piece.start_m for piece in pieces[1:]), math.inf]
+    integrated_m = sum(p.length_m for p, end in zip(pieces, ends, strict=True) if p.start_m <= to_m and end >= from_m)
+    return _LINE_POINTS + len(pieces) + (to_m - from_m + integrated_m) / STEP_M
 
 
 def _piece(geometry: Element) -> Piece:
@@ -316,13 +338,16 @@ def _simplified(xyz: Array) -> Array:
     """The vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one. Raises ValueError."""
     if not (np.abs(xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
         raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
+    xyz = xyz[
+        np.concatenate([[True], np.any(np.diff(xyz, axis=0) != 0, axis=1)])
+    ]  # equal ones where a geometry is too short
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
     keep = np.zeros(len(xyz), bool)
     keep[[0, -1]] = True
     for flat in (xyz[:, :2], np.column_stack([along, xyz[:, 2]])):
         for start in range(0, len(xyz) - 1, _BLOCK):
             block = flat[start : start + _BLOCK + 1]
-            line = shapely.simplify(shapely.LineString(block), TOLERANCE_M)
+            line = shapely.simplify(shapely.LineString(block), TOLERANCE_M, preserve_topology=False)
             kept = {tuple(p) for p in shapely.get_coordinates(line).tolist()}
             keep[start : start + _BLOCK + 1] |= np.array([tuple(p) in kept for p in block.tolist()])
     return np.asarray(xyz[keep])

@@ -10,16 +10,23 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple, NoReturn
 
 import cv2
+import lz4.frame  # type: ignore[import-untyped]
+import mcap.stream_reader
 import numpy as np
 from mcap.reader import McapReader, make_reader
 from mcap.records import Schema
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import reader as rosbag2_reader
+from rosbags.rosbag2 import storage_mcap as rosbag2_mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from conetl.files.atomic import aside
 from conetl.files.documents import MAX_SHOWN, read_yaml
@@ -38,6 +45,39 @@ _TO_BGR: dict[str, int | None] = {
     "bayer_gbrg8": cv2.COLOR_BayerGR2BGR, "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
 }  # fmt: skip
 _CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "rgba8": 4, "bgra8": 4}
+
+#: Characters of a topic's name; DDS has no longer ones, and messages quote them.
+MAX_TOPIC = 255
+#: Largest chunk of messages, uncompressed; recorders make chunks of one to four megabytes, or of one message.
+MAX_CHUNK_BYTES = 256 << 20
+
+
+def _limited(new: Callable[[], Any]) -> Callable[..., bytes]:
+    """A function that decompresses at most MAX_CHUNK_BYTES, whatever size is stated. Raises ValueError."""
+
+    def decompress(data: bytes, _stated: int = 0) -> bytes:
+        decompressor = new()
+        plain: bytes = decompressor.decompress(data, MAX_CHUNK_BYTES)
+        if not decompressor.eof:
+            raise ValueError(
+                f"a compressed chunk is incomplete or larger than {MAX_CHUNK_BYTES >> 20} MB: record smaller chunks"
+            )
+        return plain
+
+    return decompress
+
+
+def _whole_file(*_: object) -> NoReturn:
+    raise ValueError(
+        "its files are compressed as a whole: 'ros2 bag convert' makes a bag of plain or compressed messages"
+    )
+
+
+# Both libraries allocate what a chunk states, or decompress as much as it makes.
+_zstd, _lz4 = _limited(vars(rosbag2_reader)["zstd"].ZstdDecompressor), _limited(lz4.frame.LZ4FrameDecompressor)
+rosbag2_mcap.DECOMPRESSORS.update(zstd=_zstd, lz4=_lz4)
+vars(rosbag2_reader)["zstd"] = SimpleNamespace(decompress=_zstd, open=_whole_file)
+vars(mcap.stream_reader).update(zstandard=SimpleNamespace(decompress=_zstd), lz4=SimpleNamespace(decompress=_lz4))
 
 
 class Message(NamedTuple):
@@ -83,11 +123,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
             if path.is_dir():
                 if (path / METADATA).is_file():
                     read_yaml(path / METADATA)  # within the limits, before rosbags builds it
-                reader = opened.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
+                reader = opened.enter_context(AnyReader([path], default_typestore=_ros_types()))
                 bag = _bag_of_folder(reader, path)
             else:
                 bag = _bag_of_file(make_reader(opened.enter_context(path.open("rb")), validate_crcs=True), path)
-        yield bag
+        yield bag._replace(types={topic: kind for topic, kind in bag.types.items() if len(topic) <= MAX_TOPIC})
 
 
 @contextmanager
@@ -112,7 +152,7 @@ def _bag_of_folder(reader: AnyReader, path: Path) -> Bag:
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
                 yield Message(connection.topic, _decoded(reader.deserialize, raw, connection.msgtype), at_ns)
 
-    types = {c.topic: c.msgtype for c in reader.connections}
+    types = {c.topic: _type_name(reader.typestore, c.msgtype) for c in reader.connections}
     counts = {topic: info.msgcount for topic, info in reader.topics.items()}
     return Bag(types, counts, (reader.start_time, reader.end_time - 1), messages)  # its end is exclusive
 
@@ -130,7 +170,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
             found = get_types_from_msg(schema.data.decode("utf-8"), _ros_name(schema))
             store.register({name: fields for name, fields in found.items() if name not in store.types})
     types = {
-        channel.topic: _ros_name(summary.schemas[channel.schema_id])
+        channel.topic: _type_name(store, _ros_name(summary.schemas[channel.schema_id]))
         for channel in summary.channels.values()
         if channel.message_encoding == "cdr" and channel.schema_id in summary.schemas
     }
@@ -158,6 +198,21 @@ def _decoded(deserialize: Callable[[bytes, str], object], raw: bytes, kind: str)
         return deserialize(raw, kind)
     except Exception:  # of many types; a stated length may also exceed the memory
         return None
+
+
+def _type_name(store: Typestore, name: str) -> str:
+    """The name of a message type; with a remark where the bag defines other fields than ROS."""
+    ros = _ros_types()
+    try:
+        same = name not in ros.fielddefs or store.hash_rihs01(name) == ros.hash_rihs01(name)
+    except Exception:  # of many types, for a definition that refers to what the bag does not define
+        same = False
+    return name if same else f"{name} with other fields"
+
+
+@cache
+def _ros_types() -> Typestore:
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def _ros_name(schema: Schema) -> str:

@@ -71,9 +71,9 @@ class DriveYaml(Record):
     sigmas: Sigmas = Sigmas()
     georeference: Georeference | None = None
     streams: Streams = Streams()
-    pair_tolerance_ms: Positive = 5.0
+    pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
-    max_pose_gap_s: Positive = 0.5
+    max_pose_gap_s: float = Field(default=0.5, gt=0, le=3600)
     """EuRoC and bags: poses farther apart in time are not interpolated."""
     antenna_t_m: tuple[float, float, float] | None = None
     """Bags: the GNSS antenna in the IMU's frame, where /tf_static has none; 0, 0, 0 if the positions are those of the IMU."""

@@ -23,7 +23,7 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, small_file
 from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash
 from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
-from conetl.readers.rigs.common import rectified_rig
+from conetl.readers.rigs.common import first_message, rectified_rig
 
 Array = NDArray[np.float64]
 
@@ -138,7 +138,11 @@ def rig_on_body(rig: Rig, sensor_SE3_left: Array, settings: DriveYaml, source: P
     body_SE3_left = se3.compose(se3.se3(turn.T, np.zeros(3)), sensor_SE3_left)
     body_SE3_right = se3.compose(body_SE3_left, rigs.left_SE3_right(rig))
     poses = {"body_SE3_left": se3.to_matrix4(body_SE3_left), "body_SE3_right": se3.to_matrix4(body_SE3_right)}
-    return rectified_rig(rig.model_copy(update=poses | overrides(settings)), source), turn
+    try:
+        on_body = Rig.model_validate(dict(rig) | poses | overrides(settings))
+    except ValueError as error:
+        raise CalibrationError(f"{source}: {first_message(error)}") from error
+    return rectified_rig(on_body, source), turn
 
 
 def overrides(settings: DriveYaml) -> dict[str, object]:

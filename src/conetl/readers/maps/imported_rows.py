@@ -25,6 +25,7 @@ from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3
 from conetl.readers.base_layers.georeferencing import in_area
+from conetl.readers.drives.timestamps import clock_problem
 from conetl.readers.maps.tables import MapTable, read_table
 
 _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
@@ -106,6 +107,8 @@ def read_map_file(
     sha256 = _content_sha256(table)
     rows = _Rows(table, params)
     stated_ns = rows.latest_ns() if stated_at is None else _ns(stated_at)
+    if problem := clock_problem(stated_ns):
+        raise InputError(f"{path}: the time of the survey (--surveyed-at), {stated_at}, {problem}; nothing was written")
     ids = rows.ids(sha256)
     statements = [rows.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
     name = f"{path.name}:{table.layer}" if len(table.layers) > 1 else path.name
@@ -197,17 +200,22 @@ class _Rows:
         """UTC nanoseconds; `name`_us (microseconds since 1970) is exact where a format's own times are not."""
         micros, value = values.get(f"{name}_us"), values.get(name)
         if micros is not None:
-            if isinstance(micros, int | float) and math.isfinite(micros) and abs(micros) < 9e15:
-                return int(micros) * 1000
-            raise self.fail(index, f"{name}_us is {shown(micros)}, expected microseconds since 1970")
-        if value is None:
+            name, value = f"{name}_us", micros
+            if not (isinstance(micros, int | float) and math.isfinite(micros) and abs(micros) < 9e15):
+                raise self.fail(index, f"{name} is {shown(micros)}, expected microseconds since 1970")
+            time_ns = int(micros) * 1000
+        elif value is None:
             return default
-        try:
-            text = str(value).replace("/", "-")  # 2026/03/02, as some programs write it
-            instant = value if isinstance(value, datetime) else datetime.fromisoformat(text)
-            return _ns(instant if instant.tzinfo else instant.replace(tzinfo=UTC))
-        except (ValueError, OverflowError):
-            raise self.fail(index, f"{name} is {shown(value)}, expected a time like 2026-03-02T10:00:00Z") from None
+        else:
+            try:
+                text = str(value).replace("/", "-")  # 2026/03/02, as some programs write it
+                instant = value if isinstance(value, datetime) else datetime.fromisoformat(text)
+                time_ns = _ns(instant if instant.tzinfo else instant.replace(tzinfo=UTC))
+            except (ValueError, OverflowError):
+                raise self.fail(index, f"{name} is {shown(value)}, expected a time like 2026-03-02T10:00:00Z") from None
+        if problem := clock_problem(time_ns):
+            raise self.fail(index, f"{name}, {shown(value)}, {problem}")
+        return time_ns
 
 
 def _require_all(

@@ -30,6 +30,9 @@ from conetl.model.errors import InputError
 MAX_ROWS = 1_000_000
 #: Largest uncompressed size.
 MAX_BYTES = 2 << 30
+#: Largest text file, and most values (rows times columns) of any, as they are in memory; ten times those of our own exports.
+MAX_TEXT_BYTES = 512 << 20
+MAX_VALUES = 50_000_000
 _BATCH = 20_000
 #: A feature has at least this many bytes in any format.
 _MIN_ROW_BYTES = 8
@@ -86,6 +89,10 @@ def read_table(path: Path, layer: str | None = None) -> MapTable:
         raise InputError(f"{path} cannot be read ({error.strerror})") from error
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'not a file'}: nothing to import")
+    if size > MAX_TEXT_BYTES and path.suffix.lower() in (".csv", ".geojson", ".json"):
+        raise InputError(
+            f"{path} has {size:,} bytes, expected at most {MAX_TEXT_BYTES:,}: import it in parts, or as .gpkg"
+        )
     if layer is not None and reader is not read_vector:
         raise InputError(f"{path}: has no layers: leave out --layer")
     table = reader(path)
@@ -101,7 +108,7 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
         layers = tuple(str(name) for name, geometry in pyogrio.list_layers(path) if geometry is not None)
         layer = _choose_layer(path, layers, layer)
         info = pyogrio.read_info(path, layer=layer)
-        _check_claim(path, info["features"], "features")
+        _check_claim(path, info["features"], "features", len(info["fields"]))
         table = MapTable(path, _crs_of(path, info["crs"]), layers=layers, layer=layer)
         source: Path | bytes = path
         options = {"layer": layer, **_OPEN_OPTIONS.get(info["driver"], {})}
@@ -174,7 +181,7 @@ def _read_parquet(path: Path) -> MapTable:
         file = pq.ParquetFile(path)
         metadata = file.metadata
         groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
-        _check_claim(path, metadata.num_rows, "rows")
+        _check_claim(path, metadata.num_rows, "rows", metadata.num_columns)
         if sum(group.total_byte_size for group in groups) > MAX_BYTES:
             raise InputError(f"{path} states more than {MAX_BYTES >> 30} GiB: that is not a cone map")
         geo = json.loads((metadata.metadata or {}).get(b"geo", b"null"))
@@ -199,11 +206,17 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
     parts = []
     count = 0
     for batch in batches:
-        points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object))
+        points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")
         bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
         if len(bad):
             point = points[bad[0]]
-            kind = "nothing" if point is None else "an empty point" if point.geom_type == "Point" else point.geom_type
+            kind = (
+                "no or a broken geometry"
+                if point is None
+                else "an empty point"
+                if point.geom_type == "Point"
+                else point.geom_type
+            )
             raise InputError(f"{table.path}, row {count + int(bad[0]) + 1}: {kind} where a point is expected")
         parts.append(shapely.get_coordinates(points, include_z=True))
         count += batch.num_rows
@@ -227,13 +240,14 @@ def _read_csv(path: Path) -> MapTable:
             rows = csv.reader(file, strict=True, delimiter=max(",;\t", key=header.count))
             names = [_CSV_NAMES.get(name.strip().lower(), name.strip()) for name in next(rows, [])]
             lines = []
+            most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
             for number, line in enumerate(rows, start=1):
                 if not line:
                     continue
                 if len(line) != len(names):
                     raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
                 lines.append(line)
-                if number > MAX_ROWS:
+                if number > most_rows:
                     raise _too_many(path)
     except (OSError, UnicodeError, csv.Error) as error:
         raise InputError(f"{path} cannot be read as CSV ({_line(error)})") from error
@@ -274,16 +288,22 @@ def _check_flatgeobuf_header(path: Path) -> None:
         )
 
 
-def _check_claim(path: Path, count: int, noun: str) -> None:
+def _check_claim(path: Path, count: int, noun: str, columns: int) -> None:
     if count > MAX_ROWS:
         raise _too_many(path)
+    if count * columns > MAX_VALUES:
+        raise InputError(
+            f"{path} has {count:,} {noun} with {columns:,} columns, expected at most {MAX_VALUES:,} values: leave out columns"
+        )
     # Equal values compress to almost nothing; but geometries differ.
     if count * _MIN_ROW_BYTES > path.stat().st_size + 4096:
         raise InputError(f"{path} states {count} {noun}, but has only {path.stat().st_size} bytes: it is cut or broken")
 
 
 def _too_many(path: Path) -> InputError:
-    return InputError(f"{path} has more than {MAX_ROWS} rows: that is not a cone map; import it in parts")
+    return InputError(
+        f"{path} has more than {MAX_ROWS:,} rows or {MAX_VALUES:,} values: that is not a cone map; import it in parts"
+    )
 
 
 def _crs_of(path: Path, text: str | None) -> CRS | None:

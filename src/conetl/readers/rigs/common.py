@@ -45,6 +45,12 @@ def read_text(path: Path) -> str:
         return read_limited(path, MAX_JSON_BYTES)
 
 
+def read_bytes(path: Path) -> bytes:
+    """A file that is not text. Raises CalibrationError."""
+    with _calibration_errors():
+        return documents.read_bytes(path, MAX_JSON_BYTES)
+
+
 def read_yaml(path: Path) -> Any:
     """Content of a YAML file. Raises CalibrationError."""
     with _calibration_errors():
@@ -95,8 +101,8 @@ def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = No
     if isinstance(value, Mapping):
         rows, cols = value.get("rows"), value.get("cols")
         data = numbers(path, key, value.get("data", []))
-        if not isinstance(rows, int) or not isinstance(cols, int) or rows * cols != data.size:
-            raise bad(path, key, f"has {rows} rows and {cols} columns, but {data.size} numbers")
+        if not (type(rows) is type(cols) is int and rows > 0 and rows * cols == data.size):  # True is an int, too
+            raise bad(path, key, f"has {shown(rows)} rows and {shown(cols)} columns, but {data.size} numbers")
         value = data.reshape(rows, cols)
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -154,7 +160,7 @@ def pinhole_camera(
         raise bad(path, f"{where}camera_model", f"{shown(model)} is not supported, only pinhole")
     key = "distortion_model"
     lens_model = content.get(key) if None in lenses else entry(path, content, key, where)
-    if lens_model not in lenses:
+    if not isinstance(lens_model, str | None) or lens_model not in lenses:
         known = ", ".join(name for name in lenses if name)
         raise bad(path, f"{where}{key}", f"{shown(lens_model)} is not supported; known: {known}")
     lens, kind = Lens(), lenses[lens_model]

@@ -9,15 +9,17 @@ not); and points are rows, `[x y z] * RotationOfCamera2 + TranslationOfCamera2`,
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import struct
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import MAX_SHOWN, shown
+from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, MAX_SHOWN, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -34,6 +36,7 @@ from conetl.readers.rigs.common import (
     numbers_at,
     opencv_coefficients,
     opencv_lens,
+    read_bytes,
     read_json,
     size_of_images,
     stereo_rig,
@@ -41,6 +44,10 @@ from conetl.readers.rigs.common import (
 
 #: What to add to a camera matrix: MATLAB's first pixel is (1, 1), ours (0, 0).
 _ORIGIN = np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 0]])
+#: Types of data elements in .mat files, and classes of matrices.
+_MATRIX, _COMPRESSED = 14, 15
+_NUMBER_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_STRUCTURE, _TEXT, _NUMERIC = 2, 4, range(6, 16)
 _HOW = "In MATLAB: s = toStruct(stereoParams); then save('stereo.mat', 's', '-v7') or writelines(jsonencode(s), 'stereo.json')"
 
 
@@ -124,8 +131,8 @@ def _given(content: Any, key: str) -> bool:
 
 def _unit(found: Mapping[str, Any]) -> str:
     inner = found.get("CameraParameters1")
-    unit = found.get("WorldUnits") or (inner.get("WorldUnits") if isinstance(inner, Mapping) else None)
-    return unit if isinstance(unit, str) else "mm"  # MATLAB's own default
+    units = (found.get("WorldUnits"), inner.get("WorldUnits") if isinstance(inner, Mapping) else None)
+    return next((unit for unit in units if isinstance(unit, str) and unit), "mm")  # MATLAB's own default
 
 
 def _structure(content: Any) -> Mapping[str, Any] | None:
@@ -140,15 +147,16 @@ def _structure(content: Any) -> Mapping[str, Any] | None:
 
 def _read_mat(path: Path) -> Mapping[str, Any]:
     """Variables of a .mat file, structures as dictionaries."""
+    data = read_bytes(path)
+    if data[124:128] in (b"\0\2IM", b"\2\0MI"):
+        raise CalibrationError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}")
     try:
-        content: dict[str, Any] = scipy.io.loadmat(str(path), simplify_cells=True)
-    except NotImplementedError as error:
-        raise CalibrationError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}") from error
-    except Exception as error:  # scipy's parser raises errors of many types
+        variables = _variables(data)
+    except (ValueError, KeyError, struct.error, zlib.error) as error:
+        text = str(error)[:MAX_SHOWN]
         raise CalibrationError(
-            f"{path}: this is not a .mat file, or it is damaged ({str(error)[:MAX_SHOWN]})"
+            f"{path}: this is not a .mat file (version 5 to 7), or it is damaged ({text}). {_HOW}"
         ) from error
-    variables = {name: value for name, value in content.items() if not name.startswith("__")}
     if _structure(variables) is None:
         names = shown([*variables]) if variables else "only objects"
         raise CalibrationError(
@@ -156,6 +164,66 @@ def _read_mat(path: Path) -> Mapping[str, Any]:
             f"can read a saved object itself. {_HOW}"
         )
     return variables
+
+
+def _variables(data: bytes) -> dict[str, Any]:
+    """Variables of a .mat file of version 5 to 7. Raises ValueError, KeyError, struct.error and zlib.error.
+
+    MathWorks, MAT-File Format (2024), Level 5. Not by scipy's loadmat, which ends the process at some damaged files.
+    """
+    order = {b"IM": "<", b"MI": ">"}[data[126:128]]
+    found: dict[str, Any] = {}
+    room = MAX_JSON_BYTES
+    for kind, content in _elements(data[128:], order):
+        parts: Iterable[tuple[int, bytes]] = [(kind, content)]
+        if kind == _COMPRESSED:
+            plain = zlib.decompressobj().decompress(content, room + 1)
+            room -= len(plain)
+            if room < 0:
+                raise ValueError(f"expected at most {MAX_JSON_BYTES:,} bytes uncompressed")
+            parts = _elements(plain, order)
+        found.update(_matrix(part, order) for kind, part in parts if kind == _MATRIX)
+    found.pop("", None)  # objects
+    return found
+
+
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Type and content of the data elements one after another."""
+    at = 0
+    while at + 8 <= len(data):
+        kind, length = struct.unpack_from(f"{order}II", data, at)
+        start, end = at + 8, at + 8 + length
+        if kind >> 16:  # a small element: its length is before its type
+            start, end, kind = at + 4, at + 4 + (kind >> 16), kind & 0xFFFF
+        if end > len(data):
+            raise ValueError("it is cut off")
+        yield kind, data[start:end]
+        at = end if kind == _COMPRESSED else end + -end % 8
+
+
+def _matrix(data: bytes, order: str, depth: int = 0) -> tuple[str, Any]:
+    """Name and value: a dictionary, a text or an array of numbers without axes of length 1; None for other kinds."""
+    if depth > MAX_DEPTH:
+        raise ValueError("structures are nested too deeply")
+    elements = _elements(data, order)
+    head = [content for _, content in islice(elements, 3)]
+    if len(head) < 3:
+        return "", np.empty(0)
+    (flags,) = struct.unpack(f"{order}I", head[0][:4])
+    name = head[2].decode()
+    if flags & 0xFF == _STRUCTURE:
+        (_, size), (_, names) = islice(elements, 2)
+        width = max(1, *struct.unpack(f"{order}i", size))
+        keys = [names[i : i + width].split(b"\0")[0].decode() for i in range(0, len(names), width)]
+        values = [_matrix(content, order, depth + 1)[1] for _, content in elements]
+        return name, dict(zip(keys, values, strict=True)) if len(keys) == len(values) else None
+    if flags & 0xFF not in (_TEXT, *_NUMERIC):
+        return name if head[1] else "", None
+    ((kind, content),) = islice(elements, 1)
+    if flags & 0xFF == _TEXT:
+        return name, content.decode({4: "utf-16", 17: "utf-16", 18: "utf-32"}.get(kind, "utf-8"))
+    array = np.frombuffer(content, f"{order}{_NUMBER_TYPES[kind]}").astype(np.float64)
+    return name, array.reshape(np.frombuffer(head[1], f"{order}i4"), order="F").squeeze()
 
 
 def write_matlab_rig(rig: Rig, path: Path) -> None:
