@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import uvicorn
+from pydantic import SecretStr
 
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
@@ -89,10 +90,18 @@ def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int 
 
 
 @contextmanager
-def serving(database_url: str, map_name: str, *, writer: Writer | None = None) -> Iterator[int]:
+def serving(
+    database_url: str, map_name: str, *, writer: Writer | None = None, reader_token: SecretStr | None = None
+) -> Iterator[int]:
     """The server as `conetl view` runs it, in a thread; yields its port."""
     running: uvicorn.Server | None = None
-    app = create_app(database_url, map_name, closing=lambda: running is not None and running.should_exit, writer=writer)
+    app = create_app(
+        database_url,
+        map_name,
+        closing=lambda: running is not None and running.should_exit,
+        writer=writer,
+        reader_token=reader_token,
+    )
     listener = socket.create_server(("127.0.0.1", 0), backlog=2048)
     config = uvicorn.Config(app, log_level="critical", limit_concurrency=256, timeout_graceful_shutdown=1)
     running = uvicorn.Server(config)

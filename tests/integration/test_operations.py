@@ -258,11 +258,10 @@ def test_a_backfill_without_postgresql_ends_with_code_3_and_goes_on_later(desk: 
         until(lambda: "2026-05-01_cut" in desk.receipts() or running.done(), "a drive in work")
         desk.kill_postgresql()
         done = running.result()
+    desk.up()
     assert done.returncode == 3, f"{done.returncode}\n{done.stdout}\n{done.stderr}"
     assert "Traceback" not in done.stderr
-    [told] = [line for line in done.stderr.splitlines() if line.startswith("conetl:")]
-    assert "PostgreSQL" in told
-    desk.up()
+    assert "PostgreSQL" in done.stderr.partition("conetl: ")[2], done.stderr
     found = desk.run(*command[:-1])
     assert {drive["state"] for drive in found["drives"]} <= {"committed", "known"}
     on_map = desk.rows("select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1")

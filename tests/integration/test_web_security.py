@@ -13,10 +13,12 @@ from urllib.parse import quote
 import pytest
 import schemathesis
 from hypothesis import HealthCheck, given, settings
+from pydantic import SecretStr
 from schemathesis import GenerationMode
 from schemathesis.checks import CHECKS
 
 from conetl.db.connection import connect, execute
+from conetl.web.decisions import Writer
 from conetl.web.live import MAX_STREAMS
 from conetl.web.security import MAX_URL_BYTES
 from tests.view_map import serving, two_drives
@@ -24,6 +26,8 @@ from tests.view_map import serving, two_drives
 MAP = "/api/maps/default"
 ITEMS = "/ogc/collections/default.features/items"
 KNOWN = {"map_name": "default", "collectionId": "default.features", "tileMatrixSetId": "WebMercatorQuad"}
+TOKEN = SecretStr("a token of this test, long enough")
+LOGIN = {"Authorization": f"Bearer {TOKEN.get_secret_value()}"}
 POLICY = "default-src 'none'"
 
 
@@ -52,8 +56,16 @@ def ask(port, target, method="GET", **headers):
         return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
 
 
+@pytest.fixture(scope="module")
+def closed_server(server, module_database_url):
+    """Port of a server that requires a login, for reading and for decisions."""
+    writer = Writer(TOKEN, module_database_url)
+    with serving(module_database_url, "default", writer=writer, reader_token=TOKEN) as port:
+        yield port
+
+
 @pytest.mark.parametrize(("definition", "base"), [("/api/openapi.json", ""), ("/ogc/api", "/ogc")])
-def test_no_request_of_the_api_definition_breaks_the_server(server, definition, base):
+def test_no_request_of_the_api_definition_breaks_the_server(server, closed_server, definition, base):
     status, _, body = ask(server, definition)
     assert status == 200
     document = json.loads(body)
@@ -69,7 +81,7 @@ def test_no_request_of_the_api_definition_breaks_the_server(server, definition, 
         known = {p.name: KNOWN[p.name] for p in operation.path_parameters if p.name in KNOWN}
 
         @settings(
-            max_examples=6, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck)
+            max_examples=4, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck)
         )
         @given(
             case=operation.as_strategy()
@@ -80,6 +92,10 @@ def test_no_request_of_the_api_definition_breaks_the_server(server, definition, 
             answer = case.call(base_url=f"http://127.0.0.1:{server}{base}", timeout=60)
             case.validate_response(answer, checks=checks)
             assert POLICY in answer.headers["content-security-policy"][0]
+            answer = case.call(base_url=f"http://127.0.0.1:{closed_server}{base}", headers=LOGIN, timeout=60)
+            case.validate_response(answer, checks=checks)
+            stranger = case.call(base_url=f"http://127.0.0.1:{closed_server}{base}", timeout=60)
+            assert 400 <= stranger.status_code < 500
 
         fuzz()
         fuzzed += 1
