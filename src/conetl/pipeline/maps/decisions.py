@@ -104,8 +104,10 @@ def revert(
     with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as (info, decided_at, insert):
         target = _target(conn, map_name, what)
         if target.kind == "changeset":
-            if any(decision.changeset_id == target.id for decision in list_decisions(conn, map_name=map_name)):
-                raise ConflictError(f"changeset {target.id} is reverted or on hold already: see `conetl map decisions`")
+            for known in list_decisions(conn, map_name=map_name):
+                if known.changeset_id == target.id:
+                    state = "on hold" if known.kind == HOLD else "reverted"
+                    raise ConflictError(f"changeset {target.id} is {state} already: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
         elif target.kind == WITHDRAW or not target.active:
             raise ConflictError(f"decision {target.id} is not in force any more: make it again instead")
