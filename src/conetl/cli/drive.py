@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli.console import JsonOption, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.cli.map.decisions import By, Note, print_outcome, who_decides
 from conetl.db.map.map_store import list_changesets
@@ -21,9 +21,8 @@ def held(as_json: JsonOption = False) -> None:
     if as_json:
         print_json(found)
         return
-    print_records(
-        "", {"no": "changeset_no", "drive": "drive_id", "ingested (UTC)": "committed_at", "why": "hold"}, found
-    )
+    columns: Columns = {"no": "changeset_no", "drive": "drive_id", "ingested (UTC)": "committed_at", "why": "hold"}
+    print_records("", columns, found, numbers_from=len(columns))
     if not found:
         say("No drive is on hold.")
 

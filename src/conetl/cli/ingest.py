@@ -195,12 +195,13 @@ def print_report(report: IngestReport) -> None:
     drive = f"[bold]{report.drive_id}[/] ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
     if report.status == "no changes":
         known = f"on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"
-        out.print(
-            f"{drive}: no changes, {known} ({counts})."
-            if report.counts_on_map
-            else f"{drive}: no changes, {known}, but not counted: it was reverted (see `conetl map decisions`) or analysed "
-            "again since."
-        )
+        if report.counts_on_map:
+            state = f" ({counts})"
+        elif report.on_hold is not None:
+            state = ", but on hold (see `conetl drive held`)"
+        else:
+            state = ", but not counted: it was reverted (see `conetl map decisions`) or analysed again since"
+        out.print(f"{drive}: no changes, {known}{state}.")
         return
     out.print(
         f"{drive}: {counts}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
