@@ -25,10 +25,9 @@ from conetl.model.records import FramePair
 Floats = NDArray[np.float64]
 #: Offsets that are tried, s.
 _TRIED_S = np.arange(-0.4, 0.41, 0.04)
-#: Both signals are smoothed by this many intervals, so that interpolation smooths the noise of the log no further (it would draw
-#: the offset towards the middle between two records); so many successive values then count as one.
-_SMOOTHED = 1.5
-_CORRELATED = 2 * np.pi**0.5 * _SMOOTHED
+#: Both signals are smoothed by this many intervals, so that interpolation smooths the noise of the log no further: it would draw
+#: the offset towards the middle between two records.
+_SMOOTHED, _MOST_CORRELATED = 1.5, 10.0
 #: Sigmas of a boresight error (rad) and of the scale beside the offset.
 _BORESIGHT_RAD, _SCALE = 0.03, 0.02
 #: An offset is corrected from so many seconds, and so many of its sigmas, on, if it is known this well.
@@ -36,6 +35,9 @@ LEAST_S, _SIGNIFICANT, MAX_SIGMA_S = 0.005, 4.0, 0.01
 #: ... and from so many of its sigmas on it widens those of the positions.
 _DOUBTFUL = 2.0
 _ITERATIONS, _HUBER, _LEAST_INTERVALS = 12, 2.0, 20
+_CUT, _LAGS = 3.0, 6
+#: An offset that differs by this much must fit worse by so much (chi-square of one degree of freedom at 5 sigma).
+_APART_S, _LEAST_GAIN = 0.1, 25.0
 
 
 class ClockOffset(NamedTuple):
@@ -59,7 +61,7 @@ class ClockOffset(NamedTuple):
 
 
 def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: MeasuredMotions) -> ClockOffset | None:
-    """The offset under which logged and measured motions agree best; None where too few motions were measured."""
+    """The offset under which logged and measured motions agree best; None where the drive does not show it."""
     if len(motions.start) < _LEAST_INTERVALS:
         return None
     times_s = _times_s(frame_pairs)
@@ -87,36 +89,65 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
         return target - values, by
 
     prior = np.diag([0.0, *[_BORESIGHT_RAD**-2] * 3, _SCALE**-2])
-    fits = [_fit(*linearised(tried), prior, 3, held=True) for tried in _TRIED_S]
-    offset_s = float(_TRIED_S[int(np.argmin([cost for _, _, cost in fits]))])
-    normal = prior
+    fits = {float(tried): _fit(*linearised(float(tried)), prior, 3, held=True) for tried in _TRIED_S}
+    offset_s = min(fits, key=lambda tried: float(np.log(fits[tried].sigma).sum()))
     for _ in range(_ITERATIONS):
-        step, normal, _ = _fit(*linearised(offset_s), prior, 5)
-        offset_s = float(np.clip(offset_s + step[0], _TRIED_S[0], _TRIED_S[-1]))
-        if abs(step[0]) < 1e-5:
+        fit = _fit(*linearised(offset_s), prior, 5)
+        offset_s = float(np.clip(offset_s + fit.solution[0], _TRIED_S[0], _TRIED_S[-1]))
+        if abs(fit.solution[0]) < 1e-5:
             break
-    return ClockOffset(offset_s, float(np.linalg.inv(normal)[0, 0] ** 0.5))
+    # Where the drive does not show the offset, others fit nearly as well.
+    best = _misfit2(fit.left_over, fit)
+    others = [_misfit2(other.left_over, fit) for tried, other in fits.items() if abs(tried - offset_s) >= _APART_S]
+    if min(others) - best < _LEAST_GAIN:
+        return None
+    return ClockOffset(offset_s, float(np.linalg.inv(fit.normal)[0, 0] ** 0.5))
 
 
-def _fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False) -> tuple[Floats, Floats, float]:
-    """Robust solution (5,), its normal matrix, and the sum of logarithms of what remains; held: without a change of offset."""
+class _Fit(NamedTuple):
+    solution: Floats
+    """(5,): change of the offset, boresight, scale."""
+    normal: Floats
+    sigma: Floats
+    """(6,) of what remains, by column."""
+    counted: Floats
+    """(6,): so many successive values count as one."""
+    left_over: Floats
+
+
+def _fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False) -> _Fit:
+    """Robust least squares; held: without a change of the offset."""
     free = slice(1 if held else 0, 5)
-    solution, normal = np.zeros(5), prior
-    sigma = np.maximum(_spread(misfit), 1e-9)
+    solution, normal, left_over = np.zeros(5), prior, misfit
     for _ in range(rounds):
-        left_over = misfit - by @ solution
         sigma = np.maximum(_spread(left_over), 1e-9)
-        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(left_over / sigma), 1e-9)) / sigma**2 / _CORRELATED
+        counted = _counted(left_over / sigma)
+        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(left_over / sigma), 1e-9)) / sigma**2 / counted
         normal = np.einsum("nia,ni,nib->ab", by, weight, by) + prior
         right = np.einsum("nia,ni,ni->a", by, weight, misfit)
         solution = np.zeros(5)
         solution[free] = np.linalg.solve(normal[free, free], right[free])
-    return solution, normal, float(np.log(sigma).sum())
+        left_over = misfit - by @ solution
+    return _Fit(solution, normal, sigma, counted, left_over)
+
+
+def _misfit2(left_over: Floats, fit: _Fit) -> float:
+    """Squared residuals by the sigmas of a fit, outliers cut."""
+    return float((np.minimum((left_over / fit.sigma) ** 2, _CUT**2) / fit.counted).sum())
 
 
 def _spread(values: Floats) -> Floats:
     """(6,) robust sigma of each column around zero."""
     return np.asarray(np.median(np.abs(values), axis=0) * 1.4826)
+
+
+def _counted(normed: Floats) -> Floats:
+    """(6,): so many successive residuals count as one, by their autocorrelation (outliers cut)."""
+    cut = np.clip(normed, -_CUT, _CUT)
+    energy = np.maximum((cut**2).mean(axis=0), 1e-9)
+    lags = range(1, min(_LAGS, len(cut) - 1) + 1)
+    total = 1 + 2 * sum((cut[lag:] * cut[:-lag]).mean(axis=0) / energy for lag in lags)
+    return np.asarray(np.clip(total, 1.0, _MOST_CORRELATED))
 
 
 def _rates(next_SE3_first: Floats, steps_s: Floats) -> Floats:
