@@ -40,6 +40,7 @@ def main() -> None:
         for (days, seed), score in zip(jobs, pool.map(one_road, jobs), strict=True):
             total.confusion += score.confusion
             total.wrong += score.wrong
+            total.held += score.held
             total.removed_well_seen += score.removed_well_seen
             total.removed_at_once += score.removed_at_once
             total.unseen_removed += score.unseen_removed
@@ -50,6 +51,9 @@ def main() -> None:
         f"taken away in plain view of one drive: {total.removed_well_seen}, removed by it: {total.deleted_recall:.3f}"
     )
     print(f"removed although their position was never in view: {total.unseen_removed}")
+    print(f"good drives that were held: {len(total.held)}")
+    for line in total.held:
+        print(" ", line)
     for line in total.wrong:
         if options.hidden or HIDDEN not in line:
             print(" ", line)

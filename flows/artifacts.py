@@ -102,7 +102,7 @@ def publish_pending(report: IngestReport, settings: Settings, database: MapDatab
 
 
 def send_events(report: IngestReport, vanished: Sequence[RemovedCone]) -> None:
-    """One event for the changeset, and one for each cone that vanished, which an automation can count.
+    """One event for the changeset, another one where the drive is on hold; and one for each cone that vanished, to count them.
 
     The ids of the events follow from the changeset: one that is sent twice is stored once.
     """
@@ -110,7 +110,7 @@ def send_events(report: IngestReport, vanished: Sequence[RemovedCone]) -> None:
     changeset_resource = f"{map_resource}.changeset.{report.changeset_id}"
     related = [{"prefect.resource.id": map_resource, "prefect.resource.role": "map"}]
     emit_event(
-        "conetl.changeset.committed",
+        "conetl.changeset.committed" if report.on_hold is None else "conetl.drive.held",
         resource={
             "prefect.resource.id": changeset_resource,
             "prefect.resource.name": report.drive_id,

@@ -64,11 +64,11 @@ cross join lateral (
         when w.map_id <> d.map_id then 'it withdraws a decision of another map'
         when w.kind = 'withdraw' then 'it withdraws a withdrawal'
         when w.decided_at >= d.decided_at then 'it withdraws a decision that was not made before it'
-        when c.committed_at >= d.decided_at then 'it reverts a changeset that was not committed before it'
-        when d.kind = 'revert' and exists (select from conetl.active_decision a where a.decision_id = d.decision_id) and exists (
+        when c.committed_at >= d.decided_at then 'it is about a changeset that was not committed before it'
+        when d.changeset_id is not null and exists (select from conetl.active_decision a where a.decision_id = d.decision_id) and exists (
             select from conetl.active_decision a
-            where a.kind = 'revert' and a.changeset_id = d.changeset_id and a.decision_id <> d.decision_id
-        ) then 'another decision reverts the same changeset'
+            where a.kind = d.kind and a.changeset_id = d.changeset_id and a.decision_id <> d.decision_id
+        ) then 'another decision says the same about its changeset'
     end as problem
 ) p
 where p.problem is not null;

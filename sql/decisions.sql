@@ -1,18 +1,27 @@
 -- What people decided about a map. Append-only.
 
 -- name: active_decisions
--- The decisions about a map that were not withdrawn, oldest first. Parameters: map_name.
--- Columns: position and radius are null of a revert, drive_id is that of a reverted changeset; decided_by is null where no
--- name was kept.
+-- The decisions about a map that were not withdrawn, and the drives on hold (kind 'hold'), oldest first.
+-- Parameters: map_name.
+-- Columns: position and radius are null of a changeset, drive_id is that of a changeset; decided_by is null of a hold and
+-- where no name was kept.
 select
-    d.decision_id, d.decision_no, d.kind, ST_X(d.geom) as easting_m, ST_Y(d.geom) as northing_m, d.radius_m, d.feature_id,
-    d.changeset_id, r.drive_id, d.note, d.decided_by, d.decided_at
-from conetl.active_decision d
+    d.decision_id, d.kind, d.easting_m, d.northing_m, d.radius_m, d.feature_id, d.changeset_id, r.drive_id, d.note,
+    d.decided_by, d.decided_at
+from (
+    select
+        a.decision_id, a.map_id, a.kind, ST_X(a.geom) as easting_m, ST_Y(a.geom) as northing_m, a.radius_m, a.feature_id,
+        a.changeset_id, a.note, a.decided_by, a.decided_at
+    from conetl.active_decision a
+    union all
+    select h.hold_id, h.map_id, 'hold', null, null, null, null, h.changeset_id, h.reason, null, h.since
+    from conetl.on_hold h
+) d
 join conetl.map m using (map_id)
 left join conetl.changeset c on c.changeset_id = d.changeset_id
 left join conetl.drive r on r.drive_uuid = c.drive_uuid
 where m.map_name = %(map_name)s
-order by d.decision_no;
+order by d.decided_at, d.decision_id;
 
 -- name: find_decisions
 -- The changeset of a number, or decisions and changesets whose id begins with a text; at most two.

@@ -144,7 +144,7 @@ where m.map_name = %(map_name)s
 order by c.changeset_no;
 
 -- name: other_deliveries
--- Active changesets of the same recording with other content: equal id, and the first or the last frame pair at the
+-- Changesets of the same recording with other content that count: equal id, and the first or the last frame pair at the
 -- same nanosecond. Imported maps, which have no rig, are not recordings.
 -- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); content_sha256. Columns: changeset_no.
 select d.changeset_no
@@ -153,4 +153,5 @@ join conetl.map m on m.map_id = d.map_id
 where m.map_name = %(map_name)s and d.rig is not null and d.drive_id = %(drive_id)s
 and (d.captured_from_ns = %(captured_from_ns)s or d.captured_to_ns = %(captured_to_ns)s)
 and d.content_sha256 <> %(content_sha256)s
+and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
 order by d.changeset_no;

@@ -9,11 +9,12 @@ select
     c.missed_count, c.height_changed_count, c.split_count, c.merged_count,
     c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns,
-    exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
-    (select a.note from conetl.active_decision a where a.changeset_id = c.changeset_id and a.kind = 'hold' limit 1) as hold
+    h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
+    h.reason as hold
 from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.drive d using (drive_uuid)
+left join conetl.on_hold h on h.changeset_id = c.changeset_id
 where m.map_name = %(map_name)s and (%(idempotency_key)s::text is null or c.idempotency_key = %(idempotency_key)s)
 order by c.changeset_no desc;
 

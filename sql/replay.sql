@@ -210,3 +210,20 @@ select
 from replayed_delta_stage s
 left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less
 order by f.cell, s.feature_id, s.changed_at_ns;
+
+-- name: end_holds
+-- End the holds of some changesets that are not held for this reason any more.
+-- Parameters: committed_at (timestamptz); changeset_ids (uuid[]); reasons (text[], null: not held).
+update conetl.hold h
+set system_period = tstzrange(lower(h.system_period), %(committed_at)s)
+from unnest(%(changeset_ids)s::uuid[], %(reasons)s::text[]) n (changeset_id, reason)
+where h.changeset_id = n.changeset_id and upper_inf(h.system_period) and h.reason is distinct from n.reason;
+
+-- name: begin_holds
+-- Hold some changesets, unless they are held already.
+-- Parameters: committed_at; changeset_ids; reasons (as for end_holds); by_map: whether the comparison with the map decided it.
+insert into conetl.hold (changeset_id, by_map, reason, system_period)
+select n.changeset_id, %(by_map)s, n.reason, tstzrange(%(committed_at)s, null)
+from unnest(%(changeset_ids)s::uuid[], %(reasons)s::text[]) n (changeset_id, reason)
+where n.reason is not null
+on conflict (changeset_id) where upper_inf(system_period) do nothing;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from datetime import timedelta
 from itertools import permutations
 
@@ -27,7 +28,7 @@ from conetl.geometry.packing import cov_matrix
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import SharedErrorJacobian
-from conetl.pipeline.maps.decisions import revert
+from conetl.pipeline.maps.decisions import accept_drive, revert
 from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import (
@@ -94,6 +95,37 @@ def test_all_orders_of_three_drives_give_the_same_map(conn, rigs, in_order, orde
         believed = now
     assert valid_time_map(conn) == in_order
     assert len(list_changesets(conn)) == 3
+
+
+@pytest.mark.parametrize("order", list(permutations((0, 1, 2))), ids=lambda order: "".join(map(str, order)))
+def test_a_drive_that_contradicts_the_map_is_on_hold_in_every_order(conn, order):
+    """The last drive's heights are of another datum. Alone it stands; with an earlier one it is on hold until it is accepted."""
+    good = of_day(2)
+    lower = [t.model_copy(update={"xyz_m": (*t.xyz_m[:2], t.xyz_m[2] - 48.0)}) for t in good.tracks]
+    drives = [of_day(0), of_day(1), replace(good, tracks=lower)]
+    for count, day in enumerate(order, start=1):
+        merge(conn, drives[day])
+        states = {known.drive_id: known for known in list_changesets(conn)}
+        wrong = states.get(good.drive.drive_id)
+        held = wrong is not None and count > 1
+        assert wrong is None or (wrong.counts, bool(wrong.hold)) == (not held, held)
+        assert failed_audits(conn) == []
+    assert "48.0 m lower" in wrong.hold
+    heights = [feature.xyz_m[2] for feature in read_current_features(conn)]
+    assert np.ptp(heights) < 5.0
+    conn.commit()
+    decided = accept_drive(conn, good.drive.drive_id, map_name="default")
+    assert decided.versions_written and not any(known.hold for known in list_changesets(conn))
+    accepted = valid_time_map(conn)
+    assert failed_audits(conn) == []
+    conn.commit()
+    revert(conn, str(decided.decision_id), map_name="default")
+    assert [bool(known.hold) for known in list_changesets(conn)].count(True) == 1
+    assert [feature.xyz_m[2] for feature in read_current_features(conn)] == heights
+    assert failed_audits(conn) == []
+    conn.commit()
+    accept_drive(conn, good.drive.drive_id, map_name="default")
+    assert valid_time_map(conn) == accepted
 
 
 def test_playing_everything_again_writes_nothing(conn, rigs):

@@ -223,6 +223,7 @@ def test_what_was_is_pending_is_published_without_the_drive(
     samples.commit(conn, samples.added(cone), key="a")
     later_ns = samples.START_NS + samples.DAY_NS
     samples.commit(conn, samples.removed(cone, later_ns), key="b", start_ns=later_ns)
+    samples.commit(conn, key="c", start_ns=later_ns + samples.DAY_NS, hold="GNSS/INS jumps.")
 
     def publish_pending(**quiet: timedelta) -> None:
         with MapDatabase(settings) as database:
@@ -235,19 +236,19 @@ def test_what_was_is_pending_is_published_without_the_drive(
     settings.exports_folder.mkdir(parents=True)
     (settings.exports_folder / "default.geojson").mkdir()
     publish_pending(quiet=timedelta(0))  # does not stop those who call it
-    assert len(pending_changesets(conn, map_name="default", quiet=timedelta(0))) == 2, "files come before the mark"
+    assert len(pending_changesets(conn, map_name="default", quiet=timedelta(0))) == 3, "files come before the mark"
 
     (settings.exports_folder / "default.geojson").rmdir()
     publish_pending(quiet=timedelta(0))
     assert [name for name, _ in events] == [
-        "conetl.changeset.committed", "conetl.changeset.committed", "conetl.cone.vanished",
+        "conetl.changeset.committed", "conetl.changeset.committed", "conetl.cone.vanished", "conetl.drive.held",
     ]  # fmt: skip
     assert [resource["prefect.resource.name"] for _, resource in events[:2]] == ["drive_a", "drive_b"]
     assert events[1][1]["conetl.removed"] == "1"
     assert all(is_published(conn, changeset.changeset_id) for changeset in list_changesets(conn))
     assert (settings.exports_folder / "default.geojson").is_file()
     publish_pending(quiet=timedelta(0))
-    assert len(events) == 3
+    assert len(events) == 4
 
 
 def test_a_batch_tells_what_an_earlier_one_could_not(

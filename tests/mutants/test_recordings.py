@@ -33,7 +33,7 @@ HELD: dict[str, tuple[wrong.Mutant, str]] = {
     "GNSS jumps 50 m": (wrong.jump(50.0), "GNSS/INS jumps by 50.0 m between frame pairs 19 and 20"),
     "GNSS jumps 5 m": (wrong.jump(5.0), "GNSS/INS jumps by 5.0 m between frame pairs 19 and 20"),
     "GNSS jumps 1 m": (wrong.jump(1.0), "GNSS/INS jumps by 1.0 m between frame pairs 19 and 20"),
-    "GNSS jumps and returns": (wrong.jump(50.0, 20, 25), "GNSS/INS jumps by"),
+    "GNSS jumps and returns": (wrong.jump(50.0, 20, 25), "GNSS/INS jumps by 50.0 m"),
     "GNSS drifts 1 m": (wrong.drift(1.0), "distances -1.5"),
     "GNSS drifts 3 m": (wrong.drift(3.0), "contradict GNSS/INS"),
     "GNSS noise 0.3 m": (wrong.noise(0.3), "contradict GNSS/INS"),

@@ -91,6 +91,8 @@ class Score:
     """Features of standing cones that a drive removed or moved without having had the spot in view."""
 
     wrong: list[str] = field(default_factory=list)
+    held: list[str] = field(default_factory=list)
+    """Drives that were held against the map; all of them are good."""
 
     @property
     def f1(self) -> float:
@@ -256,6 +258,8 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
             start_ns = START_NS + day * DAY_NS + number * HOUR_NS
             drive, view = survey(road, evidence, rng, start_ns=start_ns, span=span)
             extension = apply_drive(standing, drive, Decisions(), summaries)
+            if extension.hold is not None:
+                score.held.append(f"seed {seed}, day {day}, drive {number + 1}: {extension.hold}")
             happened += [(number + 1, delta) for delta in extension.deltas]
             gone = {d.feature_id for d in extension.deltas if d.kind in (DeltaKind.REMOVED, DeltaKind.MOVED)}
             for cone, feature_id in known.items() if day else ():

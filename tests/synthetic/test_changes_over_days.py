@@ -17,3 +17,4 @@ def test_changes_of_some_days_are_told_rightly() -> None:
     assert score.f1 >= 0.9, score.wrong
     assert score.deleted_recall >= 0.95
     assert score.unseen_removed == 0
+    assert not score.held

@@ -127,7 +127,7 @@ export interface BaseLine {
 /** A decision in effect. */
 export interface Decision {
   decision_id: string;
-  kind: "suppress" | "pin" | "revert" | "hold";
+  kind: "suppress" | "pin" | "revert" | "accept" | "hold";
   /** Centre of the area with the radius radius_m. */
   xy_m: [number, number] | null;
   radius_m: number | null;
@@ -153,7 +153,7 @@ export interface Decided {
 
 export type DecisionRequest = { decided_by: string; reason: string } & (
   | { kind: "suppress" | "pin"; feature_id: string; expected_version: number; radius_m: number }
-  | { kind: "revert"; changeset_id: string }
+  | { kind: "revert" | "accept"; changeset_id: string }
   | { kind: "withdraw"; decision_id: string }
 );
 

@@ -27,7 +27,7 @@ export interface Choice {
 
 export function aboutFeature(all: Decision[], id: string, xyz: [number, number, number] | undefined): Decision[] {
   return all.filter((d) => {
-    if (d.kind === "revert" || d.kind === "hold") return false;
+    if (d.changeset_id !== null) return false;
     if (d.feature_id === id) return true;
     return xyz !== undefined && d.xy_m !== null && Math.hypot(d.xy_m[0] - xyz[0], d.xy_m[1] - xyz[1]) <= (d.radius_m ?? 0);
   });
@@ -49,6 +49,7 @@ const WITHDRAWALS: Record<Decision["kind"], [text: string, submit: string, expla
   suppress: ["Withdraw …", "Withdraw the decision", "The decision no longer applies: drives update this position again."],
   pin: ["Unpin …", "Unpin", "The decision no longer applies: drives update this position again."],
   revert: ["Withdraw …", "Withdraw the decision", "The drive counts again."],
+  accept: ["Withdraw …", "Withdraw the decision", "The drive is on hold again, if its checks still find the contradiction."],
   hold: ["Accept …", "Accept the drive", "The drive counts as it is, whatever its health checks found."],
 };
 
@@ -56,7 +57,10 @@ export const withdrawChoice = (d: Decision): Choice => ({
   text: WITHDRAWALS[d.kind][0],
   submit: WITHDRAWALS[d.kind][1],
   explain: WITHDRAWALS[d.kind][2],
-  request: ({ decided_by, reason }) => ({ kind: "withdraw", decision_id: d.decision_id, decided_by, reason }),
+  request: ({ decided_by, reason }) =>
+    d.kind === "hold" && d.changeset_id !== null
+      ? { kind: "accept", changeset_id: d.changeset_id, decided_by, reason }
+      : { kind: "withdraw", decision_id: d.decision_id, decided_by, reason },
   done: d.kind === "hold" ? "Accepted." : "Withdrawn.",
 });
 
@@ -68,7 +72,7 @@ export const revertChoice = (changesetId: string, driveId: string): Choice => ({
   done: "Reverted.",
 });
 
-const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", revert: "Reverted", hold: "On hold" };
+const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", revert: "Reverted", accept: "Accepted", hold: "On hold" };
 
 /** "Pinned by Ada: stands on a kerb", with the time. */
 export function sentence(d: Decision): HTMLElement {

@@ -104,12 +104,14 @@ def pair(
     cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[i]
     if not known:
         cov = cov + _horizontal([feature.cov_m2 for feature in features])[j]
-    x, y = (moved[i, :2] - feature_xyz_m[j, :2]).T
+    x, y, z = (moved[i] - feature_xyz_m[j]).T
     xx, xy, yy = cov.T
     distance2 = (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
     distance = np.hypot(x, y)
     share = np.minimum((distance / params.min_gate_m) ** 2, distance2 / params.gate_chi2)
     allowed = (distance <= params.min_gate_m) | ((distance2 <= params.gate_chi2) & (distance <= params.max_offset_m))
+    var_z = np.array([track.cov_m2[5] for track in tracks])[i] + np.array([one.cov_m2[5] for one in features])[j]
+    allowed &= np.abs(z) <= np.maximum(params.max_rise_m, np.sqrt(params.gate_chi2 * var_z))
     return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], unpaired_cost=_GATE_COST)
 
 

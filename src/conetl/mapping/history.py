@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from conetl.mapping.agreement import contradiction
 from conetl.mapping.changes import VisibilityCheck, reconcile
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
@@ -67,6 +68,8 @@ class MapUpdate:
     misses: list[MissedObservation]
     untouched: list[MapFeature]
     """Features within the drive's influence without a delta."""
+    hold: str | None = None
+    """Why the drive contradicts the map and changes nothing until a person accepts it; None where it counts."""
 
     @property
     def suppressed(self) -> frozenset[UUID]:
@@ -174,6 +177,11 @@ def apply_drive(
             pinned=pinned,
             summaries=summaries,
         )
+        hold = None
+        if drive.changeset_id not in decisions.accepted:
+            hold = contradiction(drive.tracks, around, deltas, drive.params)
+        if hold is not None:
+            return MapUpdate([], [], [], around, hold)
     versions = []
     for delta in deltas:
         if not delta.is_change:

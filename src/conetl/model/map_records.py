@@ -188,12 +188,14 @@ class Location(Record):
 
 
 class Decisions(Record):
-    """Decisions of people about locations; they apply to all drives, earlier and later."""
+    """Decisions of people; those about locations apply to all drives, earlier and later."""
 
     suppressed: tuple[Location, ...] = ()
     """No cone stands here, whatever drives observe."""
     pinned: tuple[Location, ...] = ()
     """A cone here is neither removed nor moved by drives."""
+    accepted: frozenset[UUID] = frozenset()
+    """Changesets of drives that count although they contradict the map."""
 
 
 class Changeset(Record):

@@ -95,6 +95,9 @@ class ReconcileParams(Params):
     """Gate on the squared Mahalanobis distance between track and feature, after the drive's common offset."""
     min_gate_m: Positive = 0.5
     """Nearer than this is always the same position: crews do not set cones closer than that."""
+    max_rise_m: Positive = 1.5
+    """Cones at one place that differ more in height, and by more than their sigmas, are on two levels, as a bridge and the road
+    below it."""
     max_offset_m: Positive = 2.0
     """Largest common offset of a drive against the map that is estimated and taken out (GNSS without a fix)."""
     moved_max_m: Positive = 3.0

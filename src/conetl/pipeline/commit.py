@@ -26,7 +26,7 @@ from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.errors import MapMismatchError
-from conetl.model.health import hold_reason
+from conetl.model.health import HealthCheck, Verdict, hold_reason
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
@@ -134,7 +134,10 @@ def commit(
             run=run,
             hold=hold,
         )
-    deltas = merged.changeset.deltas
+    deltas, hold = merged.changeset.deltas, hold or merged.extension.hold
+    against_map = HealthCheck(
+        name="agreement with the map", verdict=Verdict.HOLD, value=None, detail=merged.extension.hold or ""
+    )
     report = IngestReport(
         drive_id=drive.drive_id,
         status="committed",
@@ -160,7 +163,7 @@ def commit(
         calibration=analysed.calibration.detail,
         committed_at=None,
         counts_on_map=hold is None,
-        health=analysed.health,
+        health=(*analysed.health, against_map) if merged.extension.hold else analysed.health,
         on_hold=hold,
         replayed_drives=merged.replayed,
     )

@@ -17,9 +17,8 @@ import numpy as np
 
 from conetl.db.connection import Connection
 from conetl.db.map.commit import INFLUENCE_M, commit_changeset, place_drive
-from conetl.db.map.decision_store import insert_decision, read_decisions
+from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
-from conetl.db.map.map_store import require_map, system_time
 from conetl.db.map.replay_store import (
     affected_drives,
     read_deltas,
@@ -86,8 +85,8 @@ def merge_drive(
     """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
 
     changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
-    the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: why the drive must not count;
-    it is stored and changes nothing until a person withdraws the hold.
+    the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: why the recording must not
+    count; it is stored and changes nothing until a person accepts it.
     """
     drive = records.drive
     figures = AbsenceFigures(evidence=evidence or UNMEASURED, score_threshold=params.detection.score_threshold)
@@ -102,11 +101,7 @@ def merge_drive(
         figures=figures,
     )
     if hold is not None:
-        result = commit_changeset(conn, records, changeset, map_name=map_name, now=now, run=run)
-        info = require_map(conn, map_name)
-        insert_decision(
-            conn, info, "hold", decided_at=system_time(conn, info, now), note=hold, changeset_id=changeset.changeset_id
-        )
+        result = commit_changeset(conn, records, changeset, map_name=map_name, now=now, run=run, hold=hold)
         return Merged(changeset, MapUpdate([], [], [], []), 0, result)
     spots = [(p.frame_index, p.xyz_m) for p in records.positions]
     view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
@@ -142,6 +137,8 @@ def merge_drive(
         run=run,
         suppressed=extension.suppressed,
         replay=replay,
+        hold=extension.hold,
+        held_by_map=True,
     )
     return Merged(changeset, extension, len(later), result)
 
@@ -175,6 +172,7 @@ def replay_of(
         deltas=[
             (changeset_id, delta) for changeset_id, extension in folded.updates.items() for delta in extension.deltas
         ],
+        holds={ref.changeset_id: folded.updates[ref.changeset_id].hold for ref in again},
     )
     return folded, replay
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
@@ -36,6 +36,8 @@ LEAST_S, _SIGNIFICANT, MAX_SIGMA_S = 0.005, 4.0, 0.01
 _DOUBTFUL = 2.0
 _ITERATIONS, _HUBER, _LEAST_INTERVALS = 12, 2.0, 20
 _CUT, _LAGS = 3.0, 6
+#: What a vehicle may gain or lose in speed, m/s^2, and how many intervals around one show what is usual.
+_ACCELERATION, _AROUND = 8.0, 4
 #: An offset that differs by this much must fit worse by so much (chi-square of one degree of freedom at 5 sigma).
 _APART_S, _LEAST_GAIN = 0.1, 25.0
 
@@ -67,7 +69,8 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
     times_s = _times_s(frame_pairs)
     steps_s, middle_s = np.diff(times_s), (times_s[1:] + times_s[:-1]) / 2
     left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
-    logged = _smoothed(_rates(se3.compose(se3.invert(left[1:]), left[:-1]), steps_s), np.ones(len(steps_s)))
+    rates = _rates(se3.compose(se3.invert(left[1:]), left[:-1]), steps_s)
+    logged = _smoothed(rates, _without_jumps(rates, steps_s))
     known = np.zeros(len(steps_s))
     known[motions.start] = 1.0
     raw = np.zeros((len(steps_s), 6))
@@ -154,6 +157,13 @@ def _rates(next_SE3_first: Floats, steps_s: Floats) -> Floats:
     """(N, 6): turn rate (rad/s) and speed (m/s) of motions (N, 4, 4)."""
     turn = Rotation.from_matrix(next_SE3_first[:, :3, :3]).as_rotvec()
     return np.hstack([turn, next_SE3_first[:, :3, 3]]) / steps_s[:, None]
+
+
+def _without_jumps(rates: Floats, steps_s: Floats) -> Floats:
+    """(N,) 0 where the log leaves the speed around it faster than a vehicle can, else 1: a jump would draw the offset."""
+    usual = median_filter(rates[:, 3:], size=(2 * _AROUND + 1, 1), mode="nearest")
+    most = _ACCELERATION * _AROUND * float(np.median(steps_s))
+    return np.where(np.linalg.norm(rates[:, 3:] - usual, axis=1) <= most, 1.0, 0.0)
 
 
 def _smoothed(signal: Floats, known: Floats) -> Floats:

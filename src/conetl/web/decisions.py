@@ -15,7 +15,7 @@ from conetl.db.connection import connect
 from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import read_decisions, read_feature_history
 from conetl.model.errors import ConflictError, InputError
-from conetl.pipeline.maps.decisions import decide_place, revert
+from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
 from conetl.web import rows as to
 from conetl.web.models import ActiveDecisions, Conflict, Decided, Problem
 from conetl.web.parameters import MapName, Reader, cut, origin_of
@@ -56,10 +56,10 @@ class PlaceRequest(_Request):
     radius_m: float = Field(default=1.0, gt=0, le=20, allow_inf_nan=False)
 
 
-class RevertRequest(_Request):
-    """The drive of a changeset no longer counts."""
+class DriveRequest(_Request):
+    """The drive of a changeset no longer counts (revert), or counts although it is on hold (accept)."""
 
-    kind: Literal["revert"]
+    kind: Literal["revert", "accept"]
     changeset_id: UUID
 
 
@@ -70,7 +70,7 @@ class WithdrawRequest(_Request):
     decision_id: UUID
 
 
-DecisionRequest = Annotated[PlaceRequest | RevertRequest | WithdrawRequest, Field(discriminator="kind")]
+DecisionRequest = Annotated[PlaceRequest | DriveRequest | WithdrawRequest, Field(discriminator="kind")]
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ class Writer:
     database_url: str
 
     def decide(self, map_name: str, wish: DecisionRequest) -> Decided:
-        """Write a decision as `conetl map suppress|pin|revert` do. Raises InputError, ConflictError, DatabaseError."""
+        """Write a decision as `conetl map suppress|pin|revert` and `conetl drive accept` do. Raises InputError, ConflictError,
+        DatabaseError."""
         common: dict[str, Any] = {
             "map_name": map_name, "note": wish.reason, "decided_by": wish.decided_by, "lock_timeout_s": _LOCK_TIMEOUT_S,
         }  # fmt: skip
@@ -91,8 +92,10 @@ class Writer:
                     conn, wish.kind, str(wish.feature_id), radius_m=wish.radius_m,
                     expected_version=wish.expected_version, **common,
                 )  # fmt: skip
+            elif wish.kind == "accept":
+                done = accept_drive(conn, str(wish.changeset_id), **common)
             else:
-                what = wish.changeset_id if isinstance(wish, RevertRequest) else wish.decision_id
+                what = wish.changeset_id if isinstance(wish, DriveRequest) else wish.decision_id
                 done = revert(conn, str(what), **common)
         outcome = {name: getattr(done, name) for name in Decided.model_fields if name != "also_changed"}
         return Decided(**outcome, also_changed=[conflict.feature_id for conflict in done.conflicts])

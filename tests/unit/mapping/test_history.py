@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, pairwise, permutations
 from random import Random
 from uuid import UUID
@@ -10,7 +11,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conetl.geometry.packing import vec3
 from conetl.mapping.history import DriveEvidence, MapHistory, apply_drive, replay_drives
+from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import (
     Decisions,
     DeltaKind,
@@ -25,6 +28,7 @@ from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world
 from tests.synthetic.world import ORIGIN_M, START_NS
 
 Chains = dict[UUID, list[FeatureVersion]]
+State = tuple[Chains, list[MissedObservation], dict[UUID, str]]
 DAYS = 5
 EVERYTHING = {DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED}
 
@@ -44,6 +48,23 @@ def random_case(seed: int, count: int) -> list[DriveEvidence]:
     return drives
 
 
+def with_wrong_ones(rng: np.random.Generator, drives: list[DriveEvidence]) -> list[DriveEvidence]:
+    """Some of the drives see nothing, or everything 3 m aside or 48 m lower."""
+    shifts: tuple[tuple[float, float, float] | None, ...] = (None, (0.0, 3.0, 0.0), (0.0, 0.0, -48.0))
+    wrong = []
+    for drive in drives:
+        if rng.random() < 0.5:
+            wrong.append(drive)
+        elif (shift := shifts[int(rng.integers(3))]) is None:
+            wrong.append(
+                replace(drive, tracks=[], check_visibility=lambda f, *_, d=drive: NotObserved(9, d.key[0], -6.0))
+            )
+        else:
+            tracks = [t.model_copy(update={"xyz_m": vec3(np.array(t.xyz_m) + shift)}) for t in drive.tracks]
+            wrong.append(replace(drive, tracks=tracks))
+    return wrong
+
+
 def meet(a: DriveEvidence, b: DriveEvidence) -> bool:
     """Whether the areas of influence meet; cautious."""
     gap = max(a.path_m[:, 0].min() - b.path_m[:, 0].max(), b.path_m[:, 0].min() - a.path_m[:, 0].max())
@@ -58,18 +79,19 @@ class Ingest:
         self.drives: dict[DriveOrder, DriveEvidence] = {}
         self.chains: Chains = {}
         self.misses: list[MissedObservation] = []
+        self.holds: dict[UUID, str] = {}
         self.compared = 0
 
     @property
-    def state(self) -> tuple[Chains, list[MissedObservation]]:
-        """The map, and the misses that made no version."""
-        return self.chains, sorted(self.misses, key=lambda miss: (miss.changeset_id, miss.feature_id))
+    def state(self) -> State:
+        """The map, the misses that made no version, and the drives on hold."""
+        return self.chains, sorted(self.misses, key=lambda miss: (miss.changeset_id, miss.feature_id)), self.holds
 
     def copy(self) -> Ingest:
         """An independent copy."""
         twin = Ingest(self.decisions)
         twin.drives, twin.compared = dict(self.drives), self.compared
-        twin.chains, twin.misses = dict(self.chains), list(self.misses)
+        twin.chains, twin.misses, twin.holds = dict(self.chains), list(self.misses), dict(self.holds)
         return twin
 
     def add(self, drive: DriveEvidence) -> None:
@@ -93,18 +115,26 @@ class Ingest:
         self.compared += len(again)
         history = replay_drives(again, self.decisions, given=rest)
         self.chains, self.misses = history.chains, history.misses
+        affected_ids = {drive.changeset_id for drive in affected.values()}
+        self.holds = {key: why for key, why in self.holds.items() if key not in affected_ids} | holds(history)
 
 
-def state(history: MapHistory) -> tuple[Chains, list[MissedObservation]]:
-    return history.chains, sorted(history.misses, key=lambda miss: (miss.changeset_id, miss.feature_id))
+def holds(history: MapHistory) -> dict[UUID, str]:
+    return {key: update.hold for key, update in history.updates.items() if update.hold is not None}
+
+
+def state(history: MapHistory) -> State:
+    return history.chains, sorted(history.misses, key=lambda miss: (miss.changeset_id, miss.feature_id)), holds(history)
 
 
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 5), chance=st.randoms(use_true_random=False))
 def test_every_order_and_any_repeats_give_the_same_map(seed: int, count: int, chance: Random) -> None:
-    """All orders of up to five drives, as paths through the maps of all their subsets: 80 steps instead of 600."""
-    drives = random_case(seed, count)
-    maps = {frozenset[DriveOrder](): Ingest()}
+    """All orders of up to five drives, good, held and accepted ones, as paths through the maps of all their subsets: 80 steps
+    instead of 600."""
+    drives = with_wrong_ones(np.random.default_rng(seed), random_case(seed, count))
+    decisions = Decisions(accepted=frozenset(drive.changeset_id for drive in drives[::3]))
+    maps = {frozenset[DriveOrder](): Ingest(decisions)}
     for size in range(count):
         for some in combinations(drives, size):
             keys = frozenset(drive.key for drive in some)
@@ -118,7 +148,23 @@ def test_every_order_and_any_repeats_give_the_same_map(seed: int, count: int, ch
                 assert ingest.state == known.state
     assert len(maps) == 2**count
     for keys, ingest in maps.items():
-        assert ingest.state == state(replay_drives([drive for drive in drives if drive.key in keys]))
+        assert ingest.state == state(replay_drives([drive for drive in drives if drive.key in keys], decisions))
+
+
+def test_a_held_drive_changes_nothing_until_it_is_accepted() -> None:
+    rng = np.random.default_rng(4)
+    world = random_world(rng, 100.0, DAYS)
+    drives = [random_drive(rng, world, day, start_ns=START_NS + day * HOUR_NS, span_m=(0.0, 100.0)) for day in range(4)]
+    lower = replace(drives[2], tracks=[t.model_copy(update={"xyz_m": (*t.xyz_m[:2], -48.0)}) for t in drives[2].tracks])
+    others = [*drives[:2], *drives[3:]]
+    with_it = replay_drives([*others, lower])
+    assert holds(with_it).keys() == {lower.changeset_id}
+    assert with_it.chains == replay_drives(others).chains
+    accepted = replay_drives([*others, lower], Decisions(accepted=frozenset({lower.changeset_id})))
+    assert not holds(accepted).get(lower.changeset_id)
+    assert accepted.chains != with_it.chains
+    alone = replay_drives([lower])
+    assert not holds(alone), "there is nothing that it contradicts"
 
 
 def test_drives_in_order_are_compared_once_and_in_reverse_again() -> None:

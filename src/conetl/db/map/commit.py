@@ -28,7 +28,7 @@ from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
 from conetl.db.map.map_store import find_changeset, map_for, map_lock, system_time
-from conetl.db.map.replay_store import write_replay
+from conetl.db.map.replay_store import write_holds, write_replay
 from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
 from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import AbsenceFigures
@@ -103,13 +103,16 @@ def commit_changeset(
     run: RunInfo | None = None,
     suppressed: Collection[UUID] = (),
     replay: Replay | None = None,
+    hold: str | None = None,
+    held_by_map: bool = False,
 ) -> CommitResult:
     """Write a drive, everything made from it, and its changeset, inside the caller's `map_transaction`.
 
     The map is created by its first changeset with the drive's SRID. `now` is the system time of the changeset (None: the server's
     clock); it is moved behind the map's last one. Versions are numbered here: the open one's plus one. suppressed: features that
     end where a person decided that nothing stands. replay: for a drive that is older than others around it, the new state of the
-    whole neighbourhood, the changeset's own deltas included. Raises MapMismatchError if the drive is in another CRS, the records
+    whole neighbourhood, the changeset's own deltas included. hold: why the drive must not count until a person accepts it, and
+    whether the comparison with the map decided that. Raises MapMismatchError if the drive is in another CRS, the records
     do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding `map_transaction`.
     """
     map_lock(conn, map_name)
@@ -135,6 +138,7 @@ def commit_changeset(
             versions_written = write_replay(conn, info, replay, committed_at)
         for block in blocks:
             copy_block(conn, block)
+    write_holds(conn, {changeset.changeset_id: hold}, committed_at, by_map=held_by_map)
     return committed_result(conn, changeset, versions_written, map_name=map_name)
 
 

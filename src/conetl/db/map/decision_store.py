@@ -13,19 +13,21 @@ from conetl.model.map_records import Decisions, Location
 
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
-    """The decisions that were not withdrawn, oldest first."""
+    """The decisions that were not withdrawn, and the drives on hold, oldest first."""
     with database_errors(f"The decisions about map {map_name} cannot be read"):
         rows = execute(conn, load_sql("decisions.active_decisions"), {"map_name": map_name})
     return [StoredDecision(**{name: row[name] for name in row if name != "drive_id"}) for row in rows]
 
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
-    """The decisions about places, in the form for the comparison of drives."""
+    """The decisions in the form for the comparison of drives."""
     places: dict[str, list[Location]] = {"suppress": [], "pin": []}
-    for decision in list_decisions(conn, map_name=map_name):
+    found = list_decisions(conn, map_name=map_name)
+    for decision in found:
         if decision.place is not None:
             places[decision.kind].append(decision.place)
-    return Decisions(suppressed=tuple(places["suppress"]), pinned=tuple(places["pin"]))
+    accepted = frozenset(d.changeset_id for d in found if d.kind == "accept" and d.changeset_id is not None)
+    return Decisions(suppressed=tuple(places["suppress"]), pinned=tuple(places["pin"]), accepted=accepted)
 
 
 def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:
@@ -48,7 +50,7 @@ def insert_decision(
     changeset_id: UUID | None = None,
     withdraws: UUID | None = None,
 ) -> UUID:
-    """Write a decision inside the caller's `map_transaction`; its id. kind: suppress, pin, revert, hold or withdraw."""
+    """Write a decision inside the caller's `map_transaction`; its id. kind: suppress, pin, revert, accept or withdraw."""
     decision_id = uuid4()
     easting_m, northing_m = place.xy_m if place else (None, None)
     parameters = {

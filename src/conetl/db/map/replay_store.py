@@ -5,12 +5,13 @@ Rows are only changed by closing their system period; versions and deltas with t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 from uuid import UUID
 
 from conetl.db.connection import Connection, copy_columns, database_errors, execute, execute_count, stream
+from conetl.db.copy_binary import clean_text
 from conetl.db.map import rows as map_rows
 from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
 from conetl.db.map.rows import version_of
@@ -122,7 +123,20 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
     written = execute_count(conn, load_sql("replay.insert_staged_versions"), parameters)
     execute(conn, load_sql("replay.insert_replayed_deltas"), parameters)
     execute(conn, "drop table version_stage, replayed_delta_stage")
+    write_holds(conn, replay.holds, committed_at)
     return written
+
+
+def write_holds(
+    conn: Connection, holds: Mapping[UUID, str | None], committed_at: datetime, *, by_map: bool = True
+) -> None:
+    """Begin and end holds of drives, by changeset (None: it counts); by_map: as the comparison with the map decided, and not
+    the recording alone. Does not commit."""
+    if holds:
+        rows = {"changeset_ids": list(holds), "reasons": [reason and clean_text(reason) for reason in holds.values()]}
+        parameters = {**rows, "committed_at": committed_at, "by_map": by_map}
+        execute(conn, load_sql("replay.end_holds"), parameters)
+        execute(conn, load_sql("replay.begin_holds"), parameters)
 
 
 def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:

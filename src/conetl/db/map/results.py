@@ -173,6 +173,8 @@ class Replay:
     deltas_before: StoredDeltas
     versions: Sequence[FeatureVersion]
     deltas: Sequence[tuple[UUID, Delta]]
+    holds: Mapping[UUID, str | None]
+    """Why the drives that were compared again are on hold, by changeset; None of those that count."""
 
 
 @dataclass(frozen=True)
@@ -180,9 +182,8 @@ class StoredDecision:
     """A person's decision about a map, or the hold of a drive."""
 
     decision_id: UUID
-    decision_no: int
     kind: str
-    """suppress, pin, revert or hold."""
+    """suppress, pin, revert, accept or hold."""
     easting_m: float | None
     northing_m: float | None
     radius_m: float | None

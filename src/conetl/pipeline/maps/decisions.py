@@ -6,7 +6,7 @@ transaction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
@@ -23,7 +23,7 @@ from conetl.model.errors import ConflictError, InputError
 from conetl.model.map_records import FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
-SUPPRESS, PIN, REVERT, HOLD, WITHDRAW = "suppress", "pin", "revert", "hold", "withdraw"
+SUPPRESS, PIN, REVERT, ACCEPT, WITHDRAW = "suppress", "pin", "revert", "accept", "withdraw"
 #: A larger area is no statement about one cone.
 MAX_RADIUS_M = 20.0
 
@@ -105,23 +105,22 @@ def revert(
         target = _target(conn, map_name, what)
         if target.kind == "changeset":
             for known in list_decisions(conn, map_name=map_name):
-                if known.changeset_id == target.id:
-                    state = "on hold" if known.kind == HOLD else "reverted"
-                    raise ConflictError(f"changeset {target.id} is {state} already: see `conetl map decisions`")
+                if known.changeset_id == target.id and known.kind == REVERT:
+                    raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
         elif target.kind == WITHDRAW or not target.active:
             raise ConflictError(f"decision {target.id} is not in force any more: make it again instead")
         else:
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
         decision = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
-        counted_before = superseded_drives(conn, target.drive_uuid) if target.drive_uuid else []
-        decision_id = insert(kind, changeset_id=changeset_id, withdraws=withdraws)
+        decide = partial(insert, kind, changeset_id=changeset_id, withdraws=withdraws)
         conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
-            counted_now = superseded_drives(conn, target.drive_uuid)
-            seeds = list(dict.fromkeys([target.drive_uuid, *counted_before, *counted_now]))
-            written, replayed, conflicts = _judge_drives(conn, info, seeds, decided_at, changeset_id)
+            decision_id, written, replayed, conflicts = _judge_drive(
+                conn, info, target.drive_uuid, decide, decided_at, changeset_id
+            )
         elif decision is not None and (place := decision.place) is not None:
+            decision_id = decide()
             written, replayed = _judge_place(conn, info, decision.kind, place, decided_at)
         else:
             raise InputError(f"decision {target.id} cannot be reverted")
@@ -129,21 +128,30 @@ def revert(
 
 
 def accept_drive(
-    conn: Connection, drive: str, *, map_name: str, note: str = "", decided_by: str | None = None
+    conn: Connection,
+    drive: str,
+    *,
+    map_name: str,
+    note: str = "",
+    decided_by: str | None = None,
+    lock_timeout_s: float = LOCK_TIMEOUT_S,
+    now: datetime | None = None,
 ) -> DecisionOutcome:
-    """Withdraw the hold of a drive, so that it counts. drive: its id, or its changeset's number. Raises InputError where no such
-    drive is on hold."""
-    named = [
-        known.changeset_id
-        for known in list_changesets(conn, map_name=map_name)
-        if drive in (known.drive_id, str(known.changeset_no))
-    ]
-    holds = [d for d in list_decisions(conn, map_name=map_name) if d.kind == HOLD and d.changeset_id in named]
-    if not holds:
-        raise InputError(f"no drive {drive} is on hold on the map {map_name}: `conetl drive held` lists them")
-    if len(holds) > 1:
-        raise InputError(f"{len(holds)} drives {drive} are on hold: give the number that `conetl drive held` lists")
-    return revert(conn, str(holds[0].decision_id), map_name=map_name, note=note, decided_by=decided_by)
+    """Let a drive on hold count as it is. drive: its id, or its changeset's number or id. Reverting the decision puts it on hold
+    again. Raises InputError where no such drive is on hold."""
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as (info, decided_at, insert):
+        held = [
+            known
+            for known in list_changesets(conn, map_name=map_name)
+            if known.hold is not None and drive in (known.drive_id, str(known.changeset_no), str(known.changeset_id))
+        ]
+        if not held:
+            raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: `conetl drive held` lists them")
+        if len(held) > 1:
+            raise InputError(f"{len(held)} drives {drive} are on hold: give the number that `conetl drive held` lists")
+        decide = partial(insert, ACCEPT, changeset_id=held[0].changeset_id)
+        decision_id, written, replayed, _ = _judge_drive(conn, info, held[0].drive_uuid, decide, decided_at, None)
+    return DecisionOutcome(decision_id, ACCEPT, decided_at, written, replayed, ())
 
 
 @contextmanager
@@ -172,14 +180,22 @@ def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, de
     return write_replay(conn, info, replay, decided_at), len(again)
 
 
-def _judge_drives(
-    conn: Connection, info: MapInfo, seeds: Sequence[UUID], decided_at: datetime, changeset_id: UUID | None
-) -> tuple[int, int, tuple[RevertConflict, ...]]:
-    """Compute what changes when drives start or cease to count."""
+def _judge_drive(
+    conn: Connection,
+    info: MapInfo,
+    drive_uuid: UUID,
+    decide: Callable[[], UUID],
+    decided_at: datetime,
+    changeset_id: UUID | None,
+) -> tuple[UUID, int, int, tuple[RevertConflict, ...]]:
+    """Write the decision that a drive starts or ceases to count, and compute what changes by it."""
+    counted_before = superseded_drives(conn, drive_uuid)
+    decision_id = decide()
+    seeds = list(dict.fromkeys([drive_uuid, *counted_before, *superseded_drives(conn, drive_uuid)]))
     again = affected_drives(conn, seeds)
     aside = list(dict.fromkeys([*seeds, *(ref.drive_uuid for ref in again)]))
     _, replay = replay_of(conn, aside, again, read_decisions(conn, map_name=info.map_name))
-    return write_replay(conn, info, replay, decided_at), len(again), _conflicts(replay, changeset_id)
+    return decision_id, write_replay(conn, info, replay, decided_at), len(again), _conflicts(replay, changeset_id)
 
 
 def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflict, ...]:

@@ -1,0 +1,169 @@
+"""Whether a drive contradicts the map as a whole: all its cones lower, aside or turned, or the map's cones gone by the dozen.
+
+Such a drive is one finding for a person, not nine moved cones. The checks are part of the fold, so that they are decided anew
+when an earlier drive arrives; docs/explanation/health.md has their limits.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from math import exp, hypot, lgamma
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry.packing import cov_matrices
+from conetl.mapping.association import assign, near_pairs
+from conetl.model.map_records import Delta, DeltaKind, MapFeature
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Track
+
+Floats = NDArray[np.float64]
+#: Squared Mahalanobis distance of a common displacement that the stated sigmas do not explain: 5 sigma.
+_MAX_CHI2 = 25.0
+#: Smaller displacements and height differences are left to the fusion.
+_LEAST_OFFSET_M, _LEAST_RISE_M = 0.1, 0.3
+#: Cones that must agree on a small displacement; on a height difference beyond any error of measurement one is enough.
+_LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
+#: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
+_MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 15.0, np.radians(10.0), 60.0
+_LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
+#: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
+_MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
+#: Fewer removals need no second look.
+_LEAST_REMOVED = 3
+#: Prior that a drive is blind to what the model card says it sees, and the posterior from which a person decides.
+_BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
+
+
+def contradiction(
+    tracks: Sequence[Track], features: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
+) -> str | None:
+    """Why a drive must not change the map before a person has looked, as a sentence; None if it may.
+
+    features: the map around the drive; deltas: what `reconcile` made of both. The order of none of them matters.
+    """
+    kinds = Counter(delta.kind for delta in deltas)
+    sure = sorted(
+        (track for track in tracks if track.existence_probability >= params.founding_existence_probability),
+        key=lambda track: track.xyz_m,
+    )
+    return (sure and features and _displaced(sure, features, kinds, params)) or _blind(kinds, params) or None
+
+
+def _displaced(
+    tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
+) -> str | None:
+    """The common displacement of a drive's cones against the map's, as a sentence; None where the stated sigmas cover it."""
+    t, f = (np.array([one.xyz_m for one in side]) for side in (tracks, features))
+    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
+    rows, columns = near_pairs(t[:, :2], f[:, :2], params.min_gate_m)
+    pairs = assign(rows, columns, np.hypot(*(t[rows] - f[columns])[:, :2].T))
+    if pairs and 2 * len(pairs) >= len(near):
+        i, j = list(pairs), list(pairs.values())
+        cov = cov_matrices([tracks[k].cov_m2 for k in i]) + cov_matrices([features[k].cov_m2 for k in j])
+        common = _common_displacement(t[i] - f[j], cov.mean(axis=0))
+        if common is not None:
+            return common
+    found = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
+    fit = _best_fit(t[near, :2], f[:, :2], params.min_gate_m)
+    if fit is None or fit.agreeing < max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(near), 2 * found + 1):
+        return None
+    sigma_m = float(np.sqrt(np.mean([(track.cov_m2[0] + track.cov_m2[3]) / 2 for track in tracks])))
+    if fit.largest_m <= min(params.max_offset_m, np.sqrt(_MAX_CHI2) * sigma_m):
+        return None
+    turned = f" and turned by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
+    return _aside(fit.middle_m, sigma_m, turned)
+
+
+def _common_displacement(apart_m: Floats, cov_m2: Floats) -> str | None:
+    """apart_m (K, 3): tracks less their features; cov_m2 (3, 3): of one difference."""
+    east, north, up = np.median(apart_m, axis=0).tolist()
+    sigma_m = float(np.sqrt(cov_m2[2, 2]))
+    least_m = _LEAST_RISE_M if len(apart_m) >= _LEAST_PAIRS else _GROSS_RISE_M
+    if abs(up) > max(least_m, np.sqrt(_MAX_CHI2) * sigma_m):
+        return (
+            f"Its cones lie {abs(up):.1f} m {'higher' if up > 0 else 'lower'} than the same cones of the map, at a stated "
+            f"{sigma_m:.2f} m: the heights refer to another datum (ellipsoid or geoid), or the height of the antenna is wrong."
+        )
+    offset = np.array([east, north])
+    chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
+    if len(apart_m) >= _LEAST_PAIRS and chi2 > _MAX_CHI2 and hypot(east, north) > _LEAST_OFFSET_M:
+        return _aside(hypot(east, north), float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2)), "")
+    return None
+
+
+def _aside(distance_m: float, sigma_m: float, turned: str) -> str:
+    return (
+        f"Its cones lie {distance_m:.1f} m from those of the map{turned}, at a stated {sigma_m:.2f} m: one of the two has a "
+        "wrong position, or all cones were moved alike. Check base station, datum and antenna offset of the drive."
+    )
+
+
+class _Fit(NamedTuple):
+    """A displacement of a whole drive after which its cones fit the map's."""
+
+    agreeing: int
+    middle_m: float
+    """Median and largest displacement of the tracks."""
+    largest_m: float
+    turn: float
+    """Radians, counter-clockwise."""
+
+
+def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
+    """Of all displacements that put two tracks onto two features the one with which most tracks fit; of equals the smallest.
+
+    t (N, 2), f (M, 2): tracks and features. Two tracks far from each other are tried with all features at their distance.
+    """
+    t = t[:: 1 + len(t) // _MAX_TRACKS]
+    tree = cKDTree(f)
+    best: tuple[tuple[int, float], _Fit] | None = None
+    for i in range(0, len(t), 1 + len(t) // _STARTS):
+        lengths = np.hypot(*(t - t[i]).T)
+        j = int(np.argmax(np.where(lengths <= _LONGEST_BASE_M, lengths, 0.0)))
+        first, second = (np.array(tree.query_ball_point(t[k], _MAX_DISPLACEMENT_M), np.intp) for k in (i, j))
+        a, b = (grid.ravel() for grid in np.meshgrid(first, second))
+        base, others = t[j] - t[i], f[b] - f[a]
+        turns = np.arctan2(others[:, 1], others[:, 0]) - np.arctan2(base[1], base[0])
+        turns = (turns + np.pi) % (2 * np.pi) - np.pi
+        alike = np.abs(np.hypot(*others.T) - lengths[j]) <= _LENGTH_TOLERANCE_M
+        for k in np.flatnonzero(alike & (np.abs(turns) <= _MAX_TURN) & (lengths[j] > 0)):
+            rotation = Rotation.from_rotvec((0, 0, turns[k])).as_matrix()[:2, :2]
+            placed = (t - t[i]) @ rotation.T + f[a[k]]
+            agreeing = int(np.count_nonzero(tree.query(placed)[0] <= gate_m))
+            moved_m = np.hypot(*(placed - t).T)
+            rank = (agreeing, -float(moved_m.mean()))
+            if best is None or rank > best[0]:
+                best = rank, _Fit(agreeing, float(np.median(moved_m)), float(moved_m.max()), float(-turns[k]))
+    return best and best[1]
+
+
+def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> str | None:
+    """Whether a drive that finds many cones gone is more likely to have been blind than plausible, as a sentence.
+
+    Beta-binomial: a drive detects all that the model card says, and the cones of a road vanish together (share of mean
+    `vanished_probability`, beta-distributed with concentration 1), or it detects a share of them about which nothing is known.
+    Cones that it found, also new ones, speak against the latter.
+    """
+    removed, stayed = kinds[DeltaKind.REMOVED], kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
+    seen = stayed + kinds[DeltaKind.ADDED] + kinds[DeltaKind.MOVED] + kinds[DeltaKind.SPLIT]
+    if removed < _LEAST_REMOVED:
+        return None
+    v = params.vanished_probability
+    gone = (1 - _BLIND_PRIOR) * exp(_log_beta(v + removed, 1 - v + stayed) - _log_beta(v, 1 - v))
+    blind = _BLIND_PRIOR * exp(_log_beta(1 + removed, 1 + seen))
+    if blind <= _MAX_BLIND * (blind + gone):
+        return None
+    return (
+        f"It would remove {removed} of the {removed + stayed} cones in its view and shows {seen or 'no'} "
+        f"{'cone' if seen == 1 else 'cones'}: were they cleared, or could its cameras not see them? Look at its images."
+    )
+
+
+def _log_beta(a: float, b: float) -> float:
+    return lgamma(a) + lgamma(b) - lgamma(a + b)

@@ -1,0 +1,111 @@
+"""Drives that contradict the map as a whole are one finding; good ones, whatever they change, are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conetl.mapping.agreement import contradiction
+from conetl.mapping.changes import reconcile
+from conetl.mapping.visibility import NotObserved
+from conetl.model.map_records import MapFeature
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Track
+from tests import records
+from tests.synthetic.world import ORIGIN_M, START_NS
+
+Floats = NDArray[np.float64]
+DAY_NS = 86_400_000_000_000
+PARAMS = ReconcileParams()
+#: A taper and a row of equal distances.
+ZONE = np.array([(5.0 * k, 4.0 - 0.4 * min(k, 5), 0.0) for k in range(9)])
+
+
+def features(places: Floats, sigma_m: float) -> list[MapFeature]:
+    return [
+        records.feature(k, seen_ns=START_NS, observation_count=12, **standing(place, sigma_m))
+        for k, place in enumerate(places)
+    ]
+
+
+def standing(place: Floats, sigma_m: float) -> dict[str, object]:
+    return records.standing_at(ORIGIN_M + place, 0.7, records.cov_of(sigma_m))
+
+
+def finding(places: Floats, before: Floats = ZONE, *, sigma_m: float = 0.03, seed: int = 0) -> str | None:
+    """What a drive that sees cones at `places` (N, 3) finds against a map with cones at `before`."""
+    rng = np.random.default_rng(seed)
+    tracks: list[Track] = [
+        records.track(
+            k, 12, seen_ns=START_NS + DAY_NS, relative_cov_m2=records.cov_of(0.02), members=((10 * k, 0),),
+            **standing(place + rng.normal(0, 0.01, 3), sigma_m),
+        )
+        for k, place in enumerate(places)
+    ]  # fmt: skip
+    known = features(before, sigma_m)
+    deltas = reconcile(tracks, known, lambda *_: NotObserved(20, START_NS + DAY_NS, -6.0), PARAMS, founding_key="d")
+    found = contradiction(tracks, known, deltas, PARAMS)
+    backwards = contradiction(tracks[::-1], known[::-1], deltas[::-1], PARAMS)
+    assert found == backwards, "the order matters"
+    return found
+
+
+def turned(places: Floats, degrees: float, about: tuple[float, float] = (-30.0, 0.0)) -> Floats:
+    angle = np.radians(degrees)
+    rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    centre = np.array([*about, 0.0])
+    return (places - centre) @ rotation.T + centre
+
+
+@pytest.mark.parametrize(
+    ("places", "says"),
+    [
+        (ZONE - np.array((0, 0, 48.0)), "48.0 m lower"),
+        (ZONE[:1] + np.array((0, 0, 48.0)), "48.0 m higher"),
+        (ZONE + np.array((0, 0, 1.8)), "1.8 m higher"),
+        (ZONE + np.array((0.2, 0.3, 0)), "0.4 m from those of the map"),
+        (ZONE + np.array((0, 3.0, 0)), "3.0 m from those of the map"),
+        (ZONE[:6] + np.array((10.0, 2.0, 0)), "m from those of the map"),
+        (turned(ZONE, 3.0), "turned by +3.0 degrees"),
+        (turned(ZONE, -1.5), "turned by -1.5 degrees"),
+        (ZONE[:0], "remove 9 of the 9 cones in its view and shows no cones"),
+        (ZONE[:1], "remove 8 of the 9 cones in its view and shows 1 cone"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_drive_that_contradicts_the_map_is_one_finding(places: Floats, says: str) -> None:
+    for seed in range(3):
+        assert says in (finding(places, seed=seed) or "")
+
+
+MOVED = ZONE.copy()
+MOVED[[1, 4]] += np.array((0.4, 1.4, 0.0))
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        ZONE,
+        ZONE + np.array((0.05, 0.04, 0.05)),
+        ZONE[2:],
+        ZONE[3:] + np.array((0, 0, 0.1)),
+        ZONE[::2],
+        MOVED,
+        np.vstack([ZONE[1:], ZONE[-1:] + np.array((5.0, 0, 0))]),  # the row shifted by one, at equal distances
+        np.vstack([ZONE[4:], ZONE[-1:] + np.array((5.0, 0, 0)), ZONE[-1:] + np.array((10.0, 0, 0))]),
+        np.vstack([ZONE[:0], ZONE + np.array((0, 40.0, 0))]),  # cleared, and another zone set up
+        np.vstack([ZONE, ZONE[:1] + np.array((0.2, 0.1, 6.0))]),  # one on the bridge above
+    ],
+    ids=("the same", "within its sigmas", "two gone", "three gone", "every other gone", "two moved", "one further", "four gone",
+         "another zone", "on two levels"),
+)  # fmt: skip
+def test_a_road_that_has_changed_is_none(places: Floats) -> None:
+    for seed in range(3):
+        assert finding(places, seed=seed) is None
+
+
+def test_an_offset_that_the_sigmas_cover_is_none() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        assert finding(ZONE + np.array((*rng.normal(0, 0.7, 2), rng.normal(0, 0.7))), sigma_m=0.7) is None
