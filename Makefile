@@ -27,7 +27,7 @@ down:           ## stop what `make up` started; data are kept
 
 # A file's tests stay on one worker: they share servers, and some build on the one before. tests/conftest.py orders the files.
 test: setup     ## all tests
-	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 
 check: setup    ## lint, types, import contracts, wording, documentation and the fast tests
 	$(BIN)/ruff check .
