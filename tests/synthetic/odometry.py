@@ -37,18 +37,31 @@ def gauss_markov(rng: np.random.Generator, frames: int, sigmas: Floats, correlat
 
 
 def log_of(
-    truth: Floats, rng: np.random.Generator, sigma_m: float, sigma_rad: float, params: TrajectoryParams
+    truth: Floats,
+    rng: np.random.Generator,
+    sigma_m: float | Floats,
+    sigma_rad: float,
+    params: TrajectoryParams,
+    constant_m: float = 0.0,
 ) -> list[FramePair]:
-    """What a GNSS/INS writes down whose errors are as `params` say."""
-    count = len(truth)
-    sigma_p, sigma_a = sigma_m * np.array([1, 1, 1.5]), sigma_rad * np.array([1, 1, 3.0])
+    """What a GNSS/INS writes down whose errors are as `params` say.
 
-    def error(sigmas: Floats, share: float, correlation_s: float) -> Floats:
-        slow = gauss_markov(rng, count, sigmas * np.sqrt(1 - share**2), correlation_s)
-        return slow + rng.normal(0, 1, (count, 3)) * share * sigmas
+    sigma_m: of the whole drive, or (K,) of each record. constant_m: sigma of the part of the position error, at most the least
+    `sigma_m`, that stays the same over the drive.
+    """
+    count, axes = len(truth), np.array([1, 1, 1.5])
+    sigma_p = np.broadcast_to(np.reshape(sigma_m, (-1, 1)) * axes, (count, 3))
+    sigma_a = np.broadcast_to(sigma_rad * np.array([1, 1, 3.0]), (count, 3))
 
-    places = truth[:, :3, 3] + error(sigma_p, params.gnss_white_share, params.gnss_correlation_s)
-    turns = error(sigma_a, params.attitude_white_share, params.attitude_correlation_s)
+    def error(sigmas: Floats, share: float, correlation_s: float, constant: Floats) -> Floats:
+        constant = np.minimum(constant, np.sqrt(1 - share**2) * sigmas.min(axis=0))
+        slow = gauss_markov(rng, count, np.ones(3), correlation_s)
+        slow *= np.sqrt(np.maximum((1 - share**2) * sigmas**2 - constant**2, 0.0))
+        drawn = slow + rng.normal(0, 1, (count, 3)) * share * sigmas
+        return drawn + rng.normal(0, constant) if constant.any() else drawn
+
+    places = truth[:, :3, 3] + error(sigma_p, params.gnss_white_share, params.gnss_correlation_s, constant_m * axes)
+    turns = error(sigma_a, params.attitude_white_share, params.attitude_correlation_s, np.zeros(3))
     rotations = truth[:, :3, :3] @ Rotation.from_rotvec(turns).as_matrix()
     return [
         FramePair(
@@ -59,8 +72,8 @@ def log_of(
             pose=Pose(
                 map_R_body=se3.to_matrix3(rotations[k]),
                 map_t_body_m=tuple(places[k].tolist()),
-                sigma_enu_m=tuple(sigma_p.tolist()),
-                sigma_rpy_rad=tuple(sigma_a.tolist()),
+                sigma_enu_m=tuple(sigma_p[k].tolist()),
+                sigma_rpy_rad=tuple(sigma_a[k].tolist()),
             ),
         )
         for k in range(count)

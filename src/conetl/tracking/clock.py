@@ -38,6 +38,8 @@ _ITERATIONS, _HUBER, _LEAST_INTERVALS = 12, 2.0, 20
 _CUT, _LAGS = 3.0, 6
 #: What a vehicle may gain or lose in speed, m/s^2, and how many intervals around one show what is usual.
 _ACCELERATION, _AROUND = 8.0, 4
+#: A sigma from a median has this share of the degrees of freedom of its values; few make errors Student's, not normal.
+_MEDIAN_SHARE, _LEAST_FREEDOM = 0.37, 4.0
 #: An offset that differs by this much must fit worse by so much (chi-square of one degree of freedom at 5 sigma).
 _APART_S, _LEAST_GAIN = 0.1, 25.0
 
@@ -79,23 +81,17 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
     used = (known > 0) & (middle_s - _TRIED_S.max() >= middle_s[0]) & (middle_s - _TRIED_S.min() <= middle_s[-1])
     if used.sum() < _LEAST_INTERVALS:
         return None
-    signal, at_s, target = CubicSpline(middle_s, logged), middle_s[used], measured[used]
-    slope = signal.derivative()
-
-    def linearised(offset_s: float) -> tuple[Floats, Floats]:
-        """(N, 6) misfit and (N, 6, 5) its derivatives by offset, boresight and scale."""
-        values = signal(at_s - offset_s)
-        by = np.zeros((*values.shape, 5))
-        by[..., 0] = -slope(at_s - offset_s)
-        by[:, :3, 1:4], by[:, 3:, 1:4] = -cross_matrix(values[:, :3]), -cross_matrix(values[:, 3:])
-        by[:, 3:, 4] = values[:, 3:]
-        return target - values, by
-
+    # A smoothed value beside a gap is that of another instant, away from the gap. The slopes are those of the images: those of
+    # the log would have its noise, which is far more, and promise an offset known better than it is.
+    centre_s = _smoothed(middle_s[:, None], known)[:, 0]
+    there = known > 0
+    signal, at_s, target = CubicSpline(middle_s, logged), centre_s[used], measured[used]
+    by = _derivatives(target, CubicSpline(centre_s[there], measured[there])(at_s, 1))
     prior = np.diag([0.0, *[_BORESIGHT_RAD**-2] * 3, _SCALE**-2])
-    fits = {float(tried): _fit(*linearised(float(tried)), prior, 3, held=True) for tried in _TRIED_S}
+    fits = {float(tried): _fit(target - signal(at_s - tried), by, prior, 3, held=True) for tried in _TRIED_S}
     offset_s = min(fits, key=lambda tried: float(np.log(fits[tried].sigma).sum()))
     for _ in range(_ITERATIONS):
-        fit = _fit(*linearised(offset_s), prior, 5)
+        fit = _fit(target - signal(at_s - offset_s), by, prior, 5)
         offset_s = float(np.clip(offset_s + fit.solution[0], _TRIED_S[0], _TRIED_S[-1]))
         if abs(fit.solution[0]) < 1e-5:
             break
@@ -104,7 +100,18 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
     others = [_misfit2(other.left_over, fit) for tried, other in fits.items() if abs(tried - offset_s) >= _APART_S]
     if min(others) - best < _LEAST_GAIN:
         return None
-    return ClockOffset(offset_s, float(np.linalg.inv(fit.normal)[0, 0] ** 0.5))
+    by_log = _derivatives(signal(at_s - offset_s), signal(at_s - offset_s, 1))
+    back = np.linalg.inv((by * fit.weight[..., None]).reshape(-1, 5).T @ by_log.reshape(-1, 5) + prior)
+    return ClockOffset(offset_s, float((back @ fit.normal @ back.T)[0, 0] ** 0.5))
+
+
+def _derivatives(rates: Floats, slope: Floats) -> Floats:
+    """(N, 6, 5): derivatives of rates (N, 6) whose change with time is `slope` by offset, boresight and scale."""
+    by = np.zeros((*rates.shape, 5))
+    by[..., 0] = -slope
+    by[:, :3, 1:4], by[:, 3:, 1:4] = -cross_matrix(rates[:, :3]), -cross_matrix(rates[:, 3:])
+    by[:, 3:, 4] = rates[:, 3:]
+    return by
 
 
 class _Fit(NamedTuple):
@@ -116,22 +123,29 @@ class _Fit(NamedTuple):
     counted: Floats
     """(6,): so many successive values count as one."""
     left_over: Floats
+    weight: Floats
+    """(N, 6)"""
 
 
 def _fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False) -> _Fit:
     """Robust least squares; held: without a change of the offset."""
     free = slice(1 if held else 0, 5)
     solution, normal, left_over = np.zeros(5), prior, misfit
+    # What turns to and fro suffers from noise of just its frequency.
+    alike = _autocorrelations(by[..., 0])
     for _ in range(rounds):
         sigma = np.maximum(_spread(left_over), 1e-9)
-        counted = _counted(left_over / sigma)
+        repeats = _autocorrelations(np.clip(left_over / sigma, -_CUT, _CUT))
+        freedom = np.maximum(_MEDIAN_SHARE * len(misfit) / (1 + 2 * (repeats**2).sum(axis=0)), _LEAST_FREEDOM)
+        sigma *= np.sqrt(freedom / (freedom - 2))
+        counted = np.clip(1 + 2 * (repeats * alike).sum(axis=0), 1.0, _MOST_CORRELATED)
         weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(left_over / sigma), 1e-9)) / sigma**2 / counted
-        normal = np.einsum("nia,ni,nib->ab", by, weight, by) + prior
-        right = np.einsum("nia,ni,ni->a", by, weight, misfit)
+        weighted = (by * weight[..., None]).reshape(-1, 5).T
+        normal, right = weighted @ by.reshape(-1, 5) + prior, weighted @ misfit.ravel()
         solution = np.zeros(5)
         solution[free] = np.linalg.solve(normal[free, free], right[free])
         left_over = misfit - by @ solution
-    return _Fit(solution, normal, sigma, counted, left_over)
+    return _Fit(solution, normal, sigma, counted, left_over, weight)
 
 
 def _misfit2(left_over: Floats, fit: _Fit) -> float:
@@ -144,13 +158,11 @@ def _spread(values: Floats) -> Floats:
     return np.asarray(np.median(np.abs(values), axis=0) * 1.4826)
 
 
-def _counted(normed: Floats) -> Floats:
-    """(6,): so many successive residuals count as one, by their autocorrelation (outliers cut)."""
-    cut = np.clip(normed, -_CUT, _CUT)
-    energy = np.maximum((cut**2).mean(axis=0), 1e-9)
-    lags = range(1, min(_LAGS, len(cut) - 1) + 1)
-    total = 1 + 2 * sum((cut[lag:] * cut[:-lag]).mean(axis=0) / energy for lag in lags)
-    return np.asarray(np.clip(total, 1.0, _MOST_CORRELATED))
+def _autocorrelations(values: Floats) -> Floats:
+    """(L, 6) of each column (N, 6), around zero, for lags of 1 to L."""
+    energy = np.maximum((values**2).mean(axis=0), 1e-12)
+    lags = range(1, min(_LAGS, len(values) - 1) + 1)
+    return np.array([(values[lag:] * values[:-lag]).mean(axis=0) / energy for lag in lags])
 
 
 def _rates(next_SE3_first: Floats, steps_s: Floats) -> Floats:

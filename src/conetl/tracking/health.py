@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 _LEAST_INTERVALS = 8
 _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 #: The scale of the motions may be off by so many of its prior sigmas, and of its own.
-_MAX_SCALE_SIGMAS = 2.5
+_MAX_SCALE_SIGMAS = 3.0
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
 _JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
 #: What a vehicle may gain or lose in speed, m/s^2, and how far around an interval its motion is taken from neighbours.
@@ -47,7 +47,8 @@ def check_trajectory(
     if not params.refine or intervals < _LEAST_INTERVALS:
         return []
     log, measured = read_log(frame_pairs, rig, params), measured_motions(frame_pairs, motions, params)
-    good = plausible_motions(log, measured) if len(measured.start) else np.zeros(0, dtype=bool)
+    none = np.zeros(0, dtype=bool)
+    good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
     return [
         _measured(frame_pairs, len(measured.start)),
         _agreement(measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]),

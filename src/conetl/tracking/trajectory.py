@@ -108,7 +108,7 @@ def refine_trajectory(
     measured = measured_motions(frame_pairs, motions, params)
     if not len(measured.start):
         return as_logged(RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared")
-    good = plausible_motions(log, measured)
+    good = plausible_motions(log, measured, params.scale_sigma)
     if not good.any():
         detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
         return as_logged(RefinementOutcome.NO_MEASUREMENT, detail)
@@ -256,20 +256,30 @@ def measured_motions(
     )
 
 
-def plausible_motions(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]:
+def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: float) -> NDArray[np.bool_]:
     """(M,): which measured intervals are plausible.
 
     An interval is refused if it contradicts GNSS/INS beyond its errors, or if it alone departs from its neighbours while
     GNSS/INS is smooth: errors of GNSS/INS last longer than one interval.
     """
     k = motions.start
-    residual, from_first, _ = motion_residuals(log, log.rotations, log.places, motions, 0.0)
-    change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.white[k] ** 2 + log.white[k + 1] ** 2
-    spread = motions.cov + from_first * change[:, None, :] @ np.swapaxes(from_first, 1, 2)
+    residual, from_first, from_second = motion_residuals(log, log.rotations, log.places, motions, 0.0)
+
+    def moved(jacobian: Floats, variance: Floats) -> Floats:
+        return np.asarray(jacobian * variance[:, None, :] @ np.swapaxes(jacobian, 1, 2))
+
+    # What both poses have in common counts too: an attitude error turns the distance between them to the side.
+    kept = log.keep[k] * log.slow[k + 1] / log.slow[k]
+    fresh = log.slow[k + 1] ** 2 * (1 - log.keep[k] ** 2) + log.white[k + 1] ** 2
+    scaled = motions.next_SE3_first[:, :3, 3] * scale_sigma
+    spread = motions.cov + moved(from_first, log.white[k] ** 2) + moved(from_second, fresh)
+    spread += moved(from_first + from_second * kept[:, None, :], log.slow[k] ** 2)
+    spread[:, 3:, 3:] += scaled[:, :, None] * scaled[:, None, :]
     chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
     inside = chi2 <= _GATE_CHI2
     good = inside.copy()
-    sigma = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.white[k] ** 2 + log.white[k + 1] ** 2
+    sigma = np.sqrt(np.diagonal(motions.cov + moved(from_first, change), axis1=1, axis2=2))
     observed = motions.next_SE3_first[:, :3, 3]
     by_log = observed - residual[:, 3:]
     for i, start in enumerate(k):

@@ -1,0 +1,36 @@
+"""Drives that are what they say they are: none is held, their positions and clocks are as good as stated."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from conetl.model.health import hold_reason
+from conetl.tracking.trajectory import RefinementOutcome
+from tests.synthetic.good_drives import checked, clock_of, draw_drive
+
+
+def test_good_drives_are_not_held() -> None:
+    for seed in range(4):
+        refined, checks = checked(draw_drive(np.random.default_rng(seed)))
+        assert refined.outcome is RefinementOutcome.REFINED
+        assert hold_reason(checks) is None
+
+
+def test_motions_that_only_the_stated_heading_errors_turn_are_kept() -> None:
+    """A heading that is off by half a degree, as stated, turns every measured motion to the side, by far more than its noise."""
+    for seed in (135, 193):
+        drive = draw_drive(np.random.default_rng(seed), turns=True)
+        assert "0 refused" in checked(drive)[0].detail
+
+
+def test_the_sigma_of_the_clock_counts_noisy_attitudes_and_gaps() -> None:
+    """Noise of the log makes its slopes steep: they must not count as turns that tell the offset."""
+    z2 = []
+    for seed in range(12):
+        drive = draw_drive(np.random.default_rng(500 + seed), offset_s=0.03, turns=True, lasts_s=20.0, sigma_rad=0.003)
+        found = clock_of(drive)
+        if found is not None:
+            z2.append(((found.offset_s - 0.03) / found.sigma_s) ** 2)
+    assert len(z2) > 8
+    assert chi2.ppf(0.001, len(z2)) < sum(z2) < chi2.ppf(0.999, len(z2))
