@@ -16,12 +16,21 @@ _SHRINK, _SQUARE, _SIGMA = 4, 8, 1.5
 
 def fine_detail(image: NDArray[np.uint8]) -> float:
     """Grey levels; image: (H, W, 3) in blue, green, red. 0 for an image smaller than 32 pixels."""
+    squares = _squares(np.ascontiguousarray(image[..., 1]))
+    return float(np.sqrt(np.median(squares))) if squares.size else 0.0
+
+
+def local_detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(H // 32, W // 32) the same for every square of 32 pixels; image: (H, W) grey."""
+    return np.sqrt(_squares(image))
+
+
+def _squares(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(H // 32, W // 32) variance of the fine structure of every square; image: (H, W)."""
     height, width = image.shape[0] // _SHRINK, image.shape[1] // _SHRINK
     if min(height, width) < _SQUARE:
-        return 0.0
-    green = cv2.resize(np.ascontiguousarray(image[..., 1]), (width, height), interpolation=cv2.INTER_AREA).astype(
-        np.float32
-    )
-    fine = green - cv2.GaussianBlur(green, (0, 0), _SIGMA)
+        return np.empty((0, 0), np.float32)
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    fine = small - cv2.GaussianBlur(small, (0, 0), _SIGMA)
     squares = cv2.resize(fine * fine, (width // _SQUARE, height // _SQUARE), interpolation=cv2.INTER_AREA)
-    return float(np.sqrt(np.median(squares)))
+    return np.asarray(squares, np.float32)

@@ -30,9 +30,11 @@ _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 #: The scale of the motions may be off by so many of its prior sigmas, and of its own.
 _MAX_SCALE_SIGMAS = 2.5
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
-_JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
+_JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
 #: What a vehicle may gain or lose in speed, m/s^2, and how far around an interval its motion is taken from neighbours.
 _ACCELERATION, _NEIGHBOURS = 8.0, 4
+#: Motions are compared where they are longer, and have something in common from this share of their lengths on.
+_DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
 
 
 def check_trajectory(
@@ -99,6 +101,7 @@ def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Flo
     refused = int((~good).sum())
     share = refused / max(len(good), 1)
     held = refused > 1 and share > _MAX_REFUSED_SHARE
+    observed = measured.next_SE3_first[:, :3, 3]
     detail = f"{len(good) - refused} of {len(good)} measured motions agree with GNSS/INS."
     if held:
         metres, degrees = (
@@ -106,12 +109,34 @@ def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Flo
         )
         detail = (
             f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
-            "median. Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
+            f"median. {_in_common(observed, observed - residual[:, 3:])}"
         )
     return HealthCheck(
         name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
         limit=_MAX_REFUSED_SHARE, detail=detail,
     )  # fmt: skip
+
+
+def _in_common(observed: Floats, logged: Floats) -> str:
+    """What all motions have in common, and what to check. observed, logged: (N, 3), m, in the left camera's frame."""
+    lengths_m = np.linalg.norm([observed, logged], axis=2)
+    far = lengths_m.min(axis=0) > _DRIVEN_M
+    if far.sum() >= _LEAST_INTERVALS:
+        ratio = lengths_m[0, far] / lengths_m[1, far] - 1
+        turn = observed[far] / lengths_m[0, far, None] - logged[far] / lengths_m[1, far, None]
+        scale, aside = float(np.median(ratio)), np.median(turn, axis=0)
+        angle_rad = float(np.linalg.norm(aside))
+        if abs(scale) > _COMMON_SHARE and np.median(np.abs(ratio - scale)) < abs(scale) / 4:
+            return (
+                f"The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: the calibration's baseline or "
+                "focal length is wrong, or GNSS/INS drifts. Calibrate the rig (conetl calibrate) or process its log anew."
+            )
+        if angle_rad > _COMMON_SHARE and np.median(np.linalg.norm(turn - aside, axis=1)) < angle_rad / 4:
+            return (
+                f"The cameras look {np.degrees(angle_rad):.1f} degrees away from where the alignment of cameras and GNSS/INS has "
+                "them. Calibrate that alignment anew."
+            )
+    return "Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
 
 
 def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
@@ -156,17 +181,23 @@ def _jumps(
     speeds = np.full_like(logged, np.nan)
     speeds[measured.start[good]] = measured.next_SE3_first[good, :3, 3] / steps_s[measured.start[good], None]
     sigma_m = np.array([max(pair.pose.sigma_enu_m) for pair in frame_pairs])
+    middle_s = (times_s[1:] + times_s[:-1]) / 2
     worst_m, worst = 0.0, 0
     for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
-        near = slice(max(k - _NEIGHBOURS, 0), k + _NEIGHBOURS + 1)
-        known = ~np.isnan(speeds[near, 0])
-        if known.sum() < 2:
+        first, last = max(k - _NEIGHBOURS, 0), min(k + _NEIGHBOURS + 1, len(middle_s))
+        near = first + np.flatnonzero(~np.isnan(speeds[first:last, 0]))
+        if len(near) < 2:
             continue
-        off_m = float(np.linalg.norm(logged[k] - np.median(speeds[near][known], axis=0) * steps_s[k]))
-        reach_s = float(times_s[min(k + _NEIGHBOURS + 1, len(times_s) - 1)] - times_s[max(k - _NEIGHBOURS, 0)])
-        allowed_m = (
-            max(_JUMP_M, _JUMP_SIGMAS * float(sigma_m[k : k + 2].max())) + _ACCELERATION * steps_s[k] * reach_s / 2
-        )
+        # Between neighbours on both sides speed changes evenly but for a jerk; beyond them it may change at once.
+        enclosed = min((near < k).sum(), (near > k).sum()) >= 2
+        if enclosed:
+            speed = np.polynomial.polynomial.polyfit(middle_s[near] - middle_s[k], speeds[near], 1)[0]
+        else:
+            speed = np.median(speeds[near], axis=0)
+        off_m = float(np.linalg.norm(logged[k] - speed * steps_s[k]))
+        reach_s = float(times_s[last] - times_s[first])
+        allowed_m = max(_JUMP_M, _JUMP_SIGMAS * float(sigma_m[k : k + 2].max()))
+        allowed_m += _ACCELERATION * steps_s[k] * reach_s / (8 if enclosed else 2)
         if off_m > max(allowed_m, worst_m):
             worst_m, worst = off_m, int(k)
     detail = "The poses do not jump."
