@@ -194,10 +194,10 @@ def totals(outcomes: Sequence[Outcome]) -> dict[str, object]:
 
 def main() -> None:
     parser = arguments_of(__doc__)
-    parser.add_argument("--only", default="", metavar="TEXT", help="recordings with this in their name or drive")
+    parser.add_argument("--only", default="", metavar="TEXT", help="regular expression in their name or drive")
     parser.add_argument("--failures", action="store_true", help="also print what conetl said where a criterion fails")
     args = parser.parse_args()
-    cases = [(r, on) for r in (GOOD, *RECORDINGS) for on in r.on if args.only in f"{r.name} on {on}"]
+    cases = [(r, on) for r in (GOOD, *RECORDINGS) for on in r.on if re.search(args.only, f"{r.name} on {on}")]
     if not KITTI.is_dir():
         print(f"KITTI is left out: {KITTI} is missing")
         cases = [(r, on) for r, on in cases if on not in (STREET, STREET_AGAIN)]

@@ -111,7 +111,7 @@ def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck
     if blank:
         detail = (
             f"In {worst:.0%} of the lower half of the {' and '.join(blank)} images nothing is to be seen, and the rest is sharp: "
-            "the lens is covered in part, and cones behind that would seem to be gone. Clean it; accept the drive where the "
+            "the lens is covered in part or dazzled, and cones there would seem to be gone. Clean it; accept the drive where the "
             "vehicle itself is in view there."
         )
     return HealthCheck(

@@ -35,6 +35,8 @@ _JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
 _ACCELERATION, _NEIGHBOURS = 8.0, 4
 #: Motions are compared where they are longer, and have something in common from this share of their lengths on.
 _DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
+#: A log below this speed stands still, and one this far away from the direction in which the cameras look has other axes.
+_STANDING_M_S, _ASIDE_DEG = 0.5, 20.0
 
 
 def check_trajectory(
@@ -51,7 +53,7 @@ def check_trajectory(
     log, measured = read_log(frame_pairs, rig, params), measured_motions(frame_pairs, motions, params)
     good = plausible_motions(log, measured) if len(measured.start) else np.zeros(0, dtype=bool)
     return [
-        _measured(frame_pairs, len(measured.start)),
+        _measured(frame_pairs, rig, len(measured.start)),
         _agreement(measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]),
         _jumps(frame_pairs, rig, measured, good),
         _clock(trajectory.clock, params),
@@ -77,7 +79,7 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
     return [HealthCheck(name="calibration", verdict=verdict, value=None, detail=detail)]
 
 
-def _measured(frame_pairs: Sequence[FramePair], measured: int) -> HealthCheck:
+def _measured(frame_pairs: Sequence[FramePair], rig: Rig, measured: int) -> HealthCheck:
     """Whether images that show enough for it can be followed from frame to frame."""
     intervals = len(frame_pairs) - 1
     share = measured / intervals
@@ -88,12 +90,31 @@ def _measured(frame_pairs: Sequence[FramePair], measured: int) -> HealthCheck:
         detail = (
             f"Visual odometry could measure only {measured} of {intervals} intervals, although the images show enough: the poses "
             "are not those of these images, or left and right images do not belong together. Check numbers, order and time "
-            "stamps of images and poses."
+            f"stamps of images and poses.{_against_itself(frame_pairs, rig)}"
         )
     return HealthCheck(
         name="intervals measured by visual odometry", verdict=Verdict.HOLD if lost else Verdict.PASS, value=share,
         limit=_LEAST_MEASURED_SHARE, detail=detail,
     )  # fmt: skip
+
+
+def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
+    """What is wrong with the log by itself, as a sentence after others; empty where nothing is."""
+    positions_m = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
+    looks = np.array([pair.pose.map_R_body for pair in frame_pairs]) @ np.array(rig.body_SE3_left)[:3, 2]
+    steps_m, ahead = np.diff(positions_m[:, :2], axis=0), (looks[1:, :2] + looks[:-1, :2]) / 2
+    path_m = float(np.linalg.norm(steps_m, axis=1).sum())
+    duration_s = (frame_pairs[-1].captured_at_ns - frame_pairs[0].captured_at_ns) * 1e-9
+    if path_m < _STANDING_M_S * duration_s:
+        return f" By the log the vehicle moved {path_m:.1f} m in {duration_s:.0f} s: is it frozen, or in radians?"
+    along, across = (ahead * steps_m).sum(axis=1), ahead[:, 0] * steps_m[:, 1] - ahead[:, 1] * steps_m[:, 0]
+    aside_deg = float(np.degrees(np.median(np.abs(np.arctan2(across, along)))))
+    if aside_deg > _ASIDE_DEG:
+        return (
+            f" By the log the vehicle moved {aside_deg:.0f} degrees away from where its cameras look: are latitude and longitude "
+            "swapped, or the records in reverse order?"
+        )
+    return ""
 
 
 def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Floats) -> HealthCheck:
