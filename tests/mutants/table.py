@@ -162,7 +162,7 @@ def _rigs() -> list[WrongRecording]:
         ),
         *(
             WrongRecording(f"right images {n:+d} columns", files=changed(only_right(shifted(0, n))), cause=cause)
-            for n, cause in {-6: "alibrat", 1: None, 3: "alibrat", 6: "alibrat", 12: "alibrat"}.items()
+            for n, cause in {-6: "alibrat", 1: None, 3: "alibrat", 6: "shifted sideways", 12: "shifted sideways"}.items()
         ),
         *(
             WrongRecording(f"right camera {n} frames late", right_late(n), cause=f"{_TRIGGER} {n} frames earlier", fast=n != 2)
@@ -299,7 +299,7 @@ def _street() -> list[WrongRecording]:
         WrongRecording("whole drive 50 m aside", aside(50.0), cause=_AGAINST_MAP, on=(STREET_AGAIN,)),
         WrongRecording("heights +48 m", raised(48.0), cause="height", on=(STREET_AGAIN,)),
         WrongRecording("right images 3 rows lower", files=changed(only_right(shifted(3, 0))), on=street),
-        WrongRecording("right images 6 columns aside", files=changed(only_right(shifted(0, 6))), cause="alibrat", on=street),
+        WrongRecording("right images +6 columns", files=changed(only_right(shifted(0, 6))), cause="shifted sideways", on=street),
         image("both lenses covered", both(images.darker(0.0)), _BLIND),
         image("fog 0.9", both(images.foggier(0.9)), _BLIND),
         image("sides swapped", images.swapped, _SIDES),

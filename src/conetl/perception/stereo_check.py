@@ -40,6 +40,8 @@ _FLOOR_PX = 0.3
 #: Right images of another frame must fit so many times as many points: while the vehicle stands all fit alike.
 _FITS_BETTER = 1.3
 _LAGS = (-3, -2, -1, 1, 2, 3)
+#: Of points on equal rows at most 0.3 % lie farther right in the right image of a good drive; shifted by 6 columns 5 to 10 %.
+_MAX_BEYOND_SHARE = 0.02
 #: A square shows nothing below this share of the detail of the sharper ones; so many of the lower half may.
 _BLANK, _SHARP_QUANTILE, _MAX_BLANK_SHARE = 0.05, 0.8, 0.1
 
@@ -82,6 +84,7 @@ def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
     checks = [_check_lenses({side: [features(k, side).detail for k in chosen] for side in _SIDES}), trigger]
     if len(rows) < _MIN_MATCHES or trigger.verdict is not Verdict.PASS:
         return drive.rig, checks
+    checks.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
     off_px, sigma_px = float(rows.mean()), float(np.hypot(rows.std() / np.sqrt(len(rows)), _FLOOR_PX))
     figures = {
         "name": "rows of the right images",
@@ -146,6 +149,23 @@ def _check_trigger(fitting: int, matched: int, fitting_at: Callable[[int], int])
     return HealthCheck(
         name="trigger of both cameras", verdict=Verdict.HOLD if lag else Verdict.PASS, value=float(lag), limit=0.0,
         unit="frames", detail=detail,
+    )  # fmt: skip
+
+
+def _check_columns(columns: Floats) -> HealthCheck:
+    """Whether points lie farther right in the right image than infinitely far ones; columns: (N,) left minus right, px."""
+    beyond = columns < -_SHRINK
+    share = float(beyond.mean())
+    detail = "No point lies farther right in the right image."
+    if share > _MAX_BEYOND_SHARE:
+        detail = (
+            f"{share:.0%} of the points lie up to {-np.quantile(columns, 0.01):.0f} px farther right in the right image, where "
+            "not even the horizon may: the right images are shifted sideways, or the calibration is of another rig. See whether the "
+            "images were cropped, or calibrate the rig (conetl calibrate)."
+        )
+    return HealthCheck(
+        name="columns of the right images", verdict=Verdict.HOLD if share > _MAX_BEYOND_SHARE else Verdict.PASS, value=share,
+        limit=_MAX_BEYOND_SHARE, detail=detail,
     )  # fmt: skip
 
 

@@ -54,7 +54,9 @@ def check_trajectory(
     good = plausible_motions(log, measured) if len(measured.start) else np.zeros(0, dtype=bool)
     return [
         _measured(frame_pairs, rig, len(measured.start)),
-        _agreement(measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]),
+        _agreement(
+            frame_pairs, rig, measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
+        ),
         _jumps(frame_pairs, rig, measured, good),
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
@@ -117,7 +119,9 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
     return ""
 
 
-def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Floats) -> HealthCheck:
+def _agreement(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_], residual: Floats
+) -> HealthCheck:
     """Whether the motions agree with the log within the errors of both."""
     refused = int((~good).sum())
     share = refused / max(len(good), 1)
@@ -130,7 +134,7 @@ def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Flo
         )
         detail = (
             f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
-            f"median. {_in_common(observed, observed - residual[:, 3:])}"
+            f"median. {_in_common(observed, observed - residual[:, 3:])}{_against_itself(frame_pairs, rig)}"
         )
     return HealthCheck(
         name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
