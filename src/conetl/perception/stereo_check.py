@@ -160,8 +160,8 @@ def _check_columns(columns: Floats) -> HealthCheck:
     if share > _MAX_BEYOND_SHARE:
         detail = (
             f"{share:.0%} of the points lie up to {-np.quantile(columns, 0.01):.0f} px farther right in the right image, where "
-            "not even the horizon may: the right images are shifted sideways, or the calibration is of another rig. See whether the "
-            "images were cropped, or calibrate the rig (conetl calibrate)."
+            "not even the horizon may: the right images are shifted sideways, or the calibration is of another rig. See whether "
+            "the images were cropped, or calibrate the rig (conetl calibrate)."
         )
     return HealthCheck(
         name="columns of the right images", verdict=Verdict.HOLD if share > _MAX_BEYOND_SHARE else Verdict.PASS, value=share,
