@@ -30,6 +30,7 @@ from conetl.db.map.map_store import read_current_features
 from conetl.evaluation.truth import read_truth_cones
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import EXIT_DONE, ConetlError
+from conetl.model.ingest_report import DriveOnHoldError
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
 from conetl.pipeline.analysis import AnalysedDrive, analyse
@@ -147,7 +148,8 @@ class Bench:
             )
             unless_doubtful(committed.report, analysed)
         except ConetlError as error:
-            outcome = replace(outcome, exit=error.exit_code, said=str(error))
+            said = error.report.on_hold if isinstance(error, DriveOnHoldError) else None  # without what all holds say
+            outcome = replace(outcome, exit=error.exit_code, said=said or str(error))
         except Exception as error:  # an internal error is a result too
             outcome = replace(outcome, exit=70, said=f"{type(error).__name__}: {error}")
         details = {r.reason: r.detail for r in rejections if r.reason in DOUBTFUL_REASONS}
