@@ -8,7 +8,7 @@ export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: help setup demo up down test check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health fuzz lock
+.PHONY: help setup demo up down test check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants fuzz lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -88,6 +88,9 @@ bench-watch: setup  ## a recorded KITTI drive written again at 10 Hz: latency of
 
 bench-health: setup  ## health checks on simulated good drives: false alarms, NEES of places and clocks, cost (ARGS='--drives 50 --no-cost')
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/bench_health.py $(ARGS)
+
+bench-mutants: setup  ## wrong recordings: what each does to a map, and whether its cause is named (ARGS='--only TEXT --failures' ...)
+	@$(BIN)/python benchmarks/bench_mutants.py $(ARGS)
 
 fuzz: setup     ## all readers on mutated files: no crash, 2 s and 1 GB at most (ARGS='--cases 10000 --reader kitti')
 	@$(BIN)/python -m tests.fuzz.fuzz_readers $(ARGS)

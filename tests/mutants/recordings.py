@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
@@ -13,6 +14,15 @@ from conetl.geometry.packing import vec3
 from conetl.model.records import Drive, Pose
 
 Mutant = Callable[[Drive], Drive]
+
+
+def in_turn(*mutants: Mutant) -> Mutant:
+    def mutant(drive: Drive) -> Drive:
+        for change in mutants:
+            drive = change(drive)
+        return drive
+
+    return mutant
 
 
 def with_poses(drive: Drive, pose_of: Callable[[int], Pose]) -> Drive:
@@ -39,13 +49,74 @@ def jump(metres: float, first: int = 20, last: int = 10**6) -> Mutant:
     return displaced(lambda k, _: (metres * (first <= k < last), 0.0, 0.0))
 
 
+def raised(metres: float, first: int = 0) -> Mutant:
+    return displaced(lambda k, _: (0.0, 0.0, metres * (k >= first)))
+
+
 def drift(metres: float) -> Mutant:
     return displaced(lambda k, count: (metres * k / count, 0.0, 0.0))
 
 
-def noise(metres: float) -> Mutant:
-    shifts = np.random.default_rng(1).normal(0.0, metres, (1000, 3))
+def noise(metres: float, smoothed: float = 0.0) -> Mutant:
+    """smoothed: over so many poses, as the errors of a GNSS without a fix are."""
+    shifts = np.random.default_rng(1).normal(0.0, 1.0, (1000, 3))
+    if smoothed:
+        shifts = gaussian_filter1d(shifts, smoothed, axis=0)
+    shifts *= metres / shifts.std()
     return displaced(lambda k, _: shifts[k])
+
+
+def aside(metres: float) -> Mutant:
+    """The whole drive, to the left of its path."""
+
+    def mutant(drive: Drive) -> Drive:
+        ends = [np.array(drive.frame_pairs[k].pose.map_t_body_m) for k in (0, -1)]
+        along = (ends[1] - ends[0])[:2] / np.linalg.norm((ends[1] - ends[0])[:2])
+        return displaced(lambda _, __: (-metres * along[1], metres * along[0], 0.0))(drive)
+
+    return mutant
+
+
+def turned_about_start(degrees: float) -> Mutant:
+    """The whole drive about the vertical through its first pose."""
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+
+    def mutant(drive: Drive) -> Drive:
+        start = np.array(drive.frame_pairs[0].pose.map_t_body_m)
+
+        def pose_of(k: int) -> Pose:
+            pose = drive.frame_pairs[k].pose
+            position = start + turn @ (np.array(pose.map_t_body_m) - start)
+            rotation = se3.to_matrix3(turn @ np.array(pose.map_R_body))
+            return pose.model_copy(update={"map_t_body_m": vec3(position), "map_R_body": rotation})
+
+        return with_poses(drive, pose_of)
+
+    return mutant
+
+
+def lever_arm(x_m: float, y_m: float, z_m: float) -> Mutant:
+    """Cameras that are mounted so far from where the calibration has them."""
+
+    def mutant(drive: Drive) -> Drive:
+        sides = {}
+        for name in ("body_SE3_left", "body_SE3_right"):
+            matrix = np.array(getattr(drive.rig, name))
+            matrix[:3, 3] += (x_m, y_m, z_m)
+            sides[name] = se3.to_matrix4(matrix)
+        return drive.model_copy(update={"rig": drive.rig.model_copy(update=sides)})
+
+    return mutant
+
+
+def stating(sigma_m: float) -> Mutant:
+    """Poses with this stated sigma of each coordinate."""
+
+    def mutant(drive: Drive) -> Drive:
+        sigma = {"sigma_enu_m": (sigma_m,) * 3}
+        return with_poses(drive, lambda k: drive.frame_pairs[k].pose.model_copy(update=sigma))
+
+    return mutant
 
 
 def late(records: int) -> Mutant:
@@ -78,9 +149,19 @@ def reversed_poses(drive: Drive) -> Drive:
     return with_poses(drive, lambda k: drive.frame_pairs[len(drive.frame_pairs) - 1 - k].pose)
 
 
-def frozen_place(drive: Drive) -> Drive:
-    place = drive.frame_pairs[0].pose.map_t_body_m
-    return with_poses(drive, lambda k: drive.frame_pairs[k].pose.model_copy(update={"map_t_body_m": place}))
+def frozen_place(first: float = 0.0) -> Mutant:
+    """Positions, but not attitudes, stay what they are at this share of the drive."""
+
+    def mutant(drive: Drive) -> Drive:
+        poses = [pair.pose for pair in drive.frame_pairs]
+        start = int(first * len(poses))
+
+        def pose_of(k: int) -> Pose:
+            return poses[k].model_copy(update={"map_t_body_m": poses[min(k, start)].map_t_body_m})
+
+        return with_poses(drive, pose_of)
+
+    return mutant
 
 
 def turned(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Mutant:
@@ -114,5 +195,23 @@ def baseline(factor: float) -> Mutant:
         right[:3, 3] = left[:3, 3] + factor * (right[:3, 3] - left[:3, 3])
         rig = drive.rig.model_copy(update={"body_SE3_right": se3.to_matrix4(right)})
         return drive.model_copy(update={"rig": rig})
+
+    return mutant
+
+
+def lenses(focal: float = 1.0, right_column_px: float = 0.0, columns_px: float = 0.0, rows_px: float = 0.0) -> Mutant:
+    """A calibration with so many times the focal length and other principal points: of the right camera, and of both."""
+
+    def mutant(drive: Drive) -> Drive:
+        sides = {}
+        for name, own_px in (("left", 0.0), ("right", right_column_px)):
+            camera = getattr(drive.rig, name)
+            sides[name] = camera.model_copy(
+                update={
+                    "fx_px": focal * camera.fx_px, "fy_px": focal * camera.fy_px,
+                    "cx_px": camera.cx_px + columns_px + own_px, "cy_px": camera.cy_px + rows_px,
+                }
+            )  # fmt: skip
+        return drive.model_copy(update={"rig": drive.rig.model_copy(update=sides)})
 
     return mutant

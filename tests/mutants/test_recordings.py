@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
+import re
 import shutil
 from contextlib import closing
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import InputError
 from conetl.model.health import Verdict, hold_reason
 from conetl.model.ingest_report import DriveOnHoldError
+from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
 from conetl.pipeline.ingest import ingest
@@ -27,26 +28,13 @@ from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES
 from tests.mutants import recordings as wrong
+from tests.mutants.table import FIRST, RECORDINGS, SECOND, WrongRecording
 
-#: Name -> what is wrong, and what the reason of the hold must say.
-HELD: dict[str, tuple[wrong.Mutant, str]] = {
-    "GNSS jumps 50 m": (wrong.jump(50.0), "GNSS/INS jumps by 50.0 m between frame pairs 19 and 20"),
-    "GNSS jumps 5 m": (wrong.jump(5.0), "GNSS/INS jumps by 5.0 m between frame pairs 19 and 20"),
-    "GNSS jumps 1 m": (wrong.jump(1.0), "GNSS/INS jumps by 1.0 m between frame pairs 19 and 20"),
-    "GNSS jumps and returns": (wrong.jump(50.0, 20, 25), "GNSS/INS jumps by 50.0 m"),
-    "GNSS drifts 1 m": (wrong.drift(1.0), "distances -1.5"),
-    "GNSS drifts 3 m": (wrong.drift(3.0), "contradict GNSS/INS"),
-    "GNSS noise 0.3 m": (wrong.noise(0.3), "contradict GNSS/INS"),
-    "poses 5 records late": (wrong.late(5), "contradict GNSS/INS"),
-    "poses in reverse": (wrong.reversed_poses, "the poses are not those of these images"),
-    "GNSS frozen": (wrong.frozen_place, "the poses are not those of these images"),
-    "yaw 5 degrees": (wrong.turned(0.0, 0.0, 5.0), "contradict GNSS/INS"),
-    "yaw 2 degrees": (wrong.turned(0.0, 0.0, 2.0), "contradict GNSS/INS"),
-    "right camera a frame late": (wrong.right_late(1), "right images belong to left images 1 frames earlier"),
-    "right camera 3 frames late": (wrong.right_late(3), "right images belong to left images 3 frames earlier"),
-    "baseline 1 % too long": (wrong.baseline(1.01), "distances +1.0"),
-    "baseline 5 % too long": (wrong.baseline(1.05), "contradict GNSS/INS"),
-}
+HELD = [recording for recording in RECORDINGS if recording.fast and recording.cause]
+#: Causes that the images alone show.
+BY_IMAGES = ("covered in part", "shifted sideways")
+SEEN = [recording for recording in RECORDINGS if recording.cause in BY_IMAGES and SECOND in recording.on]
+NAMED = {recording.name: recording for recording in RECORDINGS if FIRST in recording.on}
 
 
 def against_truth(analysed: AnalysedDrive, folder: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -66,17 +54,18 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("home")
 
 
-@pytest.mark.parametrize("name", HELD)
-def test_a_recording_that_contradicts_itself_is_held(home: Path, name: str) -> None:
-    drive, _ = read_drive(SAMPLES[0])
-    mutant, cause = HELD[name]
-    assert cause in (hold_reason(analyse(mutant(drive), settings=Settings(home=home, workers=2)).health) or "")
+@pytest.mark.parametrize("recording", HELD, ids=lambda recording: recording.name)
+def test_a_recording_that_contradicts_itself_is_held(home: Path, tmp_path: Path, recording: WrongRecording) -> None:
+    drive, _ = recording.read(FIRST, tmp_path)
+    assert recording.cause is not None
+    reason = hold_reason(analyse(drive, settings=Settings(home=home, workers=2)).health)
+    assert re.search(recording.cause, reason or "")
 
 
 @pytest.mark.parametrize("milliseconds", [-100, -50, 50, 100, 200])
 def test_an_offset_of_the_clocks_is_found_and_corrected(home: Path, milliseconds: int) -> None:
-    drive, _ = read_drive(SAMPLES[1])
-    analysed = analyse(wrong.clock(milliseconds)(drive), settings=Settings(home=home, workers=2))
+    drive, _ = NAMED[f"clock {milliseconds:+d} ms"].read(SECOND, home)
+    analysed = analyse(drive, settings=Settings(home=home, workers=2))
     clock = analysed.trajectory.clock
     assert clock is not None and abs(1e3 * clock.offset_s - milliseconds) < 5.0
     assert hold_reason(analysed.health) is None
@@ -86,22 +75,24 @@ def test_an_offset_of_the_clocks_is_found_and_corrected(home: Path, milliseconds
 
 
 def test_a_small_offset_of_the_clocks_widens_the_sigmas(home: Path) -> None:
-    analysed = analyse(wrong.clock(10)(read_drive(SAMPLES[0])[0]), settings=Settings(home=home, workers=2))
+    analysed = analyse(NAMED["clock +10 ms"].read(FIRST, home)[0], settings=Settings(home=home, workers=2))
     assert against_truth(analysed, SAMPLES[0])[1].max() < 18.4
 
 
 @pytest.mark.parametrize("rows", [3, 12])
 def test_right_images_some_rows_off_are_corrected(home: Path, tmp_path: Path, rows: int) -> None:
-    folder = tmp_path / SAMPLES[0].name
-    shutil.copytree(SAMPLES[0], folder)
-    for path in (folder / "image_03" / "data").iterdir():
-        image = np.asarray(cv2.imread(str(path)), np.uint8)
-        cv2.imwrite(str(path), np.vstack([image[:1]] * rows + [image[:-rows]]), [cv2.IMWRITE_JPEG_QUALITY, 95])
-    analysed = analyse(read_drive(folder)[0], settings=Settings(home=home, workers=2))
+    drive, _ = NAMED[f"right images {rows} rows lower"].read(FIRST, tmp_path)
+    analysed = analyse(drive, settings=Settings(home=home, workers=2))
     check = next(check for check in analysed.health if check.name.startswith("rows"))
     assert check.verdict is Verdict.CORRECTED and check.value == pytest.approx(rows, abs=0.3)
     assert hold_reason(analysed.health) is None
-    assert against_truth(analysed, folder)[1].max() < 18.4
+    assert against_truth(analysed, SAMPLES[0])[1].max() < 18.4
+
+
+@pytest.mark.parametrize("recording", SEEN, ids=lambda recording: recording.name)
+def test_images_alone_show_covered_lenses_and_shifted_columns(tmp_path: Path, recording: WrongRecording) -> None:
+    assert recording.cause is not None
+    assert recording.cause in (hold_reason(check_stereo(recording.read(SECOND, tmp_path)[0])[1]) or "")
 
 
 @pytest.mark.parametrize("folder", SAMPLES, ids=lambda folder: folder.name)

@@ -96,8 +96,8 @@ class TooManyRejectionsError(NeedsAttentionError):
         total = report.frame_pairs + report.frame_pairs_rejected
         blind = report.rejections.get(RejectionReason.IMAGE_WITHOUT_DETAIL, 0)
         cause = (
-            f" The images of {blind} of them show too little detail: look for a covered lens, darkness, fog or blur. What they "
-            "show is used, but no cone is removed by them."
+            f" The images of {blind} of them show too little detail: look for a covered lens, darkness, fog, blur or strong "
+            "compression. What they show is used, but no cone is removed by them."
             if blind
             else ""
         )

@@ -12,16 +12,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SHRINK, _SQUARE, _SIGMA = 4, 8, 1.5
+#: Blocks of JPEG, px, and below which share they hide what is inside: 0.7 to 0.9 in good images, 0.3 to 0.46 at quality 10,
+#: 0.22 to 0.32 at quality 5, 0.11 to 0.2 at quality 2, of which the detector finds no cone.
+_BLOCK, _LEAST_INSIDE = 8, 0.25
 
 
 def fine_detail(image: NDArray[np.uint8]) -> float:
-    """Grey levels; image: (H, W, 3) in blue, green, red. 0 for an image smaller than 32 pixels."""
+    """Grey levels; image: (H, W, 3) in blue, green, red. 0 for one smaller than 32 pixels, or that shows but blocks of JPEG."""
+    if _inside_blocks(image[::_SHRINK, :, 1]) < _LEAST_INSIDE:
+        return 0.0
+    squares = _squares(np.ascontiguousarray(image[..., 1]))
+    return float(np.sqrt(np.median(squares))) if squares.size else 0.0
+
+
+def local_detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(H // 32, W // 32) the same for every square of 32 pixels; image: (H, W) grey."""
+    return np.sqrt(_squares(image))
+
+
+def _inside_blocks(image: NDArray[np.uint8]) -> float:
+    """Mean difference of neighbours inside the blocks of JPEG over that between them; 1 without blocks. image: (H, W)."""
+    if image.shape[1] <= _BLOCK:
+        return 1.0
+    steps = np.abs(np.diff(image.astype(np.int16), axis=1))
+    between = np.arange(1, image.shape[1]) % _BLOCK == 0
+    across = float(steps[:, between].mean())
+    return float(steps[:, ~between].mean()) / across if across > 0 else 1.0
+
+
+def _squares(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(H // 32, W // 32) variance of the fine structure of every square; image: (H, W)."""
     height, width = image.shape[0] // _SHRINK, image.shape[1] // _SHRINK
     if min(height, width) < _SQUARE:
-        return 0.0
-    green = cv2.resize(np.ascontiguousarray(image[..., 1]), (width, height), interpolation=cv2.INTER_AREA).astype(
-        np.float32
-    )
-    fine = green - cv2.GaussianBlur(green, (0, 0), _SIGMA)
+        return np.empty((0, 0), np.float32)
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    fine = small - cv2.GaussianBlur(small, (0, 0), _SIGMA)
     squares = cv2.resize(fine * fine, (width // _SQUARE, height // _SQUARE), interpolation=cv2.INTER_AREA)
-    return float(np.sqrt(np.median(squares)))
+    return np.asarray(squares, np.float32)

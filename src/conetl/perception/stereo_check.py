@@ -1,14 +1,19 @@
-"""Whether the two images of a pair belong together: sides, trigger and rows, from the images alone.
+"""Whether the two images of a pair belong together and show the road: sides, trigger, rows and lenses, from the images alone.
 
 In a rectified pair every point lies in the right image at the same row and not farther right than in the left one. Of ORB
 features (Rublee et al. 2011) matched in the sample drives and a real street 73 to 86 % do; with the right image of the frame
 before or after 24 to 68 %, and with swapped, mirrored or upside-down images 0 to 15 %.
+
+The lower half of an image shows the road, and no part of a road is without structure: of squares of 32 px there (median over five
+images) none of the sample drives has less than 11 % of the detail that a fifth of the whole image exceeds, and of a real street
+9 %. What covers a lens in part leaves squares without any.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,13 +22,15 @@ from numpy.typing import NDArray
 from conetl.geometry.rig import right_camera_turned
 from conetl.model.errors import DriveFolderError
 from conetl.model.health import HealthCheck, Verdict
-from conetl.model.records import Drive, Rig, Side
+from conetl.model.records import MIN_DETAIL, Drive, Rig, Side
+from conetl.perception.image_detail import local_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
 
 Floats = NDArray[np.float64]
 _PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
 _SHRINK, _MAX_HAMMING = 2, 50
+_SIDES: tuple[Side, Side] = ("left", "right")
 #: Share of the matches from which the sides are wrong, and below which the right images of other frames are tried.
 _WRONG_SHARE, _FITTING_SHARE = 0.7, 0.7
 #: Rows by which right images may lie off, scatter of a match, and what self-calibration finds (px of the whole image).
@@ -33,6 +40,20 @@ _FLOOR_PX = 0.3
 #: Right images of another frame must fit so many times as many points: while the vehicle stands all fit alike.
 _FITS_BETTER = 1.3
 _LAGS = (-3, -2, -1, 1, 2, 3)
+#: Of points on equal rows at most 0.3 % lie farther right in the right image of a good drive; shifted by 6 columns 5 to 10 %.
+_MAX_BEYOND_SHARE = 0.02
+#: A square shows nothing below this share of the detail of the sharper ones; so many of the lower half may.
+_BLANK, _SHARP_QUANTILE, _MAX_BLANK_SHARE = 0.05, 0.8, 0.1
+
+
+class _Features(NamedTuple):
+    """What one image shows; nothing where it is broken or blank."""
+
+    points_px: Floats = np.empty((0, 2))
+    """(N, 2) corners, px of the whole image."""
+    descriptors: NDArray[np.uint8] = np.empty((0, 32), np.uint8)
+    detail: NDArray[np.float32] = np.empty((0, 0), np.float32)
+    """`local_detail`."""
 
 
 def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
@@ -59,9 +80,11 @@ def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
             "images."
         )
     rows = _rows_of_one_scene(found)
-    checks = [_check_trigger(len(rows), len(found), lambda lag: len(_rows_of_one_scene(offsets(lag))))]
-    if len(rows) < _MIN_MATCHES or checks[0].verdict is not Verdict.PASS:
+    trigger = _check_trigger(len(rows), len(found), lambda lag: len(_rows_of_one_scene(offsets(lag))))
+    checks = [_check_lenses({side: [features(k, side).detail for k in chosen] for side in _SIDES}), trigger]
+    if len(rows) < _MIN_MATCHES or trigger.verdict is not Verdict.PASS:
         return drive.rig, checks
+    checks.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
     off_px, sigma_px = float(rows.mean()), float(np.hypot(rows.std() / np.sqrt(len(rows)), _FLOOR_PX))
     figures = {
         "name": "rows of the right images",
@@ -83,6 +106,33 @@ def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
     return turned, [*checks, HealthCheck(**figures, verdict=Verdict.CORRECTED, detail=detail)]
 
 
+def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:
+    """Whether a part of a lens is covered; one that is covered whole, darkness and fog leave `ImageDetail` of the whole image."""
+    blank = {side: share for side in _SIDES if (share := _blank_share(details[side])) > _MAX_BLANK_SHARE}
+    worst = max(blank.values(), default=0.0)
+    detail = "All parts of the images show the road."
+    if blank:
+        detail = (
+            f"In {worst:.0%} of the lower half of the {' and '.join(blank)} images nothing is to be seen, and the rest is sharp: "
+            "the lens is covered in part or dazzled, and cones there would seem to be gone. Clean it; accept the drive where the "
+            "vehicle itself is in view there."
+        )
+    return HealthCheck(
+        name="covered parts of the lenses", verdict=Verdict.HOLD if blank else Verdict.PASS, value=worst,
+        limit=_MAX_BLANK_SHARE, detail=detail,
+    )  # fmt: skip
+
+
+def _blank_share(details: list[NDArray[np.float32]]) -> float:
+    """Share of the squares of the lower half that show nothing in most images; 0 of images that are not sharp anywhere."""
+    seen = [detail for detail in details if detail.size]
+    if not seen:
+        return 0.0
+    detail = np.median(seen, axis=0)
+    sharp = float(np.quantile(detail, _SHARP_QUANTILE))
+    return float((detail[len(detail) // 2 :] < _BLANK * sharp).mean()) if sharp >= MIN_DETAIL else 0.0
+
+
 def _check_trigger(fitting: int, matched: int, fitting_at: Callable[[int], int]) -> HealthCheck:
     """Whether right images of other frames fit the left ones better than their own."""
     best, lag = fitting, 0
@@ -102,6 +152,23 @@ def _check_trigger(fitting: int, matched: int, fitting_at: Callable[[int], int])
     )  # fmt: skip
 
 
+def _check_columns(columns: Floats) -> HealthCheck:
+    """Whether points lie farther right in the right image than infinitely far ones; columns: (N,) left minus right, px."""
+    beyond = columns < -_SHRINK
+    share = float(beyond.mean())
+    detail = "No point lies farther right in the right image."
+    if share > _MAX_BEYOND_SHARE:
+        detail = (
+            f"{share:.0%} of the points lie up to {-np.quantile(columns, 0.01):.0f} px farther right in the right image, where "
+            "not even the horizon may: the right images are shifted sideways, or the calibration is of another rig. See whether "
+            "the images were cropped, or calibrate the rig (conetl calibrate)."
+        )
+    return HealthCheck(
+        name="columns of the right images", verdict=Verdict.HOLD if share > _MAX_BEYOND_SHARE else Verdict.PASS, value=share,
+        limit=_MAX_BEYOND_SHARE, detail=detail,
+    )  # fmt: skip
+
+
 def _rows_of_one_scene(offsets: Floats) -> Floats:
     """Row offsets of the matches that lie on equal rows but for a common offset, and not farther right in the right image."""
     rows = offsets[(np.abs(offsets[:, 1]) <= _MAX_ROWS_PX) & (offsets[:, 0] >= -_SHRINK), 1]
@@ -109,24 +176,26 @@ def _rows_of_one_scene(offsets: Floats) -> Floats:
     return kept
 
 
-def _features(drive: Drive, number: int, side: Side) -> tuple[Floats, NDArray[np.uint8]]:
-    """(N, 2) corners (px of the whole image) of one image and their descriptors; none where it is broken or blank."""
+def _features(drive: Drive, number: int, side: Side) -> _Features:
+    """What one image of a frame pair shows."""
     try:
         image = read_pair_image(drive.frame_pairs[number], side, drive.rig, grey=True)
     except ImageFileError:
-        return np.empty((0, 2)), np.empty((0, 32), np.uint8)
+        return _Features()
+    detail = local_detail(image)
     small = cv2.resize(image, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
     points, found = cv2.ORB.create(_FEATURES).detectAndCompute(small, None)
     if found is None:
-        return np.empty((0, 2)), np.empty((0, 32), np.uint8)
-    return np.array([point.pt for point in points]) * _SHRINK, np.asarray(found, np.uint8)
+        return _Features(detail=detail)
+    return _Features(np.array([point.pt for point in points]) * _SHRINK, np.asarray(found, np.uint8), detail)
 
 
-def _offsets(left: tuple[Floats, NDArray[np.uint8]], right: tuple[Floats, NDArray[np.uint8]]) -> Floats:
+def _offsets(left: _Features, right: _Features) -> Floats:
     """(M, 2) columns left minus right and rows right minus left of mutually best matches."""
-    if not len(left[0]) or not len(right[0]):
+    if not len(left.points_px) or not len(right.points_px):
         return np.empty((0, 2))
-    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(left[1], right[1])
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(left.descriptors, right.descriptors)
     close = [(m.queryIdx, m.trainIdx) for m in matches if m.distance < _MAX_HAMMING]
     i, j = np.array(close, dtype=np.intp).reshape(-1, 2).T
-    return np.column_stack([left[0][i, 0] - right[0][j, 0], right[0][j, 1] - left[0][i, 1]])
+    ours, theirs = left.points_px[i], right.points_px[j]
+    return np.column_stack([ours[:, 0] - theirs[:, 0], theirs[:, 1] - ours[:, 1]])

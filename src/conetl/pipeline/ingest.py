@@ -119,10 +119,18 @@ def ingest(
         report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
         committed = replace(committed, report=report)
         report = _after_commit(report, lambda: steps.run(publish_new, committed, analysed, settings, db, steps.times()))
+    return unless_doubtful(report, analysed)
+
+
+def unless_doubtful(report: IngestReport, analysed: AnalysedDrive) -> IngestReport:
+    """The report of a drive that was committed now, unless a person has to look: DriveOnHoldError, TooManyRejectionsError."""
     _unless_held(report)
-    lost = len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS))
-    if lost > params.max_rejected_fraction * analysed.drive.expected_frame_count:
-        raise TooManyRejectionsError(report, lost, params.max_rejected_fraction)
+    lost, allowed = (
+        len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS)),
+        analysed.params.max_rejected_fraction,
+    )
+    if lost > allowed * analysed.drive.expected_frame_count:
+        raise TooManyRejectionsError(report, lost, allowed)
     return report
 
 

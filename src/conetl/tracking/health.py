@@ -30,9 +30,13 @@ _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 #: The scale of the motions may be off by so many of its prior sigmas, and of its own.
 _MAX_SCALE_SIGMAS = 3.0
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
-_JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
+_JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
 #: What a vehicle may gain or lose in speed, m/s^2, and how far around an interval its motion is taken from neighbours.
 _ACCELERATION, _NEIGHBOURS = 8.0, 4
+#: Motions are compared where they are longer, and have something in common from this share of their lengths on.
+_DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
+#: A log below this speed stands still, and one this far away from the direction in which the cameras look has other axes.
+_STANDING_M_S, _ASIDE_DEG = 0.5, 20.0
 
 
 def check_trajectory(
@@ -50,8 +54,10 @@ def check_trajectory(
     none = np.zeros(0, dtype=bool)
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
     return [
-        _measured(frame_pairs, len(measured.start)),
-        _agreement(measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]),
+        _measured(frame_pairs, rig, len(measured.start)),
+        _agreement(
+            frame_pairs, rig, measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
+        ),
         _jumps(frame_pairs, rig, measured, good),
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
@@ -76,7 +82,7 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
     return [HealthCheck(name="calibration", verdict=verdict, value=None, detail=detail)]
 
 
-def _measured(frame_pairs: Sequence[FramePair], measured: int) -> HealthCheck:
+def _measured(frame_pairs: Sequence[FramePair], rig: Rig, measured: int) -> HealthCheck:
     """Whether images that show enough for it can be followed from frame to frame."""
     intervals = len(frame_pairs) - 1
     share = measured / intervals
@@ -87,7 +93,7 @@ def _measured(frame_pairs: Sequence[FramePair], measured: int) -> HealthCheck:
         detail = (
             f"Visual odometry could measure only {measured} of {intervals} intervals, although the images show enough: the poses "
             "are not those of these images, or left and right images do not belong together. Check numbers, order and time "
-            "stamps of images and poses."
+            f"stamps of images and poses.{_against_itself(frame_pairs, rig)}"
         )
     return HealthCheck(
         name="intervals measured by visual odometry", verdict=Verdict.HOLD if lost else Verdict.PASS, value=share,
@@ -95,11 +101,33 @@ def _measured(frame_pairs: Sequence[FramePair], measured: int) -> HealthCheck:
     )  # fmt: skip
 
 
-def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Floats) -> HealthCheck:
+def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
+    """What is wrong with the log by itself, as a sentence after others; empty where nothing is."""
+    positions_m = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
+    looks = np.array([pair.pose.map_R_body for pair in frame_pairs]) @ np.array(rig.body_SE3_left)[:3, 2]
+    steps_m, ahead = np.diff(positions_m[:, :2], axis=0), (looks[1:, :2] + looks[:-1, :2]) / 2
+    path_m = float(np.linalg.norm(steps_m, axis=1).sum())
+    duration_s = (frame_pairs[-1].captured_at_ns - frame_pairs[0].captured_at_ns) * 1e-9
+    if path_m < _STANDING_M_S * duration_s:
+        return f" By the log the vehicle moved {path_m:.1f} m in {duration_s:.0f} s: is it frozen, or in radians?"
+    along, across = (ahead * steps_m).sum(axis=1), ahead[:, 0] * steps_m[:, 1] - ahead[:, 1] * steps_m[:, 0]
+    aside_deg = float(np.degrees(np.median(np.abs(np.arctan2(across, along)))))
+    if aside_deg > _ASIDE_DEG:
+        return (
+            f" By the log the vehicle moved {aside_deg:.0f} degrees away from where its cameras look: are latitude and longitude "
+            "swapped, or the records in reverse order?"
+        )
+    return ""
+
+
+def _agreement(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_], residual: Floats
+) -> HealthCheck:
     """Whether the motions agree with the log within the errors of both."""
     refused = int((~good).sum())
     share = refused / max(len(good), 1)
     held = refused > 1 and share > _MAX_REFUSED_SHARE
+    observed = measured.next_SE3_first[:, :3, 3]
     detail = f"{len(good) - refused} of {len(good)} measured motions agree with GNSS/INS."
     if held:
         metres, degrees = (
@@ -107,12 +135,34 @@ def _agreement(measured: MeasuredMotions, good: NDArray[np.bool_], residual: Flo
         )
         detail = (
             f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
-            "median. Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
+            f"median. {_in_common(observed, observed - residual[:, 3:])}{_against_itself(frame_pairs, rig)}"
         )
     return HealthCheck(
         name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
         limit=_MAX_REFUSED_SHARE, detail=detail,
     )  # fmt: skip
+
+
+def _in_common(observed: Floats, logged: Floats) -> str:
+    """What all motions have in common, and what to check. observed, logged: (N, 3), m, in the left camera's frame."""
+    lengths_m = np.linalg.norm([observed, logged], axis=2)
+    far = lengths_m.min(axis=0) > _DRIVEN_M
+    if far.sum() >= _LEAST_INTERVALS:
+        ratio = lengths_m[0, far] / lengths_m[1, far] - 1
+        turn = observed[far] / lengths_m[0, far, None] - logged[far] / lengths_m[1, far, None]
+        scale, aside = float(np.median(ratio)), np.median(turn, axis=0)
+        angle_rad = float(np.linalg.norm(aside))
+        if abs(scale) > _COMMON_SHARE and np.median(np.abs(ratio - scale)) < abs(scale) / 4:
+            return (
+                f"The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: the calibration's baseline or "
+                "focal length is wrong, or GNSS/INS drifts. Calibrate the rig (conetl calibrate) or process its log anew."
+            )
+        if angle_rad > _COMMON_SHARE and np.median(np.linalg.norm(turn - aside, axis=1)) < angle_rad / 4:
+            return (
+                f"The cameras look {np.degrees(angle_rad):.1f} degrees away from where the alignment of cameras and GNSS/INS has "
+                "them. Calibrate that alignment anew."
+            )
+    return "Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
 
 
 def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
@@ -157,17 +207,23 @@ def _jumps(
     speeds = np.full_like(logged, np.nan)
     speeds[measured.start[good]] = measured.next_SE3_first[good, :3, 3] / steps_s[measured.start[good], None]
     sigma_m = np.array([max(pair.pose.sigma_enu_m) for pair in frame_pairs])
+    middle_s = (times_s[1:] + times_s[:-1]) / 2
     worst_m, worst = 0.0, 0
     for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
-        near = slice(max(k - _NEIGHBOURS, 0), k + _NEIGHBOURS + 1)
-        known = ~np.isnan(speeds[near, 0])
-        if known.sum() < 2:
+        first, last = max(k - _NEIGHBOURS, 0), min(k + _NEIGHBOURS + 1, len(middle_s))
+        near = first + np.flatnonzero(~np.isnan(speeds[first:last, 0]))
+        if len(near) < 2:
             continue
-        off_m = float(np.linalg.norm(logged[k] - np.median(speeds[near][known], axis=0) * steps_s[k]))
-        reach_s = float(times_s[min(k + _NEIGHBOURS + 1, len(times_s) - 1)] - times_s[max(k - _NEIGHBOURS, 0)])
-        allowed_m = (
-            max(_JUMP_M, _JUMP_SIGMAS * float(sigma_m[k : k + 2].max())) + _ACCELERATION * steps_s[k] * reach_s / 2
-        )
+        # Between neighbours on both sides speed changes evenly but for a jerk; beyond them it may change at once.
+        enclosed = min((near < k).sum(), (near > k).sum()) >= 2
+        if enclosed:
+            speed = np.polynomial.polynomial.polyfit(middle_s[near] - middle_s[k], speeds[near], 1)[0]
+        else:
+            speed = np.median(speeds[near], axis=0)
+        off_m = float(np.linalg.norm(logged[k] - speed * steps_s[k]))
+        reach_s = float(times_s[last] - times_s[first])
+        allowed_m = max(_JUMP_M, _JUMP_SIGMAS * float(sigma_m[k : k + 2].max()))
+        allowed_m += _ACCELERATION * steps_s[k] * reach_s / (8 if enclosed else 2)
         if off_m > max(allowed_m, worst_m):
             worst_m, worst = off_m, int(k)
     detail = "The poses do not jump."

@@ -1,0 +1,154 @@
+"""Wrong images: changes of a copy of a drive folder in the KITTI layout, whose files stay well-formed."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+ImageMutant = Callable[[Image], Image]
+PairMutant = Callable[[Image, Image], tuple[Image, Image]]
+FolderMutant = Callable[[Path], None]
+CAMERAS = ("image_02", "image_03")
+
+
+def copy_drive(source: Path, folder: Path) -> Path:
+    """The folder with a copy of a drive's images, log and calibration."""
+    return Path(shutil.copytree(source, folder, ignore=shutil.ignore_patterns("velodyne_points")))
+
+
+def changed(mutant: PairMutant, first: float = 0.0) -> FolderMutant:
+    """All pairs after this share of the drive, read, changed and written under their names."""
+
+    def change(folder: Path) -> None:
+        lefts = sorted((folder / CAMERAS[0] / "data").iterdir())
+        for path in lefts[int(first * len(lefts)) :]:
+            files = (path, folder / CAMERAS[1] / "data" / path.name)
+            left, right = (np.asarray(cv2.imread(str(file)), np.uint8) for file in files)
+            for file, image in zip(files, mutant(left, right), strict=True):
+                cv2.imwrite(str(file), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
+
+    return change
+
+
+def both(change: ImageMutant) -> PairMutant:
+    return lambda left, right: (change(left), change(right))
+
+
+def only_left(change: ImageMutant) -> PairMutant:
+    return lambda left, right: (change(left), right)
+
+
+def only_right(change: ImageMutant) -> PairMutant:
+    return lambda left, right: (left, change(right))
+
+
+def swapped(left: Image, right: Image) -> tuple[Image, Image]:
+    return right, left
+
+
+def darker(share: float) -> ImageMutant:
+    return lambda image: (image * share).astype(np.uint8)
+
+
+def foggier(share: float) -> ImageMutant:
+    return lambda image: (image * (1.0 - share) + 200.0 * share).astype(np.uint8)
+
+
+def blurred(sigma_px: float) -> ImageMutant:
+    return lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.uint8)
+
+
+def overexposed(gain: float) -> ImageMutant:
+    return lambda image: np.asarray(np.clip(image * gain, 0, 255), np.uint8)
+
+
+def glare(sigma: float) -> ImageMutant:
+    """A low sun in the middle; sigma: of its glow, as a share of the image's width."""
+
+    def change(image: Image) -> Image:
+        rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
+        off2 = (rows - image.shape[0] / 2) ** 2 + (columns - image.shape[1] / 2) ** 2
+        glow = 400.0 * np.exp(-off2 / (2 * (sigma * image.shape[1]) ** 2))
+        return np.asarray(np.clip(image + glow[..., None], 0, 255), np.uint8)
+
+    return change
+
+
+def compressed(quality: int) -> ImageMutant:
+    def change(image: Image) -> Image:
+        data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+
+    return change
+
+
+def salted(share: float) -> ImageMutant:
+    """This share of the pixels is white, others in every image."""
+    random = np.random.default_rng(1)
+
+    def change(image: Image) -> Image:
+        white = random.random(image.shape[:2])[..., None] < share
+        return np.where(white, np.uint8(255), image).astype(np.uint8)
+
+    return change
+
+
+def shifted(rows: int, columns: int) -> ImageMutant:
+    """The scene lies so many rows lower and columns farther right; the edges are repeated."""
+
+    def change(image: Image) -> Image:
+        height, width = image.shape[:2]
+        at_rows = np.clip(np.arange(height) - rows, 0, height - 1)
+        return image[at_rows][:, np.clip(np.arange(width) - columns, 0, width - 1)]
+
+    return change
+
+
+def covered(top: float = 0.0, bottom: float = 1.0, left: float = 0.0, right: float = 1.0) -> ImageMutant:
+    """Black between shares of height and width."""
+
+    def change(image: Image) -> Image:
+        height, width = image.shape[:2]
+        dark = image.copy()
+        dark[int(top * height) : int(bottom * height), int(left * width) : int(right * width)] = 0
+        return dark
+
+    return change
+
+
+def mirrored(image: Image) -> Image:
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+def upside_down(image: Image) -> Image:
+    return np.ascontiguousarray(image[::-1, ::-1])
+
+
+def frozen(*cameras: str, first: float = 0.0) -> FolderMutant:
+    """The cameras repeat the image at this share of the drive from there on."""
+
+    def change(folder: Path) -> None:
+        for camera in cameras:
+            files = sorted((folder / camera / "data").iterdir())
+            start = int(first * len(files))
+            for path in files[start + 1 :]:
+                shutil.copy(files[start], path)
+
+    return change
+
+
+def log(change: Callable[[Sequence[float]], Sequence[float]]) -> FolderMutant:
+    """Other latitude, longitude and height (degrees, m) in every record of the GNSS/INS log."""
+
+    def rewrite(folder: Path) -> None:
+        for path in (folder / "oxts" / "data").iterdir():
+            fields = path.read_text().split()
+            path.write_text(" ".join([*(f"{value:.12f}" for value in change([*map(float, fields[:3])])), *fields[3:]]))
+
+    return rewrite
