@@ -90,7 +90,7 @@ _BLIND, _COVERED, _SIDES = "too little detail", "covered in part", "swapped, mir
 _IMAGES = (SECOND,)
 _TRIGGER = "right images belong to left images"
 #: What only a drive over the same road shows.
-_AGAINST_MAP = "map"
+_AGAINST_MAP = "m from those of the map"
 #: Both clocks and the order of the records are wrong in the same way: poses that are not those of their images.
 _CLOCK = "clock|time stamps"
 
@@ -157,7 +157,10 @@ def _rigs() -> list[WrongRecording]:
         WrongRecording("principal points 20 px aside", lenses(columns_px=20.0), cause="alignment|[Cc]alibrat"),
         WrongRecording("principal points 20 px lower", lenses(rows_px=20.0), cause="alignment|[Cc]alibrat"),
         *(
-            WrongRecording(f"right images {n} rows lower", files=changed(only_right(shifted(n, 0))), fast=n in (3, 12))
+            WrongRecording(
+                f"right images {n} rows lower", files=changed(only_right(shifted(n, 0))), fast=n == 12,
+                cause="too far to be corrected" if n > 8 else None,
+            )
             for n in (1, 3, 6, 12)
         ),
         *(
@@ -238,8 +241,8 @@ def _against_map() -> list[WrongRecording]:
         *(
             WrongRecording(f"latitude and longitude {how}", files=images.log(change), cause=cause)
             for how, change, cause in (
-                ("swapped", lambda p: (p[1], p[0], p[2]), "latitude|[Zz]one|map"),
-                ("in radians", lambda p: (*np.radians(p[:2]), p[2]), "radian|[Zz]one|map"),
+                ("swapped", lambda p: (p[1], p[0], p[2]), "latitude and longitude (are )?swapped"),
+                ("in radians", lambda p: (*np.radians(p[:2]), p[2]), "in radians"),
             )
         ),
     ]  # fmt: skip

@@ -34,8 +34,8 @@ _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 15.0, np.radians(10.0), 60.0
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
 #: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
 _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
-#: Fewer removals need no second look.
-_LEAST_REMOVED = 3
+#: Fewer removals, or cones that were moved, need no second look.
+_LEAST_REMOVED, _LEAST_MOVED = 3, 3
 #: Prior that a drive is blind to what the model card says it sees, and the posterior from which a person decides.
 _BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
 
@@ -52,7 +52,8 @@ def contradiction(
         (track for track in tracks if track.existence_probability >= params.founding_existence_probability),
         key=lambda track: track.xyz_m,
     )
-    return (sure and features and _displaced(sure, features, kinds, params)) or _blind(kinds, params) or None
+    displaced = _displaced(sure, features, kinds, params) if sure and features else None
+    return displaced or _scattered(kinds) or _blind(kinds, params)
 
 
 def _displaced(
@@ -141,6 +142,17 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
             if best is None or rank > best[0]:
                 best = rank, _Fit(agreeing, float(np.median(moved_m)), float(moved_m.max()), float(-turns[k]))
     return best and best[1]
+
+
+def _scattered(kinds: Counter[DeltaKind]) -> str | None:
+    """Whether most of the cones that a drive shows are at other places than the map's, as a sentence."""
+    moved, stayed = kinds[DeltaKind.MOVED], kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
+    if moved < _LEAST_MOVED or moved <= stayed:
+        return None
+    return (
+        f"It would move {moved} of the {moved + stayed} cones that it shows: its distances or poses are wrong (baseline, "
+        "alignment), or the zone was set up anew."
+    )
 
 
 def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> str | None:

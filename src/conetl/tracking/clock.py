@@ -36,8 +36,8 @@ LEAST_S, _SIGNIFICANT, MAX_SIGMA_S = 0.005, 4.0, 0.01
 _DOUBTFUL = 2.0
 _ITERATIONS, _HUBER, _LEAST_INTERVALS = 12, 2.0, 20
 _CUT, _LAGS = 3.0, 6
-#: What a vehicle may gain or lose in speed, m/s^2, and how many intervals around one show what is usual.
-_ACCELERATION, _AROUND = 8.0, 4
+#: What a vehicle may gain or lose in speed, m/s^2, how many intervals around one show what is usual, and what is beyond noise.
+_ACCELERATION, _AROUND, _NOISE = 8.0, 4, 8.0
 #: A sigma from a median has this share of the degrees of freedom of its values; few make errors Student's, not normal.
 _MEDIAN_SHARE, _LEAST_FREEDOM = 0.37, 4.0
 #: An offset that differs by this much must fit worse by so much (chi-square of one degree of freedom at 5 sigma).
@@ -174,8 +174,9 @@ def _rates(next_SE3_first: Floats, steps_s: Floats) -> Floats:
 def _without_jumps(rates: Floats, steps_s: Floats) -> Floats:
     """(N,) 0 where the log leaves the speed around it faster than a vehicle can, else 1: a jump would draw the offset."""
     usual = median_filter(rates[:, 3:], size=(2 * _AROUND + 1, 1), mode="nearest")
-    most = _ACCELERATION * _AROUND * float(np.median(steps_s))
-    return np.where(np.linalg.norm(rates[:, 3:] - usual, axis=1) <= most, 1.0, 0.0)
+    apart = np.linalg.norm(rates[:, 3:] - usual, axis=1)
+    most = max(_ACCELERATION * _AROUND * float(np.median(steps_s)), _NOISE * float(np.median(apart)))
+    return np.where(apart <= most, 1.0, 0.0)
 
 
 def _smoothed(signal: Floats, known: Floats) -> Floats:

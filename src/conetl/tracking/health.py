@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.motion.pose_graph import MeasuredMotions, motion_residuals
+from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.model.health import HealthCheck, Verdict
@@ -31,6 +31,8 @@ _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 _MAX_SCALE_SIGMAS = 3.0
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
 _JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
+#: A drift is at least so many metres, and so many sigmas of the change of the log's errors.
+_DRIFT_M, _DRIFT_SIGMAS = 0.1, 6.0
 #: What a vehicle may gain or lose in speed, m/s^2, and how far around an interval its motion is taken from neighbours.
 _ACCELERATION, _NEIGHBOURS = 8.0, 4
 #: Motions are compared where they are longer, and have something in common from this share of their lengths on.
@@ -61,6 +63,7 @@ def check_trajectory(
         _jumps(frame_pairs, rig, measured, good),
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
+        *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
         HealthCheck(
             name="stated sigmas of the poses",
             verdict=Verdict.HOLD if trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS else Verdict.PASS,
@@ -195,6 +198,37 @@ def _scale(scale: float, sigma: float, prior: float) -> HealthCheck:
         name="distances by images and by GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=100 * scale,
         sigma=100 * sigma, limit=100 * limit, unit="%", detail=detail,
     )  # fmt: skip
+
+
+def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
+    """Whether the adjustment moves one part of the drive against another by more than the log's errors change in that time.
+
+    Of a consistent log the difference of adjusted and logged positions varies less than the errors of the log.
+    """
+    places = np.array([pair.pose.map_t_body_m for pair in trajectory.frame_pairs])
+    times_s = np.array([pair.captured_at_ns for pair in trajectory.frame_pairs], dtype=np.int64) * 1e-9
+    moved, slow, white = places - log.places, log.slow[:, :3], log.white[:, :3]
+    kept = np.concatenate([[0.0], np.cumsum(np.log(log.keep[:, 0]))])
+    last = len(places) - 1
+    worst = HealthCheck(
+        name="drift of the poses", verdict=Verdict.PASS, value=0.0, limit=_DRIFT_M, unit="m",
+        detail="The poses do not drift against the images.",
+    )  # fmt: skip
+    for i, j in ((0, last // 2), (last // 2, last), (0, last)):
+        variance = white[i] ** 2 + white[j] ** 2 + slow[i] ** 2 + slow[j] ** 2
+        variance -= 2 * slow[i] * slow[j] * np.exp(kept[j] - kept[i])
+        drift_m, sigma_m = moved[j] - moved[i], np.sqrt(variance)
+        axis = int(np.argmax(np.abs(drift_m) / sigma_m))
+        off_m, limit_m = float(abs(drift_m[axis])), max(_DRIFT_M, _DRIFT_SIGMAS * float(sigma_m[axis]))
+        if off_m > max(limit_m, worst.value or 0.0):
+            detail = (
+                f"GNSS/INS drifts by {off_m:.1f} m against the images within {times_s[j] - times_s[i]:.0f} s, at a stated "
+                f"sigma of {float(sigma_m[axis]):.2f} m for that: process its log anew, or state its true sigmas."
+            )
+            worst = worst.model_copy(
+                update={"verdict": Verdict.HOLD, "value": off_m, "limit": limit_m, "detail": detail}
+            )
+    return worst
 
 
 def _jumps(

@@ -133,7 +133,8 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
     if info is None or info.srid != srid:
         raise MapMismatchError(
             f"{what} is in EPSG:{srid}, the map {map_name} in EPSG:{info.srid if info else '?'}: set "
-            "the drive's map CRS in its drive.yaml to the map's, or ingest it into a separate map."
+            "the drive's map CRS in its drive.yaml to the map's, or ingest it into a separate map. If it was recorded on the "
+            "same roads, see whether its latitude and longitude are swapped, or in radians."
         )
     return info
 
