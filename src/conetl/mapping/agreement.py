@@ -30,7 +30,7 @@ _LEAST_OFFSET_M, _LEAST_RISE_M = 0.1, 0.3
 #: Cones that must agree on a small displacement; on a height difference beyond any error of measurement one is enough.
 _LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
-_MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 15.0, np.radians(10.0), 60.0
+_MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
 #: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
 _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
@@ -74,6 +74,9 @@ def _displaced(
     fit = _best_fit(t[near, :2], f[:, :2], params.min_gate_m)
     if fit is None or fit.agreeing < max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(near), 2 * found + 1):
         return None
+    absent = kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED]
+    if not fit.beside and 2 * absent < fit.agreeing:  # the map's row may go on where the drive sees it
+        return None
     sigma_m = float(np.sqrt(np.mean([(track.cov_m2[0] + track.cov_m2[3]) / 2 for track in tracks])))
     if fit.largest_m <= min(params.max_offset_m, np.sqrt(_MAX_CHI2) * sigma_m):
         return None
@@ -114,6 +117,8 @@ class _Fit(NamedTuple):
     largest_m: float
     turn: float
     """Radians, counter-clockwise."""
+    beside: bool
+    """Whether the displaced row still lies along at least half of its length beside where it was."""
 
 
 def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
@@ -122,6 +127,10 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
     t (N, 2), f (M, 2): tracks and features. Two tracks far from each other are tried with all features at their distance.
     """
     t = t[:: 1 + len(t) // _MAX_TRACKS]
+    if not len(t):
+        return None
+    along = np.linalg.svd(t - t.mean(axis=0), full_matrices=False)[2][0]
+    extent_m = float(np.ptp(t @ along))
     tree = cKDTree(f)
     best: tuple[tuple[int, float], _Fit] | None = None
     for i in range(0, len(t), 1 + len(t) // _STARTS):
@@ -140,7 +149,8 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
             moved_m = np.hypot(*(placed - t).T)
             rank = (agreeing, -float(moved_m.mean()))
             if best is None or rank > best[0]:
-                best = rank, _Fit(agreeing, float(np.median(moved_m)), float(moved_m.max()), float(-turns[k]))
+                beside = abs(float(np.median((placed - t) @ along))) <= extent_m / 2
+                best = rank, _Fit(agreeing, float(np.median(moved_m)), float(moved_m.max()), float(-turns[k]), beside)
     return best and best[1]
 
 

@@ -22,7 +22,7 @@ PARAMS = ReconcileParams()
 ZONE = np.array([(5.0 * k, 4.0 - 0.4 * min(k, 5), 0.0) for k in range(9)])
 
 
-def features(places: Floats, sigma_m: float) -> list[MapFeature]:
+def features_at(places: Floats, sigma_m: float = 0.03) -> list[MapFeature]:
     return [
         records.feature(k, seen_ns=START_NS, observation_count=12, **standing(place, sigma_m))
         for k, place in enumerate(places)
@@ -33,17 +33,20 @@ def standing(place: Floats, sigma_m: float) -> dict[str, object]:
     return records.standing_at(ORIGIN_M + place, 0.7, records.cov_of(sigma_m))
 
 
-def finding(places: Floats, before: Floats = ZONE, *, sigma_m: float = 0.03, seed: int = 0) -> str | None:
-    """What a drive that sees cones at `places` (N, 3) finds against a map with cones at `before`."""
+def tracks_at(places: Floats, sigma_m: float = 0.03, seed: int = 0) -> list[Track]:
     rng = np.random.default_rng(seed)
-    tracks: list[Track] = [
+    return [
         records.track(
             k, 12, seen_ns=START_NS + DAY_NS, relative_cov_m2=records.cov_of(0.02), members=((10 * k, 0),),
             **standing(place + rng.normal(0, 0.01, 3), sigma_m),
         )
         for k, place in enumerate(places)
     ]  # fmt: skip
-    known = features(before, sigma_m)
+
+
+def finding(places: Floats, before: Floats = ZONE, *, sigma_m: float = 0.03, seed: int = 0) -> str | None:
+    """What a drive that sees cones at `places` (N, 3) finds against a map with cones at `before`."""
+    tracks, known = tracks_at(places, sigma_m, seed), features_at(before, sigma_m)
     deltas = reconcile(tracks, known, lambda *_: NotObserved(20, START_NS + DAY_NS, -6.0), PARAMS, founding_key="d")
     found = contradiction(tracks, known, deltas, PARAMS)
     backwards = contradiction(tracks[::-1], known[::-1], deltas[::-1], PARAMS)
@@ -69,6 +72,7 @@ def turned(places: Floats, degrees: float, about: tuple[float, float] = (-30.0, 
         (ZONE[:6] + np.array((10.0, 2.0, 0)), "m from those of the map"),
         (turned(ZONE, 3.0), "turned by +3.0 degrees"),
         (turned(ZONE, -1.5), "turned by -1.5 degrees"),
+        (ZONE + np.array((0, 50.0, 0)), "50.0 m from those of the map"),
         (ZONE[:0], "remove 9 of the 9 cones in its view and shows no cones"),
         (ZONE[:1], "remove 8 of the 9 cones in its view and shows 1 cone"),
     ],
@@ -94,7 +98,7 @@ MOVED[[1, 4]] += np.array((0.4, 1.4, 0.0))
         MOVED,
         np.vstack([ZONE[1:], ZONE[-1:] + np.array((5.0, 0, 0))]),  # the row shifted by one, at equal distances
         np.vstack([ZONE[4:], ZONE[-1:] + np.array((5.0, 0, 0)), ZONE[-1:] + np.array((10.0, 0, 0))]),
-        np.vstack([ZONE[:0], ZONE + np.array((0, 40.0, 0))]),  # cleared, and another zone set up
+        1.3 * ZONE[::-1] * (1, -1, 1) + np.array((0, 40.0, 0)),  # cleared, and another zone set up
         np.vstack([ZONE, ZONE[:1] + np.array((0.2, 0.1, 6.0))]),  # one on the bridge above
     ],
     ids=("the same", "within its sigmas", "two gone", "three gone", "every other gone", "two moved", "one further", "four gone",
@@ -103,6 +107,16 @@ MOVED[[1, 4]] += np.array((0.4, 1.4, 0.0))
 def test_a_road_that_has_changed_is_none(places: Floats) -> None:
     for seed in range(3):
         assert finding(places, seed=seed) is None
+
+
+def test_a_row_that_goes_on_is_none() -> None:
+    """A closure that is surveyed stretch by stretch: the next cones stand as the last ones do, at the same distances."""
+    row = np.array([(2.0 * k, 3.0, 0.0) for k in range(40)])
+    for overlap in (0, 1, 3):
+        known, seen = row[:20], row[20 - overlap :]
+        tracks, features = (made(places) for made, places in ((tracks_at, seen), (features_at, known)))
+        deltas = reconcile(tracks, features, lambda *_: None, PARAMS, founding_key="d")
+        assert contradiction(tracks, features, deltas, PARAMS) is None
 
 
 def test_an_offset_that_the_sigmas_cover_is_none() -> None:
