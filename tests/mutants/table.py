@@ -159,7 +159,7 @@ def _rigs() -> list[WrongRecording]:
         *(
             WrongRecording(
                 f"right images {n} rows lower", files=changed(only_right(shifted(n, 0))), fast=n == 12,
-                cause="too far to be corrected" if n > 8 else None,
+                cause="too far to be corrected" if n > 4 else None,
             )
             for n in (1, 3, 6, 12)
         ),
@@ -255,7 +255,9 @@ def _combinations() -> list[WrongRecording]:
     gnss = in_turn(noise(0.3, 5.0), stating(0.3))
     return [
         WrongRecording("clock +100 ms, right images 3 rows lower", clock(100), lower[3]),
-        WrongRecording("clock -50 ms, right images 6 rows lower", clock(-50), lower[6], on=_IMAGES),
+        WrongRecording(
+            "clock -50 ms, right images 6 rows lower", clock(-50), lower[6], cause="too far to be corrected", on=_IMAGES
+        ),
         WrongRecording("clock +20 ms, baseline +1 %", in_turn(clock(20), baseline(1.01)), cause="baseline"),
         WrongRecording("clock +100 ms, yaw 1 degree", in_turn(clock(100), turned(0.0, 0.0, 1.0))),
         WrongRecording("clock +50 ms, GNSS of 0.3 m states that", in_turn(clock(50), gnss)),

@@ -36,7 +36,7 @@ _WRONG_SHARE, _FITTING_SHARE = 0.7, 0.7
 #: Rows by which right images may lie off, scatter of a match, and what self-calibration finds (px of the whole image).
 _MAX_ROWS_PX, _SCATTER_PX, _FINE_ROWS_PX = 40.0, 2.0, 0.7
 #: Up to here an offset is corrected, as a turn of the camera. For a shift by 12 px the columns in the corners are then 2 px off.
-_CORRECTED_ROWS_PX = 8.0
+_CORRECTED_ROWS_PX = 4.0
 #: Positions of a corner are good to this, whatever their number (px of the whole image).
 _FLOOR_PX = 0.3
 #: Right images of another frame must fit so many times as many points: while the vehicle stands all fit alike.
