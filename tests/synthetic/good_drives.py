@@ -152,12 +152,9 @@ def draw_calibration(rng: np.random.Generator) -> tuple[SelfCalibration, list[He
     """Self-calibration of a rig whose calibration is off by its covariance, stated or assumed, and the check of it."""
     unknown = rng.uniform() < 0.3
     px = PARAMS.self_calibration_prior_px if unknown else rng.uniform(0.1, 0.7)
-    sigma = {
-        "relative.rx_rad": px / FOCAL_PX, "relative.ry_rad": px / FOCAL_PX, "relative.rz_rad": px / FOCAL_PX,
-        "right.cx_px": px,
-    }  # fmt: skip
+    sigma = dict.fromkeys(("relative.rx_rad", "relative.ry_rad", "relative.rz_rad"), px / FOCAL_PX)
     if not unknown:
-        sigma |= {"left.fx_px": px, "right.fx_px": px, "right.cy_px": px}
+        sigma |= dict.fromkeys(("right.cx_px", "left.fx_px", "right.fx_px", "right.cy_px"), px)
     error = {name: rng.normal(0, size) for name, size in sigma.items()}
     turn = np.array([error[f"relative.r{axis}_rad"] for axis in "xyz"])
     spans, tracks = [], []
@@ -166,7 +163,7 @@ def draw_calibration(rng: np.random.Generator) -> tuple[SelfCalibration, list[He
         for seen in (made.first_px, made.last_px):
             for column, name in ((0, "left.fx_px"), (2, "right.fx_px")):
                 seen[:, column] += error.get(name, 0.0) * (seen[:, column] - CX_PX) / FOCAL_PX
-            seen[:, 2] += error["right.cx_px"]
+            seen[:, 2] += error.get("right.cx_px", 0.0)
             seen[:, 3] += error.get("right.cy_px", 0.0)
         spans.append(Span(k, k + 1, made.last_SE3_first))
         tracks.append(

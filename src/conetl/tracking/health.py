@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 _LEAST_INTERVALS = 8
 _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 #: The scale of the motions may be off by so many of its prior sigmas, and of its own.
-_MAX_SCALE_SIGMAS = 3.0
+_MAX_SCALE_SIGMAS = 3.2
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
 _JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
 #: A drift is at least so many metres, and so many sigmas of the change of the log's errors.
