@@ -8,7 +8,7 @@ export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: help setup demo up down test check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants fuzz lock
+.PHONY: help setup demo up down test lint check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants fuzz lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -29,13 +29,15 @@ down:           ## stop what `make up` started; data are kept
 test: setup     ## all tests
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 
-check: setup    ## lint, types, import contracts, wording, documentation and the fast tests
+lint: setup     ## lint, types, import contracts, wording and documentation
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python scripts/check_wording.py
 	$(BIN)/mkdocs build --quiet --strict
+
+check: lint     ## the same, and the fast tests
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/unit
 
 docs: setup     ## the documentation as a site, in build/site
