@@ -6,6 +6,7 @@ import csv
 import re
 import shutil
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,10 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import SecretStr
 
-from conetl.db.connection import connect
+from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets, read_current_features
 from conetl.geometry.packing import cov_matrix
-from conetl.model.errors import InputError
+from conetl.model.errors import InputError, MapMismatchError
 from conetl.model.health import Verdict, hold_reason
 from conetl.model.ingest_report import DriveOnHoldError
 from conetl.perception.stereo_check import check_stereo
@@ -133,3 +134,18 @@ def test_ingest_of_a_drive_on_hold_ends_with_its_cause(database_url: str, home: 
         assert held.value.exit_code == 1
     with closing(connect(database_url)) as conn:
         assert not read_current_features(conn)
+
+
+def test_a_first_drive_on_hold_does_not_fix_the_crs_of_a_map(database_url: str, home: Path) -> None:
+    settings = Settings(home=home, database_url=SecretStr(database_url), workers=2)
+    elsewhere = analyse(wrong.jump(5.0)(read_drive(SAMPLES[1])[0]), settings=settings)
+    drive = elsewhere.records.drive.model_copy(update={"map_srid": 32633})
+    elsewhere = replace(elsewhere, records=elsewhere.records._replace(drive=drive))
+    assert commit(elsewhere, settings).report.on_hold
+    assert commit(analyse(read_drive(SAMPLES[0])[0], settings=settings), settings).report.counts_on_map
+    with closing(connect(database_url)) as conn:
+        assert [(m["map_name"], m["srid"]) for m in execute(conn, "select map_name, srid from conetl.map order by 1")] == [
+            ("default", 32632), ("default-held-32633", 32633),
+        ]  # fmt: skip
+    with pytest.raises(MapMismatchError, match="swapped, or in radians"):
+        commit(elsewhere, settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -15,6 +16,7 @@ from conetl.db.statements import load_sql
 from conetl.model.errors import InputError, MapMismatchError
 from conetl.model.map_records import DeltaKind, MapFeature
 
+_log = logging.getLogger(__name__)
 Bbox = tuple[float, float, float, float]
 """west, south, east, north in metres of the map's CRS."""
 
@@ -124,8 +126,16 @@ def map_summary(conn: Connection, map_name: str = "default") -> MapSummary | Non
 
 
 def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime | None = None) -> MapInfo:
-    """The map, created if it is missing; does not commit. Raises MapMismatchError if it is not in EPSG:srid, as `what` is."""
+    """The map, created if it is missing; does not commit. Raises MapMismatchError if it is not in EPSG:srid, as `what` is.
+
+    One that only drives on hold have begun, perhaps with swapped coordinates, does not fix its CRS: it gets another name.
+    """
     info = find_map(conn, map_name)
+    if info is not None and info.srid != srid:
+        aside = {"map_name": map_name, "new_name": f"{map_name[:28]}-held-{info.srid}"}
+        if execute(conn, load_sql("map.set_aside"), aside):
+            _log.warning("All drives of map %(map_name)s were on hold: it is called %(new_name)s from now on", aside)
+            info = None
     if info is None:
         created = {"map_name": map_name, "srid": srid, "created_at": now or datetime.now(UTC)}
         execute(conn, load_sql("map.insert_map"), created)
