@@ -68,7 +68,7 @@ bench-ogc: setup  ## OGC API Features over a million cones, 20 users (ARGS='--si
 	@$(BIN)/python benchmarks/bench_ogc.py $(ARGS)
 
 bench-changes: setup  ## what the map makes of 200 simulated days of changes: confusion matrix (10 minutes of processor time)
-	@$(BIN)/python benchmarks/bench_changes.py
+	@$(BIN)/python benchmarks/bench_changes.py $(ARGS)
 
 bench-map: setup  ## a drive of 100,000 cones into maps of 100 thousand and 1 million features (SIZES="... 10000000" for more)
 	@$(BIN)/python benchmarks/bench_map.py --sizes $(or $(SIZES),100000 1000000)
