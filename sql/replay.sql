@@ -212,12 +212,13 @@ left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a
 order by f.cell, s.feature_id, s.changed_at_ns;
 
 -- name: end_holds
--- End the holds of some changesets that are not held for this reason any more.
+-- End the holds against the map of some changesets that are not held for this reason any more. That of a recording stays,
+-- also once it is accepted.
 -- Parameters: committed_at (timestamptz); changeset_ids (uuid[]); reasons (text[], null: not held).
 update conetl.hold h
 set system_period = tstzrange(lower(h.system_period), %(committed_at)s)
 from unnest(%(changeset_ids)s::uuid[], %(reasons)s::text[]) n (changeset_id, reason)
-where h.changeset_id = n.changeset_id and upper_inf(h.system_period) and h.reason is distinct from n.reason;
+where h.changeset_id = n.changeset_id and h.by_map and upper_inf(h.system_period) and h.reason is distinct from n.reason;
 
 -- name: begin_holds
 -- Hold some changesets, unless they are held already.

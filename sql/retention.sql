@@ -1,8 +1,8 @@
 -- Deleting raw records of old drives.
 
 -- name: prunable_drives
--- The drives whose raw records may be deleted: recorded and committed before an instant, and not pruned yet; oldest
--- first. Imported maps have none. Parameters: before (timestamptz).
+-- The drives whose raw records may be deleted: recorded and committed before an instant, not pruned
+-- yet, and not on hold; oldest first. Imported maps have none. Parameters: before (timestamptz).
 -- Columns: map_name, drive_uuid, drive_id, captured_to (timestamptz), detection_count, match_count, position_count.
 select
     m.map_name, d.drive_uuid, d.drive_id, upper(d.captured_period) as captured_to,
@@ -12,6 +12,7 @@ from conetl.drive d
 join conetl.map m using (map_id)
 join conetl.changeset c using (drive_uuid)
 where d.pruned_at is null and d.kind = 'drive'
+and not exists (select from conetl.on_hold h where h.changeset_id = c.changeset_id)
 group by m.map_name, d.drive_uuid
 having upper(d.captured_period) < %(before)s and max(c.committed_at) < %(before)s
 order by d.captured_from_ns, d.drive_uuid;

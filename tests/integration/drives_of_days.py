@@ -120,7 +120,12 @@ def key_of(survey: Survey, params: IngestParams) -> str:
 
 
 def merge(
-    conn: Connection, survey: Survey, *, map_name: str = "default", params: IngestParams | None = None
+    conn: Connection,
+    survey: Survey,
+    *,
+    map_name: str = "default",
+    params: IngestParams | None = None,
+    hold: str | None = None,
 ) -> Merged | None:
     """Merge as the last step of an ingest does; None where the drive is on the map already."""
     params = params or IngestParams()
@@ -133,7 +138,7 @@ def merge(
     with map_transaction(conn, map_name):
         if find_changeset(conn, key, map_name=map_name) is not None:
             return None
-        return merge_drive(conn, records, changeset, params, map_name=map_name)
+        return merge_drive(conn, records, changeset, params, map_name=map_name, hold=hold)
 
 
 def failed_audits(conn: Connection) -> list[AuditResult]:

@@ -25,6 +25,7 @@ from conetl.db.map.map_store import (
 from conetl.db.map.replay_store import affected_drives, write_replay
 from conetl.geometry.calibration.covariance import calibration_id, unpack_all
 from conetl.geometry.packing import cov_matrix
+from conetl.model.errors import ConflictError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import SharedErrorJacobian
@@ -126,6 +127,29 @@ def test_a_drive_that_contradicts_the_map_is_on_hold_in_every_order(conn, order)
     conn.commit()
     accept_drive(conn, good.drive.drive_id, map_name="default")
     assert valid_time_map(conn) == accepted
+
+
+def test_a_recording_on_hold_is_on_hold_again_once_its_acceptance_is_reverted(conn):
+    merge(conn, of_day(0))
+    held = of_day(1)
+    merge(conn, held, hold="GNSS/INS jumps.")
+    conn.commit()
+    for _ in range(2):
+        accepted = accept_drive(conn, held.drive.drive_id, map_name="default")
+        assert [(known.counts, known.hold) for known in list_changesets(conn)] == [(True, None)] * 2
+        conn.commit()
+        revert(conn, str(accepted.decision_id), map_name="default")
+        assert [(known.counts, known.hold) for known in list_changesets(conn)] == [
+            (False, "GNSS/INS jumps."),
+            (True, None),
+        ]
+        assert failed_audits(conn) == []
+        conn.commit()
+    corrected = replace(held, drive=held.drive.model_copy(update={"content_sha256": "ab" * 32}))
+    merge(conn, corrected)
+    conn.commit()
+    with pytest.raises(ConflictError, match="would count as two surveys"):
+        accept_drive(conn, "2", map_name="default")
 
 
 def test_playing_everything_again_writes_nothing(conn, rigs):

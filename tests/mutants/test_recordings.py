@@ -144,8 +144,7 @@ def test_a_first_drive_on_hold_does_not_fix_the_crs_of_a_map(database_url: str, 
     assert commit(elsewhere, settings).report.on_hold
     assert commit(analyse(read_drive(SAMPLES[0])[0], settings=settings), settings).report.counts_on_map
     with closing(connect(database_url)) as conn:
-        assert [(m["map_name"], m["srid"]) for m in execute(conn, "select map_name, srid from conetl.map order by 1")] == [
-            ("default", 32632), ("default-held-32633", 32633),
-        ]  # fmt: skip
+        maps = execute(conn, "select map_name, srid from conetl.map order by 1")
+        assert [m["srid"] for m in maps] == [32632, 32633] and maps[1]["map_name"].startswith("default-held-32633-")
     with pytest.raises(MapMismatchError, match="swapped, or in radians"):
         commit(elsewhere, settings)

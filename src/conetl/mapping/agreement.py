@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from math import exp, hypot, lgamma
+from math import hypot, lgamma, log
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +17,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
-from conetl.mapping.association import assign, near_pairs
+from conetl.mapping.association import assign, common_offset, near_pairs
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track
+from conetl.model.records import Cov3, Track
 
 Floats = NDArray[np.float64]
 #: Squared Mahalanobis distance of a common displacement that the stated sigmas do not explain: 5 sigma.
@@ -32,8 +32,11 @@ _LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
+#: A fit is distinct if no other one, so many gates apart, fits this share as many; else some of the map's cones must be absent.
+_APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
 #: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
 _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
+_MAX_NEAR, _MAX_TRIED = 150, 300
 #: Fewer removals, or cones that were moved, need no second look.
 _LEAST_REMOVED, _LEAST_MOVED = 3, 3
 #: Prior that a drive is blind to what the model card says it sees, and the posterior from which a person decides.
@@ -62,26 +65,42 @@ def _displaced(
     """The common displacement of a drive's cones against the map's, as a sentence; None where the stated sigmas cover it."""
     t, f = (np.array([one.xyz_m for one in side]) for side in (tracks, features))
     near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
-    rows, columns = near_pairs(t[:, :2], f[:, :2], params.min_gate_m)
-    pairs = assign(rows, columns, np.hypot(*(t[rows] - f[columns])[:, :2].T))
-    if pairs and 2 * len(pairs) >= len(near):
-        i, j = list(pairs), list(pairs.values())
-        cov = cov_matrices([tracks[k].cov_m2 for k in i]) + cov_matrices([features[k].cov_m2 for k in j])
-        common = _common_displacement(t[i] - f[j], cov.mean(axis=0))
-        if common is not None:
-            return common
-    found = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
-    fit = _best_fit(t[near, :2], f[:, :2], params.min_gate_m)
-    if fit is None or fit.agreeing < max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(near), 2 * found + 1):
+    # GNSS without a fix lies metres aside, as its sigmas say: only the heights are compared after its offset is taken out.
+    offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
+    for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
+        rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
+        pairs = assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
+        if pairs and 2 * len(pairs) >= len(near):
+            i, j = list(pairs), list(pairs.values())
+            cov = cov_matrices([tracks[k].cov_m2 for k in i]) + cov_matrices([features[k].cov_m2 for k in j])
+            common = _common_displacement((t[i] - f[j]) * compared, cov.mean(axis=0))
+            if common is not None:
+                return common
+    some = near[:: 1 + len(near) // _MAX_TRACKS]
+    share = len(some) / max(len(near), 1)
+    found = share * (kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED])
+    least = max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(some), 2 * found + 1)
+    fit = _best_fit(t[some, :2], f[:, :2], params.min_gate_m) if least <= len(some) else None
+    if fit is None or fit.agreeing < least:
         return None
-    absent = kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED]
-    if not fit.beside and 2 * absent < fit.agreeing:  # the map's row may go on where the drive sees it
-        return None
-    sigma_m = float(np.sqrt(np.mean([(track.cov_m2[0] + track.cov_m2[3]) / 2 for track in tracks])))
+    absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
+    if not (fit.beside and fit.distinct) and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
+        return None  # the map's row may go on, or have a second one beside it, where the drive sees it
+    var_m2 = [np.mean([(cov[0] + cov[3]) / 2 for cov in side]) for side in _covariances(tracks, features)]
+    sigma_m = float(np.sqrt(sum(var_m2)))
     if fit.largest_m <= min(params.max_offset_m, np.sqrt(_MAX_CHI2) * sigma_m):
         return None
     turned = f" and turned by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
+    if fit.largest_m <= np.sqrt(_MAX_CHI2) * sigma_m:
+        return (
+            f"Its cones lie {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
+            "to tell which cone is which: process its GNSS with corrections, or ingest it into a map of its own."
+        )
     return _aside(fit.middle_m, sigma_m, turned)
+
+
+def _covariances(tracks: Sequence[Track], features: Sequence[MapFeature]) -> tuple[list[Cov3], list[Cov3]]:
+    return [track.cov_m2 for track in tracks], [feature.cov_m2 for feature in features]
 
 
 def _common_displacement(apart_m: Floats, cov_m2: Floats) -> str | None:
@@ -119,6 +138,8 @@ class _Fit(NamedTuple):
     """Radians, counter-clockwise."""
     beside: bool
     """Whether the displaced row still lies along at least half of its length beside where it was."""
+    distinct: bool
+    """Whether no other displacement fits nearly as well, as along a row of equal distances."""
 
 
 def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
@@ -126,32 +147,37 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
 
     t (N, 2), f (M, 2): tracks and features. Two tracks far from each other are tried with all features at their distance.
     """
-    t = t[:: 1 + len(t) // _MAX_TRACKS]
-    if not len(t):
-        return None
     along = np.linalg.svd(t - t.mean(axis=0), full_matrices=False)[2][0]
     extent_m = float(np.ptp(t @ along))
     tree = cKDTree(f)
-    best: tuple[tuple[int, float], _Fit] | None = None
+    tried: list[tuple[int, float, Floats, Floats, float]] = []
     for i in range(0, len(t), 1 + len(t) // _STARTS):
         lengths = np.hypot(*(t - t[i]).T)
         j = int(np.argmax(np.where(lengths <= _LONGEST_BASE_M, lengths, 0.0)))
-        first, second = (np.array(tree.query_ball_point(t[k], _MAX_DISPLACEMENT_M), np.intp) for k in (i, j))
+        first, second = (
+            np.array(tree.query_ball_point(t[k], _MAX_DISPLACEMENT_M, return_sorted=True), np.intp) for k in (i, j)
+        )
+        first, second = (near[:: 1 + len(near) // _MAX_NEAR] for near in (first, second))
         a, b = (grid.ravel() for grid in np.meshgrid(first, second))
         base, others = t[j] - t[i], f[b] - f[a]
         turns = np.arctan2(others[:, 1], others[:, 0]) - np.arctan2(base[1], base[0])
         turns = (turns + np.pi) % (2 * np.pi) - np.pi
         alike = np.abs(np.hypot(*others.T) - lengths[j]) <= _LENGTH_TOLERANCE_M
-        for k in np.flatnonzero(alike & (np.abs(turns) <= _MAX_TURN) & (lengths[j] > 0)):
+        candidates = np.flatnonzero(alike & (np.abs(turns) <= _MAX_TURN) & (lengths[j] > 0))
+        for k in candidates[:: 1 + len(candidates) // _MAX_TRIED]:
             rotation = Rotation.from_rotvec((0, 0, turns[k])).as_matrix()[:2, :2]
             placed = (t - t[i]) @ rotation.T + f[a[k]]
             agreeing = int(np.count_nonzero(tree.query(placed)[0] <= gate_m))
-            moved_m = np.hypot(*(placed - t).T)
-            rank = (agreeing, -float(moved_m.mean()))
-            if best is None or rank > best[0]:
-                beside = abs(float(np.median((placed - t) @ along))) <= extent_m / 2
-                best = rank, _Fit(agreeing, float(np.median(moved_m)), float(moved_m.max()), float(-turns[k]), beside)
-    return best and best[1]
+            moved = placed - t
+            tried.append((agreeing, -float(np.hypot(*moved.T).mean()), moved.mean(axis=0), moved, float(-turns[k])))
+    if not tried:
+        return None
+    agreeing, _, mean, moved, turn = max(tried, key=lambda one: one[:2])
+    moved_m = np.hypot(*moved.T)
+    rivals = (other for other in tried if other[0] >= _RIVAL_SHARE * agreeing)
+    distinct = not any(float(np.hypot(*(other[2] - mean))) > _APART_GATES * gate_m for other in rivals)
+    beside = abs(float(np.median(moved @ along))) <= extent_m / 2
+    return _Fit(agreeing, float(np.median(moved_m)), float(moved_m.max()), turn, beside, distinct)
 
 
 def _scattered(kinds: Counter[DeltaKind]) -> str | None:
@@ -177,9 +203,9 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> str | None:
     if removed < _LEAST_REMOVED:
         return None
     v = params.vanished_probability
-    gone = (1 - _BLIND_PRIOR) * exp(_log_beta(v + removed, 1 - v + stayed) - _log_beta(v, 1 - v))
-    blind = _BLIND_PRIOR * exp(_log_beta(1 + removed, 1 + seen))
-    if blind <= _MAX_BLIND * (blind + gone):
+    gone = log(1 - _BLIND_PRIOR) + _log_beta(v + removed, 1 - v + stayed) - _log_beta(v, 1 - v)
+    blind = log(_BLIND_PRIOR) + _log_beta(1 + removed, 1 + seen)
+    if blind - gone <= log(_MAX_BLIND / (1 - _MAX_BLIND)):
         return None
     return (
         f"It would remove {removed} of the {removed + stayed} cones in its view and shows {seen or 'no'} "

@@ -90,7 +90,9 @@ def already_committed(
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
     """Raise MapMismatchError where the recording is on the map with other content: one drive would count as two surveys."""
     with database.connection() as conn, transaction(conn, "The map cannot be read"):
-        numbers = other_deliveries(conn, drive, map_name=settings.map_name)
+        instants_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+        captured_ns = min(instants_ns), max(instants_ns)
+        numbers = other_deliveries(conn, drive.drive_id, captured_ns, drive.content_sha256, map_name=settings.map_name)
     if numbers:
         number = numbers[-1]
         raise MapMismatchError(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.mapping.agreement import contradiction
+from conetl.mapping.agreement import _blind, contradiction
 from conetl.mapping.changes import reconcile
 from conetl.mapping.visibility import NotObserved
-from conetl.model.map_records import MapFeature
+from conetl.model.map_records import DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
 from tests import records
@@ -123,3 +126,37 @@ def test_an_offset_that_the_sigmas_cover_is_none() -> None:
     rng = np.random.default_rng(5)
     for _ in range(30):
         assert finding(ZONE + np.array((*rng.normal(0, 0.7, 2), rng.normal(0, 0.7))), sigma_m=0.7) is None
+
+
+@pytest.mark.parametrize("sigma_m", [0.3, 0.7, 1.5])
+def test_another_datum_is_found_beside_an_offset_of_gnss(sigma_m: float) -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        offset = np.array([*np.clip(rng.normal(0, sigma_m, 2), -1.4, 1.4), -48.0])
+        assert "48.0 m lower" in (finding(ZONE + offset, sigma_m=sigma_m) or "")
+
+
+@pytest.mark.parametrize("count", [150, 250, 1000])
+def test_long_rows_that_lie_aside_are_found(count: int) -> None:
+    rng = np.random.default_rng(7)
+    row = np.column_stack([np.cumsum(rng.uniform(3.0, 9.0, count)), rng.normal(3.0, 0.5, count), np.zeros(count)])
+    tracks, known = tracks_at(row + np.array((0, 10.0, 0))), features_at(row)
+    deltas = reconcile(tracks, known, lambda *_: None, PARAMS, founding_key="d")
+    assert re.search(r"(9\.9|10\.[01]) m from those of the map", contradiction(tracks, known, deltas, PARAMS) or "")
+
+
+def test_a_second_row_beside_the_first_one_is_none() -> None:
+    """The other carriageway, or the other side of the lane, at the same distances; the first row is not in view."""
+    rng = np.random.default_rng(8)
+    for aside_m, count in ((3.5, 12), (20.0, 6), (20.0, 30)):
+        row = np.column_stack([5.0 * np.arange(count), np.full(count, 3.0), np.zeros(count)])
+        other = row + np.array((0, aside_m, 0)) + rng.normal(0, 0.1, (count, 3)) * (1, 1, 0)
+        tracks, known = tracks_at(other), features_at(row)
+        deltas = reconcile(tracks, known, lambda *_: None, PARAMS, founding_key="d")
+        assert contradiction(tracks, known, deltas, PARAMS) is None
+
+
+def test_a_blind_drive_is_found_on_maps_of_any_size() -> None:
+    for removed, confirmed in ((9, 0), (50, 10), (5000, 1000)):
+        kinds = Counter({DeltaKind.REMOVED: removed, DeltaKind.CONFIRMED: confirmed})
+        assert f"remove {removed} of the {removed + confirmed}" in (_blind(kinds, PARAMS) or "")

@@ -132,9 +132,9 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
     """
     info = find_map(conn, map_name)
     if info is not None and info.srid != srid:
-        aside = {"map_name": map_name, "new_name": f"{map_name[:28]}-held-{info.srid}"}
+        aside = {"map_name": map_name, "new_name": f"{map_name[:20]}-held-{info.srid}-{info.map_id}"}
         if execute(conn, load_sql("map.set_aside"), aside):
-            _log.warning("All drives of map %(map_name)s were on hold: it is called %(new_name)s from now on", aside)
+            _log.warning("No drive of map %(map_name)s counts: it is called %(new_name)s from now on", aside)
             info = None
     if info is None:
         created = {"map_name": map_name, "srid": srid, "created_at": now or datetime.now(UTC)}

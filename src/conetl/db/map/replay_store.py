@@ -17,7 +17,6 @@ from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDeltas, Store
 from conetl.db.map.rows import version_of
 from conetl.db.statements import load_sql
 from conetl.model.map_records import Delta, DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
-from conetl.model.records import Drive
 
 
 def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, FeatureVersion]:
@@ -43,15 +42,19 @@ def superseded_drives(conn: Connection, drive_uuid: UUID) -> list[UUID]:
     ]
 
 
-def other_deliveries(conn: Connection, drive: Drive, *, map_name: str) -> list[int]:
-    """Numbers of active changesets of the same recording with other content, for example with corrected poses."""
-    instants_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+def other_deliveries(
+    conn: Connection, drive_id: str, captured_ns: tuple[int, int], content_sha256: str, *, map_name: str
+) -> list[int]:
+    """Numbers of changesets that count of the same recording with other content, for example with corrected poses.
+
+    captured_ns: instants of its first and last frame pair.
+    """
     parameters = {
         "map_name": map_name,
-        "drive_id": drive.drive_id,
-        "captured_from_ns": min(instants_ns),
-        "captured_to_ns": max(instants_ns),
-        "content_sha256": drive.content_sha256,
+        "drive_id": drive_id,
+        "captured_from_ns": captured_ns[0],
+        "captured_to_ns": captured_ns[1],
+        "content_sha256": content_sha256,
     }
     with database_errors("Other deliveries of the drive cannot be read"):
         return [row["changeset_no"] for row in execute(conn, load_sql("drives.other_deliveries"), parameters)]

@@ -15,8 +15,16 @@ from uuid import UUID
 
 from conetl.db.connection import LOCK_TIMEOUT_S, Connection
 from conetl.db.map.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
+from conetl.db.map.drive_store import load_stored_drive
 from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
-from conetl.db.map.replay_store import affected_drives, drives_at, read_open_version, superseded_drives, write_replay
+from conetl.db.map.replay_store import (
+    affected_drives,
+    drives_at,
+    other_deliveries,
+    read_open_version,
+    superseded_drives,
+    write_replay,
+)
 from conetl.db.map.results import Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
@@ -138,7 +146,7 @@ def accept_drive(
     now: datetime | None = None,
 ) -> DecisionOutcome:
     """Let a drive on hold count as it is. drive: its id, or its changeset's number or id. Reverting the decision puts it on hold
-    again. Raises InputError where no such drive is on hold."""
+    again. Raises ConflictError where no such drive is on hold, or another delivery of it counts."""
     with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as (info, decided_at, insert):
         held = [
             known
@@ -149,8 +157,17 @@ def accept_drive(
             raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: `conetl drive held` lists them")
         if len(held) > 1:
             raise InputError(f"{len(held)} drives {drive} are on hold: give the number that `conetl drive held` lists")
-        decide = partial(insert, ACCEPT, changeset_id=held[0].changeset_id)
-        decision_id, written, replayed, _ = _judge_drive(conn, info, held[0].drive_uuid, decide, decided_at, None)
+        known = held[0]
+        content_sha256 = load_stored_drive(conn, known.drive_uuid).content_sha256
+        captured_ns = known.captured_from_ns, known.captured_to_ns
+        others = other_deliveries(conn, known.drive_id, captured_ns, content_sha256, map_name=map_name)
+        if others:
+            raise ConflictError(
+                f"another delivery of drive {known.drive_id} is on the map already (changeset {others[-1]}); the two would count "
+                f"as two surveys. Revert that one first with `conetl map revert {others[-1]}`, if this one is to count instead."
+            )
+        decide = partial(insert, ACCEPT, changeset_id=known.changeset_id)
+        decision_id, written, replayed, _ = _judge_drive(conn, info, known.drive_uuid, decide, decided_at, None)
     return DecisionOutcome(decision_id, ACCEPT, decided_at, written, replayed, ())
 
 
