@@ -6,13 +6,18 @@ select map_name, srid from conetl.map order by map_name;
 
 -- name: find_map
 -- One map. Parameters: map_name.
--- Columns: map_id, map_name, srid, last_committed_at (of changesets and decisions; null while empty).
+-- Columns: map_id, map_name, srid, last_committed_at (of changesets and decisions; null while empty), counts (false while
+-- all its drives are on hold or reverted and nothing else is on it).
 select
     m.map_id, m.map_name, m.srid,
     greatest(
         (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
         (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)
-    ) as last_committed_at
+    ) as last_committed_at,
+    not exists (select from conetl.changeset c where c.map_id = m.map_id)
+    or exists (select from conetl.active_drive a where a.map_id = m.map_id)
+    or exists (select from conetl.feature f where f.map_id = m.map_id)
+    or exists (select from conetl.base_source b where b.map_id = m.map_id) as counts
 from conetl.map m
 where m.map_name = %(map_name)s;
 

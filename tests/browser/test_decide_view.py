@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -57,9 +58,11 @@ def the_one(conn: Any, number: int) -> str:
     return str(sorted(read_current_features(conn), key=lambda f: f.xyz_m)[number].feature_id)
 
 
-def fill_form(page: Any, button: str, reason: str, *, token: str | None = None) -> None:
+def fill_form(
+    page: Any, button: str, reason: str, *, token: str | None = None, within: str = ".decide-section"
+) -> None:
     """By keyboard alone, from the button on."""
-    page.focus(f".decide-section button:text('{button}')")
+    page.focus(f"{within} button:text('{button}')")
     page.keyboard.press("Enter")
     page.wait_for_selector("form.decide")
     name = page.locator("form.decide [name=name]")
@@ -225,3 +228,25 @@ def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: P
         assert done.exit_code == 0, done.output
         came(name, time.time())
     assert page.evaluate("window.notReloaded") is True
+
+
+def test_a_drive_on_hold_is_accepted_and_the_acceptance_withdrawn(page, conn):
+    held = survey(2)
+    conn.rollback()
+    merge(conn, held, hold="GNSS/INS jumps by 5.0 m.")
+    conn.commit()
+    page.wait_for_selector(".decision-row:has-text('On hold'):has-text('jumps by 5.0 m')")
+    page.click(".decision-row:has-text('On hold')")
+    page.wait_for_selector(f".drive-text:has-text('{held.drive.drive_id}')")
+    assert page.locator(".drive-decide button").all_text_contents() == ["Accept …", "Revert …"]
+    fill_form(page, "Accept", "seen in the images", token=TOKEN, within=".drive-decide")
+    page.wait_for_selector(".decision-row:has-text('Accepted')")
+    conn.rollback()
+    assert [known.counts for known in list_changesets(conn) if known.drive_id == held.drive.drive_id] == [True]
+    page.wait_for_selector(".drive-decide button:text('Withdraw')")
+    fill_form(page, "Withdraw", "a slip", within=".drive-decide")
+    page.wait_for_selector(".decision-row:has-text('On hold')")
+    conn.rollback()
+    assert [bool(known.hold) for known in list_changesets(conn) if known.drive_id == held.drive.drive_id] == [True]
+    if folder := os.environ.get("CONETL_SCREENSHOTS"):
+        page.screenshot(path=f"{folder}/hold.png")

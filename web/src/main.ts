@@ -64,6 +64,7 @@ const showTimeline = createTimeline(layout.timeline, {
   change,
   writableMap: () => (decisions?.writable ? state.map : null),
   decided: () => void newDecision(),
+  decisions: () => decisions?.decisions ?? [],
 });
 const panel = createPanel(layout.panel, {
   close: () => void select(null),
@@ -209,13 +210,13 @@ async function newChangeset(no: number): Promise<void> {
   const known = timeline?.changesets.at(-1)?.changeset_no ?? 0;
   if (no <= known) return;
   try {
-    await readTimeline();
+    await Promise.all([readTimeline(), readDecisions()]); // it may be on hold
     const item = timeline?.changesets.at(-1);
     if (!item) return;
     void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
     const counts = [`${item.added_count} new`, `${item.moved_count} moved`, `${item.removed_count} removed`].join(", ");
     const follows = state.mode === "drive" && state.changeset === null;
-    layout.toast(`${item.drive_id} was committed: ${counts}.`, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
+    layout.toast(item.counts ? `${item.drive_id} was committed: ${counts}.` : `${item.drive_id} does not count: see the decisions.`, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
     await refresh();
     if (chosen) await select(chosen.id);
   } catch (error) {

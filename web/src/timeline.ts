@@ -1,6 +1,6 @@
 // Below: one drive before and after, two drives compared, or any point in time.
-import type { TimelineItem } from "./api";
-import { createDecider, revertChoice, type Choice } from "./decisions";
+import type { Decision, TimelineItem } from "./api";
+import { createDecider, revertChoice, withdrawChoice, type Choice } from "./decisions";
 import { el, fill, plural, utc } from "./dom";
 import { icon, STYLES, type Kind } from "./kinds";
 import type { Mode, Side, State } from "./state";
@@ -10,6 +10,8 @@ export interface TimelineActions {
   /** Map whose drives may be reverted here; null where this server is read-only. */
   writableMap(): string | null;
   decided(): void;
+  /** Those in effect, and the drives on hold. */
+  decisions(): Decision[];
 }
 
 const MODES: [Mode, string][] = [["drive", "Drive by drive"], ["compare", "Compare two"], ["instant", "Any time"]];
@@ -109,18 +111,28 @@ function driveView(actions: TimelineActions) {
       const t = items[index];
       if (!t) return fill(text);
       const map = actions.writableMap();
-      const choices: Choice[] = map !== null && t.counts ? [revertChoice(t.changeset_id, t.drive_id)] : [];
-      decider.show(`${t.changeset_id} ${String(t.counts)} ${String(map)}`, choices, { map: map ?? "", changed: () => actions.decided() });
+      const about = actions.decisions().filter((d) => d.changeset_id === t.changeset_id);
+      const reverted = about.some((d) => d.kind === "revert");
+      const mayRevert = !reverted && (t.counts || about.some((d) => d.kind === "hold"));
+      const choices: Choice[] = map === null ? [] : [...about.map(withdrawChoice), ...(mayRevert ? [revertChoice(t.changeset_id, t.drive_id)] : [])];
+      decider.show(`${t.changeset_id} ${about.map((d) => d.decision_id).join(" ")} ${String(t.counts)} ${String(map)}`, choices, { map: map ?? "", changed: () => actions.decided() });
       slider.setAttribute("aria-valuetext", `${t.drive_id}, drive ${index + 1} of ${items.length}`);
       fill(
         text,
         el("strong", { textContent: t.drive_id }),
         el("span", { textContent: `drive ${index + 1} of ${items.length} · recorded ${utc(t.captured_from)} UTC · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
         el("span", { class: "chips" }, ...changesOf(t).map((c) => el("span", { class: "chip" }, icon(c.kind), c.text)),
-          !t.counts && el("span", { class: "chip off", title: "It is on hold or was reverted, or a later analysis of the same recording replaced it.", textContent: "not counted" })),
+          !t.counts && notCounted(about)),
       ); // prettier-ignore
     },
   };
+}
+
+function notCounted(about: Decision[]): HTMLElement {
+  const hold = about.find((d) => d.kind === "hold");
+  if (hold) return el("span", { class: "chip off", title: hold.reason, textContent: "on hold" });
+  const reverted = about.some((d) => d.kind === "revert");
+  return el("span", { class: "chip off", title: reverted ? "A person decided that it does not count." : "A later analysis of the same recording replaced it, or it was reverted.", textContent: reverted ? "reverted" : "not counted" });
 }
 
 function knownSelect(actions: TimelineActions) {

@@ -125,7 +125,8 @@ def print_checks(checks: Sequence[HealthCheck]) -> None:
     """The health checks of a recording that did not pass, a line each."""
     for check in checks:
         if check.verdict is not Verdict.PASS:
-            out.print(f"[bold]{check.verdict.value}[/] {escape(check.name)}: {escape(check.detail)}")
+            verdict = "On hold" if check.verdict is Verdict.HOLD else check.verdict.value.capitalize()
+            out.print(f"[bold]{verdict}[/], {escape(check.name)}: {escape(check.detail)}")
 
 
 def cell(value: object) -> str:

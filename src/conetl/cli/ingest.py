@@ -203,8 +203,9 @@ def print_report(report: IngestReport) -> None:
             state = ", but not counted: it was reverted (see `conetl map decisions`) or analysed again since"
         out.print(f"{drive}: no changes, {known}{state}.")
         return
+    changed = counts if report.on_hold is None else "on hold, the map is as it was"
     out.print(
-        f"{drive}: {counts}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
+        f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} cones."
     )
     if report.trajectory:

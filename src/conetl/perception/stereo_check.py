@@ -118,7 +118,10 @@ def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck
     """Whether a part of a lens is covered; one that is covered whole, darkness and fog leave `ImageDetail` of the whole image."""
     blank = {side: share for side in _SIDES if (share := _blank_share(details[side])) > _MAX_BLANK_SHARE}
     worst = max(blank.values(), default=0.0)
-    detail = "All parts of the images show the road."
+    sharp = all(
+        any(one.size and np.quantile(one, _SHARP_QUANTILE) >= MIN_DETAIL for one in details[side]) for side in _SIDES
+    )
+    detail = "All parts of the images show the road." if sharp else "The images show too little to tell."
     if blank:
         detail = (
             f"In {worst:.0%} of the lower half of the {' and '.join(blank)} images nothing is to be seen, and the rest is sharp: "
@@ -149,6 +152,8 @@ def _check_trigger(fitting: int, matched: int, fitting_at: Callable[[int], int])
     if best < _MIN_MATCHES or best < _FITS_BETTER * fitting:
         lag = 0
     detail = "Left and right images are of the same instants."
+    if fitting < _MIN_MATCHES:
+        detail = "The images show too little to tell."
     if lag:
         detail = (
             f"The right images belong to left images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}: {best} points fit, "

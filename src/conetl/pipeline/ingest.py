@@ -91,7 +91,7 @@ def ingest(
         steps = executor or stack.enter_context(ThreadExecutor(settings.workers))
         with db.connection() as conn:
             info = find_map(conn, settings.map_name)
-        srid = map_srid or (info.srid if info else None)  # later drives use the map's own CRS
+        srid = map_srid or (info.srid if info and info.counts else None)  # later drives use the map's own CRS
         drive, rejections = steps.run(read, folder, srid, settings.images_folder.resolve())
         identity = identify(drive, params, settings)
         if identity.evidence is None:

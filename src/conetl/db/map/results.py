@@ -13,12 +13,14 @@ from conetl.model.map_records import Delta, DeltaKind, DriveOrder, FeatureVersio
 
 @dataclass(frozen=True)
 class MapInfo:
-    """One map; its SRID never changes."""
+    """One map; its SRID does not change once anything counts on it."""
 
     map_id: int
     map_name: str
     srid: int
     last_committed_at: datetime | None
+    counts: bool
+    """False while all its drives are on hold or reverted."""
 
 
 class RecordCounts(NamedTuple):

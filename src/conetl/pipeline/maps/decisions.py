@@ -32,6 +32,8 @@ from conetl.model.map_records import FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
 SUPPRESS, PIN, REVERT, ACCEPT, WITHDRAW = "suppress", "pin", "revert", "accept", "withdraw"
+#: What `list_decisions` calls a hold, which the checks made.
+HOLD = "hold"
 #: A larger area is no statement about one cone.
 MAX_RADIUS_M = 20.0
 
@@ -254,6 +256,11 @@ def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:
 def _target(conn: Connection, map_name: str, beginning: str) -> Decidable:
     found = find_decisions(conn, beginning, map_name=map_name)
     if not found:
+        for known in list_decisions(conn, map_name=map_name):
+            if known.kind == HOLD and len(beginning) >= 4 and str(known.decision_id).startswith(beginning.lower()):
+                raise InputError(
+                    f"{beginning} is a hold, not a decision: `conetl drive held` and `conetl drive accept` are for it"
+                )
         raise InputError(
             f"the map {map_name} has no changeset or decision {beginning}: see `conetl map log` and `conetl map decisions`"
         )
