@@ -27,17 +27,8 @@ insert into conetl.map (map_name, srid, created_at) values (%(map_name)s, %(srid
 on conflict (map_name) do nothing;
 
 -- name: set_aside
--- Give a map another name if all its drives are on hold or reverted, so that a drive in another CRS may begin it anew.
--- Parameters: map_name; new_name. Columns: map_id; no row if the map has anything that counts.
-update conetl.map m
-set map_name = %(new_name)s
-where m.map_name = %(map_name)s
-and exists (select from conetl.changeset c where c.map_id = m.map_id)
-and not exists (select from conetl.active_drive a where a.map_id = m.map_id)
-and not exists (select from conetl.feature f where f.map_id = m.map_id)
-and not exists (select from conetl.base_source b where b.map_id = m.map_id)
-and not exists (select from conetl.map other where other.map_name = %(new_name)s)
-returning m.map_id;
+-- Give a map another name. Parameters: map_id; new_name.
+update conetl.map set map_name = %(new_name)s where map_id = %(map_id)s;
 
 -- name: set_licence
 -- The licence of a map's data. Parameters: map_name; licence (null: none).

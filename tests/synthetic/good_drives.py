@@ -16,7 +16,6 @@ from scipy.ndimage import gaussian_filter1d
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import StereoTracks
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import CalibrationCovariance, FramePair
@@ -25,7 +24,7 @@ from conetl.tracking.health import check_calibration, check_trajectory
 from conetl.tracking.self_calibration import SelfCalibration, Span, self_calibrate
 from conetl.tracking.trajectory import RefinedTrajectory, measured_motions, read_log, refine_with_cones
 from tests.synthetic.odometry import STEP_S, log_of, motions_of, pose_errors
-from tests.synthetic.spans import CX_PX, FOCAL_PX, make_span
+from tests.synthetic.spans import CX_PX, FOCAL_PX, followed, make_span
 from tests.synthetic.world import ORIGIN_M, make_rig
 
 Floats = NDArray[np.float64]
@@ -166,12 +165,7 @@ def draw_calibration(rng: np.random.Generator) -> tuple[SelfCalibration, list[He
             seen[:, 2] += error.get("right.cx_px", 0.0)
             seen[:, 3] += error.get("right.cy_px", 0.0)
         spans.append(Span(k, k + 1, made.last_SE3_first))
-        tracks.append(
-            StereoTracks(
-                first_frame_index=k, second_frame_index=k + 1, first_px=tuple(made.first_px.ravel().tolist()),
-                second_px=tuple(made.last_px.ravel().tolist()), sigma_px=0.3, missing=None,
-            )
-        )  # fmt: skip
+        tracks.append(followed(made, k))
     rig = RIG
     if not unknown:
         matrix = np.diag(np.square(list(sigma.values()))).tolist()

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.calibration.self_calibration import SpanPoints
+from conetl.geometry.motion.stereo_tracks import StereoTracks
 
 Floats = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX, CX_PX, CY_PX, BASELINE_M = 1242, 375, 721.5, 609.6, 172.9, 0.54
@@ -56,3 +57,11 @@ def make_span(
     guess = pose.copy()
     guess[:3, 3] += rng.normal(0, 0.01, 3)
     return SpanPoints(noisy[0], noisy[1], np.full(points, 0.3), guess)
+
+
+def followed(made: SpanPoints, number: int) -> StereoTracks:
+    """The points of a span, between frames `number` and the next one, as they are stored."""
+    return StereoTracks(
+        first_frame_index=number, second_frame_index=number + 1, first_px=tuple(made.first_px.ravel().tolist()),
+        second_px=tuple(made.last_px.ravel().tolist()), sigma_px=0.3, missing=None,
+    )  # fmt: skip

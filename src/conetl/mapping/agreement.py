@@ -1,4 +1,4 @@
-"""Whether a drive contradicts the map as a whole: all its cones lower, aside or turned, or the map's cones gone by the dozen.
+"""Whether a drive contradicts the map as a whole: all its cones lower, aside or turned, or too many of the map's cones gone.
 
 Such a drive is one finding for a person, not nine moved cones. The checks are part of the fold, so that they are decided anew
 when an earlier drive arrives; docs/explanation/health.md has their limits.
@@ -20,7 +20,7 @@ from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, common_offset, near_pairs
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Cov3, Track
+from conetl.model.records import Track
 
 Floats = NDArray[np.float64]
 #: Squared Mahalanobis distance of a common displacement that the stated sigmas do not explain: 5 sigma.
@@ -86,8 +86,8 @@ def _displaced(
     absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
     if not (fit.beside and fit.distinct) and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
         return None  # the map's row may go on, or have a second one beside it, where the drive sees it
-    var_m2 = [np.mean([(cov[0] + cov[3]) / 2 for cov in side]) for side in _covariances(tracks, features)]
-    sigma_m = float(np.sqrt(sum(var_m2)))
+    covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
+    sigma_m = _horizontal_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     if fit.largest_m <= min(params.max_offset_m, np.sqrt(_MAX_CHI2) * sigma_m):
         return None
     turned = f" and turned by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
@@ -99,8 +99,9 @@ def _displaced(
     return _aside(fit.middle_m, sigma_m, turned)
 
 
-def _covariances(tracks: Sequence[Track], features: Sequence[MapFeature]) -> tuple[list[Cov3], list[Cov3]]:
-    return [track.cov_m2 for track in tracks], [feature.cov_m2 for feature in features]
+def _horizontal_sigma_m(cov_m2: Floats) -> float:
+    """Of a (3, 3) covariance."""
+    return float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2))
 
 
 def _common_displacement(apart_m: Floats, cov_m2: Floats) -> str | None:
@@ -116,7 +117,7 @@ def _common_displacement(apart_m: Floats, cov_m2: Floats) -> str | None:
     offset = np.array([east, north])
     chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
     if len(apart_m) >= _LEAST_PAIRS and chi2 > _MAX_CHI2 and hypot(east, north) > _LEAST_OFFSET_M:
-        return _aside(hypot(east, north), float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2)), "")
+        return _aside(hypot(east, north), _horizontal_sigma_m(cov_m2), "")
     return None
 
 

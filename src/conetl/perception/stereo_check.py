@@ -116,12 +116,12 @@ def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
 
 def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:
     """Whether a part of a lens is covered; one that is covered whole, darkness and fog leave `ImageDetail` of the whole image."""
-    blank = {side: share for side in _SIDES if (share := _blank_share(details[side])) > _MAX_BLANK_SHARE}
+    shares = {side: _blank_share(details[side]) for side in _SIDES}
+    blank = {side: share for side, share in shares.items() if share is not None and share > _MAX_BLANK_SHARE}
     worst = max(blank.values(), default=0.0)
-    sharp = all(
-        any(one.size and np.quantile(one, _SHARP_QUANTILE) >= MIN_DETAIL for one in details[side]) for side in _SIDES
-    )
-    detail = "All parts of the images show the road." if sharp else "The images show too little to tell."
+    detail = "All parts of the images show the road."
+    if None in shares.values():
+        detail = "The images show too little to tell."
     if blank:
         detail = (
             f"In {worst:.0%} of the lower half of the {' and '.join(blank)} images nothing is to be seen, and the rest is sharp: "
@@ -134,14 +134,14 @@ def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck
     )  # fmt: skip
 
 
-def _blank_share(details: list[NDArray[np.float32]]) -> float:
-    """Share of the squares of the lower half that show nothing in most images; 0 of images that are not sharp anywhere."""
+def _blank_share(details: list[NDArray[np.float32]]) -> float | None:
+    """Share of the squares of the lower half that show nothing in most images; None of images that are not sharp anywhere."""
     seen = [detail for detail in details if detail.size]
     if not seen:
-        return 0.0
+        return None
     detail = np.median(seen, axis=0)
     sharp = float(np.quantile(detail, _SHARP_QUANTILE))
-    return float((detail[len(detail) // 2 :] < _BLANK * sharp).mean()) if sharp >= MIN_DETAIL else 0.0
+    return float((detail[len(detail) // 2 :] < _BLANK * sharp).mean()) if sharp >= MIN_DETAIL else None
 
 
 def _check_trigger(fitting: int, matched: int, fitting_at: Callable[[int], int]) -> HealthCheck:

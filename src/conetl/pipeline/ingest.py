@@ -125,10 +125,8 @@ def ingest(
 def unless_doubtful(report: IngestReport, analysed: AnalysedDrive) -> IngestReport:
     """The report of a drive that was committed now, unless a person has to look: DriveOnHoldError, TooManyRejectionsError."""
     _unless_held(report)
-    lost, allowed = (
-        len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS)),
-        analysed.params.max_rejected_fraction,
-    )
+    allowed = analysed.params.max_rejected_fraction
+    lost = len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS))
     if lost > allowed * analysed.drive.expected_frame_count:
         raise TooManyRejectionsError(report, lost, allowed)
     return report

@@ -25,7 +25,7 @@ from conetl.tracking.self_calibration import (
     self_calibrated_rig,
     spread_spans,
 )
-from tests.synthetic.spans import CX_PX, FOCAL_PX, make_span, motion
+from tests.synthetic.spans import CX_PX, FOCAL_PX, followed, make_span, motion
 from tests.synthetic.world import make_rig
 
 PARAMS = TrajectoryParams()
@@ -48,12 +48,7 @@ def calibrated(
         for seen in (made.first_px, made.last_px):
             seen[:, 2] += bend_px * ((seen[:, 2] - CX_PX) / FOCAL_PX) ** 2
         chosen.append(Span(k, k + 1, made.last_SE3_first))
-        tracks.append(
-            StereoTracks(
-                first_frame_index=k, second_frame_index=k + 1, first_px=tuple(made.first_px.ravel().tolist()),
-                second_px=tuple(made.last_px.ravel().tolist()), sigma_px=0.3, missing=None,
-            )
-        )  # fmt: skip
+        tracks.append(followed(made, k))
     return self_calibrate(rig, chosen, tracks, params)
 
 

@@ -8,7 +8,15 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from uuid import UUID
 
-from conetl.db.connection import LOCK_TIMEOUT_S, Connection, database_errors, execute, stream, transaction
+from conetl.db.connection import (
+    LOCK_TIMEOUT_S,
+    Connection,
+    database_errors,
+    execute,
+    execute_count,
+    stream,
+    transaction,
+)
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, FeatureLogEntry, MapInfo, MapSummary
 from conetl.db.map.rows import feature_of
@@ -131,11 +139,11 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
     One that only drives on hold have begun, perhaps with swapped coordinates, does not fix its CRS: it gets another name.
     """
     info = find_map(conn, map_name)
-    if info is not None and info.srid != srid:
-        aside = {"map_name": map_name, "new_name": f"{map_name[:20]}-held-{info.srid}-{info.map_id}"}
-        if execute(conn, load_sql("map.set_aside"), aside):
-            _log.warning("No drive of map %(map_name)s counts: it is called %(new_name)s from now on", aside)
-            info = None
+    if info is not None and info.srid != srid and not info.counts:
+        new_name = f"{map_name[:20]}-held-{info.srid}-{info.map_id}"
+        execute_count(conn, load_sql("map.set_aside"), {"map_id": info.map_id, "new_name": new_name})
+        _log.warning("No drive of map %s counts: it is called %s from now on", map_name, new_name)
+        info = None
     if info is None:
         created = {"map_name": map_name, "srid": srid, "created_at": now or datetime.now(UTC)}
         execute(conn, load_sql("map.insert_map"), created)
