@@ -14,7 +14,7 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Rig
 from conetl.readers.drives.drive_yaml import Streams
-from conetl.readers.drives.trajectories import rotation_of
+from conetl.readers.drives.poses import rotation_of
 from conetl.readers.rigs.ros import rig_of_camera_infos
 
 Array = NDArray[np.float64]

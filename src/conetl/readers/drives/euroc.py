@@ -38,7 +38,7 @@ from conetl.readers.drives.pairs import (
     drive_of_couples,
     pair_by_stamp,
 )
-from conetl.readers.drives.trajectories import (
+from conetl.readers.drives.poses import (
     Samples,
     at,
     attitude_sigmas,

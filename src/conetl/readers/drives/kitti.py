@@ -35,7 +35,7 @@ from conetl.readers.drives.pairs import (
     images_ahead,
 )
 from conetl.readers.drives.timestamps import clock_problem, misplaced, parse_timestamps
-from conetl.readers.drives.trajectories import checked_srid
+from conetl.readers.drives.poses import checked_srid
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 
 NAME = "kitti"

@@ -17,7 +17,7 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.records import Pose
 from conetl.readers.drives.drive_yaml import Sigmas
-from conetl.readers.drives.trajectories import VERTICAL_FACTOR, attitude_sigmas, check_fix, to_pose, wild_fixes
+from conetl.readers.drives.poses import VERTICAL_FACTOR, attitude_sigmas, check_fix, to_pose, wild_fixes
 
 Array = NDArray[np.float64]
 

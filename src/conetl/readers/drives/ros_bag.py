@@ -52,7 +52,7 @@ from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml,
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, PairError, drive_of_couples, pair_by_stamp
 from conetl.readers.drives.timestamps import clock_problem
-from conetl.readers.drives.trajectories import (
+from conetl.readers.drives.poses import (
     at,
     attitude_sigmas,
     check_fix,
