@@ -34,8 +34,8 @@ from conetl.readers.drives.kitti import (
 )
 from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
-from conetl.readers.drives.timestamps import clock_problem, parse_timestamp
 from conetl.readers.drives.poses import checked_srid
+from conetl.readers.drives.timestamps import clock_problem, parse_timestamp
 from conetl.readers.rigs import RIG_YAML
 
 Array = NDArray[np.float64]

@@ -34,8 +34,8 @@ from conetl.readers.drives.pairs import (
     first_size,
     images_ahead,
 )
-from conetl.readers.drives.timestamps import clock_problem, misplaced, parse_timestamps
 from conetl.readers.drives.poses import checked_srid
+from conetl.readers.drives.timestamps import clock_problem, misplaced, parse_timestamps
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 
 NAME = "kitti"

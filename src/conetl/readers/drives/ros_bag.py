@@ -51,7 +51,6 @@ from conetl.readers.drives.bag_rig import (
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, PairError, drive_of_couples, pair_by_stamp
-from conetl.readers.drives.timestamps import clock_problem
 from conetl.readers.drives.poses import (
     at,
     attitude_sigmas,
@@ -65,6 +64,7 @@ from conetl.readers.drives.poses import (
     to_pose,
     without_wild_fixes,
 )
+from conetl.readers.drives.timestamps import clock_problem
 from conetl.readers.rigs import RIG_YAML
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ class RecordedTrajectory(NamedTuple):
     is_local: bool
     """Whether the positions are those of a level frame whose location `georeference` of drive.yaml states."""
     rotations: Floats | None
-    """(N, 3, 3): from the body (forward, left, up) to east, north, up; of a local file to its frame. None where the file has none."""
+    """(N, 3, 3): from the body (forward, left, up) to east, north, up, of a local file to its frame; None where it has none."""
     sigma: Floats
     """(N, 6): east, north, up (m), roll, pitch, yaw (rad); NaN where the file states none."""
     bad: dict[int, str]
