@@ -135,15 +135,17 @@ def ecef_R_enu(lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
     return np.stack([east, north, up], axis=-1)
 
 
+#: From body axes (forward, left, up) to those of a camera that looks forward (right, down, forward).
+CAMERA_R_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
 def sensor_R_body(sensor_R_left: ArrayLike) -> Array:
     """(3, 3) from conetl's body axes (x forward, y left, z up) to a sensor with any axes.
 
     The body's axes are the sensor's own, permuted: of the 24 permutations the one nearest to forward, left and up of the left
     camera (rotation sensor_R_left). An IMU whose x axis points up (EuRoC's) would have no roll and yaw otherwise.
     """
-    wanted = np.asarray(sensor_R_left, dtype=np.float64) @ np.array(
-        [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
-    )
+    wanted = np.asarray(sensor_R_left, dtype=np.float64) @ CAMERA_R_BODY
     axes = [
         np.eye(3)[:, order] * np.array(signs)
         for order in permutations(range(3))

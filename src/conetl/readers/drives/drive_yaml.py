@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 from zoneinfo import ZoneInfo
 
 from pydantic import Field, field_validator
@@ -57,6 +58,45 @@ class Streams(Record):
     right_info: str | None = Field(default=None, min_length=1)
 
 
+Layout = Literal["left-right", "right-left", "top-bottom", "bottom-top"]
+
+
+class Images(Record):
+    """Stereo video, or folders of images, with a trajectory file beside them."""
+
+    left: str | None = Field(default=None, min_length=1)
+    """File or folder; with `layout` the file that holds both images. Default: the one with left in its name."""
+    right: str | None = Field(default=None, min_length=1)
+    layout: Layout | None = None
+    """Where left and right are in each frame of one file."""
+    start: str | None = Field(default=None, min_length=1)
+    """Time of the first left frame, like 2026-03-02 10:00:00.250, in `timestamps_timezone` or with an offset."""
+    timestamps: str | None = Field(default=None, min_length=1)
+    """File with the time of every left frame, one per line; then `right_timestamps` has those of the right ones."""
+    right_timestamps: str | None = Field(default=None, min_length=1)
+    right_offset_s: float | None = Field(default=None, ge=-3600, le=3600)
+    """What to add to the right file's times to have the left one's. Default: found from the motion in the images."""
+    every: int = Field(default=1, ge=1)
+    """Use every n-th pair."""
+    from_s: float = Field(default=0.0, ge=0)
+    to_s: float | None = Field(default=None, gt=0)
+    """Part of the left file that is used."""
+
+
+class Mount(Record):
+    """The left camera on the body whose trajectory was recorded (an IMU, or the antenna), for a rig.yaml without its pose."""
+
+    forward_m: float = Field(ge=-20, le=20)
+    left_m: float = Field(ge=-20, le=20)
+    up_m: float = Field(ge=-20, le=20)
+    roll_deg: float = Field(default=0.0, ge=-180, le=180)
+    """Positive with the left side up."""
+    pitch_deg: float = Field(default=0.0, ge=-90, le=90)
+    """Positive where the camera looks down."""
+    yaw_deg: float = Field(default=0.0, ge=-180, le=180)
+    """Positive where it looks to the left."""
+
+
 class DriveYaml(Record):
     """The whole file."""
 
@@ -71,6 +111,8 @@ class DriveYaml(Record):
     sigmas: Sigmas = Sigmas()
     georeference: Georeference | None = None
     streams: Streams = Streams()
+    images: Images = Images()
+    mount: Mount | None = None
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
     max_pose_gap_s: float = Field(default=0.5, gt=0, le=3600)

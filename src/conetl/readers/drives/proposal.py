@@ -1,0 +1,198 @@
+"""A folder with stereo video or images, a trajectory and a calibration -> the settings that make it a drive, for `conetl init`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from conetl.geometry import rig as rigs
+from conetl.model.errors import CalibrationError, DriveFolderError, InputError
+from conetl.model.records import Rig
+from conetl.perception.video import VIDEO_SUFFIXES, video_facts
+from conetl.readers.drives.drive_yaml import DRIVE_YAML
+from conetl.readers.drives.formats import image_files, names_in
+from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, read_rig_and_format
+from conetl.readers.trajectories import (
+    RecordedTrajectory,
+    TrajectoryFile,
+    find_trajectories,
+    read_trajectory,
+    trajectory_format,
+)
+
+_RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})
+_LARGEST_RIG_BYTES = 4_000_000
+
+
+class Question(NamedTuple):
+    """What a folder does not say itself."""
+
+    key: str
+    """Name of the option of `conetl init` that answers it."""
+    text: str
+    default: str | None = None
+
+
+class Proposal(NamedTuple):
+    """What lies in a folder, what is missing, and the settings so far."""
+
+    found: list[str]
+    questions: list[Question]
+    settings: dict[str, Any]
+    """Of drive.yaml."""
+    rig: Rig | None
+    """To be written as rig.yaml; None where there is one."""
+
+
+def propose(root: Path, answers: Mapping[str, str]) -> Proposal:
+    """The settings of a drive folder. answers: by `Question.key`; what they settle is not asked again.
+
+    Raises DriveFolderError where there is nothing to make a drive of, InputError for an answer that does not fit.
+    """
+    proposal = Proposal([], [], {}, None)
+    size = _add_images(root, answers, proposal)
+    _add_trajectory(root, answers, proposal)
+    rig = _add_rig(root, answers, proposal, size)
+    return proposal._replace(rig=rig)
+
+
+def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> tuple[int, int] | None:
+    """Size of the images of one camera, where it is known."""
+    videos = [root / name for name in names_in(root, VIDEO_SUFFIXES)]
+    folders = [path for path in sorted(root.iterdir()) if path.is_dir() and image_files(path)]
+    images: dict[str, Any] = {key: answers[key] for key in ("left", "right", "layout", "start") if key in answers}
+    proposal.settings["images"] = images
+    sources = videos or folders
+    if not sources:
+        raise DriveFolderError(
+            f"{root}: there are no videos ({', '.join(sorted(VIDEO_SUFFIXES))}) and no folders of images here"
+        )
+    for source in videos:
+        facts = video_facts(source)
+        rate = facts.frames / facts.duration_s if facts.duration_s else 0.0
+        proposal.found.append(
+            f"video {source.name}: {facts.width_px} x {facts.height_px}, {facts.frames:,} frames, {rate:.2f} Hz, {facts.duration_s:.0f} s"
+        )
+    proposal.found += [f"images in {folder.name}/: {len(image_files(folder)):,}" for folder in folders if not videos]
+    if len(sources) == 1 or "layout" in images:
+        images.setdefault("left", sources[0].name)
+        if "layout" not in images:
+            text = "How do left and right lie in each frame (left-right, right-left, top-bottom, bottom-top)?"
+            proposal.questions.append(Question("layout", text, "left-right"))
+    else:
+        for side in ("left", "right"):
+            candidates = [source.name for source in sources if side in source.stem.lower()]
+            if side not in images and len(candidates) == 1:
+                images[side] = candidates[0]
+            elif side not in images:
+                names = ", ".join(source.name for source in sources)
+                proposal.questions.append(Question(side, f"Which is the {side} camera ({names})?"))
+    if not videos or "left" not in images:
+        return None
+    facts = video_facts(root / images["left"])
+    across, down = {"left-right": (2, 1), "right-left": (2, 1), "top-bottom": (1, 2), "bottom-top": (1, 2)}.get(
+        images.get("layout", ""), (1, 1)
+    )
+    return facts.width_px // across, facts.height_px // down
+
+
+def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) -> None:
+    settings: dict[str, Any] = {}
+    candidates = find_trajectories(root)
+    if "trajectory" in answers:
+        settings["file"] = answers["trajectory"]
+    elif len(candidates) == 1:
+        settings["file"] = candidates[0].relative_to(root).as_posix()
+    else:
+        names = ", ".join(path.relative_to(root).as_posix() for path in candidates) or "none was recognised"
+        proposal.questions.append(Question("trajectory", f"Which file is the GNSS/INS trajectory ({names})?"))
+        return
+    settings |= {key: answers[key] for key in ("date", "heights") if key in answers}
+    proposal.settings["trajectory"] = settings
+    path = root / settings["file"]
+    try:
+        recorded = read_trajectory(path, TrajectoryFile.model_validate(settings))
+    except DriveFolderError as error:
+        if "date" in answers or "date" not in str(error):
+            raise
+        proposal.questions.append(Question("date", f"On which day was it recorded, like 2026-03-02? ({error})"))
+        return
+    proposal.found.append(_described(recorded, trajectory_format(path) or ""))
+    if "sigma" in answers:
+        proposal.settings["sigmas"] = {"horizontal_m": _numbers("sigma", answers["sigma"], 1, 1)[0]}
+    elif not np.isfinite(recorded.sigma[:, :2]).any():
+        text = "How accurate are its positions, horizontally, in metres (RTK 0.02, corrected 0.5, single 3)?"
+        proposal.questions.append(Question("sigma", text))
+
+
+def _described(recorded: RecordedTrajectory, kind: str) -> str:
+    times_s = (recorded.times_ns - recorded.times_ns[0]) * 1e-9
+    rate = f"{1 / np.median(np.diff(times_s)):.3g} Hz" if len(times_s) > 1 else "one record"
+    first = np.datetime64(int(recorded.times_ns[0]), "ns").astype("datetime64[s]").item()
+    attitude = "with attitude" if recorded.rotations is not None else "positions only"
+    known = recorded.sigma[np.isfinite(recorded.sigma[:, :2]).all(axis=1), :2]
+    sigma = f"sigma {np.median(known):.3g} m" if len(known) else "no sigmas"
+    bad = f", {len(recorded.bad):,} bad records" if recorded.bad else ""
+    return (
+        f"trajectory {recorded.name} ({kind}): {len(times_s):,} records, {rate}, {attitude}, {sigma}, {first:%Y-%m-%d %H:%M:%S} UTC "
+        f"for {times_s[-1]:.0f} s{bad}"
+    )
+
+
+def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: tuple[int, int] | None) -> Rig | None:
+    """The rig that has to be written; None where it is there, or is not known yet."""
+    if "rig" in answers:
+        path = root / answers["rig"]
+        rig, kind = read_rig_and_format(path)
+    else:
+        found = _rigs(root, size)
+        if len(found) != 1:
+            names = ", ".join(path.name for path, _, _ in found) or "none was recognised"
+            text = f"Which file is the calibration of the cameras ({names})? 'conetl calibrate' makes one from images of a board."
+            proposal.questions.append(Question("rig", text))
+            return None
+        path, rig, kind = found[0]
+    proposal.found.append(
+        f"calibration {path.name} ({FORMAT_NAMES[kind]}): {rig.left.width_px} x {rig.left.height_px}, baseline {rig.baseline_m:.3f} m"
+    )
+    if "mount" in answers:
+        values = _numbers("mount", answers["mount"], 3, 6)
+        names = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
+        proposal.settings["mount"] = dict(zip(names, values, strict=False))
+    elif rigs.body_is_left_camera(rig):
+        text = (
+            "Where is the left camera as seen from the antenna or IMU of the trajectory: forward, left, up in metres, then pitch in "
+            "degrees (positive: looks down), like 1.2,0.3,-0.2,3?"
+        )
+        proposal.questions.append(Question("mount", text))
+    return None if path == root / RIG_YAML else rig
+
+
+def _rigs(root: Path, size: tuple[int, int] | None) -> list[tuple[Path, Rig, Any]]:
+    """Calibrations in the folder: rig.yaml if it is there, else those of other tools that are for the images."""
+    if (root / RIG_YAML).is_file():
+        return [(root / RIG_YAML, *read_rig_and_format(root / RIG_YAML))]
+    found = []
+    for name in names_in(root, _RIG_SUFFIXES):
+        if name != DRIVE_YAML and (root / name).stat().st_size <= _LARGEST_RIG_BYTES:
+            try:
+                rig, kind = read_rig_and_format(root / name)
+            except CalibrationError:
+                continue
+            if size is None or size == (rig.left.width_px, rig.left.height_px):
+                found.append((root / name, rig, kind))
+    return found
+
+
+def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
+    """Numbers separated by commas. Raises InputError."""
+    try:
+        values = [float(word) for word in text.split(",")]
+    except ValueError:
+        values = []
+    if not least <= len(values) <= most or not np.isfinite(values).all():
+        raise InputError(f"--{key} '{text[:60]}': expected {least}{f' to {most}' if most > least else ''} numbers with commas between")
+    return values

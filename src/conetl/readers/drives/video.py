@@ -1,0 +1,372 @@
+"""Stereo video, or folders of images with times of their own, and a trajectory file beside them.
+
+    drive/left.mp4, drive/right.mp4       two files; or one with both images in each frame (`images.layout` in drive.yaml);
+                                          or folders of images
+    drive/*.pos, *.out, *.csv ...         the trajectory, any file of `readers/trajectories`
+    drive/rig.yaml                        the rig, with body_SE3_left
+    drive/drive.yaml                      which files, when they begin, and all that a file does not say itself
+
+Frames are decoded as the pipeline goes and never unpacked to disk. Their times are the container's, from `images.start` on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.geodesy import CAMERA_R_BODY
+from conetl.geometry.rectification import stored_camera
+from conetl.model.errors import CalibrationError, DriveFolderError, InputError
+from conetl.model.records import Drive, Rig, Side
+from conetl.model.rejections import Rejection
+from conetl.perception.video import VIDEO_SUFFIXES, Frame, Region, VideoIndex, frame_of, index_video, video_facts
+from conetl.perception.video_sync import find_video_lag
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Layout, Mount, inside, read_drive_yaml
+from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, names_in, rig_on_body
+from conetl.readers.drives.pairs import (
+    ContentHash,
+    Couple,
+    Image,
+    ImageFile,
+    check_images,
+    drive_of_couples,
+    pair_by_stamp,
+)
+from conetl.readers.drives.poses import at, placed, to_pose
+from conetl.readers.drives.timestamps import parse_timestamp
+from conetl.readers.rigs import RIG_YAML, read_rig_yaml
+from conetl.readers.trajectories import find_trajectories, read_trajectory
+
+Floats = NDArray[np.float64]
+NAME = "video"
+READS_OBJECTS = False
+#: Cameras whose shift is farther than this from a whole number of frames were not triggered together.
+_WHOLE = 0.25
+_log = logging.getLogger(__name__)
+
+
+class _Camera(NamedTuple):
+    """The images of one camera and their times from the first one on."""
+
+    name: str
+    """Of the file or folder, for messages."""
+    paths: list[Path]
+    times_s: Floats
+    video: VideoIndex | None
+    region: Region | None
+
+
+def matches(path: Path) -> bool:
+    """True for a folder with video files, or with folders of images that drive.yaml names."""
+    return path.is_dir() and (bool(names_in(path, VIDEO_SUFFIXES)) or _names_images(path))
+
+
+def _names_images(path: Path) -> bool:
+    """Whether drive.yaml names images; a broken one is read again by the format, which says what is wrong."""
+    try:
+        return (path / DRIVE_YAML).is_file() and read_drive_yaml(path).images.left is not None
+    except DriveFolderError:
+        return False
+
+
+def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+    """The drive and its rejections."""
+    root = path.resolve()
+    settings = read_drive_yaml(root)
+    content = ContentHash(headers_only=options.headers_only)
+    rig, sensor_R_body = _rig(root, settings, content)
+    cameras = _cameras(root, settings.images, rig, content)
+    trajectory = _trajectory_file(root, settings)
+    recorded = read_trajectory(trajectory, settings)
+    for file in sorted(trajectory.rglob("*")) if trajectory.is_dir() else [trajectory]:
+        if file.is_file():
+            with file.open("rb") as opened:
+                content.add(file.relative_to(root).as_posix(), hashlib.file_digest(opened, "sha256").digest())
+    srid, track = placed(recorded, settings, options.map_srid, root, sensor_R_body)
+    left, right = _stamped(cameras, settings, root, content)
+    couples = _chosen(pair_by_stamp(left, right, settings.pair_tolerance_ns), settings.images)
+    if not couples:
+        raise DriveFolderError(f"{path}: no left image has a right one within {settings.pair_tolerance_ms:g} ms")
+
+    def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
+        if frame_of(left.path) is None:
+            return check_images([left.path], [right.path], rig, content, root)
+        ours, theirs = (ImageFile(image.path, hashes.get(image.path, "")) for image in (left, right))
+        return ours, theirs
+
+    hashes = {path: sha256 for camera in cameras for path, sha256 in _hashes(camera)}
+    gap_ns = settings.max_pose_gap_ns
+    return drive_of_couples(
+        couples, {"left": cameras[0].name, "right": cameras[1].name}, source=root, settings=settings, rig=rig, srid=srid,
+        content=content, images_of=images_of, pose_at=lambda time_ns: to_pose(*at(track, time_ns, gap_ns)),
+    )  # fmt: skip
+
+
+def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
+    """Sizes and pieces of the files; times only where drive.yaml states when the first frame was taken."""
+    root = path.resolve()
+    sources = _sources(root, settings.images)
+    header.streams = [source.name for source in sources]
+    for source in sources:
+        if source.is_dir():
+            header.add_images(root, {source.relative_to(root).as_posix(): source})
+        else:
+            header.add_samples(root, source.relative_to(root).as_posix())
+    header.add_samples(root, _trajectory_file(root, settings).relative_to(root).as_posix())
+    header.add_file(root, RIG_YAML)
+    _rig(root, settings, ContentHash())
+    if not sources[0].is_dir():
+        facts = video_facts(sources[0])
+        header.frame_pairs = facts.frames
+        if settings.images.start is not None:
+            first_ns = _parsed(settings.images.start, settings, root / DRIVE_YAML)
+            header.set_times([first_ns, first_ns + round(facts.duration_s * 1e9)], root / DRIVE_YAML)
+
+
+def _rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Floats]:
+    """The rectified rig on the body, and sensor_R_body (3, 3). Raises CalibrationError."""
+    path = root / RIG_YAML
+    if not path.is_file():
+        raise CalibrationError(
+            f"{root}: {RIG_YAML} is missing: 'conetl calibrate' makes it from images of a board, 'conetl rig convert' from the "
+            "calibration of another program"
+        )
+    add_settings(content, root)
+    rig = read_rig_yaml(path)
+    if settings.mount is not None:
+        return rig_on_body(rig, _body_SE3_left(settings.mount), settings, path)
+    if rigs.body_is_left_camera(rig):
+        raise CalibrationError(
+            f"{path}: where the cameras are on the vehicle is unknown. Put into {DRIVE_YAML}, as seen from the IMU or antenna whose "
+            "trajectory was recorded: 'mount: {forward_m: 1.2, left_m: 0.3, up_m: -0.2, pitch_deg: 3}'"
+        )
+    return rig_on_body(rig, rigs.body_SE3_camera(rig, "left"), settings, path)
+
+
+def _body_SE3_left(mount: Mount) -> Floats:
+    """(4, 4) of a mount; the camera's own axes are right, down, forward."""
+    turn = se3.rotation_from_rpy(*np.radians([mount.roll_deg, mount.pitch_deg, mount.yaw_deg]))
+    return se3.se3(turn @ CAMERA_R_BODY.T, [mount.forward_m, mount.left_m, mount.up_m])
+
+
+def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[_Camera]:
+    """Left and right camera. Raises DriveFolderError or CalibrationError."""
+    sources = _sources(root, settings)
+    sides: tuple[Side, Side] = ("left", "right")
+    if any(source.is_dir() for source in sources):
+        return [_folder_camera(root, source) for source in sources]
+    videos = {source: _indexed(source, root, content) for source in dict.fromkeys(sources)}
+    cameras = []
+    for side, source in zip(sides, sources, strict=True):
+        video, stored = videos[source], stored_camera(rig, side)
+        region = _region(video, settings.layout, side) if settings.layout else None
+        found = region[2:] if region else (video.width_px, video.height_px)
+        if found != (stored.width_px, stored.height_px):
+            raise CalibrationError(
+                f"{source}: the {side} image has {found[0]} x {found[1]} pixels, but the calibration is for {stored.width_px} x "
+                f"{stored.height_px}; use the calibration of these images; where one file holds both, name "
+                f"'images.layout' in {DRIVE_YAML}"
+            )
+        paths = [Path(str(Frame(source, pts, region))) for pts in video.pts]
+        cameras.append(_Camera(source.name, paths, video.times_s() - video.times_s()[0], video, region))
+    return cameras
+
+
+def _sources(root: Path, settings: Images) -> list[Path]:
+    """File or folder of the left and of the right camera, one file twice where it holds both. Raises DriveFolderError."""
+    videos = [root / name for name in names_in(root, VIDEO_SUFFIXES)]
+    found: dict[str, Path | None] = {}
+    for side in ("left", "right"):
+        named = settings.left if side == "left" or settings.layout else settings.right
+        if named is not None:
+            found[side] = inside(root, named, DRIVE_YAML)
+        elif settings.layout is not None and len(videos) == 1:
+            found[side] = videos[0]
+        else:
+            candidates = [video for video in videos if side in video.stem.lower()]
+            found[side] = candidates[0] if len(candidates) == 1 else None
+    missing = [side for side, source in found.items() if source is None or not source.exists()]
+    if missing:
+        raise DriveFolderError(
+            f"{root}: the {missing[0]} camera's images are not clear (videos: {', '.join(v.name for v in videos) or 'none'}). "
+            f"Name them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, layout: "
+            "left-right}' for one file with both"
+        )
+    return [source for source in found.values() if source is not None]
+
+
+def _indexed(source: Path, root: Path, content: ContentHash) -> VideoIndex:
+    """The index of a video, whose packets become part of the drive's hash. Raises DriveFolderError."""
+    try:
+        video = index_video(source, hashed=not content.headers_only)
+    except InputError as error:
+        raise DriveFolderError(str(error)) from error
+    content.add(source.relative_to(root).as_posix(), b"".join(video.sha256s))
+    return video
+
+
+def _region(video: VideoIndex, layout: Layout, side: Side) -> Region:
+    """The half of each frame that is the image of one side."""
+    width, height = video.width_px, video.height_px
+    second = (side == "right") == (layout in ("left-right", "top-bottom"))
+    if layout in ("left-right", "right-left"):
+        return (width // 2 if second else 0, 0, width // 2, height)
+    return (0, height // 2 if second else 0, width, height // 2)
+
+
+def _folder_camera(root: Path, source: Path) -> _Camera:
+    paths = image_files(source)
+    if not paths:
+        raise DriveFolderError(f"{source}: there are no images (*.jpg, *.png)")
+    return _Camera(source.relative_to(root).as_posix(), paths, np.empty(0), None, None)
+
+
+def _hashes(camera: _Camera) -> list[tuple[Path, str]]:
+    video = camera.video
+    return [] if video is None else [(p, video.sha256(n, camera.region)) for n, p in enumerate(camera.paths)]
+
+
+# --------------------------------------------------------------------------- times
+
+
+def _stamped(
+    cameras: Sequence[_Camera], settings: DriveYaml, root: Path, content: ContentHash
+) -> tuple[list[Image], list[Image]]:
+    """Images of both cameras with their times. Raises DriveFolderError."""
+    images, (left, right) = settings.images, cameras
+    if images.timestamps is not None or left.video is None:
+        names = (images.timestamps, images.right_timestamps or images.timestamps)
+        ours, theirs = (
+            _listed(camera, name, settings, root, content) for camera, name in zip(cameras, names, strict=True)
+        )
+        return ours, theirs
+    start_ns = _start_ns(left, settings, root)
+    shift_s = (
+        0.0 if left.paths[0].name == right.paths[0].name or images.layout else _right_offset_s(left, right, images)
+    )
+    return _at(left, start_ns), _at(right, start_ns + round(shift_s * 1e9))
+
+
+def _at(camera: _Camera, start_ns: int) -> list[Image]:
+    return [
+        Image(start_ns + round(time_s * 1e9), path)
+        for time_s, path in zip(camera.times_s.tolist(), camera.paths, strict=True)
+    ]
+
+
+def _listed(camera: _Camera, name: str | None, settings: DriveYaml, root: Path, content: ContentHash) -> list[Image]:
+    """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError."""
+    if name is None:
+        return [Image(_stamp(path.stem, settings), path) for path in camera.paths]
+    file = inside(root, name, DRIVE_YAML)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise DriveFolderError(f"{file}: the time stamps cannot be read: {error.strerror}") from error
+    content.add(name, data)
+    lines = [
+        line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
+    ]
+    if len(lines) != len(camera.paths):
+        raise DriveFolderError(f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}")
+    return [Image(_stamp(line, settings), path) for line, path in zip(lines, camera.paths, strict=True)]
+
+
+def _stamp(text: str, settings: DriveYaml) -> int | str:
+    """UTC nanoseconds of a time stamp, or of a number of nanoseconds or seconds since 1970; what is wrong with another text."""
+    word = text.strip()
+    try:
+        if word.replace(".", "", 1).isdigit() and word.isascii() and len(word) < 31:
+            whole, _, fraction = word.partition(".")
+            return int(whole) if len(whole) > 15 else int(whole) * 10**9 + int(fraction[:9].ljust(9, "0"))
+        return parse_timestamp(word, settings.timestamps_timezone)
+    except ValueError as error:
+        return str(error)
+
+
+def _parsed(text: str, settings: DriveYaml, path: Path) -> int:
+    stamp = _stamp(text, settings)
+    if isinstance(stamp, str):
+        raise DriveFolderError(f"{path}: images.start: {stamp}")
+    return stamp
+
+
+def _start_ns(left: _Camera, settings: DriveYaml, root: Path) -> int:
+    """Time of the first left frame. Raises DriveFolderError."""
+    if settings.images.start is not None:
+        return _parsed(settings.images.start, settings, root / DRIVE_YAML)
+    raise DriveFolderError(
+        f"{root}: when the first frame was taken is unknown: put 'images: {{start: 2026-03-02 10:00:00.250}}' into {DRIVE_YAML}"
+    )
+
+
+def _right_offset_s(left: _Camera, right: _Camera, settings: Images) -> float:
+    """What to add to the right file's times, as drive.yaml states it or as the images show it. Raises DriveFolderError."""
+    if settings.right_offset_s is not None:
+        return settings.right_offset_s
+    assert left.video is not None and right.video is not None
+    lag = find_video_lag(left.video, right.video)
+    if lag is None:
+        raise DriveFolderError(
+            f"{left.video.path.parent}: the images do not show how {right.name} and {left.name} are shifted in time. Put "
+            f"'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "
+            "right file's times"
+        )
+    if not lag.is_constant:
+        found = "; ".join(f"{offset_s:+.2f} s at {at_s:.0f} s" for at_s, offset_s in lag.windows)
+        raise DriveFolderError(
+            f"{right.video.path}: its frames are shifted against {left.name} by a changing time ({found}): one of the files lost "
+            "frames that its time stamps do not tell. Name the true times of all frames (images.timestamps, "
+            "images.right_timestamps)"
+        )
+    frames = lag.offset_s / lag.period_s
+    if abs(frames - round(frames)) > _WHOLE:
+        raise DriveFolderError(
+            f"{right.video.path}: its frames were taken {frames:+.2f} frame periods from those of {left.name}: the cameras were "
+            "not triggered together, and what moves cannot be located. Record with a common trigger, or state "
+            "images.right_offset_s"
+        )
+    offset_s = round(frames) * lag.period_s
+    _log.info("%s begins %.3f s after %s, by the motion that both show", right.name, offset_s, left.name)
+    return offset_s
+
+
+def _chosen(couples: Sequence[Couple], settings: Images) -> list[Couple]:
+    """Couples of the wanted part, while both cameras recorded; every n-th."""
+    both = [n for n, (left, right) in enumerate(couples) if left is not None and right is not None]
+    if not both:
+        return []
+    inside = couples[both[0] : both[-1] + 1]
+    first_ns = min((t for couple in inside if (t := _time_ns(couple)) is not None), default=0)
+    from_ns, to_ns = first_ns + settings.from_s * 1e9, first_ns + (settings.to_s or np.inf) * 1e9
+    return [c for c in inside if (t := _time_ns(c)) is None or from_ns <= t <= to_ns][:: settings.every]
+
+
+def _time_ns(couple: Couple) -> int | None:
+    stamp = next(image.stamp for image in couple if image is not None)
+    return stamp if isinstance(stamp, int) else None
+
+
+def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
+    """The trajectory. Raises DriveFolderError where drive.yaml names none and there is not just one."""
+    named = settings.trajectory.file if settings.trajectory else None
+    if named is not None:
+        path = inside(root, named, DRIVE_YAML)
+        if not path.exists():
+            raise DriveFolderError(f"{path}: the trajectory is missing")
+        return path
+    found = find_trajectories(root)
+    if len(found) != 1:
+        names = ", ".join(path.name for path in found) or "none"
+        raise DriveFolderError(
+            f"{root}: which file is the trajectory? Found: {names}. Name it in {DRIVE_YAML}: 'trajectory: {{file: rover.pos}}'"
+        )
+    return found[0]
