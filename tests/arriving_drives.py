@@ -9,9 +9,9 @@ import shutil
 from pathlib import Path
 
 from conetl.readers.drives import read_drive
-from conetl.readers.drives.oxts import parse_oxts
 from conetl.readers.drives.plain import Row
 from conetl.readers.rigs.rig_yaml import write_rig_yaml
+from conetl.readers.trajectories.oxts import parse_oxts
 
 SAMPLE = sorted((Path(__file__).resolve().parents[1] / "data" / "drives").iterdir())[0]
 FRAMES = range(10, 22)

@@ -35,13 +35,13 @@ from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_f
 from conetl.readers.base_layers.opendrive import read_opendrive
 from conetl.readers.drives import bag_messages, read_drive
 from conetl.readers.drives.header import read_header
-from conetl.readers.drives.oxts import parse_oxts
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.drives.timestamps import misplaced, parse_timestamps
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.recording import open_arriving
 from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
+from conetl.readers.trajectories.oxts import parse_oxts
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_rig_formats as rig_files

@@ -35,8 +35,9 @@ from conetl.readers.drives.kitti import (
 from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
 from conetl.readers.drives.poses import checked_srid
-from conetl.readers.drives.timestamps import clock_problem, parse_timestamp
 from conetl.readers.rigs import RIG_YAML
+from conetl.readers.trajectories.oxts import FIELD_COUNT, OxtsRecord, parse_oxts
+from conetl.readers.trajectories.times import clock_problem, parse_timestamp
 
 Array = NDArray[np.float64]
 #: Number of a pair without a row so far: it comes last.
@@ -281,7 +282,7 @@ class ArrivingKitti(ArrivingDrive):
         srid = checked_srid(map_srid or self.settings.map_srid, record.lat_deg, record.lon_deg, self.root)
         return _record(number, pair, captured, self._pose(pair.key, record, pose_at, captured, srid)), srid
 
-    def _pose(self, key: str, record: oxts.OxtsRecord, pose_at: int | None, captured: int, srid: int) -> Pose:
+    def _pose(self, key: str, record: OxtsRecord, pose_at: int | None, captured: int, srid: int) -> Pose:
         """Pose at the exposure. The next record may not exist yet, so the motion since the one before is extrapolated."""
         number = int(key)
         records, times = {number: record}, {} if pose_at is None else {number: pose_at}
@@ -297,16 +298,16 @@ class ArrivingKitti(ArrivingDrive):
                 pose = se3.interpolate(track.map_SE3_body[0], pose, (captured - before_at) / step)
         return oxts.pose_record(pose, track.sigma_enu_m[-1], self.settings.sigmas)
 
-    def _record_of(self, name: str) -> oxts.OxtsRecord | None:
+    def _record_of(self, name: str) -> OxtsRecord | None:
         """An OXTS record; None until it is complete."""
         try:
             text = (self.root / name).read_text(encoding="utf-8", errors="replace")
         except FileNotFoundError:
             return None
-        if len(text.split()) < oxts.FIELD_COUNT:
+        if len(text.split()) < FIELD_COUNT:
             return None
         try:
-            return oxts.parse_oxts(text, accuracy_required=self.settings.sigmas.horizontal_m is None)
+            return parse_oxts(text, accuracy_required=self.settings.sigmas.horizontal_m is None)
         except ValueError as error:
             raise PairError(RejectionReason.POSE_INVALID, f"{name}: {error}") from error
 

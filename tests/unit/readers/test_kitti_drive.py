@@ -19,7 +19,9 @@ from conetl.model.records import Drive, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import oxts, read_drive
 from conetl.readers.drives.drive_yaml import Sigmas
-from conetl.readers.drives.timestamps import misplaced, out_of_order, parse_timestamp, parse_timestamps
+from conetl.readers.drives.timestamps import misplaced, out_of_order, parse_timestamps
+from conetl.readers.trajectories.oxts import OxtsRecord
+from conetl.readers.trajectories.times import parse_timestamp
 
 FRAMES = 6
 WIDTH, HEIGHT = 96, 32
@@ -242,7 +244,7 @@ def test_neighbours_of_a_bad_pose_are_interpolated_across_it(drive: Path) -> Non
 def poses_of_a_straight_drive(numbers: range, late_ns: int) -> tuple[np.ndarray, dict[int, Pose]]:
     """Errors (N,) m of the places at exposures so much later than the records, 10 a second at 15 m/s, and the poses."""
     degrees = 15.0 * 0.1 / 111_412.84 / math.cos(math.radians(49.0))  # of longitude, about 1.5 m
-    records = {n: oxts.OxtsRecord(49.0, 8.4 + n * degrees, 110.0, 0.0, 0.0, 0.0, 0.02) for n in numbers}
+    records = {n: OxtsRecord(49.0, 8.4 + n * degrees, 110.0, 0.0, 0.0, 0.0, 0.02) for n in numbers}
     times = {n: 10**18 + n * 10**8 for n in numbers}
     track = oxts.trajectory(records, times, 32632, Sigmas())
     poses = oxts.poses_at(track, {n: times[n] + late_ns for n in numbers}, Sigmas())

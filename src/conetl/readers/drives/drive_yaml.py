@@ -13,6 +13,7 @@ from conetl.files.names import printable
 from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import GeodeticPosition, Positive, Record
+from conetl.readers.trajectories.settings import TrajectoryFile
 
 DRIVE_YAML = "drive.yaml"
 
@@ -113,12 +114,13 @@ class DriveYaml(Record):
     streams: Streams = Streams()
     images: Images = Images()
     mount: Mount | None = None
+    trajectory: TrajectoryFile = TrajectoryFile()
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
     max_pose_gap_s: float = Field(default=0.5, gt=0, le=3600)
     """EuRoC and bags: poses farther apart in time are not interpolated."""
     antenna_t_m: tuple[float, float, float] | None = None
-    """Bags: the GNSS antenna in the IMU's frame, where /tf_static has none; 0, 0, 0 if the positions are those of the IMU."""
+    """The GNSS antenna in the frame of the attitudes (bags: the IMU's, where /tf_static has none); 0, 0, 0 if positions are reduced to it."""
 
     @property
     def pair_tolerance_ns(self) -> int:

@@ -38,20 +38,10 @@ from conetl.readers.drives.pairs import (
     drive_of_couples,
     pair_by_stamp,
 )
-from conetl.readers.drives.poses import (
-    Samples,
-    at,
-    attitude_sigmas,
-    georeferenced,
-    local_position,
-    position_sigmas,
-    rotation_of,
-    samples,
-    to_pose,
-    without_wild_fixes,
-)
+from conetl.readers.drives.poses import Samples, at, placed, to_pose
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import bad, entry, numbers, pinhole_camera, read_yaml, stereo_rig
+from conetl.readers.trajectories import read_trajectory
 
 Array = NDArray[np.float64]
 NAME = "euroc"
@@ -60,7 +50,6 @@ READS_OBJECTS = False
 _LONGEST_NAME = 255
 SENSOR_YAML = "sensor.yaml"
 TRAJECTORIES = ("state_groundtruth_estimate0", "state_groundtruth_estimate", "odometry0", "odometry")
-_FIELDS = ("p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
 _LENSES: dict[str | None, str | None] = {
     "radial-tangential": "opencv", "radtan": "opencv", "plumb_bob": "opencv", "equidistant": "fisheye", "none": None, None: None,
 }  # fmt: skip
@@ -217,38 +206,10 @@ def _trajectory(
     if sensor_path.is_file():
         content.add(sensor_path.relative_to(root).as_posix(), sensor_path.read_bytes())
         B_SE3_S = _T_BS(sensor_path, read_yaml(sensor_path))
-    S_SE3_body = se3.compose(se3.invert(B_SE3_S), se3.se3(sensor_R_body, np.zeros(3)))
     name = path.relative_to(root).as_posix()
-    times: list[int] = []
-    poses: list[Array] = []
-    wrong: dict[int, str] = {}
-    for line, words in _rows(path, root, content):
-        stamp = _stamp(words[0], f"line {line}")
-        if isinstance(stamp, str):
-            continue  # a remaining gap costs the pairs in it
-        try:
-            poses.append(_pose(words))
-            times.append(stamp)
-        except ValueError as error:
-            wrong[stamp] = f"line {line}: {error}"
-    if not poses:
-        first = next(iter(wrong.values()), "the file has no rows")
-        raise DriveFolderError(f"{root / name}: not one usable pose: {first}")
-    srid, placed = georeferenced(settings, map_srid, root, name, np.array(poses))
-    try:
-        sigma = (*position_sigmas(settings.sigmas, None), *attitude_sigmas(settings.sigmas, None))
-    except ValueError as error:
-        raise DriveFolderError(f"{root}: {name}: {error}") from error
-    records = {t: (pose, sigma) for t, pose in zip(times, se3.compose(placed, S_SE3_body), strict=True)}
-    return srid, without_wild_fixes(samples(name, records, wrong))
-
-
-def _pose(words: list[str]) -> Array:
-    """R_SE3_S (4, 4) of a row. Raises ValueError."""
-    if len(words) < 1 + len(_FIELDS):
-        raise ValueError(f"expected a time and {', '.join(_FIELDS)}, found {len(words)} columns")
-    try:
-        values = [float(word) for word in words[1 : 1 + len(_FIELDS)]]
-    except ValueError:
-        raise ValueError(f"expected the numbers {', '.join(_FIELDS)}, found other text") from None
-    return se3.se3(rotation_of(*values[3:]), local_position(*values[:3]))
+    content.add(name, path.read_bytes())
+    recorded = read_trajectory(path, settings.trajectory.model_copy(update={"format": "euroc"}))
+    # Of B, whose axes are those of the IMU.
+    R_SE3_B = se3.compose(se3.se3(recorded.rotations, recorded.positions), se3.invert(B_SE3_S))
+    recorded = recorded._replace(name=name, rotations=R_SE3_B[:, :3, :3], positions=R_SE3_B[:, :3, 3])
+    return placed(recorded, settings, map_srid, root, sensor_R_body)

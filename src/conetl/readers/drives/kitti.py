@@ -35,8 +35,10 @@ from conetl.readers.drives.pairs import (
     images_ahead,
 )
 from conetl.readers.drives.poses import checked_srid
-from conetl.readers.drives.timestamps import clock_problem, misplaced, parse_timestamps
+from conetl.readers.drives.timestamps import misplaced, parse_timestamps
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
+from conetl.readers.trajectories.oxts import OxtsRecord, parse_oxts
+from conetl.readers.trajectories.times import clock_problem
 
 NAME = "kitti"
 READS_OBJECTS = True
@@ -257,14 +259,14 @@ def _trajectory(
 
 def _read_oxts(
     root: Path, folder: Path, settings: DriveYaml, content: ContentHash
-) -> tuple[dict[int, oxts.OxtsRecord], dict[int, str]]:
+) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
     """Valid OXTS records and, for the others, what is wrong with them, by frame number."""
     data = root / "oxts" / "data"
     files = _numbered(data.glob("*.txt")) if data.is_dir() else {}
     if not files:
         raise _no_poses(folder)
     fetch([path for paths in files.values() for path in paths], fresh=True)
-    records: dict[int, oxts.OxtsRecord] = {}
+    records: dict[int, OxtsRecord] = {}
     bad: dict[int, str] = {}
     for number, paths in files.items():
         raw = object_bytes(paths[0]) if is_remote(paths[0]) else paths[0].read_bytes()
@@ -273,7 +275,7 @@ def _read_oxts(
             if len(paths) > 1:
                 raise ValueError(f"{len(paths)} files have this number: {', '.join(path.name for path in paths)}")
             text = raw.decode("utf-8", errors="replace")
-            records[number] = oxts.parse_oxts(text, accuracy_required=settings.sigmas.horizontal_m is None)
+            records[number] = parse_oxts(text, accuracy_required=settings.sigmas.horizontal_m is None)
         except ValueError as error:
             bad[number] = str(error)
     return records, bad

@@ -1,12 +1,7 @@
-"""OXTS records of KITTI (GNSS/INS, 30 numbers a file) -> poses of the IMU in the map frame.
-
-Fields used: 0 lat, 1 lon (degrees), 2 alt (m, ellipsoidal), 3 roll, 4 pitch, 5 yaw (rad, yaw 0 = true east, counter-
-clockwise), 23 pos_accuracy (m, north/east). KITTI's `dataformat.txt` describes all of them.
-"""
+"""OXTS records of KITTI (readers/trajectories/oxts.py) -> poses of the IMU in the map frame, by frame number."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -17,56 +12,14 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.records import Pose
 from conetl.readers.drives.drive_yaml import Sigmas
-from conetl.readers.drives.poses import VERTICAL_FACTOR, attitude_sigmas, check_fix, to_pose, wild_fixes
+from conetl.readers.drives.poses import attitude_sigmas, to_pose, wild_fixes
+from conetl.readers.trajectories.oxts import OxtsRecord
+from conetl.readers.trajectories.recorded import VERTICAL_FACTOR
 
 Array = NDArray[np.float64]
 
-FIELD_COUNT = 30
-MAX_POS_ACCURACY_M = 100.0
 MAX_GAP_NS = 500_000_000
 """Poses farther apart in time than this are not interpolated."""
-
-
-class OxtsRecord(NamedTuple):
-    """The fields of one OXTS file that conetl uses."""
-
-    lat_deg: float
-    lon_deg: float
-    height_m: float
-    roll_rad: float
-    pitch_rad: float
-    yaw_rad: float
-    pos_accuracy_m: float
-
-
-def parse_oxts(text: str, *, accuracy_required: bool = True) -> OxtsRecord:
-    """The record of one OXTS file. Raises ValueError with what was found and expected.
-
-    accuracy_required: refuse a `pos_accuracy` that cannot be a sigma; unnecessary where drive.yaml gives the sigma.
-    """
-    words = text.split()
-    if len(words) != FIELD_COUNT:
-        raise ValueError(f"expected {FIELD_COUNT} numbers, found {len(words)}")
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        raise ValueError(f"expected {FIELD_COUNT} numbers, found text that is not a number") from None
-    lat, lon, height, roll, pitch, yaw = values[:6]
-    record = OxtsRecord(lat, lon, height, roll, pitch, yaw, values[23])
-    limits = {
-        "roll_rad": math.pi + 1e-3, "pitch_rad": math.pi / 2 + 1e-3, "yaw_rad": 2 * math.pi + 1e-3,
-    }  # fmt: skip
-    for name, limit in limits.items():
-        value = getattr(record, name)
-        if not abs(value) <= limit:  # NaN and infinity fail too
-            raise ValueError(f"{name} is {value}, expected a number between {-limit:g} and {limit:g}")
-    check_fix(lat, lon, height)
-    if accuracy_required and not 0.0 < record.pos_accuracy_m <= MAX_POS_ACCURACY_M:
-        raise ValueError(
-            f"pos_accuracy is {record.pos_accuracy_m}, expected metres between 0 and {MAX_POS_ACCURACY_M:g}; "
-            "give sigmas.horizontal_m in drive.yaml if the recorder does not write it"
-        )
-    return record
 
 
 class OxtsTrajectory(NamedTuple):

@@ -33,9 +33,10 @@ from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, overrides, own_rig
 from conetl.readers.drives.pairs import ContentHash, PairError, UsablePair, check_images, drive_of_pairs, images_ahead
 from conetl.readers.drives.poses import checked_srid, to_pose, wild_fixes
-from conetl.readers.drives.timestamps import misplaced, parse_timestamp
+from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import first_message, rectified_rig
+from conetl.readers.trajectories.times import parse_timestamp
 
 NAME = "plain"
 READS_OBJECTS = True

@@ -10,24 +10,20 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ValidationError
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
-from conetl.geometry.geodesy import local_to_map
+from conetl.geometry.geodesy import enu_to_grid, local_to_map
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import MAX_SPEED_M_S, GeodeticPosition, Pose
+from conetl.model.records import MAX_SPEED_M_S, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import PairError
-from conetl.readers.rigs.common import first_message
+from conetl.readers.trajectories.recorded import MAX_LOCAL_M, VERTICAL_FACTOR, RecordedTrajectory
 
 Array = NDArray[np.float64]
 
-VERTICAL_FACTOR = 1.5
-"""The height of a GNSS fix is about this much less accurate than its horizontal position."""
-MAX_LOCAL_M = 1e6
-"""Positions in a local frame are nearer to its origin."""
+MAX_SIGMA_M = 1000.0
 _LOOK_BACK = 500
 
 
@@ -54,16 +50,6 @@ def samples(name: str, records: Mapping[int, tuple[Array, tuple[float, ...]]], b
     times = sorted(records)
     poses, sigmas = zip(*(records[t] for t in times), strict=True)
     return Samples(name, times, np.array(poses), np.array(sigmas), dict(bad))
-
-
-def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:
-    """Raise ValueError with the name of the first value that no vehicle on a road has."""
-    try:
-        GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m)
-    except ValidationError as error:
-        raise ValueError(f"{first_message(error)}, found {error.errors()[0]['input']}") from error
-    if lat_deg == 0.0 and lon_deg == 0.0:
-        raise ValueError("latitude and longitude are both 0: the receiver had no fix")
 
 
 def local_position(*position_m: float) -> tuple[float, ...]:
@@ -163,7 +149,7 @@ def position_sigmas(settings: Sigmas, recorded_m: tuple[float, float, float] | N
         return horizontal, horizontal, settings.vertical_m or VERTICAL_FACTOR * horizontal
     if recorded_m is None:
         raise ValueError("no covariance was recorded with the position; give sigmas.horizontal_m in drive.yaml")
-    if not all(0.0 < value <= 1000.0 for value in recorded_m):  # NaN fails too
+    if not all(0.0 < value <= MAX_SIGMA_M for value in recorded_m):  # NaN fails too
         raise ValueError(f"sigmas of the position are {recorded_m}, expected metres between 0 and 1000")
     east, north, up = recorded_m
     return east, north, settings.vertical_m or up
@@ -213,6 +199,74 @@ def georeferenced(
         return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, local)
     except ValueError as error:
         raise DriveFolderError(f"{source}: {error}") from error
+
+
+def placed(
+    recorded: RecordedTrajectory, settings: DriveYaml, map_srid: int | None, source: Path, sensor_R_body: Array
+) -> tuple[int, Samples]:
+    """EPSG code of the map and the poses of the body in it, without wild fixes.
+
+    sensor_R_body (3, 3): from the body's axes to those that the attitudes are of. Positions are those of the antenna where drive.yaml
+    has antenna_t_m. Raises DriveFolderError where the file has no attitudes, or no sigmas and drive.yaml neither.
+    """
+    if recorded.rotations is None:
+        raise DriveFolderError(f"{source}: {recorded.name} has positions without attitudes (roll, pitch, heading)")
+    sigma = _sigmas(recorded, settings)
+    known = np.isfinite(sigma).all(axis=1)
+    bad = recorded.bad | dict.fromkeys(
+        recorded.times_ns[~known].tolist(), "no sigmas of the position between 0 and 1000 m"
+    )
+    if not known.any():
+        raise DriveFolderError(
+            f"{source}: {recorded.name} has no sigmas of its positions; give sigmas.horizontal_m in drive.yaml"
+        )
+    positions, rotations = recorded.positions[known], recorded.rotations[known]
+    if recorded.is_local:
+        srid, poses = georeferenced(settings, map_srid, source, recorded.name, se3.se3(rotations, positions))
+    else:
+        lat, lon, height = positions.T
+        srid = checked_srid(map_srid or settings.map_srid, float(lat[0]), float(lon[0]), source)
+        try:
+            poses = se3.se3(enu_to_grid(srid, lat, lon, rotations), geodesy.to_map(srid, lat, lon, height))
+        except ValueError as error:
+            raise DriveFolderError(f"{source}: {error}") from error
+    antenna_m = np.array(settings.antenna_t_m or (0.0, 0.0, 0.0))
+    body = se3.compose(poses, se3.se3(sensor_R_body, -antenna_m))
+    track = Samples(recorded.name, recorded.times_ns[known].tolist(), body, sigma[known], bad)
+    return srid, without_wild_fixes(track)
+
+
+def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Array:
+    """(N, 6) sigmas: as `position_sigmas` and `attitude_sigmas` for each record; NaN where those of the position are unknown.
+
+    A height that is less certain than drive.yaml's horizontal_m implies stays so, unless vertical_m is given: it may be above an
+    unknown geoid. The errors of the attitude times the antenna's lever arm are added.
+    """
+    found, given = recorded.sigma.copy(), settings.sigmas
+    found[~((found > 0.0) & np.isfinite(found))] = np.nan
+    if given.horizontal_m is not None:
+        found[:, :2] = given.horizontal_m
+        found[:, 2] = np.fmax(found[:, 2], VERTICAL_FACTOR * given.horizontal_m)
+    elif recorded.is_local:
+        # The frame may be turned against the map's.
+        found[:, :2] = found[:, :2].max(axis=1, keepdims=True)
+    found[:, 2] = np.where(np.isnan(found[:, 2]), VERTICAL_FACTOR * found[:, :2].max(axis=1), found[:, 2])
+    if given.vertical_m is not None:
+        found[:, 2] = given.vertical_m
+    found[~(found[:, :3] <= MAX_SIGMA_M).all(axis=1), :3] = np.nan
+    for k, name in enumerate(("roll_deg", "pitch_deg", "yaw_deg"), 3):
+        default = math.radians(getattr(given, name))
+        found[:, k] = (
+            default if name in given.model_fields_set else np.where(np.isnan(found[:, k]), default, found[:, k])
+        )
+    level_m, up_m = (
+        np.hypot(*(settings.antenna_t_m or (0.0, 0.0, 0.0))[:2]),
+        abs((settings.antenna_t_m or (0.0, 0.0, 0.0))[2]),
+    )
+    tilt = found[:, 3:5].max(axis=1)
+    found[:, :2] = np.hypot(found[:, :2], np.hypot(level_m * found[:, 5], up_m * tilt)[:, None])
+    found[:, 2] = np.hypot(found[:, 2], level_m * tilt)
+    return found
 
 
 def checked_srid(srid: int | None, lat_deg: float, lon_deg: float, source: Path) -> int:

@@ -54,7 +54,6 @@ from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, PairError
 from conetl.readers.drives.poses import (
     at,
     attitude_sigmas,
-    check_fix,
     checked_srid,
     georeferenced,
     local_position,
@@ -64,8 +63,9 @@ from conetl.readers.drives.poses import (
     to_pose,
     without_wild_fixes,
 )
-from conetl.readers.drives.timestamps import clock_problem
 from conetl.readers.rigs import RIG_YAML
+from conetl.readers.trajectories.recorded import check_fix
+from conetl.readers.trajectories.times import clock_problem
 
 Array = NDArray[np.float64]
 Records = dict[int, tuple[Array, tuple[float, ...]]]

@@ -2,40 +2,14 @@
 
 from __future__ import annotations
 
-import re
-import time
 from bisect import bisect_left
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from statistics import median_low
-from zoneinfo import ZoneInfo
 
-EARLIEST_NS = 946_684_800_000_000_000
-"""2000-01-01. A clock that was not set starts in 1970 or 1980; no drive is that old."""
-MAX_AHEAD_NS = 86_400_000_000_000
-"""A day: this computer's clock may be wrong, too, by a time zone."""
+from conetl.readers.trajectories.times import clock_problem, parse_timestamp
+
 MAX_FROM_MEDIAN_NS = 86_400_000_000_000
 """A day: no drive is longer; a smaller error of a clock shows in the order of the frames or against the poses."""
-_STAMP = re.compile(r"^\s*(\d{4})-(\d\d)-(\d\d)[ T](\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*(Z|[+-]\d\d:?\d\d)?\s*$")
-
-
-def parse_timestamp(line: str, zone: str = "UTC") -> int:
-    """UTC nanoseconds since 1970 of one line, `2011-09-26 13:04:32.345808896`, with an offset (Z, +01:00) or in a time zone.
-
-    A time that is ambiguous because of a clock change is the earlier one. Raises ValueError.
-    """
-    match = _STAMP.match(line)
-    if match is None:
-        raise ValueError(f"expected a time stamp like 2011-09-26 13:04:32.345808896, found {line.strip()[:60]!r}")
-    year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
-    offset = match.group(8)
-    tz = datetime.strptime(offset, "%z").tzinfo if offset else ZoneInfo(zone)
-    local = datetime(year, month, day, hour, minute, second, tzinfo=tz)
-    try:
-        seconds = int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds())
-    except OverflowError:  # year 1 east of Greenwich, year 9999 west of it
-        raise ValueError(f"expected a time from 2000 on, found {line.strip()[:60]!r}") from None
-    return seconds * 1_000_000_000 + int((match.group(7) or "0").ljust(9, "0"))
 
 
 def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
@@ -55,15 +29,6 @@ def misplaced(stamps_ns: Mapping[int, int]) -> dict[int, str]:
     for number in out_of_order({number: stamp for number, stamp in stamps_ns.items() if number not in wrong}):
         wrong[number] = "does not rise with the order of recording"
     return wrong
-
-
-def clock_problem(time_ns: int) -> str | None:
-    """What is wrong with the clock of a time, None where nothing is. To be put after "the time"."""
-    if time_ns < EARLIEST_NS:
-        return "is before 2000: the clock was not set"
-    if time_ns > time.time_ns() + MAX_AHEAD_NS:
-        return "is more than a day in the future: another clock"
-    return None
 
 
 def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:

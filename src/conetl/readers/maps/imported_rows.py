@@ -25,8 +25,8 @@ from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3
 from conetl.readers.base_layers.georeferencing import in_area
-from conetl.readers.drives.timestamps import clock_problem
 from conetl.readers.maps.tables import MapTable, read_table
+from conetl.readers.trajectories.times import clock_problem
 
 _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
 #: Coordinates may be outside the area of use of their CRS by this much (degrees): maps at a zone's edge.

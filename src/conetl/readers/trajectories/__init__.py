@@ -2,3 +2,114 @@
 
 All give a `RecordedTrajectory`. Poses at the exposures of a drive are made of it in `readers/drives/poses.py`.
 """
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from conetl.model.errors import DriveFolderError
+from conetl.readers.trajectories import delimited, gpx, inertial_explorer, local, nmea, oxts, rtklib, sbet
+from conetl.readers.trajectories.earth import in_wgs84
+from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, assembled
+from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
+from conetl.readers.trajectories.text import encoding_of, head_bytes
+
+__all__ = [
+    "READERS",
+    "RecordedTrajectory",
+    "TrajectoryFile",
+    "find_trajectories",
+    "read_trajectory",
+    "trajectory_format",
+]
+
+READERS: dict[FormatName, Callable[[Path, TrajectoryFile], Reading]] = {
+    "rtklib": rtklib.read, "sbet": sbet.read, "inertial_explorer": inertial_explorer.read, "nmea": nmea.read, "gpx": gpx.read,
+    "oxts": oxts.read, "euroc": local.read_euroc, "tum": local.read_tum, "table": delimited.read,
+}  # fmt: skip
+_SUFFIXES = frozenset(
+    {".pos", ".out", ".sbet", ".txt", ".nmea", ".nme", ".log", ".gpx", ".csv", ".tsv", ".tum", ".dat", ".ie"}
+)
+_MOST_CANDIDATES = 500
+
+
+def read_trajectory(
+    path: Path, settings: TrajectoryFile | None = None, between_ns: tuple[int, int] | None = None
+) -> RecordedTrajectory:
+    """The trajectory of a file, or of a folder with OXTS records.
+
+    between_ns: first and last UTC time that are needed; other records are not kept. A file of a whole day is read for the time of a
+    drive. Raises DriveFolderError where the format is not recognised or nothing in the file can be used.
+    """
+    settings = settings or TrajectoryFile()
+    if not path.exists():
+        raise DriveFolderError(
+            f"{path}: there is no such file; name the trajectory in drive.yaml (trajectory: {{file: ...}})"
+        )
+    name = settings.format or trajectory_format(path)
+    if name is None:
+        raise DriveFolderError(
+            f"{path}: this is not a trajectory in a known format ({', '.join(READERS)}); name its columns in drive.yaml "
+            "(trajectory: columns) or export it as CSV with time, lat, lon, height"
+        )
+    if path.is_dir() != (name == "oxts"):
+        raise DriveFolderError(
+            f"{path}: {'a folder' if path.is_dir() else 'a file'} cannot be a trajectory in the format {name}"
+        )
+    reading = READERS[name](path, settings)
+    is_local = reading.axes == "local"
+    pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
+    return assembled(path, path.name, pieces, is_local=is_local, between_ns=between_ns)
+
+
+def trajectory_format(path: Path) -> FormatName | None:
+    """Name of the format of a file or folder by its content, None for anything else. Raises DriveFolderError if it cannot be read."""
+    if path.is_dir():
+        return "oxts" if oxts.looks_like(path) else None
+    head = head_bytes(path)
+    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "sbet" if sbet.looks_like(path.stat().st_size, head) else None
+    text = head.decode(encoding_of(head), errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+    lines = text.split("\n")[: -1 if len(head) < path.stat().st_size else None]
+    filled = [line for line in lines if line.strip()]
+    if rtklib.header_of(lines) is not None:
+        return "rtklib"
+    if nmea.looks_like(lines):
+        return "nmea"
+    if text.lstrip("\ufeff \n\t").startswith("<") and "<gpx" in text.lower():
+        return "gpx"
+    if inertial_explorer.looks_like(lines):
+        return "inertial_explorer"
+    if local.looks_like_euroc(filled):
+        return "euroc"
+    if local.looks_like_tum(filled):
+        return "tum"
+    return "table" if delimited.looks_like(path, lines) else None
+
+
+def find_trajectories(folder: Path) -> list[Path]:
+    """Files (and folders of OXTS records) in a folder, and in its folders, that look like trajectories; sorted by name."""
+    folders = [folder, *(Path(entry.path) for entry in _entries(folder) if entry.is_dir())]
+    found = [f for f in folders if oxts.folder_of(f) == f and oxts.looks_like(f)]
+    candidates = [
+        Path(entry.path) for f in folders for entry in _entries(f)
+        if entry.is_file() and os.path.splitext(entry.name)[1].lower() in _SUFFIXES  # noqa: PTH122 -- many
+    ]  # fmt: skip
+    return sorted(found) + [path for path in sorted(candidates)[:_MOST_CANDIDATES] if _is_trajectory(path)]
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return [entry for entry in entries if not entry.name.startswith(".")]
+    except OSError:
+        return []
+
+
+def _is_trajectory(path: Path) -> bool:
+    try:
+        return trajectory_format(path) is not None
+    except DriveFolderError:
+        return False

@@ -1,13 +1,34 @@
-"""What every reader of a trajectory file gives."""
+"""What every reader of a trajectory file gives, and the checks that all of them share."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.model.errors import DriveFolderError
+from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
+from conetl.readers.rigs.common import first_message
+from conetl.readers.trajectories.times import EARLIEST_NS, MAX_AHEAD_NS, Times, clock_problem
 
 Floats = NDArray[np.float64]
+Axes = Literal["geodetic", "projected", "geocentric", "local"]
+
+VERTICAL_FACTOR = 1.5
+"""The height of a GNSS fix is about this much less accurate than its horizontal position."""
+MAX_LOCAL_M = 1e6
+"""Positions in a local frame are nearer to its origin."""
+MAX_RECORDS = 20_000_000
+"""27 hours at 200 Hz; a record takes about 150 bytes. More are read by time only."""
+MAX_BAD = 100_000
+"""Bad records beyond these are gaps: their reasons are not kept."""
 
 
 class RecordedTrajectory(NamedTuple):
@@ -27,3 +48,146 @@ class RecordedTrajectory(NamedTuple):
     """(N, 6): east, north, up (m), roll, pitch, yaw (rad); NaN where the file states none."""
     bad: dict[int, str]
     """What is wrong with other records, by their time (UTC ns)."""
+
+
+class Records(NamedTuple):
+    """Consecutive records of a file, in its own coordinates."""
+
+    times_ns: Times
+    """(N,) UTC ns; 0 where the record has no time."""
+    positions: Floats
+    """(N, 3): latitude, longitude (degrees), height (m), or x or easting, y or northing, z or height (m); NaN if unreadable."""
+    rotations: Floats | None
+    """(N, 3, 3) as in `RecordedTrajectory`; NaN if unreadable."""
+    sigma: Floats
+    """(N, 6) as in `RecordedTrajectory`; zero, negative and NaN: none is stated."""
+    wrong: dict[int, str]
+    """What is wrong with some of them, by index."""
+    names: Iterable[str] | None = None
+    """Of the records in messages, such as `line 12`."""
+
+
+class Reading(NamedTuple):
+    """A file that is being read."""
+
+    pieces: Iterator[Records]
+    axes: Axes = "geodetic"
+    heights: Literal["ellipsoidal", "sea level", "unstated"] = "ellipsoidal"
+    """What the file says of its heights."""
+
+
+def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:
+    """Raise ValueError with the name of the first value that no vehicle on a road has."""
+    try:
+        GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m)
+    except ValidationError as error:
+        raise ValueError(f"{first_message(error)}, found {error.errors()[0]['input']}") from error
+    if lat_deg == 0.0 and lon_deg == 0.0:
+        raise ValueError("latitude and longitude are both 0: the receiver had no fix")
+
+
+def attitude(roll_deg: Floats, pitch_deg: Floats, heading_deg: Floats) -> Floats:
+    """(N, 3, 3) body (forward, left, up) to east, north, up of angles of aviation and surveying, degrees.
+
+    heading: clockwise from true north; pitch: positive with the front up; roll: positive with the right side down.
+    """
+    return se3.rotation_from_rpy(np.radians(roll_deg), -np.radians(pitch_deg), np.radians(90.0 - heading_deg))
+
+
+def rotations_of_quaternions(wxyz: Floats) -> Floats:
+    """(N, 3, 3) of quaternions (N, 4), real part first; NaN where their length is not about 1."""
+    usable = np.abs(np.linalg.norm(wxyz, axis=1) - 1.0) <= 1e-2  # NaN fails too
+    found = np.full((len(wxyz), 3, 3), np.nan)
+    if usable.any():
+        found[usable] = Rotation.from_quat(wxyz[usable][:, [1, 2, 3, 0]]).as_matrix()
+    return found
+
+
+def assembled(
+    path: Path, name: str, pieces: Iterable[Records], *, is_local: bool, between_ns: tuple[int, int] | None
+) -> RecordedTrajectory:
+    """The trajectory of WGS 84 or local records, sorted by time, each time once. Raises DriveFolderError without a valid record.
+
+    between_ns: only records of these times are kept.
+    """
+    kept: list[Records] = []
+    bad: dict[int, str] = {}
+    count, first_problem, latest_ns = 0, "", time.time_ns() + MAX_AHEAD_NS
+    for piece in pieces:
+        wrong = problems(piece, is_local)
+        good = (piece.times_ns >= EARLIEST_NS) & (piece.times_ns <= latest_ns)
+        for i in np.flatnonzero(~good):
+            wrong.setdefault(int(i), f"the time {clock_problem(int(piece.times_ns[i]))}")
+        inside = good & _within(piece.times_ns, between_ns)
+        if wrong:
+            names = dict(enumerate(piece.names)) if piece.names is not None else {}
+            for i, text in sorted(wrong.items()):
+                message = f"{names[i]}: {text}" if i in names else text
+                first_problem = first_problem or message
+                if inside[i] and len(bad) < MAX_BAD:
+                    bad.setdefault(int(piece.times_ns[i]), message)
+            inside[list(wrong)] = False
+        count += int(inside.sum())
+        if count > MAX_RECORDS:
+            raise DriveFolderError(f"{path}: more than {MAX_RECORDS:,} records: cut the file to the time of the drive")
+        if inside.any():
+            rotations = None if piece.rotations is None else piece.rotations[inside]
+            kept.append(Records(piece.times_ns[inside], piece.positions[inside], rotations, piece.sigma[inside], {}))
+    if not kept:
+        raise DriveFolderError(
+            f"{path}: not one usable pose: {first_problem or 'there are no records' + _of(between_ns)}"
+        )
+    times = np.concatenate([piece.times_ns for piece in kept])
+    order = np.argsort(times, kind="stable")
+    first = np.diff(times[order], prepend=0) > 0
+    for time_ns in times[order[~first]][: MAX_BAD - len(bad)].tolist():
+        bad[time_ns] = "a second record of this time"
+    order = order[first]
+    rotations = [piece.rotations for piece in kept if piece.rotations is not None]
+    sigma = np.concatenate([piece.sigma for piece in kept])[order]
+    sigma[~(np.isfinite(sigma) & (sigma > 0.0))] = np.nan
+    return RecordedTrajectory(
+        name, times[order], np.concatenate([piece.positions for piece in kept])[order], is_local,
+        np.concatenate(rotations)[order] if rotations else None, sigma, dict(sorted(bad.items())),
+    )  # fmt: skip
+
+
+def problems(piece: Records, is_local: bool) -> dict[int, str]:
+    """What is wrong with records of WGS 84 or of a local frame, by index."""
+    wrong = dict(piece.wrong)
+
+    def add(mask: NDArray[np.bool_], text: str) -> None:
+        for i in np.flatnonzero(mask).tolist():
+            wrong.setdefault(i, text)
+
+    a, b, c = piece.positions.T
+    if is_local:
+        usable = np.abs(piece.positions) < MAX_LOCAL_M  # NaN fails too
+        add(~usable.all(axis=1), f"expected x, y, z as finite metres below {MAX_LOCAL_M:,.0f}")
+    else:
+        add(~(np.abs(a) <= 90.0), "the latitude is not a number between -90 and 90 degrees")
+        add(~(np.abs(b) <= 180.0), "the longitude is not a number between -180 and 180 degrees")
+        add(
+            ~((c >= MIN_HEIGHT_M) & (c <= MAX_HEIGHT_M)),
+            f"the height is not between {MIN_HEIGHT_M:g} and {MAX_HEIGHT_M:g} m",
+        )
+        add((a == 0.0) & (b == 0.0), "latitude and longitude are both 0: the receiver had no fix")
+    if piece.rotations is not None:
+        add(
+            ~np.isfinite(piece.rotations).all(axis=(1, 2)),
+            "the attitude is missing or not one of finite numbers (quaternions: of length 1)",
+        )
+    return wrong
+
+
+def _within(times_ns: Times, between_ns: tuple[int, int] | None) -> NDArray[np.bool_]:
+    if between_ns is None:
+        return np.ones(len(times_ns), np.bool_)
+    return (times_ns >= between_ns[0]) & (times_ns <= between_ns[1])
+
+
+def _of(between_ns: tuple[int, int] | None) -> str:
+    if between_ns is None:
+        return ""
+    first, last = (np.datetime64(ns, "ns").astype("datetime64[ms]") for ns in between_ns)
+    return f" between {first} and {last} UTC, the time of the drive"

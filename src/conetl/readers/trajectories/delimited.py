@@ -1,0 +1,235 @@
+"""Tables with any names of columns, separated by comma, semicolon, tab or white space: what each column is, from its name.
+
+Names are compared without case, accents, units and punctuation (`Höhe [m]`, `hoehe_m`); drive.yaml (`trajectory: columns`) names what is
+not recognised. Without a unit, angles are degrees (or what `angles` says) and lengths metres.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from conetl.files.documents import shown
+from conetl.model.errors import DriveFolderError
+from conetl.readers.trajectories.earth import is_geocentric
+from conetl.readers.trajectories.recorded import Reading
+from conetl.readers.trajectories.settings import TrajectoryFile
+from conetl.readers.trajectories.tables import ANGLES, POSITIONS, ROLES, Column, Layout, require, table_records
+from conetl.readers.trajectories.text import head_lines, split_line
+
+_ALIASES = {
+    "time": "time timestamp timestamps stamp t utc utctime timeutc datetime utcdatetime capturedat unixtime unix epoch posixtime zeit "
+            "zeitstempel uhrzeit gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow gpssow secondsofweek timeofweek gpsseconds gpssecs",
+    "date": "date utcdate datumzeit tag gpsdate day",
+    "week": "week gpsweek weekno weeknumber gpswk wn",
+    "lat": "lat latitude breite breitengrad geobreite latitud phi",
+    "lon": "lon long lng longitude laenge laengengrad geolaenge longitud lambda",
+    "height": "height h hell ellh ellipsoidalheight heightellipsoidal heightaboveellipsoid hae alt altitude hoehe ellhoehe ellipsoidischehoehe up",
+    "height_msl": "hmsl heightmsl altmsl altitudemsl mslaltitude mslheight msl orthometricheight horth elevation ele elev nhn hoehenhn hnhn",
+    "easting": "easting east e rechtswert ostwert utmeast utme",
+    "northing": "northing north n hochwert nordwert utmnorth utmn",
+    "x": "x px posx positionx tx", "y": "y py posy positiony ty", "z": "z pz posz positionz tz",
+    "roll": "roll rollangle rollwinkel", "pitch": "pitch pitchangle nick nickwinkel",
+    "heading": "heading hdg hdt trueheading azimuth azimut azi", "yaw": "yaw",
+    "qw": "qw quatw orientationw", "qx": "qx quatx orientationx", "qy": "qy quaty orientationy", "qz": "qz quatz orientationz",
+    "sigma_e": "sigmae sde sdeast eastsd stde stdeast eaststd eaststddev sigmaeast easterror",
+    "sigma_n": "sigman sdn sdnorth northsd stdn stdnorth northstd northstddev sigmanorth northerror",
+    "sigma_u": "sigmau sdu sdup sdheight heightsd stdu stdup stdheight upstd upstddev sigmaup sigmaheight sigmah vacc verticalaccuracy "
+               "stdvertical sdv verticalsd",
+    "sigma_horizontal": "sigmahorizontal hacc horizontalaccuracy sdhoriz horizontalsd stdhorizontal accuracy acc posaccuracy poshacc",
+    "sigma_roll": "sigmaroll rollsd sdroll stdroll rollstd rollaccuracy", "sigma_pitch": "sigmapitch pitchsd sdpitch stdpitch pitchstd "
+    "pitchaccuracy",
+    "sigma_heading": "sigmaheading headingsd hdngsd sdheading stdheading headingstd headingaccuracy sigmayaw yawsd sdyaw stdyaw yawstd",
+}  # fmt: skip
+_ROLE_OF = {alias: role for role, aliases in _ALIASES.items() for alias in aliases.split()}
+_DEGREES = {"deg": 1.0, "degree": 1.0, "degrees": 1.0, "°": 1.0, "rad": 57.29577951308232, "radians": 57.29577951308232}
+_LENGTHS = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
+_TIMES = {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"}
+_REFUSED = frozenset({"ft", "feet", "usft", "gon", "grad", "grads", "mil", "mils"})
+_NO_UNITS = frozenset({"utc", "gps", "wgs84", "msl", "", "-", "ellipsoidal", "gpst"})
+_MARKS = (",", ";", "\t", None)
+
+
+class _Found(NamedTuple):
+    """A header, its columns by our name, and how its line is separated."""
+
+    line: int
+    """Index; -1 without a header."""
+    names: list[str]
+    columns: dict[str, Column]
+    delimiter: str | None
+
+
+def read(path: Path, settings: TrajectoryFile) -> Reading:
+    """The records of a table. Raises DriveFolderError that names its columns where they are not understood."""
+    lines = head_lines(path)
+    found = _header(path, lines, settings)
+    columns, heights = dict(found.columns), "ellipsoidal"
+    if "height_msl" in columns and "height" not in columns:
+        columns["height"] = columns.pop("height_msl")
+        heights = "sea level"
+    axes = require(columns, path, found.names)
+    if axes == "local" and settings.crs is not None:
+        axes = "geocentric" if is_geocentric(settings) else "projected"
+        if axes == "projected":
+            columns |= dict(zip(POSITIONS[axes], (columns.pop(name) for name in "xyz"), strict=True))
+    data = [split_line(line, found.delimiter) for line in lines[found.line + 1 :][:20] if line.strip()]
+    first = columns[POSITIONS[axes][0]].at
+    comma = settings.decimal == "," or (
+        settings.decimal is None
+        and found.delimiter != ","
+        and any("," in row[first] for row in data if len(row) > first)
+    )
+    words = _time_words(columns["time"], data, found.delimiter, columns)
+    layout = Layout(
+        _shifted(columns, words), axes, found.line + 2, found.delimiter, comma, scale=_scale_of(columns["time"].name),
+        time_words=words,
+    )  # fmt: skip
+    if heights == "sea level" and settings.heights == "ellipsoidal":
+        heights = "ellipsoidal"
+    return Reading(table_records(path, layout, settings), axes, heights)  # type: ignore[arg-type]
+
+
+def looks_like(path: Path, lines: list[str]) -> bool:
+    """Whether a header has names for a time and a position."""
+    try:
+        found = _header(path, lines, TrajectoryFile())
+    except DriveFolderError:
+        return False
+    if {"height_msl"} <= found.columns.keys():
+        found.columns.setdefault("height", found.columns["height_msl"])
+    return "time" in found.columns and any(set(names) <= found.columns.keys() for names in POSITIONS.values())
+
+
+def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
+    """The line that names most columns. Raises DriveFolderError."""
+    marks: tuple[str | None, ...] = _MARKS
+    if settings.delimiter is not None:
+        marks = (None if settings.delimiter == " " else settings.delimiter,)
+    if settings.columns and all(isinstance(name, int) for name in settings.columns.values()):
+        first = next((line for line in lines if line.strip() and not line.startswith(("#", "%"))), "")
+        mark = max(marks, key=lambda mark: len(split_line(first, mark)) if mark else 1)
+        columns = {role: _numbered(path, role, int(at), settings) for role, at in settings.columns.items()}
+        return _Found(-1, [], columns, mark)
+    best: _Found | None = None
+    for i, line in enumerate(lines[:200]):
+        text = line.lstrip("#% \t\ufeff") if line.startswith(("#", "%", "\ufeff")) else line
+        for mark in marks:
+            names = [name.strip() for name in split_line(text.strip("\r\n"), mark)]
+            if len(names) < 3 or sum(any(c.isalpha() for c in name) for name in names) < len(names) / 2:
+                continue
+            found = _Found(i, names, _columns(path, names, settings), mark)
+            if best is None or len(found.columns) > len(best.columns):
+                best = found
+    if best is None or len(best.columns) < 3:
+        raise DriveFolderError(
+            f"{path}: there is no line with the names of the columns; write one, or number the columns in drive.yaml, for example "
+            "trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}"
+        )
+    missing = [str(name) for name in settings.columns.values() if isinstance(name, str) and name not in best.names]
+    if missing:
+        raise DriveFolderError(
+            f"{path}: drive.yaml names the column {shown(missing[0])}; the columns are {', '.join(best.names)[:200]}"
+        )
+    return best
+
+
+def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str, Column]:
+    """Columns by our name: those of the settings, then those recognised. Raises DriveFolderError where two claim one name."""
+    mapped = {str(name): role for role, name in settings.columns.items() if isinstance(name, str)}
+    columns: dict[str, Column] = {}
+    for role, at in settings.columns.items():
+        if isinstance(at, int):
+            columns[role] = _numbered(path, role, at, settings)
+        if role not in ROLES:
+            raise DriveFolderError(
+                f"drive.yaml: trajectory.columns: {shown(role)} is unknown; known are {', '.join(ROLES)}"
+            )
+    for at, name in enumerate(names):
+        role = mapped.get(name) or _role_of(name)
+        if role is None or (role in settings.columns and name not in mapped):
+            continue
+        if role in columns:
+            raise DriveFolderError(
+                f"{path}: the columns {shown(columns[role].name)} and {shown(name)} may both be the {role}; name one in drive.yaml, "
+                f"trajectory: {{columns: {{{role}: ...}}}}"
+            )
+        columns[role] = _column(path, role, at, name, settings)
+    return columns
+
+
+def _numbered(path: Path, role: str, number: int, settings: TrajectoryFile) -> Column:
+    if role not in ROLES or not 1 <= number <= 1000:
+        raise DriveFolderError(
+            f"drive.yaml: trajectory.columns: {shown(role)}: {number}: expected a number from 1 to 1000 for one of {', '.join(ROLES)}"
+        )
+    return _column(path, role, number - 1, f"column {number}", settings)._replace(unit=None)
+
+
+def _column(path: Path, role: str, at: int, name: str, settings: TrajectoryFile) -> Column:
+    """A column with the factor of its unit. Raises DriveFolderError for units that are not supported."""
+    unit = _unit_of(name)
+    if unit in _REFUSED:
+        raise DriveFolderError(
+            f"{path}: column {shown(name)}: the unit {unit} is not supported; write degrees, radians or metres"
+        )
+    if role == "time":
+        return Column(at, name, unit=_TIMES.get(unit))
+    if role in ANGLES:
+        return Column(at, name, _DEGREES.get(unit, _DEGREES["rad"] if settings.angles == "radians" else 1.0))
+    return Column(at, name, _LENGTHS.get(unit, 1.0))
+
+
+def _plain(text: str) -> str:
+    """Lower case, umlauts as two letters, other accents removed."""
+    text = text.lower().translate({ord("ä"): "ae", ord("ö"): "oe", ord("ü"): "ue", ord("ß"): "ss"})
+    return "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+
+
+def _unit_of(name: str) -> str:
+    """The unit in brackets or after the last underscore or blank, as far as it is one."""
+    bracket = re.search(r"[\[(]([^\])]*)[\])]", name)
+    word = bracket[1] if bracket else re.split(r"[_ ]", name.strip())[-1] if re.search(r"[_ ]", name.strip()) else ""
+    word = word.strip().lower()
+    return word if word in {*_DEGREES, *_LENGTHS, *_TIMES, *_REFUSED, *_NO_UNITS} else ""
+
+
+def _role_of(name: str) -> str | None:
+    """Our name of a column, None where it is unknown."""
+    unit = _unit_of(name)
+    base = (
+        re.sub(r"[\[(]" + re.escape(unit) + r"[\])]", "", name, flags=re.IGNORECASE)
+        if re.search(r"[\[(]", name)
+        else name
+    )
+    whole = re.sub(r"[^a-z0-9]", "", _plain(base))
+    short = whole.removesuffix(re.sub(r"[^a-z0-9]", "", unit)) if unit and base == name else whole
+    role = _ROLE_OF.get(whole) or _ROLE_OF.get(short)
+    return "height_msl" if role == "height" and unit == "msl" else role
+
+
+def _scale_of(name: str) -> str:
+    """How a time is counted by the name of its column, see `tables.Layout.scale`."""
+    plain = re.sub(r"[^a-z0-9]", "", _plain(name))
+    if "utc" in plain or "unix" in plain or "posix" in plain:
+        return "UTC"
+    return "?" if "gps" in plain else ""
+
+
+def _time_words(
+    time: Column, data: list[list[str]], delimiter: str | None, columns: Mapping[str, Column]
+) -> Literal[1, 2]:
+    """2 where a date and a time of one column are separated by white space like all others."""
+    if delimiter is not None or "date" in columns:
+        return 1
+    votes = [re.fullmatch(r"\d+[-/.]\d+[-/.]\d+", row[time.at]) is not None for row in data if len(row) > time.at]
+    return 2 if votes and sum(votes) > len(votes) / 2 else 1
+
+
+def _shifted(columns: Mapping[str, Column], time_words: int) -> dict[str, Column]:
+    """Columns after a time of two words are one further."""
+    at = columns["time"].at
+    return {k: c._replace(at=c.at + (time_words - 1) * (c.at > at)) for k, c in columns.items()}

@@ -1,0 +1,204 @@
+"""Positions of a trajectory file in its own coordinate reference system (CRS) and heights -> WGS 84 and ellipsoidal heights, by PROJ.
+
+Heights above a geoid need PROJ's grid of that geoid. Without it PROJ would leave the heights as they are; here it is an error that
+names the grid.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from pathlib import Path, PurePath
+
+import numpy as np
+from pyproj import CRS, Transformer, datadir
+from pyproj.aoi import AreaOfInterest
+from pyproj.crs import CompoundCRS
+from pyproj.exceptions import CRSError, ProjError
+from pyproj.transformer import TransformerGroup
+
+from conetl.files.documents import shown
+from conetl.model.errors import DriveFolderError
+from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Floats, Reading, Records
+from conetl.readers.trajectories.settings import TrajectoryFile
+
+UNSTATED_HEIGHT_SIGMA_M = 100.0
+"""Of heights that may be ellipsoidal or above the sea: the geoid is up to 107 m from the ellipsoid."""
+_NOMINAL_M = 2.0
+"""Datum shifts without a grid that PROJ states to be at least this accurate (ETRS89 or NAD83 to WGS 84, 1 to 2 m) are names of one
+and the same frame for the receivers of a region; their accuracy is not added to the sigmas."""
+_GRID_SUFFIXES = (".tif", ".gtx")
+
+
+def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator[Records]:
+    """The records with latitude, longitude (degrees) and ellipsoidal height (m). Raises DriveFolderError.
+
+    Sigmas are increased by the stated accuracy of a geoid model or datum shift.
+    """
+    steps: list[Transformer] = []
+    accuracy_m = 0.0
+    unstated = reading.heights == "unstated" and settings.heights is None and settings.crs is None
+    for piece in reading.pieces:
+        if not steps and _needs_transformation(reading, settings, path):
+            usable = np.flatnonzero(np.isfinite(piece.positions).all(axis=1))
+            if not len(usable):
+                yield piece
+                continue
+            steps, accuracy_m = _transformers(reading.axes, settings, piece.positions[usable[0]], path)
+        if unstated or accuracy_m:
+            piece = piece._replace(
+                sigma=_increased(piece.sigma, accuracy_m, UNSTATED_HEIGHT_SIGMA_M if unstated else accuracy_m)
+            )
+        yield _transformed(steps, reading.axes, piece, settings) if steps else piece
+
+
+def _increased(sigma: Floats, horizontal_m: float, vertical_m: float) -> Floats:
+    """Sigmas (N, 6) with the error of a datum shift or geoid; a height without a sigma has VERTICAL_FACTOR times the horizontal one."""
+    sigma = sigma.copy()
+    sigma[~(sigma > 0.0)] = np.nan
+    own_up = np.where(np.isnan(sigma[:, 2]), VERTICAL_FACTOR * sigma[:, :2].max(axis=1), sigma[:, 2])
+    sigma[:, :2] = np.hypot(sigma[:, :2], horizontal_m)
+    sigma[:, 2] = np.hypot(np.where(np.isnan(own_up), 0.0, own_up), vertical_m)
+    return sigma
+
+
+def _transformed(steps: list[Transformer], axes: Axes, piece: Records, settings: TrajectoryFile) -> Records:
+    """The same records in WGS 84; those that a step cannot express are wrong."""
+    x, y, z = piece.positions.T
+    if axes == "geodetic":
+        x, y = y, x
+    try:
+        for step in steps:
+            x, y, z = step.transform(x, y, z)
+    except ProjError as error:
+        raise DriveFolderError(f"trajectory.crs, heights: {shown(str(error))}") from error
+    positions = np.column_stack([y, x, z])
+    lost = np.isfinite(piece.positions).all(axis=1) & ~np.isfinite(positions).all(axis=1)
+    positions[~np.isfinite(positions)] = np.nan
+    text = f"the position is outside the area of {shown(settings.heights or settings.crs or 'EPSG:4978')}"
+    return piece._replace(positions=positions, wrong=dict.fromkeys(np.flatnonzero(lost).tolist(), text) | piece.wrong)
+
+
+def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path) -> bool:
+    """Raises DriveFolderError where the settings lack what the file requires."""
+    if reading.axes == "projected" and settings.crs is None:
+        raise DriveFolderError(
+            f"{path}: has easting and northing, but does not say of which coordinate reference system: put "
+            "trajectory: {crs: 'EPSG:25832'} into drive.yaml"
+        )
+    if reading.heights == "sea level" and settings.heights is None and not _has_vertical(settings):
+        raise DriveFolderError(
+            f"{path}: its heights are above the sea, the map's are above the WGS 84 ellipsoid: put the geoid into drive.yaml, "
+            "trajectory: {heights: 'EPSG:5773'} (EGM96), or export ellipsoidal heights"
+        )
+    geoid = settings.heights not in {None, "ellipsoidal"}
+    return geoid or settings.crs is not None or reading.axes in {"projected", "geocentric"}
+
+
+def is_geocentric(settings: TrajectoryFile) -> bool:
+    """Whether the CRS of the settings has its origin in the earth's centre. Raises DriveFolderError where PROJ does not know it."""
+    return settings.crs is not None and _crs(settings.crs, "crs").is_geocentric
+
+
+def _has_vertical(settings: TrajectoryFile) -> bool:
+    return settings.crs is not None and _crs(settings.crs, "crs").is_compound
+
+
+def _crs(text: str, key: str) -> CRS:
+    try:
+        return CRS.from_user_input(int(text) if text.strip().isdigit() else text)
+    except (CRSError, ValueError, OverflowError) as error:
+        example = "EPSG:25832" if key == "crs" else "ellipsoidal, EPSG:5773 or the name of a geoid grid"
+        raise DriveFolderError(
+            f"drive.yaml: trajectory.{key}: {shown(text)} is not known to PROJ; expected for example {example}"
+        ) from error
+
+
+def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Path) -> tuple[list[Transformer], float]:
+    """Steps to longitude, latitude, ellipsoidal height of WGS 84, for a file that begins at `start` (3,), and their accuracy (m)."""
+    source = _crs(settings.crs or ("EPSG:4978" if axes == "geocentric" else "EPSG:4979"), "crs")
+    flat = source.sub_crs_list[0] if source.is_compound else source
+    kinds = {"geodetic": flat.is_geographic, "geocentric": flat.is_geocentric, "projected": flat.is_projected}
+    if not kinds.get(axes, False):
+        raise DriveFolderError(
+            f"{path}: has {axes} coordinates; trajectory.crs in drive.yaml, {shown(source.name)}, has not"
+        )
+    after: list[Transformer] = []
+    geoid = settings.heights if settings.heights != "ellipsoidal" and axes != "geocentric" else None
+    if geoid is not None and source.is_compound:
+        raise DriveFolderError("drive.yaml: trajectory.crs has heights of its own: leave out trajectory.heights")
+    if geoid is not None and not geoid.lower().endswith(_GRID_SUFFIXES):
+        vertical = _crs(geoid, "heights")
+        if not vertical.is_vertical:
+            raise DriveFolderError(
+                f"drive.yaml: trajectory.heights: {shown(vertical.name)} is not a CRS of heights; EPSG:5773 (EGM96) is one"
+            )
+        source = CompoundCRS(
+            f"{flat.name} + {vertical.name}", [flat.to_2d() if len(flat.axis_info) > 2 else flat, vertical]
+        )
+    elif not source.is_compound and not source.is_geocentric:
+        source = source.to_3d()
+    if geoid is not None and geoid.lower().endswith(_GRID_SUFFIXES):
+        after.append(_grid(geoid, path))
+    try:
+        x, y = (start[1], start[0]) if axes == "geodetic" else (start[0], start[1])
+        lon, lat = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(x, y, start[2])[:2]
+        area = AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05) if math.isfinite(lon + lat) else None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a missing grid is reported below
+            group = TransformerGroup(source, CRS(4979), True, area, allow_ballpark=False)
+    except (ProjError, CRSError, ValueError) as error:
+        raise DriveFolderError(
+            f"{path}: no transformation from {shown(source.name)} to WGS 84: {shown(str(error))}"
+        ) from error
+    missing = [grid.short_name for op in group.unavailable_operations[:1] for grid in op.grids if not grid.available]
+    if not group.transformers or (missing and not group.best_available):
+        raise DriveFolderError(_missing(path, source.name, missing))
+    return [group.transformers[0], *after], _accuracy_m(group.transformers[0])
+
+
+def _grid(name: str, path: Path) -> Transformer:
+    """From heights above a geoid to ellipsoidal ones, by a grid beside the file or in PROJ's folders; in degrees."""
+    if PurePath(name).name != name or not all(c.isalnum() or c in "._-" for c in name):
+        raise DriveFolderError(
+            f"drive.yaml: trajectory.heights: {shown(name)}: expected the name of a grid file (letters, digits, . _ -) without a "
+            f"folder; put the file beside {path.name} or into {datadir.get_user_data_dir()}"
+        )
+    folders = [
+        path.resolve().parent,
+        Path(datadir.get_user_data_dir()),
+        *map(Path, datadir.get_data_dir().split(os.pathsep)),
+    ]
+    found = next((folder / name for folder in folders if (folder / name).is_file()), None)
+    if found is None:
+        raise DriveFolderError(_missing(path, f"the geoid {name}", [name]))
+    steps = (
+        "unitconvert +xy_in=deg +xy_out=rad",
+        f'vgridshift +grids="{found}" +multiplier=1',
+        "unitconvert +xy_in=rad +xy_out=deg",
+    )
+    try:
+        return Transformer.from_pipeline("+proj=pipeline " + " ".join(f"+step +proj={step}" for step in steps))
+    except (ProjError, CRSError) as error:
+        raise DriveFolderError(f"{found}: PROJ cannot read this geoid grid ({shown(str(error))})") from error
+
+
+def _missing(path: Path, what: str, grids: list[str]) -> str:
+    if not grids:
+        return f"{path}: PROJ has no transformation from {shown(what)} to WGS 84; export latitude, longitude and ellipsoidal height"
+    named = ", ".join(grids)
+    return (
+        f"{path}: heights or positions of {shown(what)} need the grid {named}, which is not installed: put it into "
+        f"{datadir.get_user_data_dir()} (`projsync --file {grids[0]}` does)"
+    )
+
+
+def _accuracy_m(transformer: Transformer) -> float:
+    """Stated accuracy of the steps of a transformation that are more than a change of names, metres."""
+    found = 0.0
+    for operation in transformer.operations or ():
+        if operation.accuracy > 0 and (operation.grids or operation.accuracy > _NOMINAL_M):
+            found = math.hypot(found, operation.accuracy)
+    return found

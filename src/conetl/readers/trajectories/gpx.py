@@ -1,0 +1,111 @@
+"""GPX tracks (GPX 1.0, 1.1): points of all tracks and segments.
+
+Read with expat, point by point: gpxpy holds the whole document, and knows neither entities that must be refused nor nanoseconds.
+`ele` should be above the sea, but many programs write what the receiver gave: with `geoidheight` it is above the geoid; otherwise
+`heights` of drive.yaml says what it is, and without that a height has a sigma of at least 100 m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal, NoReturn
+from xml.parsers import expat
+
+import numpy as np
+
+from conetl.model.errors import DriveFolderError
+from conetl.readers.trajectories.recorded import Reading, Records
+from conetl.readers.trajectories.settings import TrajectoryFile
+from conetl.readers.trajectories.text import head_bytes
+from conetl.readers.trajectories.times import Clock, TimeReader, time_reader
+
+_BLOCK = 1 << 20
+_PIECE = 50_000
+_LONGEST = 100
+_VALUES = frozenset({"ele", "time", "geoidheight"})
+
+
+def read(path: Path, settings: TrajectoryFile) -> Reading:
+    """The points of a file. Raises DriveFolderError where it is no XML or has a document type."""
+    head = head_bytes(path).lower()
+    heights: Literal["ellipsoidal", "unstated"] = "ellipsoidal" if b"geoidheight>" in head else "unstated"
+    if settings.heights is not None:
+        heights = "ellipsoidal"
+    return Reading(_records(path, settings, heights == "unstated"), "geodetic", heights)
+
+
+_Row = tuple[float, float, float, float, str, int]
+
+
+class _Points:
+    """Handlers of expat: values of the point that is being read, and the points since the last piece."""
+
+    def __init__(self) -> None:
+        self.rows: list[_Row] = []
+        self.point: dict[str, str] | None = None
+        self.key: str | None = None
+        self.parser = expat.ParserCreate()
+        self.parser.buffer_text = True
+        self.parser.StartDoctypeDeclHandler = self.refuse
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+        self.parser.CharacterDataHandler = self.text
+
+    def refuse(self, *_: object) -> NoReturn:
+        raise ValueError("it has a document type (DOCTYPE), which GPX files do not need and which may hide its content")
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        name = tag.rpartition(":")[2]
+        if name == "trkpt":
+            self.point = {key: attributes.get(key, "")[:_LONGEST] for key in ("lat", "lon")}
+        self.key = name if self.point is not None and name in _VALUES else None
+
+    def text(self, text: str) -> None:
+        if self.point is not None and self.key is not None:
+            self.point[self.key] = (self.point.get(self.key, "") + text)[:_LONGEST]
+
+    def end(self, tag: str) -> None:
+        self.key = None
+        if tag.rpartition(":")[2] == "trkpt" and self.point is not None:
+            point, self.point = self.point, None
+            numbers = [_number(point.get(key, "")) for key in ("lat", "lon", "ele", "geoidheight")]
+            line = self.parser.CurrentLineNumber
+            self.rows.append((numbers[0], numbers[1], numbers[2], numbers[3], point.get("time", ""), line))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+def _records(path: Path, settings: TrajectoryFile, unstated: bool) -> Iterator[Records]:
+    points = _Points()
+    read_times = time_reader(Clock(settings.scale("UTC"), "stamp"))
+    try:
+        with path.open("rb") as file:
+            while block := file.read(_BLOCK):
+                points.parser.Parse(block, False)
+                if len(points.rows) >= _PIECE:
+                    yield _piece(points.rows, read_times, settings, unstated)
+                    points.rows = []
+        points.parser.Parse(b"", True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise DriveFolderError(f"{path}: this is not GPX: {str(error)[:200]}") from error
+    except OSError as error:
+        raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
+    if points.rows:
+        yield _piece(points.rows, read_times, settings, unstated)
+
+
+def _piece(rows: list[_Row], read_times: TimeReader, settings: TrajectoryFile, unstated: bool) -> Records:
+    """Points as records; `ele` plus the height of the geoid where it is known and the settings do not say what `ele` is."""
+    lat, lon, ele, geoid, texts, lines = zip(*rows, strict=True)
+    times, wrong = read_times(texts, None)
+    height, above = np.array(ele), np.array(geoid)
+    if settings.heights is None and not unstated:
+        height = height + above
+    names = (f"the point that ends in line {line}" for line in lines)
+    return Records(times, np.column_stack([lat, lon, height]), None, np.full((len(rows), 6), np.nan), wrong, names)

@@ -1,0 +1,120 @@
+"""RTKLIB solution files (.pos; RTKLIB manual 2.4.2, B.3): positions of the antenna with quality flag and sigmas.
+
+    % (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)
+    %  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m) ...
+    2019/06/14 00:00:00.000   49.002011153    8.429826219   116.1040   1  12   0.0051   0.0043   0.0102 ...
+
+Latitude and longitude in degrees or degrees, minutes, seconds; or x, y, z; times of GPST, UTC or JST, as a date or as week and seconds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from pyproj import Transformer
+
+from conetl.geometry.geodesy import ecef_R_enu
+from conetl.model.errors import DriveFolderError
+from conetl.readers.trajectories.recorded import Floats, Reading, Records
+from conetl.readers.trajectories.settings import TrajectoryFile
+from conetl.readers.trajectories.tables import Column, Layout, table_records
+from conetl.readers.trajectories.text import head_lines
+
+_SCALES = {"GPST": "gps", "UTC": "UTC", "JST": "Asia/Tokyo"}
+_NAME = re.compile(r"([A-Za-z/-]+)\((?:[^()]*)\)|\b(Q|ns|ratio)\b")
+_ROLES = {
+    "latitude": "lat", "longitude": "lon", "height": "height", "x-ecef": "x", "y-ecef": "y", "z-ecef": "z", "Q": "quality",
+    "sdn": "sigma_n", "sde": "sigma_e", "sdu": "sigma_u", "sdx": "sdx", "sdy": "sdy", "sdz": "sdz", "sdxy": "sdxy", "sdyz": "sdyz",
+    "sdzx": "sdzx",
+}  # fmt: skip
+SINGLE_SIGMA_M = (5.0, 5.0, 10.0)
+"""The least sigmas of Q=5: RTKLIB computes those of single solutions from assumed noise, without the errors of the atmosphere."""
+
+
+def header_of(lines: list[str]) -> int | None:
+    """Index of the line with the names of the columns, None without one."""
+    for i, line in enumerate(lines):
+        if (
+            line.startswith("%")
+            and re.match(r"%\s*(GPST|UTC|JST)\b", line)
+            and ("(deg" in line or "(d'" in line or "(m)" in line)
+        ):
+            return i
+    return None
+
+
+def read(path: Path, settings: TrajectoryFile) -> Reading:
+    """The records of a solution file. Raises DriveFolderError."""
+    lines = head_lines(path)
+    at = header_of(lines)
+    if at is None:
+        raise DriveFolderError(
+            f"{path}: there is no line like '%  GPST  latitude(deg) longitude(deg)  height(m)  Q ...', without which times and "
+            "coordinates may mean anything; write the solution with its header (out-outhead=on)"
+        )
+    header = lines[at]
+    if "baseline" in header:
+        raise DriveFolderError(
+            f"{path}: holds vectors from a base (e/n/u-baseline), not positions; set out-solformat to llh and convert it again"
+        )
+    note = " ".join(line for line in lines[:at] if line.startswith("%"))
+    data = next((line for line in lines[at + 1 :] if line.strip() and not line.startswith("%")), "")
+    layout = _layout(header, data, at + 2, path)
+    if layout.axes == "geocentric":
+        return Reading(table_records(path, layout, settings, _of_ecef), "geocentric")
+    heights = "sea level" if "/geodetic" in note else "ellipsoidal"
+    return Reading(table_records(path, layout, settings, _by_quality), "geodetic", heights)  # type: ignore[arg-type]
+
+
+def _layout(header: str, data: str, first_line: int, path: Path) -> Layout:
+    """Where the columns are, which depends on the delimiter and on whether the time is a date."""
+    system = re.match(r"%\s*(GPST|UTC|JST)", header)
+    scale = _SCALES[system[1] if system else "GPST"]
+    delimiter = next((mark for mark in ",;\t" if mark in data), None)
+    calendar = "/" in data.split(delimiter, maxsplit=1)[0] if data.strip() else True
+    columns = (
+        {"time": Column(0, scale)} if calendar else {"week": Column(0, "week"), "time": Column(1, scale, unit="s")}
+    )
+    time_words = 2 if calendar and delimiter is None else 1
+    at = time_words if calendar else 2
+    for match in _NAME.finditer(header):
+        name, dms = match[1] or match[2], "d'" in match[0]
+        if name in _ROLES:
+            columns[_ROLES[name]] = Column(at, match[0], dms=dms)
+        at += 3 if dms else 1
+    axes = "geocentric" if {"x", "y", "z"} <= columns.keys() else "geodetic"
+    if axes == "geodetic" and not {"lat", "lon", "height"} <= columns.keys():
+        raise DriveFolderError(f"{path}: expected latitude, longitude and height, or x, y, z-ecef in {header[:200]!r}")
+    return Layout(columns, axes, first_line, delimiter, scale=scale, time_words=time_words)  # type: ignore[arg-type]
+
+
+def _by_quality(values: Mapping[str, Floats], found: Records) -> Records:
+    """Without records that are no solution, with the least sigmas of single ones."""
+    quality = values.get("quality")
+    if quality is None:
+        return found
+    wrong = dict.fromkeys(np.flatnonzero(~(quality >= 1)).tolist(), "Q says that there is no solution") | found.wrong
+    single = quality == 5
+    sigma = found.sigma.copy()
+    sigma[single, :3] = np.fmax(sigma[single, :3], SINGLE_SIGMA_M)
+    return found._replace(sigma=sigma, wrong=wrong)
+
+
+def _of_ecef(values: Mapping[str, Floats], found: Records) -> Records:
+    """With sigmas of east, north, up of the covariance of x, y, z, whose roots RTKLIB writes with their signs."""
+    if "sdx" in values:
+        order = [["sdx", "sdxy", "sdzx"], ["sdxy", "sdy", "sdyz"], ["sdzx", "sdyz", "sdz"]]
+        none = np.zeros(len(found.times_ns))
+        roots = np.array([[values.get(name, none) for name in row] for row in order])
+        covariance = np.moveaxis(np.sign(roots) * roots**2, -1, 0)
+        lon, lat, _ = Transformer.from_crs(4978, 4979, always_xy=True).transform(*found.positions.T)
+        turn = ecef_R_enu(np.asarray(lat), np.asarray(lon))
+        with np.errstate(invalid="ignore"):
+            variances = np.einsum("nji,njk,nki->ni", turn, covariance, turn)
+            sigma = found.sigma.copy()
+            sigma[:, :3] = np.sqrt(np.where(variances > 0.0, variances, np.nan))
+        found = found._replace(sigma=sigma)
+    return _by_quality(values, found)

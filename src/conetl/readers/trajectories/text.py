@@ -1,0 +1,99 @@
+"""Lines and numbers of text files that may be large, damaged or hostile."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from conetl.model.errors import DriveFolderError
+from conetl.readers.trajectories.recorded import Floats
+
+MAX_TEXT_BYTES = 8 << 30
+"""20 million records of 400 characters."""
+MAX_LINE = 20_000
+"""Characters of a line; more are no record of a trajectory."""
+_BLOCK = 4 << 20
+_HEAD = 65_536
+
+
+def head_bytes(path: Path, count: int = _HEAD) -> bytes:
+    """The first bytes of a file. Raises DriveFolderError where it cannot be read or is larger than a trajectory may be."""
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise DriveFolderError(f"{path}: expected at most {MAX_TEXT_BYTES:,} bytes")
+        with path.open("rb") as file:
+            return file.read(count)
+    except OSError as error:
+        raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def encoding_of(head: bytes) -> str:
+    """UTF-8, UTF-16 with its mark, or what Western Windows programs write."""
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    try:
+        head[: head.rfind(b"\n") + 1].decode()
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
+
+
+def head_lines(path: Path) -> list[str]:
+    """The lines among the first bytes of a file, without the last one if it is cut. Raises DriveFolderError."""
+    head = head_bytes(path)
+    lines = _lines(head.decode(encoding_of(head), errors="replace"))
+    return lines[:-1] if len(head) == _HEAD else lines
+
+
+def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Number of the first line, from 1, and lines of consecutive pieces of a file; too long lines are cut. Raises DriveFolderError."""
+    encoding = encoding_of(head_bytes(path))
+    number, rest = 1, ""
+    try:
+        with path.open(encoding=encoding, errors="replace") as file:
+            while block := file.read(_BLOCK):
+                *lines, rest = (rest + block).split("\n")
+                rest = rest[: MAX_LINE + 1]
+                if lines:
+                    yield number, lines
+                    number += len(lines)
+    except OSError as error:
+        raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
+    if rest:
+        yield number, [rest]
+
+
+def _lines(text: str) -> list[str]:
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def split_line(line: str, delimiter: str | None) -> list[str]:
+    """The values of a line; delimiter None: any white space. Quotes hold values with a delimiter, but not line breaks."""
+    if delimiter is None:
+        return line[:MAX_LINE].split()
+    if '"' not in line:
+        return line[:MAX_LINE].split(delimiter)
+    try:
+        return next(csv.reader([line[:MAX_LINE]], delimiter=delimiter), [])
+    except csv.Error:
+        return []
+
+
+def floats(words: Sequence[str], *, comma: bool = False) -> Floats:
+    """Numbers (N,), NaN in place of anything else. comma: decimals are after a comma."""
+    if comma:
+        words = [word.replace(",", ".") for word in words]
+    try:
+        return np.array(words, dtype=np.float64)
+    except ValueError:
+        return np.array([_float(word) for word in words], dtype=np.float64)
+
+
+def _float(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return np.nan

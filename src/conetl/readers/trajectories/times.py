@@ -1,0 +1,279 @@
+"""Times of trajectory files -> UTC nanoseconds since 1970, exact: texts, seconds since 1970 or 1980, seconds of a GPS week or of a day.
+
+GPS time has no leap seconds: it was equal to UTC on 1980-01-06 and is ahead of it by one second for each that UTC has had since
+(IS-GPS-200; IERS Bulletin C). Within a leap second, whose nanoseconds UTC counts twice, times repeat those of the second after.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, date, datetime
+from decimal import Decimal, InvalidOperation
+from functools import lru_cache
+from itertools import islice
+from typing import Any, Literal, NamedTuple
+from zoneinfo import ZoneInfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.model.errors import DriveFolderError
+
+Times = NDArray[np.int64]
+
+SECOND_NS = 1_000_000_000
+DAY_NS = 86_400 * SECOND_NS
+WEEK_NS = 7 * DAY_NS
+EARLIEST_NS = 946_684_800_000_000_000
+"""2000-01-01. A clock that was not set starts in 1970 or 1980; no drive is that old."""
+MAX_AHEAD_NS = DAY_NS
+"""A day: this computer's clock may be wrong, too, by a time zone."""
+GPS_EPOCH_NS = 315_964_800 * SECOND_NS
+"""1980-01-06 00:00 UTC."""
+#: Days that began after a leap second (IERS Bulletin C). No library: those that we found read a file of this computer or of the
+#: internet, or are as long as this list.
+_AFTER_LEAP_SECONDS = (
+    "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01", "1993-07-01",
+    "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01",
+)  # fmt: skip
+_LEAPS_UTC_NS = np.array(_AFTER_LEAP_SECONDS, "datetime64[ns]").astype(np.int64)
+#: The same instants counted in GPS time.
+_LEAPS_GPS_NS = _LEAPS_UTC_NS + SECOND_NS * np.arange(1, len(_LEAPS_UTC_NS) + 1)
+#: Of a number of seconds as a text: plain digits, which are converted without rounding.
+_PLAIN = re.compile(r"(\d{1,18})(?:\.(\d*))?", re.ASCII)
+_VOTES = 9
+_OFFSET = re.compile(r"(?:Z|UTC|:\d\d(?:\.\d*)?[+-]\d\d(?::?\d\d)?)\s*$")
+_STAMP = re.compile(
+    r"\s*(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?:T|[ ,]\s*)(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?\s*",
+    re.ASCII,
+)
+
+
+def clock_problem(time_ns: int) -> str | None:
+    """What is wrong with the clock of a time, None where nothing is. To be put after "the time"."""
+    if time_ns < EARLIEST_NS:
+        return "is before 2000: the clock was not set"
+    if time_ns > time.time_ns() + MAX_AHEAD_NS:
+        return "is more than a day in the future: another clock"
+    return None
+
+
+def gps_to_utc(gps_ns: Times) -> Times:
+    """UTC nanoseconds since 1970 (N,) of GPS times (N,), counted as nanoseconds since 1970 without leap seconds."""
+    leaps = np.searchsorted(_LEAPS_GPS_NS, gps_ns, side="right")
+    return np.asarray(gps_ns - SECOND_NS * leaps, dtype=np.int64)
+
+
+def gps_week_of(day: date) -> int:
+    """Number of the GPS week, counted from 1980-01-06 without rollover, that holds a day."""
+    return (day - date(1980, 1, 6)).days // 7
+
+
+def parse_timestamp(text: str, zone: str = "UTC", order: Literal["dmy", "mdy"] | None = None) -> int:
+    """UTC nanoseconds since 1970 of a text such as `2011-09-26 13:04:32.345808896`, with an offset (Z, +01:00) or in a time zone.
+
+    Years first with -, / or . between; years last with points (26.09.2011), else only where `order` says which number is the month.
+    A time that is ambiguous because of a clock change is the earlier one. Raises ValueError.
+    """
+    match = _STAMP.fullmatch(text)
+    if match is None:
+        raise ValueError(f"expected a time stamp like 2011-09-26 13:04:32.345, found {text.strip()[:60]!r}")
+    first, mark, middle, last, hour, minute, second, fraction, offset = match.groups()
+    if len(first) == 4:
+        year, month, day = first, middle, last
+    elif len(last) == 4 and (mark == "." or order):
+        year, month, day = (last, first, middle) if order == "mdy" else (last, middle, first)
+    else:
+        raise ValueError(
+            f"the date of {text.strip()[:60]!r} may be read in two ways; expected the year first, or 26.09.2011"
+        )
+    if int(second) > 59:
+        raise ValueError(f"the seconds of {text.strip()[:60]!r} are above 59")
+    ns = int((fraction or "")[:9].ljust(9, "0"))
+    return (
+        _minute_ns(int(year), int(month), int(day), int(hour), int(minute), offset, zone) + int(second) * SECOND_NS + ns
+    )
+
+
+@lru_cache(maxsize=4096)
+def _minute_ns(year: int, month: int, day: int, hour: int, minute: int, offset: str | None, zone: str) -> int:
+    """UTC nanoseconds of the beginning of a minute; cached, as a file has thousands of records in each."""
+    if offset in {None, "Z", "UTC"}:
+        tz = UTC if offset else ZoneInfo(zone)
+    else:
+        tz = datetime.strptime(f"{offset}00" if len(str(offset)) == 3 else str(offset), "%z").tzinfo  # type: ignore[assignment]
+    local = datetime(year, month, day, hour, minute, tzinfo=tz)
+    try:
+        return int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * SECOND_NS
+    except OverflowError:  # year 1 east of Greenwich, year 9999 west of it
+        raise ValueError(f"expected a time from 2000 on, found the year {year}") from None
+
+
+def decimal_ns(text: str, digits: int = 9) -> int:
+    """Nanoseconds of a number of seconds (digits 9), ms (6), us (3) or ns (0), without rounding; digits below 1 ns are dropped.
+
+    Raises ValueError unless it is between 0 and 2**63 ns.
+    """
+    match = _PLAIN.fullmatch(text)
+    if match is not None:
+        ns = int(match[1]) * 10**digits + (int((match[2] or "")[:digits].ljust(digits, "0")) if digits else 0)
+    else:
+        try:
+            value = Decimal(text)
+            # The exponent is checked before 10**exponent is computed.
+            if not value.is_finite() or value < 0 or value.adjusted() > 20:
+                raise ValueError
+            ns = int(value.scaleb(digits))
+        except (InvalidOperation, ValueError):
+            raise ValueError(f"{text.strip()[:40]!r} is not a time; expected a number above 0") from None
+    if ns >= 2**63 - WEEK_NS:
+        raise ValueError(f"{text.strip()[:40]!r} is not a time: it is too large")
+    return ns
+
+
+class Clock(NamedTuple):
+    """How the times of a file are counted."""
+
+    scale: str
+    """`gps`, or the IANA name of a time zone."""
+    kind: Literal["stamp", "unix", "gps seconds", "week", "day"]
+    """Text, seconds since 1970, since 1980-01-06, of a GPS week, of a day."""
+    digits: int = 9
+    """Of the unit, as in `decimal_ns`."""
+    week: int | None = None
+    """Of times of a week without a week of their own."""
+    day: date | None = None
+    order: Literal["dmy", "mdy"] | None = None
+
+
+def common_clock(words: Iterable[str], name: str, path: object, **known: Any) -> Clock:
+    """The clock of most of the first values of a column: one of them may be damaged. Raises DriveFolderError."""
+    found: Counter[Clock] = Counter()
+    problem = DriveFolderError(f"{path}: column {name!r} has no values")
+    for word in islice(words, _VOTES):
+        try:
+            found[clock_of(word, name, path=path, **known)] += 1
+        except DriveFolderError as error:
+            problem = error
+    if not found:
+        raise problem
+    return found.most_common(1)[0][0]
+
+
+def clock_of(
+    first: str,
+    name: str,
+    *,
+    scale: str,
+    unit: str | None,
+    has_week: bool,
+    week: int | None,
+    day: date | None,
+    path: object,
+) -> Clock:
+    """The clock of a column from one of its values. Raises DriveFolderError where it cannot be known.
+
+    unit: s, ms, us or ns where the column's name states it; name: of the column, for messages.
+    """
+    try:
+        number = float(first)
+    except ValueError:
+        return Clock(scale, "stamp")
+    units = {"s": 9, "ms": 6, "us": 3, "ns": 0}
+    for digits in [units[unit]] if unit else units.values():
+        seconds = number / 10.0 ** (9 - digits)
+        if 0 <= seconds < 2 * 604_800 and (has_week or digits == 9 or unit):
+            return _clock_of_week(seconds, name, scale, digits, has_week, week, day, path)
+        if not has_week and 6e8 < seconds < 4.2e9:
+            return Clock(scale, "gps seconds" if scale == "gps" else "unix", digits)
+    raise DriveFolderError(
+        f"{path}: column {name!r}: {first[:40]!r} is neither a date and time nor seconds (or ms, us, ns) since 1970, of a GPS "
+        "week or of a day"
+    )
+
+
+def _clock_of_week(
+    seconds: float, name: str, scale: str, digits: int, has_week: bool, week: int | None, day: date | None, path: object
+) -> Clock:
+    """The clock of seconds of a GPS week, or of the day that the settings name."""
+    if has_week or (week is not None and day is None):
+        return Clock(scale, "week", digits, week)
+    if day is None:
+        raise DriveFolderError(
+            f"{path}: column {name!r}: {seconds:.3f} is a time of a week or of a day, and the file does not say of which: put "
+            "trajectory: {week: 2300} (GPS week) or {date: 2024-02-07} into drive.yaml"
+        )
+    weekday = (day.weekday() + 1) % 7  # from Sunday, as GPS weeks
+    if int(seconds // 86_400) == weekday:
+        return Clock(scale, "week", digits, gps_week_of(day))
+    if seconds < 86_400 + 3600:
+        return Clock(scale, "day", digits, day=day)
+    found = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[int(seconds // 86_400) % 7]
+    raise DriveFolderError(
+        f"{path}: column {name!r}: {seconds:.3f} s of a GPS week are on a {found}; 'date' of drive.yaml, {day}, is not"
+    )
+
+
+TimeReader = Callable[[Sequence[str], Sequence[str] | None], tuple[Times, dict[int, str]]]
+
+
+def time_reader(clock: Clock) -> TimeReader:
+    """A function of the words of consecutive records and, for times of a week, of their weeks: UTC ns (N,), and what is wrong by index.
+
+    Times of a week or a day without one of their own that begin anew belong to the next week or day: from its last 14th to the
+    first, so that one wild time does not move all that follow.
+    """
+    period_ns = DAY_NS if clock.kind == "day" else WEEK_NS
+    unix_zone = "UTC" if clock.scale == "gps" else clock.scale
+    start_ns = {
+        "stamp": 0, "unix": 0, "gps seconds": GPS_EPOCH_NS,
+        "week": GPS_EPOCH_NS + (clock.week or 0) * WEEK_NS,
+        "day": ((clock.day or date(1970, 1, 1)) - date(1970, 1, 1)).days * DAY_NS,
+    }[clock.kind]  # fmt: skip
+    latest_ns = 0
+    turns = 0
+
+    def one(word: str, week: str | None) -> int:
+        nonlocal latest_ns, turns
+        if clock.kind == "stamp":
+            if clock.scale == "gps" and _OFFSET.search(word):
+                raise ValueError(f"{word.strip()[:60]!r} has an offset from UTC, but is said to be GPS time")
+            return parse_timestamp(word, unix_zone, clock.order)
+        ns = decimal_ns(word.strip(), clock.digits)
+        if clock.kind in {"unix", "gps seconds"}:
+            return start_ns + ns
+        if ns > 2 * period_ns:
+            raise ValueError(f"{word.strip()[:40]!r} is more than two {'days' if clock.kind == 'day' else 'weeks'}")
+        if week is not None:
+            if not (week.strip().isascii() and week.strip().isdigit() and 0 <= int(week[:9]) < 10_000):
+                raise ValueError(f"{week.strip()[:40]!r} is not a GPS week")
+            return GPS_EPOCH_NS + int(week) * WEEK_NS + ns
+        if latest_ns - turns * period_ns > period_ns * 13 // 14 and ns < period_ns // 14:
+            turns += 1
+        latest_ns = ns + turns * period_ns
+        return start_ns + latest_ns
+
+    def read(words: Sequence[str], weeks: Sequence[str] | None) -> tuple[Times, dict[int, str]]:
+        times, wrong = np.zeros(len(words), np.int64), {}
+        for i, word in enumerate(words):
+            try:
+                times[i] = one(word, weeks[i] if weeks else None)
+            except (ValueError, OverflowError) as error:
+                wrong[i] = str(error)
+        if clock.scale == "gps":
+            times = gps_to_utc(times)
+        elif clock.kind in {"week", "day"} and clock.scale != "UTC":
+            times = np.array([_local_ns(int(ns), clock.scale) for ns in times], np.int64)
+        return times, wrong
+
+    return read
+
+
+def _local_ns(wall_ns: int, zone: str) -> int:
+    """UTC nanoseconds of a clock on the wall of a time zone, as nanoseconds since 1970."""
+    wall = datetime.fromtimestamp(wall_ns // (60 * SECOND_NS) * 60, UTC)
+    minute = _minute_ns(wall.year, wall.month, wall.day, wall.hour, wall.minute, None, zone)
+    return minute + wall_ns % (60 * SECOND_NS)
