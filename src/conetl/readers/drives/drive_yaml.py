@@ -14,6 +14,8 @@ from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import GeodeticPosition, Positive, Record
 
 DRIVE_YAML = "drive.yaml"
+#: Poses recorded often are not interpolated over longer gaps.
+MAX_POSE_GAP_S = 0.5
 
 
 class Cameras(Record):
@@ -73,8 +75,8 @@ class DriveYaml(Record):
     streams: Streams = Streams()
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
-    max_pose_gap_s: float = Field(default=0.5, gt=0, le=3600)
-    """EuRoC and bags: poses farther apart in time are not interpolated."""
+    max_pose_gap_s: float | None = Field(default=None, gt=0, le=3600)
+    """Poses farther apart in time are not interpolated: 0.5 s, of trajectories with fewer records see `sparse_poses.py`."""
     antenna_t_m: tuple[float, float, float] | None = None
     """Bags: the GNSS antenna in the IMU's frame, where /tf_static has none; 0, 0, 0 if the positions are those of the IMU."""
 
@@ -84,7 +86,7 @@ class DriveYaml(Record):
 
     @property
     def max_pose_gap_ns(self) -> int:
-        return round(self.max_pose_gap_s * 1e9)
+        return round((self.max_pose_gap_s or MAX_POSE_GAP_S) * 1e9)
 
     def id_of(self, source: Path) -> str:
         """The drive's id: that of the file, else the name of the folder or recording itself, not of a link to it."""
