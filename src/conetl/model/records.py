@@ -202,6 +202,18 @@ class Rig(Record):
         return float(sum(d * d for d in apart_m) ** 0.5)  # a power would raise OverflowError
 
 
+class Interpolated(Record):
+    """What interpolation between sparse records (1 Hz) adds to the sigmas of a pose.
+
+    The frame pairs between two records share it: they are no measurements of their own.
+    """
+
+    sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
+    sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
+    apart_s: Positive
+    """Time between the records."""
+
+
 class Pose(Record):
     """Exterior orientation of the body at exposure: `map_p = R @ body_p + t`, with its standard deviations."""
 
@@ -210,6 +222,8 @@ class Pose(Record):
     sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
     """Of the body's position (GNSS/INS), absolute; strongly correlated between the frames of one drive."""
     sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
+    interpolated: Interpolated | None = None
+    """The part of these sigmas that comes from interpolation; None of poses recorded often enough for it not to matter."""
 
 
 #: Fine structure (grey levels) below which the detector may be blind: at 4 fog and blur hide at least a third of the cones.

@@ -72,26 +72,26 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
     steps_s, middle_s = np.diff(times_s), (times_s[1:] + times_s[:-1]) / 2
     left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
     rates = _rates(se3.compose(se3.invert(left[1:]), left[:-1]), steps_s)
-    logged = _smoothed(rates, _without_jumps(rates, steps_s))
+    logged = smoothed(rates, _without_jumps(rates, steps_s))
     known = np.zeros(len(steps_s))
     known[motions.start] = 1.0
     raw = np.zeros((len(steps_s), 6))
     raw[motions.start] = _rates(motions.next_SE3_first, steps_s[motions.start])
-    measured = _smoothed(raw, known)
+    measured = smoothed(raw, known)
     used = (known > 0) & (middle_s - _TRIED_S.max() >= middle_s[0]) & (middle_s - _TRIED_S.min() <= middle_s[-1])
     if used.sum() < _LEAST_INTERVALS:
         return None
     # A smoothed value beside a gap is that of another instant, away from the gap. The slopes are those of the images: those of
     # the log would have its noise, which is far more, and promise an offset known better than it is.
-    centre_s = _smoothed(middle_s[:, None], known)[:, 0]
+    centre_s = smoothed(middle_s[:, None], known)[:, 0]
     there = known > 0
     signal, at_s, target = CubicSpline(middle_s, logged), centre_s[used], measured[used]
     by = _derivatives(target, CubicSpline(centre_s[there], measured[there])(at_s, 1))
     prior = np.diag([0.0, *[_BORESIGHT_RAD**-2] * 3, _SCALE**-2])
-    fits = {float(tried): _fit(target - signal(at_s - tried), by, prior, 3, held=True) for tried in _TRIED_S}
+    fits = {float(tried): robust_fit(target - signal(at_s - tried), by, prior, 3, held=True) for tried in _TRIED_S}
     offset_s = min(fits, key=lambda tried: float(np.log(fits[tried].sigma).sum()))
     for _ in range(_ITERATIONS):
-        fit = _fit(target - signal(at_s - offset_s), by, prior, 5)
+        fit = robust_fit(target - signal(at_s - offset_s), by, prior, 5)
         offset_s = float(np.clip(offset_s + fit.solution[0], _TRIED_S[0], _TRIED_S[-1]))
         if abs(fit.solution[0]) < 1e-5:
             break
@@ -114,54 +114,64 @@ def _derivatives(rates: Floats, slope: Floats) -> Floats:
     return by
 
 
-class _Fit(NamedTuple):
+class Fit(NamedTuple):
+    """Result of `robust_fit` of C columns by P unknowns."""
+
     solution: Floats
-    """(5,): change of the offset, boresight, scale."""
+    """(P,): the change of the offset is the first."""
     normal: Floats
+    """(P, P)"""
     sigma: Floats
-    """(6,) of what remains, by column."""
+    """(C,) of what remains, by column."""
     counted: Floats
-    """(6,): so many successive values count as one."""
+    """(C,): so many successive values count as one."""
     left_over: Floats
+    """(N, C)"""
     weight: Floats
-    """(N, 6)"""
+    """(N, C)"""
 
 
-def _fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False) -> _Fit:
-    """Robust least squares; held: without a change of the offset."""
-    free = slice(1 if held else 0, 5)
-    solution, normal, left_over = np.zeros(5), prior, misfit
+def robust_fit(
+    misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False, lags: int = _LAGS
+) -> Fit:
+    """Robust least squares of misfits (N, C) with the derivatives by (N, C, P); prior (P, P): information on the unknowns.
+
+    held: without a change of the first unknown, the offset. lags: so many successive values may be correlated.
+    """
+    unknowns = len(prior)
+    free = slice(1 if held else 0, unknowns)
+    solution, normal, left_over = np.zeros(unknowns), prior, misfit
     # What turns to and fro suffers from noise of just its frequency.
-    alike = _autocorrelations(by[..., 0])
+    alike = _autocorrelations(by[..., 0], lags)
     for _ in range(rounds):
         sigma = np.maximum(_spread(left_over), 1e-9)
-        repeats = _autocorrelations(np.clip(left_over / sigma, -_CUT, _CUT))
+        repeats = _autocorrelations(np.clip(left_over / sigma, -_CUT, _CUT), lags)
         freedom = np.maximum(_MEDIAN_SHARE * len(misfit) / (1 + 2 * (repeats**2).sum(axis=0)), _LEAST_FREEDOM)
         sigma *= np.sqrt(freedom / (freedom - 2))
-        counted = np.clip(1 + 2 * (repeats * alike).sum(axis=0), 1.0, _MOST_CORRELATED)
+        counted = np.clip(1 + 2 * (repeats * alike).sum(axis=0), 1.0, max(_MOST_CORRELATED, lags))
         weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(left_over / sigma), 1e-9)) / sigma**2 / counted
-        weighted = (by * weight[..., None]).reshape(-1, 5).T
-        normal, right = weighted @ by.reshape(-1, 5) + prior, weighted @ misfit.ravel()
-        solution = np.zeros(5)
+        weighted = (by * weight[..., None]).reshape(-1, unknowns).T
+        normal, right = weighted @ by.reshape(-1, unknowns) + prior, weighted @ misfit.ravel()
+        solution = np.zeros(unknowns)
         solution[free] = np.linalg.solve(normal[free, free], right[free])
         left_over = misfit - by @ solution
-    return _Fit(solution, normal, sigma, counted, left_over, weight)
+    return Fit(solution, normal, sigma, counted, left_over, weight)
 
 
-def _misfit2(left_over: Floats, fit: _Fit) -> float:
+def _misfit2(left_over: Floats, fit: Fit) -> float:
     """Squared residuals by the sigmas of a fit, outliers cut."""
     return float((np.minimum((left_over / fit.sigma) ** 2, _CUT**2) / fit.counted).sum())
 
 
 def _spread(values: Floats) -> Floats:
-    """(6,) robust sigma of each column around zero."""
+    """(C,) robust sigma of each column around zero."""
     return np.asarray(np.median(np.abs(values), axis=0) * 1.4826)
 
 
-def _autocorrelations(values: Floats) -> Floats:
-    """(L, 6) of each column (N, 6), around zero, for lags of 1 to L."""
+def _autocorrelations(values: Floats, most: int) -> Floats:
+    """(L, C) of each column (N, C), around zero, for lags of 1 to L, at most `most`."""
     energy = np.maximum((values**2).mean(axis=0), 1e-12)
-    lags = range(1, min(_LAGS, len(values) - 1) + 1)
+    lags = range(1, min(most, len(values) - 1) + 1)
     return np.array([(values[lag:] * values[:-lag]).mean(axis=0) / energy for lag in lags])
 
 
@@ -179,8 +189,8 @@ def _without_jumps(rates: Floats, steps_s: Floats) -> Floats:
     return np.where(apart <= most, 1.0, 0.0)
 
 
-def _smoothed(signal: Floats, known: Floats) -> Floats:
-    """(N, 6) a signal with gaps, smoothed; known (N,): 1 where it has a value, else 0."""
+def smoothed(signal: Floats, known: Floats) -> Floats:
+    """(N, C) a signal with gaps, smoothed; known (N,): 1 where it has a value, else 0."""
     weight = gaussian_filter1d(known, _SMOOTHED, mode="nearest")
     total = gaussian_filter1d(signal * known[:, None], _SMOOTHED, axis=0, mode="nearest")
     return np.asarray(total / np.maximum(weight, 1e-6)[:, None])

@@ -208,13 +208,17 @@ def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Fl
     apart_s = np.abs(times_s[:, None] - times_s) * 1e-9
     count = len(frame_pairs)
     sigma = np.array([(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad) for pair in frame_pairs])
+    between, gap_s = _interpolation(frame_pairs)
+    sigma = _without(sigma, between)
+    shared = np.exp(-apart_s / np.maximum(gap_s, _LEAST_STEP_S)) if between.any() else np.eye(count)
     cov = np.zeros((count, POSE, count, POSE))
     for column in range(POSE):
         white, lasts_s = params.gnss_white_share, params.gnss_correlation_s
         if column >= 3:
             white, lasts_s = params.attitude_white_share, params.attitude_correlation_s
-        correlation = (1 - white**2) * np.exp(-apart_s / lasts_s) + white**2 * np.eye(count)
+        correlation = (1 - white**2) * np.exp(-apart_s / lasts_s) + white**2 * shared
         cov[:, column, :, column] = correlation * np.outer(sigma[:, column], sigma[:, column])
+        cov[:, column, :, column] += shared * np.outer(between[:, column], between[:, column])
     return cov.reshape(count * POSE, count * POSE)
 
 
@@ -227,10 +231,32 @@ def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParam
     step_s = np.maximum(np.diff(times_s), _LEAST_STEP_S)
     keep = np.exp(-step_s[:, None] / np.repeat([params.gnss_correlation_s, params.attitude_correlation_s], 3))
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in frame_pairs])
+    between, gap_s = _interpolation(frame_pairs)
+    own = _without(stated, between)
+    white = np.maximum(share, 1e-3) * own
+    if between.any():
+        # All frame pairs between two records together say as much as one record does.
+        sharing = np.maximum(gap_s / np.median(step_s), 1.0)
+        white = np.sqrt(sharing)[:, None] * np.hypot(white, between)
     return LoggedPoses(
-        poses[:, :3, :3], poses[:, :3, 3], sigma_p, sigma_a, np.maximum(share, 1e-3) * stated,
-        np.sqrt(np.maximum(1 - share**2, 1e-6)) * stated, keep, np.array(rig.body_SE3_left),
+        poses[:, :3, :3], poses[:, :3, 3], sigma_p, sigma_a, white, np.sqrt(np.maximum(1 - share**2, 1e-6)) * own, keep,
+        np.array(rig.body_SE3_left),
     )  # fmt: skip
+
+
+def _interpolation(frame_pairs: Sequence[FramePair]) -> tuple[Floats, Floats]:
+    """(K, 6) sigmas (m, rad) by which interpolation between sparse records adds to those of poses, and (K,) s between the records."""
+    found = [pair.pose.interpolated for pair in frame_pairs]
+    sigma = [(0.0,) * 6 if part is None else (*part.sigma_enu_m, *part.sigma_rpy_rad) for part in found]
+    return np.array(sigma), np.array([0.0 if part is None else part.apart_s for part in found])
+
+
+def _without(sigma: Floats, between: Floats) -> Floats:
+    """(K, 6) stated sigmas without the part that comes from interpolation."""
+    if not between.any():
+        return sigma
+    least = np.repeat([_LEAST_SIGMA_M, _LEAST_SIGMA_RAD], 3)
+    return np.asarray(np.sqrt(np.maximum(sigma**2 - between**2, least**2)))
 
 
 def measured_motions(

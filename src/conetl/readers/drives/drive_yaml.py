@@ -16,6 +16,8 @@ from conetl.model.records import GeodeticPosition, Positive, Record
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 DRIVE_YAML = "drive.yaml"
+#: Poses recorded often are not interpolated over longer gaps.
+MAX_POSE_GAP_S = 0.5
 
 
 class Cameras(Record):
@@ -117,8 +119,8 @@ class DriveYaml(Record):
     trajectory: TrajectoryFile = TrajectoryFile()
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
-    max_pose_gap_s: float = Field(default=0.5, gt=0, le=3600)
-    """EuRoC and bags: poses farther apart in time are not interpolated."""
+    max_pose_gap_s: float | None = Field(default=None, gt=0, le=3600)
+    """Poses farther apart in time are not interpolated: 0.5 s, of trajectories with fewer records see `sparse_poses.py`."""
     antenna_t_m: tuple[float, float, float] | None = None
     """The GNSS antenna in the frame of the attitudes (bags: the IMU's, where /tf_static has none); 0, 0, 0 if positions are reduced to it."""
 
@@ -128,7 +130,7 @@ class DriveYaml(Record):
 
     @property
     def max_pose_gap_ns(self) -> int:
-        return round(self.max_pose_gap_s * 1e9)
+        return round((self.max_pose_gap_s or MAX_POSE_GAP_S) * 1e9)
 
     def id_of(self, source: Path) -> str:
         """The drive's id: that of the file, else the name of the folder or recording itself, not of a link to it."""

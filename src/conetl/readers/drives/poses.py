@@ -104,12 +104,27 @@ def at(track: Samples, time_ns: int, max_gap_ns: int) -> tuple[Array, Array]:
     Raises PairError: POSE_INVALID where a bad record is between them, POSE_MISSING where they are too far apart or the time
     is outside the trajectory.
     """
+    first, second = around(track, time_ns, max_gap_ns)
+    if first == second:
+        return track.map_SE3_body[first], track.sigma[first]
+    weight = (time_ns - track.times_ns[first]) / (track.times_ns[second] - track.times_ns[first])
+    pose = se3.interpolate(track.map_SE3_body[first], track.map_SE3_body[second], weight)
+    return pose, np.maximum(track.sigma[first], track.sigma[second])
+
+
+def around(track: Samples, time_ns: int, max_gap_ns: int, *, across_bad: bool = False) -> tuple[int, int]:
+    """Indices of the records before and after a time, equal where one is of that time. Raises PairError as `at`.
+
+    across_bad: a bad record between them counts as none.
+    """
     times = track.times_ns
     end = bisect_left(times, time_ns)
     if end < len(times) and times[end] == time_ns:
-        return track.map_SE3_body[end], track.sigma[end]
+        return end, end
     start_ns = times[end - 1] if end else None
     end_ns = times[end] if end < len(times) else None
+    if across_bad and start_ns is not None and end_ns is not None and end_ns - start_ns <= max_gap_ns:
+        return end - 1, end
     near = [
         (abs(t - time_ns), t) for t in track.bad
         if (start_ns is None or t > start_ns) and (end_ns is None or t < end_ns) and abs(t - time_ns) <= max_gap_ns
@@ -127,9 +142,7 @@ def at(track: Samples, time_ns: int, max_gap_ns: int) -> tuple[Array, Array]:
             f"{track.name} has a gap of {(end_ns - start_ns) * 1e-9:.3f} s around the exposure, allowed {max_gap_ns * 1e-9:g} s "
             "(max_pose_gap_s in drive.yaml)",
         )
-    weight = (time_ns - start_ns) / (end_ns - start_ns)
-    pose = se3.interpolate(track.map_SE3_body[end - 1], track.map_SE3_body[end], weight)
-    return pose, np.maximum(track.sigma[end - 1], track.sigma[end])
+    return end - 1, end
 
 
 def to_pose(map_SE3_body: Array, sigma: ArrayLike) -> Pose:

@@ -1,0 +1,226 @@
+"""Offset between the clocks of cameras and trajectory that may be tens of seconds apart, from turns and changes of speed.
+
+Visual odometry without any pose gives speed and turn rate of the vehicle at the stamps of the images, the trajectory gives them at
+its own. All offsets within the search are tried (cross-correlation with robust residuals), the best one must fit significantly
+better than any other, and is then refined by least squares as in `clock.py`, which finds what is left of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry.motion.position_spline import at_times, position_spline, turn_rate
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import Rig
+from conetl.tracking.clock import robust_fit, smoothed
+
+Floats = NDArray[np.float64]
+#: Step of both signals and of the offsets that are tried (s).
+_STEP_S = 0.1
+#: Offsets are tried under which the trajectory covers this share of the images, and this many seconds of them.
+_OVERLAP_SHARE, _OVERLAP_S = 0.6, 5.0
+#: Residuals beyond so many sigmas count as this many: a passing lorry, a lost fix.
+_CUT = 3.0
+#: Least sigmas of the two columns: of the turn (rad/s, or m/s^2 across where the trajectory has no attitude) and of the speed (m/s).
+_LEAST_SIGMA = {True: np.array([0.002, 0.03]), False: np.array([0.02, 0.03])}
+#: An offset that differs by this much must fit worse by so much (chi-square of one degree of freedom at 5 sigma).
+_APART_S, _LEAST_GAIN = 0.5, 25.0
+#: Of the variance of one of the signals the best offset explains at least this share.
+_LEAST_EXPLAINED = 0.5
+#: The trajectory is not interpolated over longer gaps (s; in median distances of its records).
+_GAP_S, _GAP_FACTOR = 0.5, 2.5
+#: Residuals of sparse records are alike over so many of their distances.
+_ALIKE = 2.5
+#: Sigma of the scale of the speeds, and the least one of a result (s).
+_SCALE, _LEAST_SIGMA_S = 0.02, 0.002
+_ITERATIONS, _MOST_PIECES = 12, 2_000_000
+
+
+class VehicleRates(NamedTuple):
+    """Turn rate and speed at N instants, by the clock of the images."""
+
+    times_s: Floats
+    """(N,) rising, in the middle of each interval; seconds since the first image."""
+    turn_rad_s: Floats
+    """(N,) about the vertical, counter-clockwise."""
+    speed_m_s: Floats
+    """(N,)"""
+
+
+class ImageClock(NamedTuple):
+    """What to add to the times of images to have those of the trajectory's clock (s), with its sigma."""
+
+    offset_s: float
+    sigma_s: float
+
+
+def rates_of(motions: Sequence[RelativeMotion], times_ns: Mapping[int, int], rig: Rig) -> VehicleRates:
+    """Turn rates and speeds of measured motions of the left camera. times_ns: of the images, by frame index (ns)."""
+    known = [m for m in motions if m.second_SE3_first is not None]
+    start_ns = min(times_ns.values(), default=0)
+    begin, end = (
+        np.array([times_ns[index] - start_ns for index in indices]) * 1e-9
+        for indices in ([m.first_frame_index for m in known], [m.second_frame_index for m in known])
+    )
+    poses = np.array([m.second_SE3_first for m in known]).reshape(-1, 4, 4)
+    step_s = np.maximum(end - begin, 1e-3)
+    body_R_left = np.array(rig.body_SE3_left)[:3, :3]
+    # A point moves against the camera.
+    turned = -Rotation.from_matrix(poses[:, :3, :3]).as_rotvec() @ body_R_left.T if len(known) else np.zeros((0, 3))
+    # The camera moves with the rig's lever, the speed of the body is what both have.
+    lever = np.array(rig.body_SE3_left)[:3, 3]
+    moved = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3]) @ body_R_left.T
+    speed = np.linalg.norm(moved - np.cross(turned, lever), axis=1) / step_s
+    return VehicleRates((begin + end) / 2, turned[:, 2] / step_s, speed)
+
+
+def find_clock_offset(
+    rates: VehicleRates,
+    first_image_ns: int,
+    times_ns: Sequence[int],
+    positions_m: Floats,
+    rotations: Floats | None,
+    sigma_m: Floats,
+    search_s: float = 30.0,
+) -> ImageClock | None:
+    """The offset under which images and trajectory show the same turns and speeds; None where they do not show one.
+
+    rates: of the images (`rates_of`), whose first is of `first_image_ns`. times_ns (K,), rising: of the records, with positions
+    (K, 3) in a level frame in metres, their sigmas (K, 3), and rotations (K, 3, 3) from the body to that frame, None where the
+    trajectory has no attitude of its own. search_s: the offset is between minus and plus this. The sigma is one of the
+    estimate, `_LEAST_SIGMA_S` at least. None, too, where other offsets fit nearly as well, as on a straight drive at constant
+    speed, and where images and trajectory have too little in common.
+    """
+    times_s = (np.array(times_ns, dtype=np.int64) - first_image_ns) * 1e-9
+    target, at_s = _on_grid(rates, attitude=rotations is not None)
+    if target is None:
+        return None
+    near = (times_s >= at_s[0] - search_s - 5) & (times_s <= at_s[-1] + search_s + 5)
+    if near.sum() < 4:
+        return None
+    first = round((max(times_s[near][0], at_s[0] - search_s) - at_s[0]) / _STEP_S)
+    last = round((min(times_s[near][-1], at_s[-1] + search_s) - at_s[0]) / _STEP_S)
+    grid_s = at_s[0] + _STEP_S * np.arange(first, last + 1)
+    turned = None if rotations is None else rotations[near]
+    signal = _trajectory_signal(times_s[near], positions_m[near], turned, sigma_m[near], grid_s)
+    reach = round(search_s / _STEP_S)
+    lags = np.arange(-reach, reach + 1)
+    padded = np.full((len(target) + 2 * reach, 2), np.nan)
+    index = np.arange(first, last + 1) + reach
+    inside = (index >= 0) & (index < len(padded))
+    padded[index[inside]] = signal[inside]
+    overlap, typical = _by_lag(target, padded, None)
+    enough = overlap >= max(_OVERLAP_SHARE * np.isfinite(target[:, 1]).sum(), _OVERLAP_S / _STEP_S)
+    if not enough.any():
+        return None
+    sigma = np.maximum(np.min(typical[enough], axis=0), _LEAST_SIGMA[rotations is not None])
+    for _ in range(2):
+        misfit = np.where(enough, _by_lag(target, padded, sigma)[1].sum(axis=1), np.inf)
+        best = int(np.argmin(misfit))
+        rest = target - padded[best : best + len(target)]
+        sigma = np.maximum(sigma, np.sqrt(np.nanmean(np.minimum(rest**2, (_CUT * sigma) ** 2), axis=0)))
+    valid = np.isfinite(rest).all(axis=1)
+    spread = np.minimum((rest[valid] / sigma) ** 2, _CUT**2).mean(axis=0)
+    whole = (target[valid] - np.median(target[valid], axis=0)) / sigma
+    if (1 - spread / np.maximum((whole**2).mean(axis=0), 1e-9)).max() < _LEAST_EXPLAINED:
+        return None
+    apart = enough & (np.abs(lags - lags[best]) * _STEP_S >= _APART_S)
+    alike = max(round(_ALIKE * float(np.median(np.diff(times_s[near]))) / _STEP_S), 6)
+    found = _refined(target, at_s, signal, grid_s, lags[best] * _STEP_S, alike)
+    if found is None or not apart.any():
+        return None
+    offset_s, sigma_s, counted = found
+    gain = (misfit[apart].min() - misfit[best]) * valid.sum() / counted
+    if gain < _LEAST_GAIN or abs(offset_s - lags[best] * _STEP_S) > _APART_S or sigma_s > _APART_S / 4:
+        return None
+    return ImageClock(offset_s, max(sigma_s, _LEAST_SIGMA_S))
+
+
+def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Floats]:
+    """(N, 2) turn and speed at even steps, NaN where no image tells them, and their times (N,) s; None of too few."""
+    times = rates.times_s
+    if len(times) < 2 or times[-1] - times[0] < _OVERLAP_S:
+        return None, times
+    at_s = np.arange(times[0], times[-1] + 1e-9, _STEP_S)
+    turn = rates.turn_rad_s if attitude else rates.turn_rad_s * rates.speed_m_s
+    values = np.stack([np.interp(at_s, times, column) for column in (turn, rates.speed_m_s)], axis=1)
+    nearest = np.clip(np.searchsorted(times, at_s), 1, len(times) - 1)
+    known = np.minimum(np.abs(times[nearest] - at_s), np.abs(times[nearest - 1] - at_s)) <= 1.5 * _STEP_S
+    return np.where(known[:, None], smoothed(values, known.astype(np.float64)), np.nan), at_s
+
+
+def _trajectory_signal(
+    times_s: Floats, positions_m: Floats, rotations: Floats | None, sigma_m: Floats, grid_s: Floats
+) -> Floats:
+    """(J, 2) turn and speed of the trajectory at the grid's times, NaN where it has none."""
+    signal = np.full((len(grid_s), 2), np.nan)
+    gaps = np.diff(times_s)
+    k = np.clip(np.searchsorted(times_s, grid_s, side="right") - 1, 0, len(gaps) - 1)
+    there = (grid_s >= times_s[0]) & (grid_s <= times_s[-1])
+    there &= gaps[k] <= max(_GAP_S, _GAP_FACTOR * float(np.median(gaps)))
+    defaults = TrajectoryParams()
+    spline = position_spline(
+        times_s, positions_m, sigma_m, white_share=defaults.gnss_white_share, correlation_s=defaults.gnss_correlation_s
+    )
+    moved = at_times(spline, grid_s[there])
+    speed = np.linalg.norm(moved.velocity_m_s, axis=1)
+    if rotations is None:
+        turn = turn_rate(moved) * speed
+    else:
+        yaw = np.unwrap(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))
+        apart = np.r_[True, np.diff(times_s) > 0]
+        turn = CubicSpline(times_s[apart], yaw[apart])(grid_s[there], 1)
+    signal[there] = np.stack([turn, speed], axis=1)
+    known = there.astype(np.float64)
+    return np.where(there[:, None], smoothed(np.nan_to_num(signal), known), np.nan)
+
+
+def _by_lag(target: Floats, padded: Floats, sigma: Floats | None) -> tuple[Floats, Floats]:
+    """For every lag the number of values (L,) in common and, by column (L, 2), their robust spread, or with sigmas the mean of their
+    squared residuals, outliers cut."""
+    windows = np.lib.stride_tricks.sliding_window_view(padded, len(target), axis=0)
+    count, found = np.zeros(len(windows)), np.full((len(windows), 2), np.inf)
+    at_once = max(_MOST_PIECES // (2 * len(target)), 1)
+    for first in range(0, len(windows), at_once):
+        rest = np.abs(windows[first : first + at_once] - target.T)
+        common = np.isfinite(rest).all(axis=1)
+        count[first : first + at_once] = common.sum(axis=1)
+        some = common.sum(axis=1) > 0
+        rest = np.where(common[some][:, None], rest[some], np.nan)
+        value = np.nanmedian(rest, axis=2) * 1.4826 if sigma is None else np.nanmean(
+            np.minimum((rest / sigma[:, None]) ** 2, _CUT**2), axis=2
+        )  # fmt: skip
+        found[first : first + at_once][some] = value
+    return count, found
+
+
+def _refined(
+    target: Floats, at_s: Floats, signal: Floats, grid_s: Floats, offset_s: float, alike: int
+) -> tuple[float, float, float] | None:
+    """The offset by least squares from a start, its sigma, and how many successive values count as one; None where it escapes."""
+    there, known = np.isfinite(signal).all(axis=1), np.isfinite(target).all(axis=1)
+    curve, own = CubicSpline(grid_s[there], signal[there]), CubicSpline(at_s[known], target[known])
+    inside = CubicSpline(grid_s, there.astype(np.float64))
+    prior = np.diag([0.0, _SCALE**-2])
+    start_s = offset_s
+    for _ in range(_ITERATIONS):
+        used = known & (at_s + offset_s >= grid_s[0]) & (at_s + offset_s <= grid_s[-1])
+        used[used] &= inside(at_s[used] + offset_s) > 0.99
+        if used.sum() * _STEP_S < _OVERLAP_S:
+            return None
+        by = np.zeros((int(used.sum()), 2, 2))
+        by[..., 0], by[:, 1, 1] = own(at_s[used], 1), target[used, 1]
+        fit = robust_fit(target[used] - curve(at_s[used] + offset_s), by, prior, 5, lags=alike)
+        offset_s += float(fit.solution[0])
+        if abs(offset_s - start_s) > 2 * _APART_S:
+            return None
+        if abs(fit.solution[0]) < 1e-5:
+            break
+    return offset_s, float(np.linalg.inv(fit.normal)[0, 0] ** 0.5), float(fit.counted.max())
