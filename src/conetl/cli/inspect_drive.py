@@ -28,6 +28,7 @@ from conetl.readers.drives.summary import DriveSummary, summarise
 
 FORMAT_NAMES = {
     "kitti": "KITTI raw layout", "plain": "plain folder", "euroc": "EuRoC / ASL folder", "bag": "ROS 2 bag or MCAP",
+    "video": "video or images with a trajectory file",
 }  # fmt: skip
 #: Processor seconds of one `conetl ingest`, measured (docs/reference/drives.md): at the start, and per million pixels of both
 #: images.

@@ -73,7 +73,7 @@ def rates_of(motions: Sequence[RelativeMotion], times_ns: Mapping[int, int], rig
     step_s = np.maximum(end - begin, 1e-3)
     body_R_left = np.array(rig.body_SE3_left)[:3, :3]
     # A point moves against the camera.
-    turned = -Rotation.from_matrix(poses[:, :3, :3]).as_rotvec() @ body_R_left.T if len(known) else np.zeros((0, 3))
+    turned = -Rotation.from_matrix(poses[:, :3, :3]).as_rotvec() @ body_R_left.T if known else np.zeros((0, 3))
     # The camera moves with the rig's lever, the speed of the body is what both have.
     lever = np.array(rig.body_SE3_left)[:3, 3]
     moved = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3]) @ body_R_left.T

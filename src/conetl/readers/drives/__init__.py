@@ -12,14 +12,14 @@ from conetl.files.storage import as_path, forget_listing, is_remote, reached
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Drive
 from conetl.model.rejections import Rejection
-from conetl.readers.drives import euroc, kitti, plain, ros_bag
+from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.formats import DriveFormat, ReadOptions
 from conetl.readers.drives.pairs import without_frozen
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
 
 #: The first format that matches reads the drive.
-FORMATS: tuple[DriveFormat, ...] = (plain, euroc, ros_bag, kitti)
+FORMATS: tuple[DriveFormat, ...] = (plain, euroc, ros_bag, video, kitti)
 
 
 def find_format(path: Path) -> DriveFormat | None:
@@ -29,7 +29,7 @@ def find_format(path: Path) -> DriveFormat | None:
 
 
 def drive_format(path: Path) -> str | None:
-    """Name of the format: kitti, plain, euroc or bag; None for anything else."""
+    """Name of the format: kitti, plain, euroc, bag or video; None for anything else."""
     found = find_format(path)
     return None if found is None else found.NAME
 

@@ -194,5 +194,7 @@ def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
     except ValueError:
         values = []
     if not least <= len(values) <= most or not np.isfinite(values).all():
-        raise InputError(f"--{key} '{text[:60]}': expected {least}{f' to {most}' if most > least else ''} numbers with commas between")
+        raise InputError(
+            f"--{key} '{text[:60]}': expected {least}{f' to {most}' if most > least else ''} numbers with commas between"
+        )
     return values

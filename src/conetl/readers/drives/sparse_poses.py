@@ -90,7 +90,9 @@ def with_course(recorded: RecordedTrajectory) -> RecordedTrajectory:
         srid = geodesy.utm_srid(float(lat[0]), float(lon[0]))
         positions = geodesy.to_map(srid, lat, lon, height)
         convergence = geodesy.grid_convergence_rad(srid, lat, lon)
-    sigma = np.where(np.isfinite(recorded.sigma[:, :3]), recorded.sigma[:, :3], 1.0)  # only the smoothness depends on it
+    sigma = np.where(
+        np.isfinite(recorded.sigma[:, :3]), recorded.sigma[:, :3], 1.0
+    )  # only the smoothness depends on it
     times_ns = recorded.times_ns.tolist()
     spline = _spline(recorded.name, times_ns, positions, sigma)
     grid_R_body, angles, _ = _course(recorded.name, spline, _seconds(times_ns, times_ns[0]))

@@ -40,7 +40,8 @@ from conetl.readers.drives.pairs import (
     drive_of_couples,
     pair_by_stamp,
 )
-from conetl.readers.drives.poses import at, placed, to_pose
+from conetl.readers.drives.poses import placed
+from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.drives.timestamps import parse_timestamp
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
@@ -65,8 +66,9 @@ class _Camera(NamedTuple):
 
 
 def matches(path: Path) -> bool:
-    """True for a folder with video files, or with folders of images that drive.yaml names."""
-    return path.is_dir() and (bool(names_in(path, VIDEO_SUFFIXES)) or _names_images(path))
+    """True for a folder with video files, or with folders of images that drive.yaml names. (A KITTI drive may hold a video, too.)"""
+    has_videos = path.is_dir() and not (path / "image_02").is_dir() and bool(names_in(path, VIDEO_SUFFIXES))
+    return has_videos or _names_images(path)
 
 
 def _names_images(path: Path) -> bool:
@@ -85,12 +87,12 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     rig, sensor_R_body = _rig(root, settings, content)
     cameras = _cameras(root, settings.images, rig, content)
     trajectory = _trajectory_file(root, settings)
-    recorded = read_trajectory(trajectory, settings)
+    recorded = read_trajectory(trajectory, settings.trajectory)
     for file in sorted(trajectory.rglob("*")) if trajectory.is_dir() else [trajectory]:
         if file.is_file():
             with file.open("rb") as opened:
                 content.add(file.relative_to(root).as_posix(), hashlib.file_digest(opened, "sha256").digest())
-    srid, track = placed(recorded, settings, options.map_srid, root, sensor_R_body)
+    srid, track = placed(with_course(recorded), settings, options.map_srid, root, sensor_R_body)
     left, right = _stamped(cameras, settings, root, content)
     couples = _chosen(pair_by_stamp(left, right, settings.pair_tolerance_ns), settings.images)
     if not couples:
@@ -103,10 +105,11 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
         return ours, theirs
 
     hashes = {path: sha256 for camera in cameras for path, sha256 in _hashes(camera)}
-    gap_ns = settings.max_pose_gap_ns
+    exposures_ns = [stamp for couple in couples if (stamp := _time_ns(couple)) is not None]
+    pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s, from_course=recorded.rotations is None)
     return drive_of_couples(
         couples, {"left": cameras[0].name, "right": cameras[1].name}, source=root, settings=settings, rig=rig, srid=srid,
-        content=content, images_of=images_of, pose_at=lambda time_ns: to_pose(*at(track, time_ns, gap_ns)),
+        content=content, images_of=images_of, pose_at=pose_at,
     )  # fmt: skip
 
 
@@ -357,7 +360,7 @@ def _time_ns(couple: Couple) -> int | None:
 
 def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
     """The trajectory. Raises DriveFolderError where drive.yaml names none and there is not just one."""
-    named = settings.trajectory.file if settings.trajectory else None
+    named = settings.trajectory.file
     if named is not None:
         path = inside(root, named, DRIVE_YAML)
         if not path.exists():
