@@ -11,11 +11,10 @@ import hashlib
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +22,7 @@ import av
 import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
-from av.video.reformatter import Interpolation
+from av.video.reformatter import Interpolation, VideoReformatter
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError, StorageError
@@ -40,10 +39,9 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".ts"})
 _OPTIONS = {"protocol_whitelist": "file", "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts"}
 #: 18 hours at 30 Hz.
 MAX_FRAMES = 2_000_000
-#: Decoders that stay open between two reads, and decoded frames that each keeps: searches read the middle of five pairs first.
-_MAX_DECODERS, _KEPT_FRAMES = 8, 12
-#: Frames that a decoder rather decodes than seeks over.
-_NEAR = 30
+#: Decoders that stay open between two reads, and bytes of decoded frames that stay in memory: searches read the middle of five
+#: pairs first, and odometry and detector read the same pairs at about the same time.
+_MAX_DECODERS, _KEPT_BYTES = 8, 256 * 2**20
 #: Without these the library rounds down, by more than one grey level.
 _EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
 _FRAGMENT = re.compile(
@@ -174,127 +172,163 @@ def read_frame(frame: Frame, sha256: str = "", *, grey: bool = False) -> Image:
 
 def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = False) -> Iterator[tuple[int, Image]]:
     """Frames of a file in the order of their time stamps, from the first to the last of these. Raises ImageFileError."""
-    decoder = _Decoder(path)
+    decoder = _Decoder(_File(path, 0, 0))
     try:
         decoder.seek(first_pts)
-        for frame in decoder.decoded():
-            if frame.pts is not None and frame.pts > last_pts:
+        for pts, frame in decoder.decoded():
+            if pts > last_pts:
                 break
-            if frame.pts is not None and frame.pts >= first_pts:
-                yield frame.pts, _pixels(frame, grey)
+            if pts >= first_pts:
+                yield pts, _pixels(frame, grey)
     finally:
         decoder.close()
 
 
 def _pixels(frame: VideoFrame, grey: bool) -> Image:
     """(height, width, 3) in blue, green, red order or (height, width), in the range and colour space that the file states."""
-    return np.asarray(frame.to_ndarray(format="gray" if grey else "bgr24", interpolation=_EXACT), dtype=np.uint8)
+    if not hasattr(_per_thread, "reformatter"):  # the frame's own one is not safe where two threads read the same frame
+        _per_thread.reformatter = VideoReformatter()
+    return np.asarray(
+        _per_thread.reformatter.reformat(frame, format="gray" if grey else "bgr24", interpolation=_EXACT).to_ndarray(),
+        dtype=np.uint8,
+    )
 
 
 # --------------------------------------------------------------------------- decoders
 
 
+class _File(NamedTuple):
+    """A file as it is now."""
+
+    path: Path
+    size: int
+    mtime_ns: int
+
+
+class _Decoded(NamedTuple):
+    frame: VideoFrame
+    packet_sha256: bytes
+
+
 class _Decoder:
     """One open file, decoded from where it stands on."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, file: _File) -> None:
+        self.file = file
         try:
-            self._container = _open(path)
+            self._container = _open(file.path)
         except InputError as error:
             raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
         self._stream = self._container.streams.video[0]
         self._stream.codec_context.thread_count = 1  # workers keep all cores busy
         self._packets: dict[int, bytes] = {}
-        self.kept: OrderedDict[int, tuple[VideoFrame, bytes]] = OrderedDict()
-        self._iterator = self.decoded()
-
-    def at(self) -> int | None:
+        self._frames = self.decoded()
+        self.at: int | None = None
         """Time stamp of the last frame that was decoded."""
-        return next(reversed(self.kept), None)
+        self.thread = threading.current_thread()
+        """The last one that used it."""
 
-    def decoded(self) -> Iterator[VideoFrame]:
-        """Frames from here on; damaged packets are skipped."""
+    def decoded(self) -> Iterator[tuple[int, VideoFrame]]:
+        """Frames and their time stamps from here on; damaged packets are skipped."""
         for packet in self._container.demux(self._stream):
             pts = packet.pts if packet.pts is not None else packet.dts
             if pts is not None and packet.size:
                 self._packets[pts] = _packet_sha256(packet, pts)
             with suppress(av.FFmpegError):
-                yield from packet.decode()
+                yield from ((frame.pts, frame) for frame in packet.decode() if frame.pts is not None)
 
     def seek(self, pts: int) -> None:
         """Go to the last key frame that is not after a time stamp."""
         self._container.seek(pts, stream=self._stream, backward=True)
-        self._restart()
-
-    def _restart(self) -> None:
-        self.kept.clear()
         self._packets.clear()
-        self._iterator = self.decoded()
+        self._frames, self.at = self.decoded(), None
 
-    def read(self, pts: int) -> tuple[VideoFrame, bytes] | None:
-        """The frame of a time stamp and the hash of its packet; None where there is none."""
-        if pts in self.kept:
-            return self.kept[pts]
-        position = self.at()
-        if position is None or position > pts:
+    def leads_to(self, pts: int) -> bool:
+        """Whether a frame is reached from here without a detour: there is no key frame on the way."""
+        if self.at is None or self.at >= pts:
+            return False
+        entries = self._stream.index_entries
+        k = entries.search_timestamp(pts, backward=True) if len(entries) else -1
+        return k >= 0 and entries[k].timestamp <= self.at
+
+    def forward(self, pts: int, keep: Callable[[int, _Decoded], None]) -> bool:
+        """Decode up to a frame; False where the first one is after it. keep: called for every frame on the way."""
+        if not self.leads_to(pts):
             self.seek(pts)
-        found = self._forward(pts)
-        if found is None and (first := next(iter(self.kept), None)) is not None and first > pts:
-            # The index counts in the order of decoding: frames shown before their key frame need the one before it.
-            self._container.seek(0, stream=self._stream, backward=True)
-            self._restart()
-            found = self._forward(pts)
-        return found
-
-    def _forward(self, pts: int) -> tuple[VideoFrame, bytes] | None:
-        for frame in self._iterator:
-            if frame.pts is None:
-                continue
-            self.kept[frame.pts] = frame, self._packets.pop(frame.pts, b"")
-            if len(self.kept) > _KEPT_FRAMES:
-                self.kept.popitem(last=False)
-            if frame.pts >= pts:
+        first_pts = None
+        for self.at, frame in self._frames:
+            first_pts = self.at if first_pts is None else first_pts
+            keep(self.at, _Decoded(frame, self._packets.pop(self.at, b"")))
+            if self.at >= pts:
                 break
-        return self.kept.get(pts)
+        return first_pts is None or first_pts <= pts
 
     def close(self) -> None:
         self._container.close()
 
 
 class _Decoders:
-    """Decoders that wait for the next read; each is used by one thread at a time, and follows that thread's frames."""
+    """Open decoders, each of one thread, and the frames that were decoded last, of all threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._idle: list[_Decoder] = []
+        self._kept: OrderedDict[tuple[_File, int], _Decoded] = OrderedDict()
+        self._kept_bytes = 0
 
-    def read(self, frame: Frame) -> tuple[VideoFrame, bytes]:
-        """A decoded frame and its packet's hash. Raises ImageFileError."""
-        decoder = self._take(frame) or _Decoder(frame.path)
+    def read(self, frame: Frame) -> _Decoded:
+        """A decoded frame. Raises ImageFileError."""
         try:
-            found = decoder.read(frame.pts)
+            found = frame.path.stat()
+        except OSError as error:
+            raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{frame.path}: {error.strerror}") from error
+        file = _File(frame.path, found.st_size, found.st_mtime_ns)
+        key = file, frame.pts
+        if (kept := self._recall(key)) is not None:
+            return kept
+        decoder = self._take(file, frame.pts) or _Decoder(file)
+
+        def keep(pts: int, decoded: _Decoded) -> None:
+            self._keep((file, pts), decoded)
+
+        try:
+            if not decoder.forward(frame.pts, keep):
+                decoder.seek(0)  # frames that are shown before their key frame need the one before it
+                decoder.forward(frame.pts, keep)
         except av.FFmpegError as error:
             decoder.close()
             raise ImageFileError(
                 RejectionReason.IMAGE_UNREADABLE, f"{frame}: cannot be decoded ({error.strerror}): copy the video again"
             ) from error
         self._give_back(decoder)
-        if found is None:
+        if (kept := self._recall(key)) is None:
             raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{frame}: the frame is damaged or missing")
-        return found
+        return kept
 
-    def _take(self, frame: Frame) -> _Decoder | None:
-        """The decoder that reaches the frame soonest, if any is near; else the oldest one of the file, once there are many."""
+    def _recall(self, key: tuple[_File, int]) -> _Decoded | None:
         with self._lock:
-            own = [d for d in self._idle if d.path == frame.path]
-            near = [d for d in own if frame.pts in d.kept] or [
-                d for d in own if (at := d.at()) is not None and at < frame.pts and _steps(d) * _NEAR >= frame.pts - at
-            ]
-            many = len(self._idle) >= _MAX_DECODERS
-            found = max(near, key=lambda d: d.at() or 0) if near else own[0] if own and many else None
+            if key in self._kept:
+                self._kept.move_to_end(key)
+            return self._kept.get(key)
+
+    def _keep(self, key: tuple[_File, int], decoded: _Decoded) -> None:
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = decoded
+                self._kept_bytes += _bytes_of(decoded.frame)
+            while self._kept_bytes > _KEPT_BYTES and len(self._kept) > 1:
+                self._kept_bytes -= _bytes_of(self._kept.popitem(last=False)[1].frame)
+
+    def _take(self, file: _File, pts: int) -> _Decoder | None:
+        """The decoder of this thread (or of one that ended) that is nearest before a frame, else any of its decoders of the file."""
+        with self._lock:
+            me = threading.current_thread()
+            own = [d for d in self._idle if d.file == file and (d.thread is me or not d.thread.is_alive())]
+            before = [d for d in own if d.leads_to(pts)]
+            found = max(before, key=lambda d: d.at or 0) if before else own[0] if own else None
             if found is not None:
                 self._idle.remove(found)
+                found.thread = me
             return found
 
     def _give_back(self, decoder: _Decoder) -> None:
@@ -305,12 +339,11 @@ class _Decoders:
             old.close()
 
 
-def _steps(decoder: _Decoder) -> int:
-    """Smallest step between the frames that a decoder keeps."""
-    return min((b - a for a, b in pairwise(decoder.kept)), default=0)
+def _bytes_of(frame: VideoFrame) -> int:
+    return sum(plane.buffer_size for plane in frame.planes)
 
 
-_decoders = _Decoders()
+_decoders, _per_thread = _Decoders(), threading.local()
 
 
 @contextmanager

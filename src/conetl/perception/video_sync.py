@@ -96,7 +96,7 @@ def _correlations(left: tuple[Floats, Floats], right: tuple[Floats, Floats], per
         both = np.isfinite(ours[:, 0]) & np.isfinite(moved[:, 0])
         if both.sum() >= 2 * _SLOW:
             a, b = ours[both].ravel(), moved[both].ravel()
-            found[k] = a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-9)
+            found[k] = float(a @ b) / max(float(a @ a) * float(b @ b), 1e-18) ** 0.5
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
 
@@ -71,6 +72,18 @@ def test_every_frame_by_its_time_stamp_in_any_order(video: Path) -> None:
         assert abs(float(image.mean()) - (5 + 5 * n)) < 2.4
         assert abs(float(read_frame(Frame(video, index.pts[n]), grey=True).mean()) - (5 + 5 * n)) < 2.4
     assert [pts for pts, _ in frames_between(video, index.pts[20], index.pts[30])] == list(index.pts[20:31])
+
+
+def test_threads_read_the_same_frames_at_once(tmp_path: Path) -> None:
+    video = index_video(write_video(tmp_path / "a.mp4", numbered(50)))
+
+    def brightness(n: int) -> float:
+        return float(read_frame(Frame(video.path, video.pts[n]), video.sha256(n), grey=n % 2 == 0).mean())
+
+    numbers = [n for k in range(6) for n in range(k, 50)]
+    with ThreadPoolExecutor(6) as pool:
+        found = list(pool.map(brightness, numbers))
+    assert np.abs(np.array(found) - (5 + 5 * np.array(numbers))).max() < 2.4
 
 
 def test_time_stamps_of_a_variable_rate(tmp_path: Path) -> None:
