@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -50,9 +51,13 @@ _LENGTHS = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "c
 _TIMES = {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"}
 _REFUSED = frozenset({"ft", "feet", "usft", "gon", "grad", "grads", "mil", "mils"})
 _NO_UNITS = frozenset({"utc", "gps", "wgs84", "msl", "", "-", "ellipsoidal", "gpst"})
-#: A header is among these lines, and has at most so many names.
-_HEADER_LINES, _MOST_COLUMNS = 200, 1000
+#: A header is among these lines, and has at most so many characters and names.
+_HEADER_LINES, _LONGEST_HEADER, _MOST_COLUMNS = 200, 5000, 1000
 _MARKS = (",", ";", "\t", None)
+
+
+#: Characters of a column's name that may be known.
+_LONGEST_NAME = 60
 
 
 class _Found(NamedTuple):
@@ -100,7 +105,8 @@ def looks_like(lines: list[str]) -> bool:
     """Whether one of the first lines has names for a time and a position."""
     for line in lines[:_HEADER_LINES]:
         for mark in _MARKS:
-            roles = {_role_of(name) for name in split_line(line.lstrip("#% \t\ufeff"), mark)[:_MOST_COLUMNS]}
+            names = split_line(line[:_LONGEST_HEADER].lstrip("#% \t\ufeff"), mark)
+            roles = {_role_of(name) for name in names[:_MOST_COLUMNS]}
             found = {"height" if role == "height_msl" else role for role in roles}
             if "time" in found and any(set(names) <= found for names in POSITIONS.values()):
                 return True
@@ -119,7 +125,8 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
         columns = {role: _numbered(path, role, int(at), settings) for role, at in settings.columns.items()}
         return _Found(-1, [], columns, mark)
     best: _Found | None = None
-    for i, line in enumerate(lines[:_HEADER_LINES]):
+    for i, whole in enumerate(lines[:_HEADER_LINES]):
+        line = whole[:_LONGEST_HEADER]
         text = line.lstrip("#% \t\ufeff") if line.startswith(("#", "%", "\ufeff")) else line
         for mark in marks:
             names = [name.strip() for name in split_line(text.strip("\r\n"), mark)]
@@ -205,8 +212,11 @@ def _unit_of(name: str) -> str:
     return word if word in {*_DEGREES, *_LENGTHS, *_TIMES, *_REFUSED, *_NO_UNITS} else ""
 
 
+@lru_cache(maxsize=10_000)
 def _role_of(name: str) -> str | None:
     """Our name of a column, None where it is unknown."""
+    if len(name) > _LONGEST_NAME:
+        return None
     unit = _unit_of(name)
     base = (
         re.sub(r"[\[(]" + re.escape(unit) + r"[\])]", "", name, flags=re.IGNORECASE)
