@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +25,7 @@ import yaml
 from conetl.cli.map.work_zones import Rules
 from conetl.exports.wzdx import read_feed_info
 from conetl.files.yaml_model import read_yaml_model
+from conetl.model.errors import DriveFolderError
 from conetl.model.params import ImportParams, IngestParams
 from conetl.model.records import Camera, Rig
 from conetl.model.rejections import Rejection
@@ -41,10 +43,12 @@ from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_sc
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.recording import open_arriving
 from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
+from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.oxts import parse_oxts
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_rig_formats as rig_files
+from tests.unit.readers import trajectory_files
 
 WIDTH, HEIGHT = 96, 32
 FRAMES = 4
@@ -110,6 +114,22 @@ def read_arriving(path: Path, _: Path) -> object:
         except PairError as error:
             rejections.append(error.rejection(pair.key, 0))
     return rejections
+
+
+# --------------------------------------------------------------------------- trajectories
+
+
+def read_any_trajectory(name: str) -> Callable[[Path, Path], object]:
+    """Found by its content, and read in the format that it was written in, whatever its content is now."""
+    sample = trajectory_files.SAMPLES[name]
+
+    def read(path: Path, _: Path) -> object:
+        find_trajectories(path.parent)
+        with suppress(DriveFolderError):
+            read_trajectory(path, sample.settings)
+        return read_trajectory(path, sample.settings.model_copy(update={"format": sample.format}))
+
+    return read
 
 
 # --------------------------------------------------------------------------- rigs
@@ -326,6 +346,10 @@ READERS: dict[str, Reader] = {
     "oxts": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/data/0000000000.txt", f)), read_oxts),
     "timestamps": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/timestamps.txt", f)), read_stamps),
     "velodyne": Reader(write_scans, read_scans),
+    **{
+        f"trajectory_{name}": Reader(sample.write, read_any_trajectory(name))
+        for name, sample in trajectory_files.SAMPLES.items()
+    },
     "rig_yaml": Reader(write_rig, read_any_rig),
     "rig_kitti": Reader(write_kitti_rig, read_any_rig),
     "rig_opencv_yml": Reader(write_opencv(".yml"), read_any_rig),

@@ -48,7 +48,7 @@ def read_trajectory(
         raise DriveFolderError(
             f"{path}: there is no such file; name the trajectory in drive.yaml (trajectory: {{file: ...}})"
         )
-    name = settings.format or trajectory_format(path)
+    name = settings.format or ("table" if settings.columns else trajectory_format(path))
     if name is None:
         raise DriveFolderError(
             f"{path}: this is not a trajectory in a known format ({', '.join(READERS)}); name its columns in drive.yaml "
@@ -86,7 +86,7 @@ def trajectory_format(path: Path) -> FormatName | None:
         return "euroc"
     if local.looks_like_tum(filled):
         return "tum"
-    return "table" if delimited.looks_like(path, lines) else None
+    return "table" if delimited.looks_like(lines) else None
 
 
 def find_trajectories(folder: Path) -> list[Path]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -50,7 +51,13 @@ _LENGTHS = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "c
 _TIMES = {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"}
 _REFUSED = frozenset({"ft", "feet", "usft", "gon", "grad", "grads", "mil", "mils"})
 _NO_UNITS = frozenset({"utc", "gps", "wgs84", "msl", "", "-", "ellipsoidal", "gpst"})
+#: A header is among these lines, and has at most so many characters and names.
+_HEADER_LINES, _LONGEST_HEADER, _MOST_COLUMNS = 200, 5000, 1000
 _MARKS = (",", ";", "\t", None)
+
+
+#: Characters of a column's name that may be known.
+_LONGEST_NAME = 60
 
 
 class _Found(NamedTuple):
@@ -67,7 +74,8 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     """The records of a table. Raises DriveFolderError that names its columns where they are not understood."""
     lines = head_lines(path)
     found = _header(path, lines, settings)
-    columns, heights = dict(found.columns), "ellipsoidal"
+    columns = dict(found.columns)
+    heights: Literal["ellipsoidal", "sea level"] = "ellipsoidal"
     if "height_msl" in columns and "height" not in columns:
         columns["height"] = columns.pop("height_msl")
         heights = "sea level"
@@ -90,18 +98,19 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     )  # fmt: skip
     if heights == "sea level" and settings.heights == "ellipsoidal":
         heights = "ellipsoidal"
-    return Reading(table_records(path, layout, settings), axes, heights)  # type: ignore[arg-type]
+    return Reading(table_records(path, layout, settings), axes, heights)
 
 
-def looks_like(path: Path, lines: list[str]) -> bool:
-    """Whether a header has names for a time and a position."""
-    try:
-        found = _header(path, lines, TrajectoryFile())
-    except DriveFolderError:
-        return False
-    if {"height_msl"} <= found.columns.keys():
-        found.columns.setdefault("height", found.columns["height_msl"])
-    return "time" in found.columns and any(set(names) <= found.columns.keys() for names in POSITIONS.values())
+def looks_like(lines: list[str]) -> bool:
+    """Whether one of the first lines has names for a time and a position."""
+    for line in lines[:_HEADER_LINES]:
+        for mark in _MARKS:
+            names = split_line(line[:_LONGEST_HEADER].lstrip("#% \t\ufeff"), mark)
+            roles = {_role_of(name) for name in names[:_MOST_COLUMNS]}
+            found = {"height" if role == "height_msl" else role for role in roles}
+            if "time" in found and any(set(names) <= found for names in POSITIONS.values()):
+                return True
+    return False
 
 
 def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
@@ -111,15 +120,20 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
         marks = (None if settings.delimiter == " " else settings.delimiter,)
     if settings.columns and all(isinstance(name, int) for name in settings.columns.values()):
         first = next((line for line in lines if line.strip() and not line.startswith(("#", "%"))), "")
-        mark = max(marks, key=lambda mark: len(split_line(first, mark)) if mark else 1)
+        needed = max(int(at) for at in settings.columns.values())
+        mark = next((mark for mark in marks if len(split_line(first, mark)) >= needed), marks[0])
         columns = {role: _numbered(path, role, int(at), settings) for role, at in settings.columns.items()}
         return _Found(-1, [], columns, mark)
     best: _Found | None = None
-    for i, line in enumerate(lines[:200]):
+    for i, whole in enumerate(lines[:_HEADER_LINES]):
+        line = whole[:_LONGEST_HEADER]
         text = line.lstrip("#% \t\ufeff") if line.startswith(("#", "%", "\ufeff")) else line
         for mark in marks:
             names = [name.strip() for name in split_line(text.strip("\r\n"), mark)]
-            if len(names) < 3 or sum(any(c.isalpha() for c in name) for name in names) < len(names) / 2:
+            if (
+                not 3 <= len(names) <= _MOST_COLUMNS
+                or sum(any(c.isalpha() for c in name) for name in names) < len(names) / 2
+            ):
                 continue
             found = _Found(i, names, _columns(path, names, settings), mark)
             if best is None or len(found.columns) > len(best.columns):
@@ -149,9 +163,10 @@ def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str
                 f"drive.yaml: trajectory.columns: {shown(role)} is unknown; known are {', '.join(ROLES)}"
             )
     for at, name in enumerate(names):
-        role = mapped.get(name) or _role_of(name)
-        if role is None or (role in settings.columns and name not in mapped):
+        found = mapped.get(name) or _role_of(name)
+        if found is None or (found in settings.columns and name not in mapped):
             continue
+        role = found
         if role in columns:
             raise DriveFolderError(
                 f"{path}: the columns {shown(columns[role].name)} and {shown(name)} may both be the {role}; name one in drive.yaml, "
@@ -197,8 +212,11 @@ def _unit_of(name: str) -> str:
     return word if word in {*_DEGREES, *_LENGTHS, *_TIMES, *_REFUSED, *_NO_UNITS} else ""
 
 
+@lru_cache(maxsize=10_000)
 def _role_of(name: str) -> str | None:
     """Our name of a column, None where it is unknown."""
+    if len(name) > _LONGEST_NAME:
+        return None
     unit = _unit_of(name)
     base = (
         re.sub(r"[\[(]" + re.escape(unit) + r"[\])]", "", name, flags=re.IGNORECASE)
@@ -219,9 +237,7 @@ def _scale_of(name: str) -> str:
     return "?" if "gps" in plain else ""
 
 
-def _time_words(
-    time: Column, data: list[list[str]], delimiter: str | None, columns: Mapping[str, Column]
-) -> Literal[1, 2]:
+def _time_words(time: Column, data: list[list[str]], delimiter: str | None, columns: Mapping[str, Column]) -> int:
     """2 where a date and a time of one column are separated by white space like all others."""
     if delimiter is not None or "date" in columns:
         return 1

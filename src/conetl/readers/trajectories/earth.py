@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path, PurePath
 
 import numpy as np
-from pyproj import CRS, Transformer, datadir
-from pyproj.aoi import AreaOfInterest
+from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
+from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 from pyproj.exceptions import CRSError, ProjError
-from pyproj.transformer import TransformerGroup
+from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from conetl.files.documents import shown
 from conetl.model.errors import DriveFolderError
@@ -144,7 +144,9 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
         after.append(_grid(geoid, path))
     try:
         x, y = (start[1], start[0]) if axes == "geodetic" else (start[0], start[1])
-        lon, lat = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(x, y, start[2])[:2]
+        lon, lat = Transformer.from_crs(
+            flat, CRS(4979) if flat.is_geocentric else flat.geodetic_crs, always_xy=True
+        ).transform(x, y, start[2])[:2]
         area = AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05) if math.isfinite(lon + lat) else None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a missing grid is reported below
@@ -164,12 +166,12 @@ def _grid(name: str, path: Path) -> Transformer:
     if PurePath(name).name != name or not all(c.isalnum() or c in "._-" for c in name):
         raise DriveFolderError(
             f"drive.yaml: trajectory.heights: {shown(name)}: expected the name of a grid file (letters, digits, . _ -) without a "
-            f"folder; put the file beside {path.name} or into {datadir.get_user_data_dir()}"
+            f"folder; put the file beside {path.name} or into {get_user_data_dir()}"
         )
     folders = [
         path.resolve().parent,
-        Path(datadir.get_user_data_dir()),
-        *map(Path, datadir.get_data_dir().split(os.pathsep)),
+        Path(get_user_data_dir()),
+        *map(Path, get_data_dir().split(os.pathsep)),
     ]
     found = next((folder / name for folder in folders if (folder / name).is_file()), None)
     if found is None:
@@ -191,7 +193,7 @@ def _missing(path: Path, what: str, grids: list[str]) -> str:
     named = ", ".join(grids)
     return (
         f"{path}: heights or positions of {shown(what)} need the grid {named}, which is not installed: put it into "
-        f"{datadir.get_user_data_dir()} (`projsync --file {grids[0]}` does)"
+        f"{get_user_data_dir()} (`projsync --file {grids[0]}` does)"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,8 +116,8 @@ def assembled(
     for piece in pieces:
         wrong = problems(piece, is_local)
         good = (piece.times_ns >= EARLIEST_NS) & (piece.times_ns <= latest_ns)
-        for i in np.flatnonzero(~good):
-            wrong.setdefault(int(i), f"the time {clock_problem(int(piece.times_ns[i]))}")
+        for i in np.flatnonzero(~good).tolist():
+            wrong.setdefault(i, f"the time {clock_problem(int(piece.times_ns[i]))}")
         inside = good & _within(piece.times_ns, between_ns)
         if wrong:
             names = dict(enumerate(piece.names)) if piece.names is not None else {}
@@ -131,8 +131,8 @@ def assembled(
         if count > MAX_RECORDS:
             raise DriveFolderError(f"{path}: more than {MAX_RECORDS:,} records: cut the file to the time of the drive")
         if inside.any():
-            rotations = None if piece.rotations is None else piece.rotations[inside]
-            kept.append(Records(piece.times_ns[inside], piece.positions[inside], rotations, piece.sigma[inside], {}))
+            turned = None if piece.rotations is None else piece.rotations[inside]
+            kept.append(Records(piece.times_ns[inside], piece.positions[inside], turned, piece.sigma[inside], {}))
     if not kept:
         raise DriveFolderError(
             f"{path}: not one usable pose: {first_problem or 'there are no records' + _of(between_ns)}"
@@ -156,7 +156,7 @@ def problems(piece: Records, is_local: bool) -> dict[int, str]:
     """What is wrong with records of WGS 84 or of a local frame, by index."""
     wrong = dict(piece.wrong)
 
-    def add(mask: NDArray[np.bool_], text: str) -> None:
+    def add(mask: Any, text: str) -> None:
         for i in np.flatnonzero(mask).tolist():
             wrong.setdefault(i, text)
 
@@ -175,7 +175,7 @@ def problems(piece: Records, is_local: bool) -> dict[int, str]:
     if piece.rotations is not None:
         add(
             ~np.isfinite(piece.rotations).all(axis=(1, 2)),
-            "the attitude is missing or not one of finite numbers (quaternions: of length 1)",
+            "the attitude is not one of finite numbers (a quaternion: of length 1)",
         )
     return wrong
 

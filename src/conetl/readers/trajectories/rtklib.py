@@ -110,7 +110,8 @@ def _of_ecef(values: Mapping[str, Floats], found: Records) -> Records:
         none = np.zeros(len(found.times_ns))
         roots = np.array([[values.get(name, none) for name in row] for row in order])
         covariance = np.moveaxis(np.sign(roots) * roots**2, -1, 0)
-        lon, lat, _ = Transformer.from_crs(4978, 4979, always_xy=True).transform(*found.positions.T)
+        x, y, z = found.positions.T
+        lon, lat, _ = Transformer.from_crs(4978, 4979, always_xy=True).transform(x, y, z)
         turn = ecef_R_enu(np.asarray(lat), np.asarray(lon))
         with np.errstate(invalid="ignore"):
             variances = np.einsum("nji,njk,nki->ni", turn, covariance, turn)

@@ -126,7 +126,9 @@ def _unwrapped_s(seconds: Floats, period_ns: int) -> Floats:
     """Times (N,) of a week or day, those after its end above the period: from its last 14th to the first."""
     period = period_ns * 1e-9
     with np.errstate(invalid="ignore"):
-        turned = (seconds[:-1] > period * 13 / 14) & (seconds[1:] < period / 14)
+        late = seconds[:-1] > period * 13 / 14
+        # Two late times, so that one wild time does not move all that follow.
+        turned = late & np.concatenate([[True], late[:-1]])[: len(late)] & (seconds[1:] < period / 14)
     return np.asarray(seconds + period * np.concatenate([[0], np.cumsum(turned)]))
 
 

@@ -202,13 +202,13 @@ def require(columns: Mapping[str, Column], path: Path, header: Sequence[str]) ->
     """The axes of a table's positions. Raises DriveFolderError where a column is missing."""
     shown_header = ", ".join(header)[:200]
     for axes in ("geodetic", "projected", "local"):
-        names = POSITIONS[axes]  # type: ignore[index]
+        names = POSITIONS[axes]
         if names[0] in columns and names[1] in columns:
             if names[2] not in columns:
                 raise DriveFolderError(f"{path}: has no column for {names[2]!r}; its columns are {shown_header}")
             if "time" not in columns:
                 break
-            return axes  # type: ignore[return-value]
+            return axes
     raise DriveFolderError(
         f"{path}: expected columns for a time and a position (lat, lon, height; easting, northing, height; or x, y, z), found "
         f"{shown_header}. Name them in drive.yaml, for example trajectory: {{columns: {{time: Zeit, lat: B, lon: L, height: H}}}}"

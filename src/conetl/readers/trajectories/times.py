@@ -119,7 +119,7 @@ def decimal_ns(text: str, digits: int = 9) -> int:
     """
     match = _PLAIN.fullmatch(text)
     if match is not None:
-        ns = int(match[1]) * 10**digits + (int((match[2] or "")[:digits].ljust(digits, "0")) if digits else 0)
+        ns = int(match[1]) * int(10**digits) + (int((match[2] or "")[:digits].ljust(digits, "0")) if digits else 0)
     else:
         try:
             value = Decimal(text)
@@ -223,8 +223,8 @@ TimeReader = Callable[[Sequence[str], Sequence[str] | None], tuple[Times, dict[i
 def time_reader(clock: Clock) -> TimeReader:
     """A function of the words of consecutive records and, for times of a week, of their weeks: UTC ns (N,), and what is wrong by index.
 
-    Times of a week or a day without one of their own that begin anew belong to the next week or day: from its last 14th to the
-    first, so that one wild time does not move all that follow.
+    Times of a week or a day without one of their own that begin anew belong to the next week or day: if two times were in the last
+    14th of one and the next is in the first of another, so that one wild time does not move all that follow.
     """
     period_ns = DAY_NS if clock.kind == "day" else WEEK_NS
     unix_zone = "UTC" if clock.scale == "gps" else clock.scale
@@ -233,11 +233,11 @@ def time_reader(clock: Clock) -> TimeReader:
         "week": GPS_EPOCH_NS + (clock.week or 0) * WEEK_NS,
         "day": ((clock.day or date(1970, 1, 1)) - date(1970, 1, 1)).days * DAY_NS,
     }[clock.kind]  # fmt: skip
-    latest_ns = 0
+    before = [0, 0]
     turns = 0
 
     def one(word: str, week: str | None) -> int:
-        nonlocal latest_ns, turns
+        nonlocal turns
         if clock.kind == "stamp":
             if clock.scale == "gps" and _OFFSET.search(word):
                 raise ValueError(f"{word.strip()[:60]!r} has an offset from UTC, but is said to be GPS time")
@@ -251,10 +251,10 @@ def time_reader(clock: Clock) -> TimeReader:
             if not (week.strip().isascii() and week.strip().isdigit() and 0 <= int(week[:9]) < 10_000):
                 raise ValueError(f"{week.strip()[:40]!r} is not a GPS week")
             return GPS_EPOCH_NS + int(week) * WEEK_NS + ns
-        if latest_ns - turns * period_ns > period_ns * 13 // 14 and ns < period_ns // 14:
+        if min(before) > period_ns * 13 // 14 and ns < period_ns // 14:
             turns += 1
-        latest_ns = ns + turns * period_ns
-        return start_ns + latest_ns
+        before[:] = [before[1], ns] if before[1] else [ns, ns]
+        return start_ns + ns + turns * period_ns
 
     def read(words: Sequence[str], weeks: Sequence[str] | None) -> tuple[Times, dict[int, str]]:
         times, wrong = np.zeros(len(words), np.int64), {}

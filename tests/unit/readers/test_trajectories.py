@@ -1,0 +1,383 @@
+"""Trajectory files: one known trajectory in every format, times, coordinates, and damage that must cost one record only."""
+
+from __future__ import annotations
+
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import Transformer
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry.geodesy import grid_convergence_rad
+from conetl.model.errors import DriveFolderError
+from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
+from conetl.readers.drives.poses import placed
+from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
+from conetl.readers.trajectories.settings import TrajectoryFile
+from conetl.readers.trajectories.times import SECOND_NS, Clock, decimal_ns, gps_to_utc, parse_timestamp, time_reader
+from tests.unit.readers import trajectory_files as files
+from tests.unit.readers.test_kitti_real_drive import FOLDER as KITTI
+
+TO_ECEF = Transformer.from_crs(4979, 4978)
+
+
+def apart_m(a: Any, b: Any) -> float:
+    """Largest distance of positions (N, 3) in latitude, longitude, height."""
+    x, y = (np.column_stack(TO_ECEF.transform(*np.asarray(p).T)) for p in (a, b))
+    return float(np.linalg.norm(x - y, axis=1).max())
+
+
+def angle_rad(a: Any, b: Any) -> float:
+    """Largest angle between rotations (N, 3, 3)."""
+    return float((Rotation.from_matrix(a).inv() * Rotation.from_matrix(b)).magnitude().max())
+
+
+def true_rotations(rph: Any) -> Any:
+    """Body (forward, left, up) to east, north, up, from its axes: independent of the reader's formula."""
+    r, p, h = np.radians(rph).T
+    forward = np.column_stack([np.sin(h) * np.cos(p), np.cos(h) * np.cos(p), np.sin(p)])
+    level_right = np.column_stack([np.cos(h), -np.sin(h), np.zeros_like(h)])
+    right_up = np.cross(level_right, forward)
+    # The right side goes down.
+    right = level_right * np.cos(r)[:, None] - right_up * np.sin(r)[:, None]
+    return np.stack([forward, -right, np.cross(forward, -right)], axis=-1)
+
+
+@pytest.mark.parametrize("name", files.SAMPLES)
+def test_every_format_gives_the_trajectory_that_was_written(name: str, tmp_path: Path) -> None:
+    sample, t = files.SAMPLES[name], files.known()
+    path = sample.write(tmp_path)
+    assert trajectory_format(path) == sample.format
+    assert path in find_trajectories(tmp_path)
+    found = read_trajectory(path, sample.settings)
+    assert found.bad == {}
+    np.testing.assert_array_equal(found.times_ns, t.times_ns)
+    assert found.is_local == sample.is_local
+    if sample.is_local:
+        np.testing.assert_allclose(found.positions, files.local_poses(t)[0], atol=1e-8)
+    else:
+        assert apart_m(found.positions, t.llh) < 1e-3
+    if sample.has_attitude:
+        assert found.rotations is not None
+        assert angle_rad(found.rotations, true_rotations(t.rph)) < 1e-6
+    else:
+        assert found.rotations is None
+    if sample.has_sigma:
+        np.testing.assert_allclose(found.sigma[:, :3], t.sigma[:, :3], atol=1e-4)
+        if sample.has_attitude:
+            np.testing.assert_allclose(found.sigma[:, 3:], np.radians(t.sigma[:, 3:]), rtol=1e-6)
+
+
+def test_only_the_time_of_the_drive_is_kept(tmp_path: Path) -> None:
+    t = files.known()
+    found = read_trajectory(files.write_csv(tmp_path), between_ns=(int(t.times_ns[10]), int(t.times_ns[19])))
+    np.testing.assert_array_equal(found.times_ns, t.times_ns[10:20])
+    with pytest.raises(DriveFolderError, match="time of the drive"):
+        read_trajectory(tmp_path / "drive.csv", between_ns=(0, 1))
+
+
+# --------------------------------------------------------------------------- times
+
+
+def gps_ns(text: str) -> int:
+    return parse_timestamp(text)
+
+
+@pytest.mark.parametrize(
+    ("gps", "utc"),
+    [
+        ("1980-01-06 00:00:00", "1980-01-06 00:00:00"),
+        ("2006-01-01 00:00:12.999", "2005-12-31 23:59:59.999"),  # 13 s ahead until then
+        ("2006-01-01 00:00:14", "2006-01-01 00:00:00"),
+        ("2016-12-31 23:59:59", "2016-12-31 23:59:42"),
+        ("2017-01-01 00:00:16.999", "2016-12-31 23:59:59.999"),
+        ("2017-01-01 00:00:18", "2017-01-01 00:00:00"),
+        ("2026-11-23 00:00:18", "2026-11-23 00:00:00"),
+    ],
+)  # fmt: skip
+def test_gps_time_is_ahead_of_utc_by_the_leap_seconds_of_its_date(gps: str, utc: str) -> None:
+    assert gps_to_utc(np.array([gps_ns(gps)]))[0] == parse_timestamp(utc)
+
+
+@given(st.integers(946_684_800, 1_900_000_000).map(lambda s: s * SECOND_NS))
+def test_gps_time_never_runs_backwards_by_more_than_its_leap_second(start_ns: int) -> None:
+    steps = np.diff(gps_to_utc(start_ns + np.arange(0, 4 * 10**9, 10**8)))
+    assert ((steps == 10**8) | (steps == 10**8 - SECOND_NS)).all()
+    assert (steps < 0).sum() <= 1
+
+
+@given(st.integers(0, 2**62))
+def test_decimal_times_are_exact(ns: int) -> None:
+    for digits in (9, 6, 3, 0):
+        whole, rest = divmod(ns, 10**digits)
+        assert decimal_ns(f"{whole}.{rest:0{digits}d}" if digits else str(ns), digits) == ns
+
+
+@given(st.datetimes(datetime(2000, 1, 1), datetime(2060, 1, 1)), st.integers(0, 999_999_999))
+def test_texts_of_times_are_exact(moment: datetime, ns: int) -> None:
+    whole = moment.replace(microsecond=0, tzinfo=UTC)
+    expected = int(whole.timestamp()) * SECOND_NS + ns
+    for form in ("%Y-%m-%d %H:%M:%S", "%Y/%m/%dT%H:%M:%S", "%d.%m.%Y %H:%M:%S"):
+        assert parse_timestamp(f"{whole:{form}}.{ns:09d}") == expected
+
+
+def test_a_week_ends_and_one_wild_time_does_not_end_it() -> None:
+    read = time_reader(Clock("UTC", "week", week=2300))
+    times, wrong = read(["604799.5", "604799.9", "0.3", "0.7"], None)
+    assert wrong == {} and np.diff(times).tolist() == [4 * 10**8] * 3
+    times, _ = time_reader(Clock("UTC", "week", week=2300))(["100.0", "603000", "100.2"], None)
+    assert times[2] - times[0] == 2 * 10**8
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"week": files.WEEK}, None),
+        ({"date": date(2024, 2, 7)}, None),
+        ({}, "which"),
+        ({"date": date(2024, 2, 9)}, "Wednesday"),
+    ],
+)  # fmt: skip
+def test_an_sbet_file_needs_its_week(settings: dict[str, Any], expected: str | None, tmp_path: Path) -> None:
+    path = files.write_sbet(tmp_path)
+    if expected is None:
+        np.testing.assert_array_equal(
+            read_trajectory(path, TrajectoryFile(**settings)).times_ns, files.known().times_ns
+        )
+    else:
+        with pytest.raises(DriveFolderError, match=expected):
+            read_trajectory(path, TrajectoryFile(**settings))
+
+
+def test_an_sbet_file_of_seconds_of_the_day_in_utc(tmp_path: Path) -> None:
+    rows = files.sbet_rows(files.known())
+    rows[:, 0] -= 3 * 86_400 + 18
+    rows.astype("<f8").tofile(tmp_path / "sbet.out")
+    found = read_trajectory(tmp_path / "sbet.out", TrajectoryFile(date=date(2024, 2, 7), time="utc"))
+    np.testing.assert_array_equal(found.times_ns, files.known().times_ns)
+    assert np.isnan(found.sigma).all()
+
+
+def test_nmea_over_midnight_and_with_its_date_later(tmp_path: Path) -> None:
+    start = datetime(2024, 2, 28, 23, 59, 58, tzinfo=UTC)
+    for first in (0, 3, 25):
+        found = read_trajectory(files.write_nmea(tmp_path, start=start, rmc_first=first))
+        expected = int(start.timestamp()) * SECOND_NS + np.arange(files.COUNT) * 10**8
+        np.testing.assert_array_equal(found.times_ns, expected)
+    path = files.write_nmea(tmp_path, start=start, rmc_first=1000)
+    with pytest.raises(DriveFolderError, match="date"):
+        read_trajectory(path)
+    assert (
+        read_trajectory(path, TrajectoryFile(date=date(2024, 2, 28))).times_ns[0] == int(start.timestamp()) * SECOND_NS
+    )
+
+
+@pytest.mark.parametrize(
+    ("column", "first", "settings", "shift_s"),
+    [
+        ("time", "1707297300.0", {}, 0),
+        ("timestamp_ms", "1707297300000", {}, 0),
+        ("t", "1707297300000000", {}, 0),
+        ("stamp", "1707297300000000000", {}, 0),
+        ("gps_time", "1391332518", {"time": "gps"}, 0),
+        ("utc", "2024-02-07 10:15:00+01:00", {}, 0),
+        ("time", "2024-02-07T09:15:18", {"time": "gps"}, 0),
+        ("time", "2024-02-07T04:15:00", {"time": "America/New_York"}, 0),
+        ("time", "33300.0", {"time": "utc", "date": date(2024, 2, 7)}, 0),
+        ("tow", f"{files.TOW}", {"week": files.WEEK}, 0),
+    ],
+)  # fmt: skip
+def test_times_of_tables(column: str, first: str, settings: dict[str, Any], shift_s: int, tmp_path: Path) -> None:
+    path = files.write(tmp_path, "a.csv", [f"{column},lat,lon,alt", f"{first},49,8.4,110"])
+    found = read_trajectory(path, TrajectoryFile(**settings))
+    assert found.times_ns[0] == int(files.START.timestamp()) * SECOND_NS
+
+
+@pytest.mark.parametrize(
+    ("lines", "settings", "expected"),
+    [
+        (["gps_time,lat,lon,alt", "2024-02-07 09:15:18,49,8,110"], {}, "GPS time, which is some seconds ahead"),
+        (["time,lat,lon,alt", "33300,49,8,110"], {}, "does not say of which"),
+        (["time,lat,lon,alt", "33300,49,8,110"], {"date": date(2024, 2, 7)}, "GPS time, which"),
+        (["time,lat,lon,alt", "07/02/2024 09:15:00,49,8,110"], {}, "two ways"),
+        (["time,lat,latitude,lon,alt", "1707297300,49,49,8,110"], {}, "may both be the lat"),
+        (["time,lat,lon,h_msl", "1707297300,49,8,110"], {}, "geoid"),
+        (["time,lat,lon,h_msl", "1707297300,49,8,110"], {"heights": "EPSG:5773"}, "us_nga_egm96_15.tif"),
+        (["time,lat,lon,h_msl", "1707297300,49,8,110"], {"heights": "nowhere.gtx"}, "nowhere.gtx"),
+        (["time,lat,lon,h_msl", "1707297300,49,8,110"], {"heights": "../../etc/x.gtx"}, "without a folder"),
+        (["time,lat,lon,h_msl", "1707297300,49,8,110"], {"heights": "EPSG:25832"}, "not a CRS of heights"),
+        (["time,easting,northing,h", "1707297300,458000,5427000,110"], {}, "crs"),
+        (["time,easting,northing,h", "1707297300,458000,5427000,110"], {"crs": "EPSG:4326"}, "projected"),
+        (["time,easting,northing,h", "1707297300,3458000,5427000,110"], {"crs": "EPSG:31467"}, "BETA2007"),
+        (["time,lat,lon,height_ft", "1707297300,49,8,110"], {}, "unit ft"),
+        (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"lat": "Lat"}}, "names the column 'Lat'"),
+        (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"latt": "lat"}}, "'latt' is unknown"),
+        (["time,lat,lon", "1707297300,49,8"], {"format": "table"}, "no column for 'height'"),
+        (["time,lat,lon,alt", "1707297300,nan,8,110"], {}, "line 2: the latitude"),
+        (["time,lat,lon,alt", "1707297300,0,0,0"], {}, "no fix"),
+        (["time,lat,lon,alt", "4707297300000000000,49,8,110"], {}, "neither a date and time"),
+        (["time,lat,lon,alt"], {}, "no records"),
+        (["a,b,c", "1,2,3"], {}, "not a trajectory"),
+        ([], {}, "not a trajectory"),
+    ],
+)  # fmt: skip
+def test_tables_that_may_be_misread_are_refused(
+    lines: list[str], settings: dict[str, Any], expected: str, tmp_path: Path
+) -> None:
+    path = files.write(tmp_path, "a.csv", lines)
+    with pytest.raises(DriveFolderError, match=expected):
+        read_trajectory(path, TrajectoryFile(**settings))
+
+
+# --------------------------------------------------------------------------- records
+
+
+def test_a_damaged_line_costs_its_record(tmp_path: Path) -> None:
+    path, t = files.write_csv(tmp_path), files.known()
+    lines = path.read_text().splitlines()
+    lines[7] = lines[7].replace("49.", "x.")
+    lines[9] = "2024-02-07T"
+    lines[11] = lines[11].replace("2024", "1980")
+    lines[20] = lines[19]
+    path.write_text("\n".join(lines))
+    found = read_trajectory(path)
+    assert len(found.times_ns) == files.COUNT - 4
+    assert list(found.bad) == [t.times_ns[5], t.times_ns[17]]
+    assert found.bad[int(t.times_ns[5])].startswith("line 8: the latitude")
+    assert "second record" in found.bad[int(t.times_ns[17])]
+
+
+def test_quality_of_rtklib(tmp_path: Path) -> None:
+    found = read_trajectory(files.write_rtklib(tmp_path, quality=5))
+    np.testing.assert_array_equal(found.sigma[:, :3], np.tile([5.0, 5.0, 10.0], (files.COUNT, 1)))
+    with pytest.raises(DriveFolderError, match="no solution"):
+        read_trajectory(files.write_rtklib(tmp_path, quality=0))
+    path = files.write_rtklib(tmp_path)
+    path.write_text(path.read_text().replace("latitude(deg)", "e-baseline(m)"))
+    with pytest.raises(DriveFolderError, match="base"):
+        read_trajectory(path)
+    path = files.write_rtklib(tmp_path)
+    path.write_text(path.read_text().replace("WGS84/ellipsoidal", "WGS84/geodetic"))
+    with pytest.raises(DriveFolderError, match="above the sea"):
+        read_trajectory(path)
+
+
+def test_nmea_without_gst_has_sigmas_of_its_quality(tmp_path: Path) -> None:
+    path = files.write_nmea(tmp_path, attitude=False)
+    lines = [line for line in path.read_text().splitlines() if "GST" not in line]
+    lines[0] = lines[0].replace("GNGGA", "GNGGB")
+    path.write_text("\n".join(lines))
+    found = read_trajectory(path)
+    assert len(found.times_ns) == files.COUNT - 1
+    np.testing.assert_allclose(found.sigma[:, :3], np.tile([0.05, 0.05, 0.1], (files.COUNT - 1, 1)))
+    assert found.rotations is None
+    path.write_text("\n".join(files.sentence(line[1:-3].replace(",4,17,", ",0,17,")) for line in lines))
+    with pytest.raises(DriveFolderError, match="no fix"):
+        read_trajectory(path)
+
+
+def test_a_gpx_height_of_unknown_reference_has_a_sigma_that_covers_the_geoid(tmp_path: Path) -> None:
+    path = files.write_gpx(tmp_path, geoid=False)
+    assert (read_trajectory(path).sigma[:, 2] == 100.0).all()
+    assert np.isnan(read_trajectory(path, TrajectoryFile(heights="ellipsoidal")).sigma).all()
+    path.write_text(path.read_text().replace("<gpx ", '<!DOCTYPE gpx [<!ENTITY a "b">]><gpx ', 1))
+    with pytest.raises(DriveFolderError, match="DOCTYPE"):
+        read_trajectory(path)
+
+
+def test_a_geoid_grid_beside_the_file(tmp_path: Path) -> None:
+    header = np.array([48.0, 7.0, 1.0, 1.0], ">f8").tobytes() + np.array([3, 3], ">i4").tobytes()
+    (tmp_path / "geoid.gtx").write_bytes(header + np.full(9, 47.5, ">f4").tobytes())
+    path = files.write(tmp_path, "a.csv", ["time,lat,lon,h_msl", "1707297300,49,8.4,110", "1707297301,70,8.4,110"])
+    found = read_trajectory(path, TrajectoryFile(heights="geoid.gtx"))
+    assert found.positions[0] == pytest.approx([49.0, 8.4, 157.5], abs=1e-9)
+    assert "outside the area" in next(iter(found.bad.values()))
+
+
+def test_geocentric_and_numbered_columns(tmp_path: Path) -> None:
+    x, y, z = TO_ECEF.transform(49.0, 8.4, 110.0)
+    path = files.write(tmp_path, "a.txt", [f"1707297300 {x:.4f} {y:.4f} {z:.4f}"])
+    columns: dict[str, str | int] = {"time": 1, "x": 2, "y": 3, "z": 4}
+    found = read_trajectory(path, TrajectoryFile(format="table", columns=columns, crs="EPSG:4978"))
+    assert apart_m(found.positions, [[49.0, 8.4, 110.0]]) < 1e-3
+
+
+def test_yaw_columns_are_those_of_conetl(tmp_path: Path) -> None:
+    path = files.write(
+        tmp_path,
+        "a.csv",
+        ["captured_at,lat_deg,lon_deg,height_m,roll_deg,pitch_deg,yaw_deg", "2024-02-07 09:15:00,49,8.4,110,2,3,60"],
+    )
+    rotations = read_trajectory(path).rotations
+    assert rotations is not None
+    assert angle_rad(rotations, true_rotations(np.array([[2.0, -3.0, 30.0]]))) < 1e-9
+
+
+# --------------------------------------------------------------------------- on the map
+
+
+def settings_of(**values: Any) -> DriveYaml:
+    return DriveYaml.model_validate(values)
+
+
+def test_poses_on_the_map_have_lever_arm_and_convergence(tmp_path: Path) -> None:
+    t = files.known()
+    recorded = read_trajectory(files.write_csv(tmp_path))
+    antenna = (0.4, -0.2, 1.1)
+    srid, track = placed(recorded, settings_of(antenna_t_m=antenna), None, tmp_path, np.eye(3))
+    assert srid == 32632 and track.times_ns == t.times_ns.tolist()
+    back = track.map_SE3_body[:, :3, :3] @ np.array(antenna) + track.map_SE3_body[:, :3, 3]
+    east, north = Transformer.from_crs(4326, srid, always_xy=True).transform(t.llh[:, 1], t.llh[:, 0])
+    np.testing.assert_allclose(back, np.column_stack([east, north, t.llh[:, 2]]), atol=1e-3)
+    yaw = np.arctan2(track.map_SE3_body[:, 1, 0], track.map_SE3_body[:, 0, 0])
+    expected = np.radians(90.0 - t.rph[:, 2]) + grid_convergence_rad(srid, t.llh[:, 0], t.llh[:, 1])
+    np.testing.assert_allclose(yaw, expected, atol=1e-6)
+    assert (track.sigma[:, :3] >= recorded.sigma[:, :3]).all()
+
+
+def test_unknown_sigmas_must_be_given(tmp_path: Path) -> None:
+    recorded = read_trajectory(files.write_oxts(tmp_path))
+    blind = recorded._replace(sigma=np.full((files.COUNT, 6), np.nan))
+    with pytest.raises(DriveFolderError, match="horizontal_m"):
+        placed(blind, settings_of(), None, tmp_path, np.eye(3))
+    _, track = placed(blind, settings_of(sigmas={"horizontal_m": 0.2}), None, tmp_path, np.eye(3))
+    np.testing.assert_allclose(track.sigma[0], [0.2, 0.2, 0.3, *np.radians([0.05, 0.05, 0.15])])
+    sea = recorded._replace(sigma=recorded.sigma * [1, 1, 1e4, 1, 1, 1])
+    _, track = placed(sea, settings_of(sigmas={"horizontal_m": 0.2}), None, tmp_path, np.eye(3))
+    assert track.sigma[0, 2] > 100.0
+    with pytest.raises(DriveFolderError, match="attitudes"):
+        placed(recorded._replace(rotations=None), settings_of(), None, tmp_path, np.eye(3))
+
+
+def test_settings_are_read_from_drive_yaml(tmp_path: Path) -> None:
+    (tmp_path / "drive.yaml").write_text(
+        "trajectory: {file: gnss.pos, date: 2024-02-07, time: Europe/Berlin, columns: {lat: 2}}"
+    )
+    settings = read_drive_yaml(tmp_path).trajectory
+    assert (settings.file, settings.date, settings.time) == ("gnss.pos", date(2024, 2, 7), "Europe/Berlin")
+    (tmp_path / "drive.yaml").write_text("trajectory: {time: Mars}")
+    with pytest.raises(DriveFolderError, match="time system"):
+        read_drive_yaml(tmp_path)
+
+
+@pytest.mark.skipif(not KITTI.is_dir(), reason=f"the KITTI drive is not at {KITTI}; set CONETL_SHARED_DATA")
+def test_the_real_kitti_trajectory() -> None:
+    assert find_trajectories(KITTI) == [KITTI / "oxts"]
+    found = read_trajectory(KITTI / "oxts")
+    assert len(found.times_ns) == 154 and found.bad == {}
+    rotations = found.rotations
+    assert rotations is not None
+    # It drives where it looks.
+    east, north = Transformer.from_crs(4326, 32632, always_xy=True).transform(
+        found.positions[:, 1], found.positions[:, 0]
+    )
+    steps = np.column_stack([np.diff(east), np.diff(north)])
+    moving = np.linalg.norm(steps, axis=1) > 0.5
+    course = np.degrees(np.arctan2(steps[:, 1], steps[:, 0]) - np.arctan2(rotations[:-1, 1, 0], rotations[:-1, 0, 0]))
+    assert abs(np.median((course[moving] + 180) % 360 - 180)) < 3.0
+    assert timedelta(seconds=15) < timedelta(microseconds=int(np.ptp(found.times_ns)) // 1000) < timedelta(seconds=17)

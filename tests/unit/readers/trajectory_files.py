@@ -1,0 +1,353 @@
+"""One known trajectory, written in every format as its maker writes it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from functools import reduce
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import Transformer
+from scipy.spatial.transform import Rotation
+
+from conetl.readers.trajectories.settings import TrajectoryFile
+
+Array = NDArray[np.float64]
+#: 2024-02-07 09:15:00 UTC, a Wednesday; GPS is 18 s ahead.
+START = datetime(2024, 2, 7, 9, 15, tzinfo=UTC)
+WEEK, TOW = 2300, 3 * 86_400 + 9 * 3600 + 15 * 60 + 18
+GEOID_M = 47.93
+COUNT = 40
+STEP_MS = 100
+
+
+class Known(NamedTuple):
+    """What was written: N records."""
+
+    times_ns: NDArray[np.int64]
+    llh: Array
+    """Latitude, longitude (degrees), ellipsoidal height."""
+    rph: Array
+    """Roll (right side down), pitch (front up), heading (clockwise from north), degrees."""
+    sigma: Array
+    """East, north, up (m), roll, pitch, heading (degrees)."""
+
+
+def known(count: int = COUNT) -> Known:
+    k = np.arange(count, dtype=np.float64)
+    heading = 30.0 + 40.0 * np.sin(k / 15.0)
+    llh = np.column_stack([49.0 + 8e-6 * k, 8.43 + 6e-6 * k + 1e-6 * np.sin(k), 116.1 + 0.01 * k])
+    rph = np.column_stack([2.5 * np.sin(k / 5.0), 1.5 * np.cos(k / 7.0), heading])
+    sigma = np.column_stack(
+        [0.011 + 1e-4 * k, 0.013 + 1e-4 * k, 0.025 + 1e-4 * k, 0.01 + 0 * k, 0.02 + 0 * k, 0.05 + 0 * k]
+    )
+    times = np.int64(START.timestamp()) * 10**9 + np.arange(count) * STEP_MS * 10**6
+    return Known(times, llh, rph, sigma)
+
+
+def local_poses(t: Known) -> tuple[Array, Array]:
+    """x, y, z (N, 3) and quaternions w, x, y, z (N, 4) of the same drive, in a frame of its own."""
+    xyz = (t.llh - t.llh[0]) * [111_000.0, 73_000.0, 1.0]
+    turn = Rotation.from_euler("ZYX", np.column_stack([90 - t.rph[:, 2], -t.rph[:, 1], t.rph[:, 0]]), degrees=True)
+    return xyz, turn.as_quat()[:, [3, 0, 1, 2]]
+
+
+def stamps(form: str, shift_s: float = 0.0, count: int = COUNT) -> list[str]:
+    """Times as texts with milliseconds."""
+    found = [START + timedelta(seconds=shift_s, milliseconds=STEP_MS * i) for i in range(count)]
+    return [f"{t:{form}}.{t.microsecond // 1000:03d}" for t in found]
+
+
+def dms(value: float, seconds: int = 5, sep: str = " ") -> str:
+    """Degrees, minutes, seconds."""
+    whole = round(abs(value) * 3600, seconds)
+    d, rest = divmod(whole, 3600)
+    m, s = divmod(rest, 60)
+    return f"{'-' if value < 0 else ''}{int(d)}{sep}{int(m):02d}{sep}{s:0{seconds + 3}.{seconds}f}"
+
+
+def write(folder: Path, name: str, lines: list[str], end: str = "\n") -> Path:
+    path = folder / name
+    path.write_text(end.join(lines) + end, newline="", encoding="utf-8")
+    return path
+
+
+# --------------------------------------------------------------------------- RTKLIB
+
+RTKLIB_HEADER = [
+    "% program   : RTKPOST ver.demo5 b34g",
+    "% inp file  : C:\\data\\rover.obs",
+    "% obs start : 2024/02/07 09:15:18.0 GPST (week2300 292518.0s)",
+    "% pos mode  : Kinematic",
+    "%",
+    "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)",
+]
+
+
+def write_rtklib(
+    folder: Path, *, system: str = "GPST", form: str = "llh", tow: bool = False, sep: str = " ", quality: int = 1
+) -> Path:
+    t = known()
+    shift = {"GPST": 18.0, "UTC": 0.0, "JST": 9 * 3600.0}[system]
+    times = [f"{WEEK}{sep}{TOW + 0.1 * i:.3f}" for i in range(COUNT)] if tow else stamps("%Y/%m/%d %H:%M:%S", shift)
+    if form == "xyz":
+        names = [
+            "x-ecef(m)",
+            "y-ecef(m)",
+            "z-ecef(m)",
+            "Q",
+            "ns",
+            "sdx(m)",
+            "sdy(m)",
+            "sdz(m)",
+            "sdxy(m)",
+            "sdyz(m)",
+            "sdzx(m)",
+            "age(s)",
+            "ratio",
+        ]
+        lon, lat = np.radians(t.llh[:, 1]), np.radians(t.llh[:, 0])
+        xyz = np.column_stack(Transformer.from_crs(4979, 4978).transform(*t.llh.T))
+        rows = []
+        for i in range(COUNT):
+            e = np.array([-math.sin(lon[i]), math.cos(lon[i]), 0.0])
+            n = np.array([-math.sin(lat[i]) * math.cos(lon[i]), -math.sin(lat[i]) * math.sin(lon[i]), math.cos(lat[i])])
+            axes = np.column_stack([e, n, np.cross(e, n)])
+            c = axes @ np.diag(t.sigma[i, :3] ** 2) @ axes.T
+            roots = np.sign(c) * np.sqrt(np.abs(c))
+            sds = [roots[0, 0], roots[1, 1], roots[2, 2], roots[0, 1], roots[1, 2], roots[2, 0]]
+            rows.append([*(f"{v:.4f}" for v in xyz[i]), str(quality), "12", *(f"{v:.9f}" for v in sds), "0.00", "50.0"])
+    else:
+        unit = "(d'\")" if form == "dms" else "(deg)"
+        names = [
+            f"latitude{unit}",
+            f"longitude{unit}",
+            "height(m)",
+            "Q",
+            "ns",
+            "sdn(m)",
+            "sde(m)",
+            "sdu(m)",
+            "sdne(m)",
+            "sdeu(m)",
+            "sdun(m)",
+            "age(s)",
+            "ratio",
+        ]
+        angle: Callable[[float], str] = (lambda v: dms(v, 5, sep)) if form == "dms" else (lambda v: f"{v:.9f}")
+        rows = [
+            [angle(lat), angle(lon), f"{h:.4f}", str(quality), "12", f"{n:.4f}", f"{e:.4f}", f"{u:.4f}", "0.0010", "-0.0010", "0.0020", "0.00", "50.0"]
+            for (lat, lon, h), (e, n, u) in zip(t.llh, t.sigma[:, :3], strict=True)
+        ]  # fmt: skip
+    gap = "  " if sep == " " else sep
+    lines = [*RTKLIB_HEADER, "%  " + gap.join([f"{system}         ", *names])]
+    return write(
+        folder, "rover.pos", [*lines, *(gap.join([time, *row]) for time, row in zip(times, rows, strict=True))], "\r\n"
+    )
+
+
+# --------------------------------------------------------------------------- Applanix, Inertial Explorer
+
+
+def sbet_rows(t: Known, wander_rad: float = 0.3) -> Array:
+    rows = np.zeros((len(t.llh), 17))
+    rows[:, 0] = TOW + 0.1 * np.arange(len(t.llh))
+    rows[:, 1:3], rows[:, 3] = np.radians(t.llh[:, :2]), t.llh[:, 2]
+    rows[:, 7:9], rows[:, 9] = np.radians(t.rph[:, :2]), np.radians(t.rph[:, 2]) + wander_rad
+    rows[:, 10] = wander_rad
+    return rows
+
+
+def write_sbet(folder: Path) -> Path:
+    t = known()
+    path = folder / "sbet_mission1.out"
+    sbet_rows(t).astype("<f8").tofile(path)
+    sigmas = np.zeros((COUNT, 10))
+    sigmas[:, 0] = TOW + 0.1 * np.arange(COUNT)
+    sigmas[:, 1:4] = t.sigma[:, [1, 0, 2]]
+    sigmas[:, 7:] = t.sigma[:, 3:] * 60
+    sigmas.astype("<f8").tofile(folder / "smrmsg_mission1.out")
+    return path
+
+
+def write_inertial_explorer(folder: Path, *, angles: str = "deg") -> Path:
+    t = known()
+    unit = "(+/-D M S)" if angles == "dms" else "(deg)"
+    angle: Callable[[float], str] = (lambda v: dms(v, 6)) if angles == "dms" else (lambda v: f"{v:.10f}")
+    lines = [
+        "Project:     20240207_van", "Program:     Inertial Explorer Version 8.90.6611", "Profile:     conetl",
+        "Source:      GNSS/INS Epochs(Smoothed TC Combined)", "SolutionType: Tightly coupled", "Datum:       WGS84, (processing datum)",
+        "UTC Offset:  18 s", "",
+        "     GPSTime  Week       Latitude      Longitude        H-Ell         Roll        Pitch      Heading  SDNorth   SDEast SDHeight    RollSD   PitchSD  HeadingSD  Q",
+        f"       (sec) (weeks)  {unit}  {unit}  (m)  (deg)  (deg)  (deg)  (m)  (m)  (m)  (deg)  (deg)  (deg)  ( )",
+    ]  # fmt: skip
+    for i in range(COUNT):
+        (lat, lon, h), (r, p, y), (e, n, u, sr, sp, sy) = t.llh[i], t.rph[i], t.sigma[i]
+        lines.append(
+            f"  {TOW + 0.1 * i:.3f}  {WEEK} {angle(lat)} {angle(lon)} {h:12.4f} {r:12.9f} {p:12.9f} {y:13.9f} {n:8.4f} {e:8.4f} {u:8.4f} "
+            f"{sr:.6f} {sp:.6f} {sy:.6f} 1"
+        )
+    return write(folder, "van.txt", lines, "\r\n")
+
+
+# --------------------------------------------------------------------------- NMEA, GPX
+
+
+def sentence(body: str) -> str:
+    return f"${body}*{reduce(lambda a, b: a ^ b, body.encode(), 0):02X}"
+
+
+def minutes(value: float, digits: int, sides: str) -> str:
+    whole, rest = divmod(abs(value), 1.0)
+    return f"{int(whole):0{digits}d}{rest * 60:011.8f},{sides[int(value < 0)]}"
+
+
+def write_nmea(folder: Path, *, start: datetime = START, rmc_first: int = 0, attitude: bool = True) -> Path:
+    t = known()
+    lines = []
+    for i in range(COUNT):
+        at = start + timedelta(milliseconds=STEP_MS * i)
+        clock = f"{at:%H%M%S}.{at.microsecond // 10_000:02d}"
+        (lat, lon, h), (r, p, y), (e, n, u, sr, sp, sy) = t.llh[i], t.rph[i], t.sigma[i]
+        where = f"{minutes(lat, 2, 'NS')},{minutes(lon, 3, 'EW')}"
+        lines.append(sentence(f"GNGGA,{clock},{where},4,17,0.7,{h - GEOID_M:.4f},M,{GEOID_M},M,1.0,0123"))
+        if i >= rmc_first:
+            lines.append(sentence(f"GNRMC,{clock},A,{where},12.3,30.0,{at:%d%m%y},,,R,V"))
+        lines.append(sentence(f"GNGST,{clock},0.02,0.015,0.01,30.0,{n:.4f},{e:.4f},{u:.4f}"))
+        if attitude:
+            lines.append(sentence(f"PASHR,{clock},{y:.9f},T,{r:+.9f},{p:+.9f},+0.00,{sr:.3f},{sp:.3f},{sy:.3f},1,1"))
+        lines.append(sentence("GNGSA,A,3,01,02,03,,,,,,,,,,1.2,0.7,1.0,1"))
+    return write(folder, "log.nmea", lines, "\r\n")
+
+
+def write_gpx(folder: Path, *, geoid: bool = True) -> Path:
+    t = known()
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<gpx version="1.1" creator="receiver" xmlns="http://www.topografix.com/GPX/1/1">', "<trk><name>van</name><trkseg>",
+    ]  # fmt: skip
+    for (lat, lon, h), stamp in zip(t.llh, stamps("%Y-%m-%dT%H:%M:%S"), strict=True):
+        extra = f"<geoidheight>{GEOID_M}</geoidheight>" if geoid else ""
+        lines.append(
+            f'<trkpt lat="{lat:.10f}" lon="{lon:.10f}"><ele>{h - geoid * GEOID_M:.4f}</ele><time>{stamp}Z</time>{extra}</trkpt>'
+        )
+    return write(folder, "van.gpx", [*lines, "</trkseg></trk>", "</gpx>"])
+
+
+# --------------------------------------------------------------------------- OXTS, local, tables
+
+
+def write_oxts(folder: Path) -> Path:
+    t = known()
+    (folder / "oxts/data").mkdir(parents=True)
+    for i in range(COUNT):
+        r, p, y = np.radians([t.rph[i, 0], -t.rph[i, 1], 90.0 - t.rph[i, 2]])
+        values = [*t.llh[i], r, p, y, *[0.0] * 17, 0.011, *[0.0] * 6]
+        (folder / f"oxts/data/{i:010d}.txt").write_text(" ".join(repr(float(v)) for v in values))
+    (folder / "oxts/timestamps.txt").write_text("\n".join(f"{s}000000" for s in stamps("%Y-%m-%d %H:%M:%S")) + "\n")
+    return folder / "oxts"
+
+
+def write_tum(folder: Path) -> Path:
+    t = known()
+    xyz, wxyz = local_poses(t)
+    rows = np.column_stack([xyz, wxyz[:, [1, 2, 3, 0]]])
+    lines = ["# timestamp tx ty tz qx qy qz qw"]
+    lines += [
+        f"{ns // 10**9}.{ns % 10**9:09d} " + " ".join(f"{v:.9f}" for v in row)
+        for ns, row in zip(t.times_ns.tolist(), rows, strict=True)
+    ]
+    return write(folder, "trajectory.txt", lines)
+
+
+def write_euroc(folder: Path) -> Path:
+    t = known()
+    xyz, wxyz = local_poses(t)
+    lines = [
+        "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],v_RS_R_x [m s^-1]"
+    ]
+    lines += [
+        f"{ns}," + ",".join(f"{v:.9f}" for v in (*p, *q, 0.0))
+        for ns, p, q in zip(t.times_ns.tolist(), xyz, wxyz, strict=True)
+    ]
+    return write(folder, "data.csv", lines)
+
+
+def write_csv(folder: Path) -> Path:
+    t = known()
+    lines = [
+        "# exported",
+        "time,lat,lon,h_ell,roll,pitch,heading,sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_heading,note",
+    ]
+    for stamp, values in zip(stamps("%Y-%m-%dT%H:%M:%S"), np.column_stack([t.llh, t.rph, t.sigma]), strict=True):
+        lines.append(f"{stamp}Z," + ",".join(f"{v:.10f}" for v in values) + ',"a, b"')
+    return write(folder, "drive.csv", lines)
+
+
+def write_german(folder: Path) -> Path:
+    """Semicolons, decimal commas, date and time apart, local time, Windows' encoding."""
+    t = known()
+    lines = ["Datum;Uhrzeit;Breite [°];Länge [°];Höhe [m];Roll;Pitch;Heading;sdE;sdN;sdU;sdRoll;sdPitch;sdHeading"]
+    for stamp, values in zip(stamps("%d.%m.%Y;%H:%M:%S", 3600), np.column_stack([t.llh, t.rph, t.sigma]), strict=True):
+        lines.append((stamp + ";" + ";".join(f"{v:.10f}" for v in values)).replace(".", ",").replace(",", ".", 2))
+    path = folder / "fahrt.csv"
+    path.write_bytes("\r\n".join(lines).replace("Datum;", "Tag;").encode("cp1252"))
+    return path
+
+
+def write_tsv(folder: Path) -> Path:
+    """Tabs, radians, GPS week and seconds, projected coordinates."""
+    t = known()
+    east, north = Transformer.from_crs(4326, 25832, always_xy=True).transform(t.llh[:, 1], t.llh[:, 0])
+    lines = ["gps_week\ttow[s]\tEasting (m)\tNorthing (m)\tH_mm\troll_rad\tpitch_rad\theading_rad"]
+    for i in range(COUNT):
+        values = [*np.radians(t.rph[i])]
+        lines.append(
+            "\t".join(
+                [
+                    str(WEEK),
+                    f"{TOW + 0.1 * i:.1f}",
+                    f"{east[i]:.5f}",
+                    f"{north[i]:.5f}",
+                    f"{t.llh[i, 2] * 1000:.3f}",
+                    *(f"{v:.12f}" for v in values),
+                ]
+            )
+        )
+    return write(folder, "drive.tsv", lines)
+
+
+class Sample(NamedTuple):
+    """A format's file: how to write it, what its name is, and what the file does not say."""
+
+    write: Callable[[Path], Path]
+    format: str
+    settings: TrajectoryFile = TrajectoryFile()
+    has_sigma: bool = True
+    has_attitude: bool = True
+    is_local: bool = False
+
+
+SAMPLES: dict[str, Sample] = {
+    "rtklib": Sample(write_rtklib, "rtklib", has_attitude=False),
+    "rtklib_dms_utc": Sample(lambda f: write_rtklib(f, form="dms", system="UTC"), "rtklib", has_attitude=False),
+    "rtklib_week_comma": Sample(lambda f: write_rtklib(f, tow=True, sep=","), "rtklib", has_attitude=False),
+    "rtklib_week": Sample(lambda f: write_rtklib(f, tow=True), "rtklib", has_attitude=False),
+    "rtklib_dms_comma": Sample(lambda f: write_rtklib(f, form="dms", sep=","), "rtklib", has_attitude=False),
+    "rtklib_ecef_jst": Sample(lambda f: write_rtklib(f, form="xyz", system="JST"), "rtklib", has_attitude=False),
+    "sbet": Sample(write_sbet, "sbet", TrajectoryFile(week=WEEK)),
+    "inertial_explorer": Sample(write_inertial_explorer, "inertial_explorer"),
+    "inertial_explorer_dms": Sample(lambda f: write_inertial_explorer(f, angles="dms"), "inertial_explorer"),
+    "nmea": Sample(write_nmea, "nmea"),
+    "gpx": Sample(write_gpx, "gpx", has_sigma=False, has_attitude=False),
+    "oxts": Sample(write_oxts, "oxts", has_sigma=False),
+    "tum": Sample(write_tum, "tum", has_sigma=False, is_local=True),
+    "euroc": Sample(write_euroc, "euroc", has_sigma=False, is_local=True),
+    "csv": Sample(write_csv, "table"),
+    "csv_german": Sample(write_german, "table", TrajectoryFile(time="Europe/Berlin")),
+    "tsv_projected": Sample(write_tsv, "table", TrajectoryFile(crs="EPSG:25832"), has_sigma=False),
+}  # fmt: skip
