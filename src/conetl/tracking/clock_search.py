@@ -40,8 +40,8 @@ _LEAST_EXPLAINED = 0.5
 _GAP_S, _GAP_FACTOR = 0.5, 2.5
 #: Residuals of sparse records are alike over so many of their distances.
 _ALIKE = 2.5
-#: Sigma of the scale of the speeds, and the least one of a result (s).
-_SCALE, _LEAST_SIGMA_S = 0.02, 0.002
+#: Sigma of the scale of the speeds, and the least and the largest one of a result (s): `clock.py` finds what is left within 0.4 s.
+_SCALE, _LEAST_SIGMA_S, _MAX_SIGMA_S = 0.02, 0.002, 0.15
 #: Positions drift most like the vehicle moves, slowly: on simulated drives the errors are up to so many of the sigmas by residuals.
 _DOUBT = 1.5
 _ITERATIONS, _MOST_PIECES = 12, 2_000_000
@@ -126,8 +126,8 @@ def find_clock_offset(
         return None
     sigma = np.maximum(np.min(typical[enough], axis=0), _LEAST_SIGMA[rotations is not None])
     for _ in range(2):
-        misfit = np.where(enough, _by_lag(target, padded, sigma)[1].sum(axis=1), np.inf)
-        best = int(np.argmin(misfit))
+        misfit = np.where(enough[:, None], _by_lag(target, padded, sigma)[1], np.inf)
+        best = int(np.argmin(misfit.sum(axis=1)))
         rest = target - padded[best : best + len(target)]
         sigma = np.maximum(sigma, np.sqrt(np.nanmean(np.minimum(rest**2, (_CUT * sigma) ** 2), axis=0)))
     valid = np.isfinite(rest).all(axis=1)
@@ -141,10 +141,10 @@ def find_clock_offset(
     if found is None or not apart.any():
         return None
     offset_s, sigma_s, counted = found
-    gain = (misfit[apart].min() - misfit[best]) * valid.sum() / counted
-    if gain < _LEAST_GAIN or abs(offset_s - lags[best] * _STEP_S) > _APART_S or sigma_s > _APART_S / 4:
+    gain = ((misfit[apart] - misfit[best]) * valid.sum() / counted).sum(axis=1).min()
+    if gain < _LEAST_GAIN or abs(offset_s - lags[best] * _STEP_S) > _APART_S or sigma_s > _MAX_SIGMA_S:
         return None
-    return ImageClock(offset_s, max(sigma_s, _LEAST_SIGMA_S))
+    return ImageClock(float(offset_s), max(sigma_s, _LEAST_SIGMA_S))
 
 
 def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Floats]:
@@ -209,8 +209,9 @@ def _by_lag(target: Floats, padded: Floats, sigma: Floats | None) -> tuple[Float
 
 def _refined(
     target: Floats, at_s: Floats, signal: Floats, grid_s: Floats, offset_s: float, alike: int
-) -> tuple[float, float, float] | None:
-    """The offset by least squares from a start, its sigma, and how many successive values count as one; None where it escapes."""
+) -> tuple[float, float, Floats] | None:
+    """The offset by least squares from a start, its sigma, and of each column (2,) how many successive values count as one; None
+    where it escapes."""
     there, known = np.isfinite(signal).all(axis=1), np.isfinite(target).all(axis=1)
     curve, own = CubicSpline(grid_s[there], signal[there]), CubicSpline(at_s[known], target[known])
     inside = CubicSpline(grid_s, there.astype(np.float64))
@@ -229,4 +230,4 @@ def _refined(
             return None
         if abs(fit.solution[0]) < 1e-5:
             break
-    return offset_s, _DOUBT * float(np.linalg.inv(fit.normal)[0, 0] ** 0.5), float(fit.counted.max())
+    return offset_s, _DOUBT * float(np.linalg.inv(fit.normal)[0, 0] ** 0.5), fit.counted
