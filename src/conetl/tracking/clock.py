@@ -35,6 +35,8 @@ LEAST_S, _SIGNIFICANT, MAX_SIGMA_S = 0.005, 4.0, 0.01
 #: ... and from so many of its sigmas on it widens those of the positions.
 _DOUBTFUL = 2.0
 _ITERATIONS, _HUBER, _LEAST_INTERVALS = 12, 2.0, 20
+#: Between sparse records the poses err for seconds: fewer of them may agree with another offset by chance.
+_LEAST_RECORDS = 10
 _CUT, _LAGS = 3.0, 6
 #: What a vehicle may gain or lose in speed, m/s^2, how many intervals around one show what is usual, and what is beyond noise.
 _ACCELERATION, _AROUND, _NOISE = 8.0, 4, 8.0
@@ -69,6 +71,9 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
     if len(motions.start) < _LEAST_INTERVALS:
         return None
     times_s = _times_s(frame_pairs)
+    gaps_s = [pair.pose.interpolated.apart_s for pair in frame_pairs if pair.pose.interpolated is not None]
+    if gaps_s and times_s[-1] < _LEAST_RECORDS * np.median(gaps_s):
+        return None
     steps_s, middle_s = np.diff(times_s), (times_s[1:] + times_s[:-1]) / 2
     left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
     rates = _rates(se3.compose(se3.invert(left[1:]), left[:-1]), steps_s)
@@ -187,10 +192,10 @@ def _without_jumps(rates: Floats, steps_s: Floats) -> Floats:
     return np.where(apart <= most, 1.0, 0.0)
 
 
-def smoothed(signal: Floats, known: Floats) -> Floats:
-    """(N, C) a signal with gaps, smoothed; known (N,): 1 where it has a value, else 0."""
-    weight = gaussian_filter1d(known, _SMOOTHED, mode="nearest")
-    total = gaussian_filter1d(signal * known[:, None], _SMOOTHED, axis=0, mode="nearest")
+def smoothed(signal: Floats, known: Floats, intervals: float = _SMOOTHED) -> Floats:
+    """(N, C) a signal with gaps, smoothed by so many intervals; known (N,): 1 where it has a value, else 0."""
+    weight = gaussian_filter1d(known, intervals, mode="nearest")
+    total = gaussian_filter1d(signal * known[:, None], intervals, axis=0, mode="nearest")
     return np.asarray(total / np.maximum(weight, 1e-6)[:, None])
 
 

@@ -24,6 +24,8 @@ from conetl.tracking.clock import robust_fit, smoothed
 Floats = NDArray[np.float64]
 #: Step of both signals and of the offsets that are tried (s).
 _STEP_S = 0.1
+#: Both signals are smoothed by so many steps: turns of a vehicle last longer, noise does not.
+_SMOOTHED = 4.0
 #: Offsets are tried under which the trajectory covers this share of the images, and this many seconds of them.
 _OVERLAP_SHARE, _OVERLAP_S = 0.6, 5.0
 #: Residuals beyond so many sigmas count as this many: a passing lorry, a lost fix.
@@ -38,8 +40,10 @@ _LEAST_EXPLAINED = 0.5
 _GAP_S, _GAP_FACTOR = 0.5, 2.5
 #: Residuals of sparse records are alike over so many of their distances.
 _ALIKE = 2.5
-#: Sigma of the scale of the speeds, and the least one of a result (s).
-_SCALE, _LEAST_SIGMA_S = 0.02, 0.002
+#: Sigma of the scale of the speeds, and the least and the largest one of a result (s): `clock.py` finds what is left within 0.4 s.
+_SCALE, _LEAST_SIGMA_S, _MAX_SIGMA_S = 0.02, 0.002, 0.15
+#: Positions drift most like the vehicle moves, slowly: on simulated drives the errors are up to so many of the sigmas by residuals.
+_DOUBT = 1.5
 _ITERATIONS, _MOST_PIECES = 12, 2_000_000
 
 
@@ -122,8 +126,8 @@ def find_clock_offset(
         return None
     sigma = np.maximum(np.min(typical[enough], axis=0), _LEAST_SIGMA[rotations is not None])
     for _ in range(2):
-        misfit = np.where(enough, _by_lag(target, padded, sigma)[1].sum(axis=1), np.inf)
-        best = int(np.argmin(misfit))
+        misfit = np.where(enough[:, None], _by_lag(target, padded, sigma)[1], np.inf)
+        best = int(np.argmin(misfit.sum(axis=1)))
         rest = target - padded[best : best + len(target)]
         sigma = np.maximum(sigma, np.sqrt(np.nanmean(np.minimum(rest**2, (_CUT * sigma) ** 2), axis=0)))
     valid = np.isfinite(rest).all(axis=1)
@@ -132,15 +136,15 @@ def find_clock_offset(
     if (1 - spread / np.maximum((whole**2).mean(axis=0), 1e-9)).max() < _LEAST_EXPLAINED:
         return None
     apart = enough & (np.abs(lags - lags[best]) * _STEP_S >= _APART_S)
-    alike = max(round(_ALIKE * float(np.median(np.diff(times_s[near]))) / _STEP_S), 6)
+    alike = round(max(_ALIKE * float(np.median(np.diff(times_s[near]))) / _STEP_S, 10 * _SMOOTHED))
     found = _refined(target, at_s, signal, grid_s, lags[best] * _STEP_S, alike)
     if found is None or not apart.any():
         return None
     offset_s, sigma_s, counted = found
-    gain = (misfit[apart].min() - misfit[best]) * valid.sum() / counted
-    if gain < _LEAST_GAIN or abs(offset_s - lags[best] * _STEP_S) > _APART_S or sigma_s > _APART_S / 4:
+    gain = ((misfit[apart] - misfit[best]) * valid.sum() / counted).sum(axis=1).min()
+    if gain < _LEAST_GAIN or abs(offset_s - lags[best] * _STEP_S) > _APART_S or sigma_s > _MAX_SIGMA_S:
         return None
-    return ImageClock(offset_s, max(sigma_s, _LEAST_SIGMA_S))
+    return ImageClock(float(offset_s), max(sigma_s, _LEAST_SIGMA_S))
 
 
 def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Floats]:
@@ -153,7 +157,7 @@ def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Flo
     values = np.stack([np.interp(at_s, times, column) for column in (turn, rates.speed_m_s)], axis=1)
     nearest = np.clip(np.searchsorted(times, at_s), 1, len(times) - 1)
     known = np.minimum(np.abs(times[nearest] - at_s), np.abs(times[nearest - 1] - at_s)) <= 1.5 * _STEP_S
-    return np.where(known[:, None], smoothed(values, known.astype(np.float64)), np.nan), at_s
+    return np.where(known[:, None], smoothed(values, known.astype(np.float64), _SMOOTHED), np.nan), at_s
 
 
 def _trajectory_signal(
@@ -175,11 +179,13 @@ def _trajectory_signal(
         turn = turn_rate(moved) * speed
     else:
         yaw = np.unwrap(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))
-        apart = np.r_[True, np.diff(times_s) > 0]
-        turn = CubicSpline(times_s[apart], yaw[apart])(grid_s[there], 1)
+        # Of more than ten records per second the mean of each step, since their differences are mostly noise.
+        bins = np.unique((times_s / _STEP_S).astype(np.int64), return_inverse=True)[1]
+        counts = np.bincount(bins)
+        turn = CubicSpline(np.bincount(bins, times_s) / counts, np.bincount(bins, yaw) / counts)(grid_s[there], 1)
     signal[there] = np.stack([turn, speed], axis=1)
     known = there.astype(np.float64)
-    return np.where(there[:, None], smoothed(np.nan_to_num(signal), known), np.nan)
+    return np.where(there[:, None], smoothed(np.nan_to_num(signal), known, _SMOOTHED), np.nan)
 
 
 def _by_lag(target: Floats, padded: Floats, sigma: Floats | None) -> tuple[Floats, Floats]:
@@ -203,8 +209,9 @@ def _by_lag(target: Floats, padded: Floats, sigma: Floats | None) -> tuple[Float
 
 def _refined(
     target: Floats, at_s: Floats, signal: Floats, grid_s: Floats, offset_s: float, alike: int
-) -> tuple[float, float, float] | None:
-    """The offset by least squares from a start, its sigma, and how many successive values count as one; None where it escapes."""
+) -> tuple[float, float, Floats] | None:
+    """The offset by least squares from a start, its sigma, and of each column (2,) how many successive values count as one; None
+    where it escapes."""
     there, known = np.isfinite(signal).all(axis=1), np.isfinite(target).all(axis=1)
     curve, own = CubicSpline(grid_s[there], signal[there]), CubicSpline(at_s[known], target[known])
     inside = CubicSpline(grid_s, there.astype(np.float64))
@@ -223,4 +230,4 @@ def _refined(
             return None
         if abs(fit.solution[0]) < 1e-5:
             break
-    return offset_s, float(np.linalg.inv(fit.normal)[0, 0] ** 0.5), float(fit.counted.max())
+    return offset_s, _DOUBT * float(np.linalg.inv(fit.normal)[0, 0] ** 0.5), fit.counted

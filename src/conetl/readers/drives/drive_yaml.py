@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 from zoneinfo import ZoneInfo
 
 from pydantic import Field, field_validator
@@ -100,6 +100,17 @@ class Mount(Record):
     """Positive where it looks to the left."""
 
 
+class Clock(Record):
+    """The clock of the images against that of the trajectory, where they are not the same."""
+
+    offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | Literal["estimate"] = "estimate"
+    """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and changes of speed."""
+    sigma_s: float | None = Field(default=None, gt=0, le=10)
+    """Of the stated offset; without it `clock_sigma_s` of the parameters is assumed."""
+    search_s: float = Field(default=30.0, gt=0, le=300)
+    """The offset is searched between minus and plus this."""
+
+
 class DriveYaml(Record):
     """The whole file."""
 
@@ -117,6 +128,8 @@ class DriveYaml(Record):
     images: Images = Images()
     mount: Mount | None = None
     trajectory: TrajectoryFile = TrajectoryFile()
+    clock: Clock | None = None
+    """None: images and trajectory have one clock."""
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
     max_pose_gap_s: float | None = Field(default=None, gt=0, le=3600)
