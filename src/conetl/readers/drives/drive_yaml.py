@@ -107,7 +107,7 @@ class Clock(Record):
     """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and changes of speed."""
     sigma_s: float | None = Field(default=None, gt=0, le=10)
     """Of the stated offset; without it `clock_sigma_s` of the parameters is assumed."""
-    search_s: float = Field(default=30.0, gt=0, le=300)
+    search_s: float = Field(default=30.0, gt=0, le=7200)
     """The offset is searched between minus and plus this."""
 
 

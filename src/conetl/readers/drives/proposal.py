@@ -1,4 +1,4 @@
-"""A folder with stereo video or images, a trajectory and a calibration -> the settings that make it a drive, for `conetl init`."""
+"""A folder with stereo video or images, a trajectory and a calibration -> settings that make it a drive, for `conetl init`."""
 
 from __future__ import annotations
 
@@ -73,10 +73,12 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     for source in videos:
         facts = video_facts(source)
         rate = facts.frames / facts.duration_s if facts.duration_s else 0.0
+        size = f"{facts.width_px} x {facts.height_px}"
         proposal.found.append(
-            f"video {source.name}: {facts.width_px} x {facts.height_px}, {facts.frames:,} frames, {rate:.2f} Hz, {facts.duration_s:.0f} s"
+            f"video {source.name}: {size}, {facts.frames:,} frames, {rate:.2f} Hz, {facts.duration_s:.0f} s"
         )
-    proposal.found += [f"images in {folder.name}/: {len(image_files(folder)):,}" for folder in folders if not videos]
+    if not videos:
+        proposal.found.extend(f"images in {folder.name}/: {len(image_files(folder)):,}" for folder in folders)
     if len(sources) == 1 or "layout" in images:
         images.setdefault("left", sources[0].name)
         if "layout" not in images:
@@ -137,8 +139,8 @@ def _described(recorded: RecordedTrajectory, kind: str) -> str:
     sigma = f"sigma {np.median(known):.3g} m" if len(known) else "no sigmas"
     bad = f", {len(recorded.bad):,} bad records" if recorded.bad else ""
     return (
-        f"trajectory {recorded.name} ({kind}): {len(times_s):,} records, {rate}, {attitude}, {sigma}, {first:%Y-%m-%d %H:%M:%S} UTC "
-        f"for {times_s[-1]:.0f} s{bad}"
+        f"trajectory {recorded.name} ({kind}): {len(times_s):,} records, {rate}, {attitude}, {sigma}, "
+        f"{first:%Y-%m-%d %H:%M:%S} UTC for {times_s[-1]:.0f} s{bad}"
     )
 
 
@@ -155,17 +157,18 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
             proposal.questions.append(Question("rig", text))
             return None
         path, rig, kind = found[0]
+    image_size = f"{rig.left.width_px} x {rig.left.height_px}"
     proposal.found.append(
-        f"calibration {path.name} ({FORMAT_NAMES[kind]}): {rig.left.width_px} x {rig.left.height_px}, baseline {rig.baseline_m:.3f} m"
+        f"calibration {path.name} ({FORMAT_NAMES[kind]}): {image_size}, baseline {rig.baseline_m:.3f} m"
     )
     if "mount" in answers:
         values = _numbers("mount", answers["mount"], 3, 6)
-        names = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
-        proposal.settings["mount"] = dict(zip(names, values, strict=False))
+        keys = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
+        proposal.settings["mount"] = dict(zip(keys, values, strict=False))
     elif rigs.body_is_left_camera(rig):
         text = (
-            "Where is the left camera as seen from the antenna or IMU of the trajectory: forward, left, up in metres, then pitch in "
-            "degrees (positive: looks down), like 1.2,0.3,-0.2,3?"
+            "Where is the left camera as seen from the antenna or IMU of the trajectory: forward, left, up in metres, then its "
+            "pitch in degrees (positive: looks down), like 1.2,0.3,-0.2,3?"
         )
         proposal.questions.append(Question("mount", text))
     return None if path == root / RIG_YAML else rig

@@ -27,10 +27,21 @@ from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Drive, Rig, Side
 from conetl.model.rejections import Rejection
+from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.video import VIDEO_SUFFIXES, Frame, Region, VideoIndex, frame_of, index_video, video_facts
 from conetl.perception.video_sync import find_video_lag
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Layout, Mount, inside, read_drive_yaml
+from conetl.readers.drives.drive_yaml import (
+    DRIVE_YAML,
+    Clock,
+    DriveYaml,
+    Images,
+    Layout,
+    Mount,
+    inside,
+    read_drive_yaml,
+)
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, names_in, rig_on_body
+from conetl.readers.drives.image_clock import image_clock
 from conetl.readers.drives.pairs import (
     ContentHash,
     Couple,
@@ -40,11 +51,12 @@ from conetl.readers.drives.pairs import (
     drive_of_couples,
     pair_by_stamp,
 )
-from conetl.readers.drives.poses import placed
+from conetl.readers.drives.poses import Samples, placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
-from conetl.readers.drives.timestamps import parse_timestamp
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
+from conetl.readers.trajectories.times import parse_timestamp
+from conetl.tracking.clock_search import ImageClock
 
 Floats = NDArray[np.float64]
 NAME = "video"
@@ -63,6 +75,19 @@ class _Camera(NamedTuple):
     times_s: Floats
     video: VideoIndex | None
     region: Region | None
+
+
+class Timing(NamedTuple):
+    """What ties the images to the clock of the trajectory."""
+
+    couples: list[Couple]
+    """With times by the trajectory's clock."""
+    start_ns: int | None
+    """UTC of the first left frame by that clock; None where every image has a time of its own."""
+    right_offset_s: float
+    """What to add to the right file's times to have those of the left one."""
+    clock: ImageClock
+    """What was added to the times as stated, and its sigma."""
 
 
 def matches(path: Path) -> bool:
@@ -87,16 +112,11 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     rig, sensor_R_body = _rig(root, settings, content)
     cameras = _cameras(root, settings.images, rig, content)
     trajectory = _trajectory_file(root, settings)
+    _add_files(trajectory, root, content)
     recorded = read_trajectory(trajectory, settings.trajectory)
-    for file in sorted(trajectory.rglob("*")) if trajectory.is_dir() else [trajectory]:
-        if file.is_file():
-            with file.open("rb") as opened:
-                content.add(file.relative_to(root).as_posix(), hashlib.file_digest(opened, "sha256").digest())
+    from_course = recorded.rotations is None
     srid, track = placed(with_course(recorded), settings, options.map_srid, root, sensor_R_body)
-    left, right = _stamped(cameras, settings, root, content)
-    couples = _chosen(pair_by_stamp(left, right, settings.pair_tolerance_ns), settings.images)
-    if not couples:
-        raise DriveFolderError(f"{path}: no left image has a right one within {settings.pair_tolerance_ms:g} ms")
+    timed = _timed(cameras, track, rig, settings, root, content, from_course=from_course)
 
     def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
         if frame_of(left.path) is None:
@@ -105,12 +125,24 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
         return ours, theirs
 
     hashes = {path: sha256 for camera in cameras for path, sha256 in _hashes(camera)}
-    exposures_ns = [stamp for couple in couples if (stamp := _time_ns(couple)) is not None]
-    pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s, from_course=recorded.rotations is None)
+    exposures_ns = [stamp for couple in timed.couples if (stamp := _time_ns(couple)) is not None]
+    pose_at = pose_reader(
+        track, exposures_ns, settings.max_pose_gap_s, from_course=from_course, clock_sigma_s=timed.clock.sigma_s
+    )
     return drive_of_couples(
-        couples, {"left": cameras[0].name, "right": cameras[1].name}, source=root, settings=settings, rig=rig, srid=srid,
+        timed.couples, {"left": cameras[0].name, "right": cameras[1].name}, source=root, settings=settings, rig=rig, srid=srid,
         content=content, images_of=images_of, pose_at=pose_at,
     )  # fmt: skip
+
+
+def read_timing(root: Path) -> Timing:
+    """When the first left frame was taken, as drive.yaml states it or as the images show it. Raises as `read`."""
+    settings, content = read_drive_yaml(root), ContentHash(headers_only=True)
+    rig, sensor_R_body = _rig(root, settings, content)
+    cameras = _cameras(root, settings.images, rig, content)
+    recorded = read_trajectory(_trajectory_file(root, settings), settings.trajectory)
+    _, track = placed(with_course(recorded), settings, None, root, sensor_R_body)
+    return _timed(cameras, track, rig, settings, root, content, from_course=recorded.rotations is None)
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
@@ -240,22 +272,52 @@ def _hashes(camera: _Camera) -> list[tuple[Path, str]]:
 # --------------------------------------------------------------------------- times
 
 
-def _stamped(
-    cameras: Sequence[_Camera], settings: DriveYaml, root: Path, content: ContentHash
-) -> tuple[list[Image], list[Image]]:
-    """Images of both cameras with their times. Raises DriveFolderError."""
-    images, (left, right) = settings.images, cameras
+def _timed(
+    cameras: Sequence[_Camera],
+    track: Samples,
+    rig: Rig,
+    settings: DriveYaml,
+    root: Path,
+    content: ContentHash,
+    *,
+    from_course: bool,
+) -> Timing:
+    """The couples of images with their times. Raises DriveFolderError."""
+    images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
     if images.timestamps is not None or left.video is None:
         names = (images.timestamps, images.right_timestamps or images.timestamps)
         ours, theirs = (
             _listed(camera, name, settings, root, content) for camera, name in zip(cameras, names, strict=True)
         )
-        return ours, theirs
-    start_ns = _start_ns(left, settings, root)
-    shift_s = (
-        0.0 if left.paths[0].name == right.paths[0].name or images.layout else _right_offset_s(left, right, images)
-    )
-    return _at(left, start_ns), _at(right, start_ns + round(shift_s * 1e9))
+    else:
+        start_ns, search_s = _start_ns(left, track, settings, root)
+        if search_s is not None:
+            clock = Clock(search_s=search_s)
+        if left.video is not right.video:
+            shift_s = _right_offset_s(left, right, images)
+        ours, theirs = _at(left, start_ns), _at(right, start_ns + round(shift_s * 1e9))
+    couples = _chosen(pair_by_stamp(ours, theirs, settings.pair_tolerance_ns), images)
+    if not couples:
+        raise DriveFolderError(
+            f"{root}: no left image has a right one within {settings.pair_tolerance_ms:g} ms (pair_tolerance_ms in {DRIVE_YAML})"
+        )
+    pairs = [
+        (t, {"left": a.path, "right": b.path}) for a, b in couples if a and b and (t := _time_ns((a, b))) is not None
+    ]
+
+    def read_image(number: int, side: Side) -> NDArray[np.uint8]:
+        return read_rig_image(pairs[number][1][side], rig, side)
+
+    found = image_clock(clock, track, [t for t, _ in pairs], rig, read_image, from_course=from_course)
+    offset_ns = round(found.offset_s * 1e9)
+    moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
+    return Timing(moved, None if start_ns is None else start_ns + offset_ns, shift_s, found)
+
+
+def _later(image: Image | None, offset_ns: int) -> Image | None:
+    if image is None or not isinstance(image.stamp, int):
+        return image
+    return image._replace(stamp=image.stamp + offset_ns)
 
 
 def _at(camera: _Camera, start_ns: int) -> list[Image]:
@@ -302,13 +364,23 @@ def _parsed(text: str, settings: DriveYaml, path: Path) -> int:
     return stamp
 
 
-def _start_ns(left: _Camera, settings: DriveYaml, root: Path) -> int:
-    """Time of the first left frame. Raises DriveFolderError."""
+def _start_ns(left: _Camera, track: Samples, settings: DriveYaml, root: Path) -> tuple[int, float | None]:
+    """Time of the first left frame, and within how many seconds of that it has to be searched; None where it is stated."""
     if settings.images.start is not None:
-        return _parsed(settings.images.start, settings, root / DRIVE_YAML)
-    raise DriveFolderError(
-        f"{root}: when the first frame was taken is unknown: put 'images: {{start: 2026-03-02 10:00:00.250}}' into {DRIVE_YAML}"
-    )
+        return _parsed(settings.images.start, settings, root / DRIVE_YAML), None
+    if settings.clock is not None and settings.clock.offset_s != "estimate":
+        raise DriveFolderError(f"{root / DRIVE_YAML}: clock.offset_s counts from images.start, which is missing")
+    search_s = Clock().search_s if settings.clock is None else settings.clock.search_s
+    first_ns, last_ns, length_ns = track.times_ns[0], track.times_ns[-1], round(float(left.times_s[-1]) * 1e9)
+    created = left.video.created_at if left.video is not None else None
+    if created is not None:
+        created_ns = round(created.timestamp()) * 10**9
+        # The container's clock may be set, and tell the beginning of the recording or its end.
+        for start_ns in (created_ns, created_ns - length_ns):
+            if first_ns - search_s * 1e9 < start_ns < last_ns:
+                return start_ns, search_s
+    # The middle of both together, and all other ways in which they overlap.
+    return (first_ns + last_ns - length_ns) // 2, (last_ns - first_ns + length_ns) / 2e9
 
 
 def _right_offset_s(left: _Camera, right: _Camera, settings: Images) -> float:
@@ -356,6 +428,14 @@ def _chosen(couples: Sequence[Couple], settings: Images) -> list[Couple]:
 def _time_ns(couple: Couple) -> int | None:
     stamp = next(image.stamp for image in couple if image is not None)
     return stamp if isinstance(stamp, int) else None
+
+
+def _add_files(path: Path, root: Path, content: ContentHash) -> None:
+    """Add a trajectory, which may be large or a folder, to the drive's hash."""
+    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if file.is_file():
+            with file.open("rb") as opened:
+                content.add(file.relative_to(root).as_posix(), hashlib.file_digest(opened, "sha256").digest())
 
 
 def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
