@@ -25,6 +25,7 @@ _COMMANDS = {
         "ingest": "ingest:ingest",
         "backfill": "backfill:backfill",
         "watch": "watch:watch",
+        "init": "init:init",
         "inspect": "inspect_drive:inspect",
         "drive": "",
     },

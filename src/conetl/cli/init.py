@@ -1,3 +1,146 @@
-"""`conetl init`: make a drive of a folder with stereo video or images and a trajectory file."""
+"""`conetl init`: make a drive of a folder with stereo video or images, a trajectory and a calibration."""
 
 from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from conetl.cli.console import JsonOption, print_json, say, spinner
+from conetl.files.atomic import atomic_text_file
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
+from conetl.model.records import utc_from_ns
+from conetl.readers.drives import find_format
+from conetl.readers.drives.drive_yaml import DRIVE_YAML
+from conetl.readers.drives.proposal import Proposal, propose
+from conetl.readers.drives.video import NAME, Timing, read_timing
+from conetl.readers.rigs import RIG_YAML, write_rig_yaml
+
+_COMMENTS = {
+    "images": "the videos or folders of images",
+    "trajectory": "the GNSS/INS log",
+    "mount": "left camera as seen from the antenna or IMU of the trajectory",
+    "sigmas": "of the trajectory, which states none",
+    "clock": "of the images against the trajectory; found from turns and changes of speed",
+}
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(help="Folder with videos or images, a trajectory and a calibration.")],
+    left: Annotated[str | None, typer.Option(help="File or folder of the left camera.")] = None,
+    right: Annotated[str | None, typer.Option(help="File or folder of the right camera.")] = None,
+    layout: Annotated[
+        str | None,
+        typer.Option(help="Of one file with both images: left-right, right-left, top-bottom, bottom-top."),
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(help="Time of the first left frame, UTC; else found from the images.")
+    ] = None,
+    trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
+    date: Annotated[str | None, typer.Option(help="Day of the recording, for logs without a date.")] = None,
+    heights: Annotated[str | None, typer.Option(help="ellipsoidal, or a height system like EPSG:5773.")] = None,
+    sigma: Annotated[str | None, typer.Option(help="Horizontal sigma of the log in metres, if it states none.")] = None,
+    rig: Annotated[
+        str | None, typer.Option(help="Calibration of the cameras, in any format of `conetl rig convert`.")
+    ] = None,
+    mount: Annotated[
+        str | None,
+        typer.Option(
+            help="Left camera from the antenna or IMU: forward,left,up in metres[,pitch,yaw,roll in degrees]."
+        ),
+    ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", "-y", help="Ask nothing: take what is clear, fail where something is missing.")
+    ] = False,
+    force: Annotated[bool, typer.Option(help="Replace an existing drive.yaml.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Look at a folder, ask for what is missing, and write drive.yaml.
+
+    In a terminal every open question is asked; elsewhere, and with --yes, the message names the options that answer them.
+    """
+    root = folder.resolve()
+    if not root.is_dir():
+        raise DriveFolderError(f"{folder}: there is no such folder")
+    kind = find_format(root)
+    if kind is not None and kind.NAME != NAME:
+        _finish(folder, f"{folder} is a drive already ({kind.NAME}); nothing has to be written.", {}, as_json)
+        return
+    if (root / DRIVE_YAML).exists() and not force:
+        raise InputError(f"{root / DRIVE_YAML} exists: edit it, or replace it with --force")
+    given = {
+        "left": left, "right": right, "layout": layout, "start": start, "trajectory": trajectory, "date": date,
+        "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
+    }  # fmt: skip
+    answers = {key: value for key, value in given.items() if value is not None}
+    asks = sys.stdin.isatty() and not yes and not as_json
+    proposal = _complete(root, answers, asks=asks, as_json=as_json)
+    if proposal.rig is not None:
+        write_rig_yaml(proposal.rig, root / RIG_YAML)
+    settings = proposal.settings
+    _write(root, settings)
+    try:
+        with spinner("finding when the images were taken"):
+            timing = read_timing(root)
+    except ConetlError as error:
+        say(f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:")
+        say(str(error))
+        raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
+    _add_timing(settings, timing)
+    _write(root, settings)
+    pairs = sum(left is not None and right is not None for left, right in timing.couples)
+    _finish(folder, f"{root / DRIVE_YAML} is written: {pairs:,} frame pairs.", settings, as_json)
+
+
+def _complete(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool) -> Proposal:
+    """The proposal once nothing is missing. Raises InputError where something is and nobody can be asked."""
+    shown = 0
+    while True:
+        proposal = propose(root, answers)
+        if not as_json:
+            for line in proposal.found[shown:]:
+                say(f"  {line}")
+            shown = len(proposal.found)
+        if not proposal.questions:
+            return proposal
+        if not asks:
+            missing = "\n".join(f"  --{question.key}: {question.text}" for question in proposal.questions)
+            raise InputError(f"{root}: something is missing; answer it with these options:\n{missing}")
+        question = proposal.questions[0]
+        answers[question.key] = typer.prompt(question.text, default=question.default)
+
+
+def _add_timing(settings: dict[str, Any], timing: Timing) -> None:
+    """What the images showed, so that it is not searched again."""
+    images = settings["images"]
+    if timing.start_ns is not None:
+        seconds, rest = divmod(timing.start_ns, 10**9)
+        images["start"] = f"{utc_from_ns(seconds * 10**9):%Y-%m-%d %H:%M:%S}.{rest:09d}Z"
+        if "layout" not in images:
+            images["right_offset_s"] = round(timing.right_offset_s, 6)
+    if timing.clock.sigma_s:
+        settings["clock"] = {"offset_s": 0.0, "sigma_s": round(timing.clock.sigma_s, 4)}
+
+
+def _write(root: Path, settings: dict[str, Any]) -> None:
+    """drive.yaml with a comment per section."""
+    with atomic_text_file(root / DRIVE_YAML) as file:
+        file.write("# How conetl reads this drive, written by 'conetl init'; all keys: docs/reference/drives.md\n")
+        for section, values in settings.items():
+            if values:
+                file.write(f"\n{section}:  # {_COMMENTS[section]}\n")
+                file.writelines(f"  {key}: {json.dumps(value)}\n" for key, value in values.items())
+
+
+def _finish(folder: Path, text: str, settings: dict[str, Any], as_json: bool) -> None:
+    commands = [f"conetl inspect {folder}", f"conetl ingest {folder}"]
+    if as_json:
+        print_json({"settings": settings, "next": commands})
+        return
+    say(text)
+    say("Next:")
+    for command in commands:
+        say(f"  {command}")
