@@ -318,6 +318,29 @@ def test_yaw_columns_are_those_of_conetl(tmp_path: Path) -> None:
     assert angle_rad(rotations, true_rotations(np.array([[2.0, -3.0, 30.0]]))) < 1e-9
 
 
+def test_a_yaw_that_is_a_heading_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    for heading, is_yaw in ((100.0, False), (100.0, True), (45.0, True)):
+        steps = (
+            1e-5
+            * np.arange(60)[:, None]
+            * [np.cos(np.radians(heading)), np.sin(np.radians(heading)) / np.cos(np.radians(49.0))]
+        )
+        angle = 90.0 - heading if is_yaw else heading
+        rows = [
+            f"{1707297300 + 0.1 * i:.1f},{49 + a:.9f},{8.4 + b:.9f},110,0,0,{angle}" for i, (a, b) in enumerate(steps)
+        ]
+        files.write(tmp_path, "a.csv", ["time,lat,lon,alt,roll,pitch,yaw", *rows])
+        if is_yaw:
+            assert read_trajectory(path).rotations is not None
+            continue
+        with pytest.raises(DriveFolderError, match="clockwise from north"):
+            read_trajectory(path)
+        mapped: dict[str, str | int] = {"heading": "yaw"}
+        rotations = read_trajectory(path, TrajectoryFile(columns=mapped)).rotations
+        assert rotations is not None and rotations[0, 0, 0] == pytest.approx(np.sin(np.radians(heading)))
+
+
 # --------------------------------------------------------------------------- on the map
 
 

@@ -140,7 +140,8 @@ def write_rtklib(
         ]
         angle: Callable[[float], str] = (lambda v: dms(v, 5, sep)) if form == "dms" else (lambda v: f"{v:.9f}")
         rows = [
-            [angle(lat), angle(lon), f"{h:.4f}", str(quality), "12", f"{n:.4f}", f"{e:.4f}", f"{u:.4f}", "0.0010", "-0.0010", "0.0020", "0.00", "50.0"]
+            [angle(lat), angle(lon), f"{h:.4f}", str(quality), "12", f"{n:.4f}", f"{e:.4f}", f"{u:.4f}",
+             "0.0010", "-0.0010", "0.0020", "0.00", "50.0"]
             for (lat, lon, h), (e, n, u) in zip(t.llh, t.sigma[:, :3], strict=True)
         ]  # fmt: skip
     gap = "  " if sep == " " else sep
@@ -180,16 +181,18 @@ def write_inertial_explorer(folder: Path, *, angles: str = "deg") -> Path:
     angle: Callable[[float], str] = (lambda v: dms(v, 6)) if angles == "dms" else (lambda v: f"{v:.10f}")
     lines = [
         "Project:     20240207_van", "Program:     Inertial Explorer Version 8.90.6611", "Profile:     conetl",
-        "Source:      GNSS/INS Epochs(Smoothed TC Combined)", "SolutionType: Tightly coupled", "Datum:       WGS84, (processing datum)",
+        "Source:      GNSS/INS Epochs(Smoothed TC Combined)", "SolutionType: Tightly coupled",
+        "Datum:       WGS84, (processing datum)",
         "UTC Offset:  18 s", "",
-        "     GPSTime  Week       Latitude      Longitude        H-Ell         Roll        Pitch      Heading  SDNorth   SDEast SDHeight    RollSD   PitchSD  HeadingSD  Q",
+        "     GPSTime  Week       Latitude      Longitude        H-Ell         Roll        Pitch      Heading  SDNorth   SDEast "
+        "SDHeight    RollSD   PitchSD  HeadingSD  Q",
         f"       (sec) (weeks)  {unit}  {unit}  (m)  (deg)  (deg)  (deg)  (m)  (m)  (m)  (deg)  (deg)  (deg)  ( )",
     ]  # fmt: skip
     for i in range(COUNT):
         (lat, lon, h), (r, p, y), (e, n, u, sr, sp, sy) = t.llh[i], t.rph[i], t.sigma[i]
         lines.append(
-            f"  {TOW + 0.1 * i:.3f}  {WEEK} {angle(lat)} {angle(lon)} {h:12.4f} {r:12.9f} {p:12.9f} {y:13.9f} {n:8.4f} {e:8.4f} {u:8.4f} "
-            f"{sr:.6f} {sp:.6f} {sy:.6f} 1"
+            f"  {TOW + 0.1 * i:.3f}  {WEEK} {angle(lat)} {angle(lon)} {h:12.4f} {r:12.9f} {p:12.9f} {y:13.9f} {n:8.4f} {e:8.4f} "
+            f"{u:8.4f} {sr:.6f} {sp:.6f} {sy:.6f} 1"
         )
     return write(folder, "van.txt", lines, "\r\n")
 

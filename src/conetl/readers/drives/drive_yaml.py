@@ -135,7 +135,8 @@ class DriveYaml(Record):
     max_pose_gap_s: float | None = Field(default=None, gt=0, le=3600)
     """Poses farther apart in time are not interpolated: 0.5 s, of trajectories with fewer records see `sparse_poses.py`."""
     antenna_t_m: tuple[float, float, float] | None = None
-    """The GNSS antenna in the frame of the attitudes (bags: the IMU's, where /tf_static has none); 0, 0, 0 if positions are reduced to it."""
+    """The GNSS antenna in the frame of the attitudes (of bags the IMU's, where /tf_static has none); 0, 0, 0 if the positions are
+    those of its origin."""
 
     @property
     def pair_tolerance_ns(self) -> int:

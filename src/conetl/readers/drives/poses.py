@@ -219,8 +219,8 @@ def placed(
 ) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it, without wild fixes.
 
-    sensor_R_body (3, 3): from the body's axes to those that the attitudes are of. Positions are those of the antenna where drive.yaml
-    has antenna_t_m. Raises DriveFolderError where the file has no attitudes, or no sigmas and drive.yaml neither.
+    sensor_R_body (3, 3): from the body's axes to those that the attitudes are of. Positions are those of the antenna where
+    drive.yaml has antenna_t_m. Raises DriveFolderError where the file has no attitudes, or no sigmas and drive.yaml neither.
     """
     if recorded.rotations is None:
         raise DriveFolderError(f"{source}: {recorded.name} has positions without attitudes (roll, pitch, heading)")

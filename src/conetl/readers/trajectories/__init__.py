@@ -40,8 +40,8 @@ def read_trajectory(
 ) -> RecordedTrajectory:
     """The trajectory of a file, or of a folder with OXTS records.
 
-    between_ns: first and last UTC time that are needed; other records are not kept. A file of a whole day is read for the time of a
-    drive. Raises DriveFolderError where the format is not recognised or nothing in the file can be used.
+    between_ns: first and last UTC time that are needed; other records are not kept. So a file of a whole day is read for the time
+    of one drive. Raises DriveFolderError where the format is not recognised or nothing in the file can be used.
     """
     settings = settings or TrajectoryFile()
     if not path.exists():
@@ -61,11 +61,14 @@ def read_trajectory(
     reading = READERS[name](path, settings)
     is_local = reading.axes == "local"
     pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
-    return assembled(path, path.name, pieces, is_local=is_local, between_ns=between_ns)
+    found = assembled(path, path.name, pieces, is_local=is_local, between_ns=between_ns)
+    if reading.yaw_column is not None:
+        delimited.check_yaw(path, found, reading.yaw_column)
+    return found
 
 
 def trajectory_format(path: Path) -> FormatName | None:
-    """Name of the format of a file or folder by its content, None for anything else. Raises DriveFolderError if it cannot be read."""
+    """Name of the format of a file or folder by its content, None for anything else. Raises DriveFolderError."""
     if path.is_dir():
         return "oxts" if oxts.looks_like(path) else None
     head = head_bytes(path)

@@ -1,7 +1,7 @@
 """Tables with any names of columns, separated by comma, semicolon, tab or white space: what each column is, from its name.
 
-Names are compared without case, accents, units and punctuation (`Höhe [m]`, `hoehe_m`); drive.yaml (`trajectory: columns`) names what is
-not recognised. Without a unit, angles are degrees (or what `angles` says) and lengths metres.
+Names are compared without case, accents, units and punctuation (`Höhe [m]`, `hoehe_m`); drive.yaml (`trajectory: columns`) names
+what is not recognised. Without a unit, angles are degrees (or what `angles` says) and lengths metres.
 """
 
 from __future__ import annotations
@@ -13,37 +13,51 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+import numpy as np
+
 from conetl.files.documents import shown
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.earth import is_geocentric
-from conetl.readers.trajectories.recorded import Reading
+from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import ANGLES, POSITIONS, ROLES, Column, Layout, require, table_records
 from conetl.readers.trajectories.text import head_lines, split_line
 
 _ALIASES = {
-    "time": "time timestamp timestamps stamp t utc utctime timeutc datetime utcdatetime capturedat unixtime unix epoch posixtime zeit "
-            "zeitstempel uhrzeit gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow gpssow secondsofweek timeofweek gpsseconds gpssecs",
+    "time": "time timestamp timestamps stamp t utc utctime timeutc datetime utcdatetime capturedat unixtime unix "
+        "epoch posixtime zeit zeitstempel uhrzeit gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow "
+        "gpssow secondsofweek timeofweek gpsseconds gpssecs",
     "date": "date utcdate datumzeit tag gpsdate day",
     "week": "week gpsweek weekno weeknumber gpswk wn",
     "lat": "lat latitude breite breitengrad geobreite latitud phi",
     "lon": "lon long lng longitude laenge laengengrad geolaenge longitud lambda",
-    "height": "height h hell ellh ellipsoidalheight heightellipsoidal heightaboveellipsoid hae alt altitude hoehe ellhoehe ellipsoidischehoehe up",
-    "height_msl": "hmsl heightmsl altmsl altitudemsl mslaltitude mslheight msl orthometricheight horth elevation ele elev nhn hoehenhn hnhn",
+    "height": "height h hell ellh ellipsoidalheight heightellipsoidal heightaboveellipsoid hae alt altitude hoehe "
+        "ellhoehe ellipsoidischehoehe",
+    "height_msl": "hmsl heightmsl altmsl altitudemsl mslaltitude mslheight msl orthometricheight horth elevation ele "
+        "elev nhn hoehenhn hnhn",
     "easting": "easting east e rechtswert ostwert utmeast utme",
     "northing": "northing north n hochwert nordwert utmnorth utmn",
-    "x": "x px posx positionx tx", "y": "y py posy positiony ty", "z": "z pz posz positionz tz",
-    "roll": "roll rollangle rollwinkel", "pitch": "pitch pitchangle nick nickwinkel",
-    "heading": "heading hdg hdt trueheading azimuth azimut azi", "yaw": "yaw",
-    "qw": "qw quatw orientationw", "qx": "qx quatx orientationx", "qy": "qy quaty orientationy", "qz": "qz quatz orientationz",
+    "x": "x px posx positionx tx",
+    "y": "y py posy positiony ty",
+    "z": "z pz posz positionz tz",
+    "roll": "roll rollangle rollwinkel",
+    "pitch": "pitch pitchangle nick nickwinkel",
+    "heading": "heading hdg hdt trueheading azimuth azimut azi",
+    "yaw": "yaw",
+    "qw": "qw quatw orientationw",
+    "qx": "qx quatx orientationx",
+    "qy": "qy quaty orientationy",
+    "qz": "qz quatz orientationz",
     "sigma_e": "sigmae sde sdeast eastsd stde stdeast eaststd eaststddev sigmaeast easterror",
     "sigma_n": "sigman sdn sdnorth northsd stdn stdnorth northstd northstddev sigmanorth northerror",
-    "sigma_u": "sigmau sdu sdup sdheight heightsd stdu stdup stdheight upstd upstddev sigmaup sigmaheight sigmah vacc verticalaccuracy "
-               "stdvertical sdv verticalsd",
-    "sigma_horizontal": "sigmahorizontal hacc horizontalaccuracy sdhoriz horizontalsd stdhorizontal accuracy acc posaccuracy poshacc",
-    "sigma_roll": "sigmaroll rollsd sdroll stdroll rollstd rollaccuracy", "sigma_pitch": "sigmapitch pitchsd sdpitch stdpitch pitchstd "
-    "pitchaccuracy",
-    "sigma_heading": "sigmaheading headingsd hdngsd sdheading stdheading headingstd headingaccuracy sigmayaw yawsd sdyaw stdyaw yawstd",
+    "sigma_u": "sigmau sdu sdup sdheight heightsd stdu stdup stdheight upstd upstddev sigmaup sigmaheight "
+        "vacc verticalaccuracy stdvertical sdv verticalsd",
+    "sigma_horizontal": "sigmahorizontal hacc horizontalaccuracy sdhoriz horizontalsd stdhorizontal accuracy posaccuracy "
+        "poshacc",
+    "sigma_roll": "sigmaroll rollsd sdroll stdroll rollstd rollaccuracy",
+    "sigma_pitch": "sigmapitch pitchsd sdpitch stdpitch pitchstd pitchaccuracy",
+    "sigma_heading": "sigmaheading headingsd hdngsd sdheading stdheading headingstd headingaccuracy sigmayaw yawsd sdyaw "
+        "stdyaw yawstd",
 }  # fmt: skip
 _ROLE_OF = {alias: role for role, aliases in _ALIASES.items() for alias in aliases.split()}
 _DEGREES = {"deg": 1.0, "degree": 1.0, "degrees": 1.0, "°": 1.0, "rad": 57.29577951308232, "radians": 57.29577951308232}
@@ -53,11 +67,12 @@ _REFUSED = frozenset({"ft", "feet", "usft", "gon", "grad", "grads", "mil", "mils
 _NO_UNITS = frozenset({"utc", "gps", "wgs84", "msl", "", "-", "ellipsoidal", "gpst"})
 #: A header is among these lines, and has at most so many characters and names.
 _HEADER_LINES, _LONGEST_HEADER, _MOST_COLUMNS = 200, 5000, 1000
-_MARKS = (",", ";", "\t", None)
-
-
 #: Characters of a column's name that may be known.
 _LONGEST_NAME = 60
+_EARTH_M = 6.371e6
+#: Steps of 2 m that the path must have to be compared with a yaw.
+_LEAST_STEPS = 10
+_MARKS = (",", ";", "\t", None)
 
 
 class _Found(NamedTuple):
@@ -98,7 +113,8 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     )  # fmt: skip
     if heights == "sea level" and settings.heights == "ellipsoidal":
         heights = "ellipsoidal"
-    return Reading(table_records(path, layout, settings), axes, heights)
+    yaw = columns["yaw"].name if "yaw" in columns and "heading" not in columns else None
+    return Reading(table_records(path, layout, settings), axes, heights, yaw)
 
 
 def looks_like(lines: list[str]) -> bool:
@@ -111,6 +127,30 @@ def looks_like(lines: list[str]) -> bool:
             if "time" in found and any(set(names) <= found for names in POSITIONS.values()):
                 return True
     return False
+
+
+def check_yaw(path: Path, found: RecordedTrajectory, column: str) -> None:
+    """Raise DriveFolderError where a yaw is a heading, clockwise from north: then the vehicle would not drive where it looks."""
+    if found.rotations is None or found.is_local:
+        return
+    lat, lon, _ = np.radians(found.positions).T
+    metres = _EARTH_M * np.column_stack([lon * np.cos(lat[0]), lat])
+    # The first record at least 2 m of path after each record that is compared.
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(metres, axis=0), axis=1))])
+    starts = np.unique(np.searchsorted(along, np.arange(0.0, min(along[-1], 1e5), 2.0)))
+    steps, seconds = np.diff(metres[starts], axis=0), np.diff(found.times_ns[starts]) * 1e-9
+    moving = (np.linalg.norm(steps, axis=1) > 1.0) & (seconds < 5.0)
+    if np.count_nonzero(moving) < _LEAST_STEPS:
+        return
+    course = np.arctan2(steps[moving, 1], steps[moving, 0])
+    forward = found.rotations[starts[:-1][moving], :, 0]
+    yaw = np.arctan2(forward[:, 1], forward[:, 0])
+    as_yaw, as_heading = (np.median(np.abs(np.angle(np.exp(1j * (a - course))))) for a in (yaw, np.pi / 2 - yaw))
+    if as_yaw > np.pi / 4 and as_heading < np.pi / 9:
+        raise DriveFolderError(
+            f"{path}: by the path that was driven, the column {shown(column)} counts clockwise from north, as a heading "
+            f"does; a yaw counts counter-clockwise from east. Put trajectory: {{columns: {{heading: {column[:60]}}}}} into drive.yaml"
+        )
 
 
 def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
@@ -140,8 +180,8 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
                 best = found
     if best is None or len(best.columns) < 3:
         raise DriveFolderError(
-            f"{path}: there is no line with the names of the columns; write one, or number the columns in drive.yaml, for example "
-            "trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}"
+            f"{path}: there is no line with the names of the columns; write one, or number the columns in drive.yaml, for "
+            "example trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}"
         )
     missing = [str(name) for name in settings.columns.values() if isinstance(name, str) and name not in best.names]
     if missing:
@@ -169,8 +209,8 @@ def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str
         role = found
         if role in columns:
             raise DriveFolderError(
-                f"{path}: the columns {shown(columns[role].name)} and {shown(name)} may both be the {role}; name one in drive.yaml, "
-                f"trajectory: {{columns: {{{role}: ...}}}}"
+                f"{path}: the columns {shown(columns[role].name)} and {shown(name)} may both be the {role}; name one "
+                f"in drive.yaml, trajectory: {{columns: {{{role}: ...}}}}"
             )
         columns[role] = _column(path, role, at, name, settings)
     return columns
@@ -179,7 +219,8 @@ def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str
 def _numbered(path: Path, role: str, number: int, settings: TrajectoryFile) -> Column:
     if role not in ROLES or not 1 <= number <= 1000:
         raise DriveFolderError(
-            f"drive.yaml: trajectory.columns: {shown(role)}: {number}: expected a number from 1 to 1000 for one of {', '.join(ROLES)}"
+            f"drive.yaml: trajectory.columns: {shown(role)}: {number}: expected a number from 1 to 1000 for "
+            f"one of {', '.join(ROLES)}"
         )
     return _column(path, role, number - 1, f"column {number}", settings)._replace(unit=None)
 

@@ -1,7 +1,7 @@
-"""Positions of a trajectory file in its own coordinate reference system (CRS) and heights -> WGS 84 and ellipsoidal heights, by PROJ.
+"""Positions and heights of a trajectory file in its coordinate reference system (CRS) -> WGS 84, ellipsoidal heights, by PROJ.
 
-Heights above a geoid need PROJ's grid of that geoid. Without it PROJ would leave the heights as they are; here it is an error that
-names the grid.
+Heights above a geoid need PROJ's grid of that geoid. Without it PROJ would leave the heights as they are; here it is an error
+that names the grid.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from conetl.readers.trajectories.settings import TrajectoryFile
 UNSTATED_HEIGHT_SIGMA_M = 100.0
 """Of heights that may be ellipsoidal or above the sea: the geoid is up to 107 m from the ellipsoid."""
 _NOMINAL_M = 2.0
-"""Datum shifts without a grid that PROJ states to be at least this accurate (ETRS89 or NAD83 to WGS 84, 1 to 2 m) are names of one
-and the same frame for the receivers of a region; their accuracy is not added to the sigmas."""
+"""Datum shifts without a grid that PROJ states to be at least this accurate (ETRS89 or NAD83 to WGS 84, 1 to 2 m) are names of
+one and the same frame for the receivers of a region; their accuracy is not added to the sigmas."""
 _GRID_SUFFIXES = (".tif", ".gtx")
 
 
@@ -48,14 +48,13 @@ def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator
                 continue
             steps, accuracy_m = _transformers(reading.axes, settings, piece.positions[usable[0]], path)
         if unstated or accuracy_m:
-            piece = piece._replace(
-                sigma=_increased(piece.sigma, accuracy_m, UNSTATED_HEIGHT_SIGMA_M if unstated else accuracy_m)
-            )
+            vertical_m = UNSTATED_HEIGHT_SIGMA_M if unstated else accuracy_m
+            piece = piece._replace(sigma=_increased(piece.sigma, accuracy_m, vertical_m))  # noqa: PLW2901
         yield _transformed(steps, reading.axes, piece, settings) if steps else piece
 
 
 def _increased(sigma: Floats, horizontal_m: float, vertical_m: float) -> Floats:
-    """Sigmas (N, 6) with the error of a datum shift or geoid; a height without a sigma has VERTICAL_FACTOR times the horizontal one."""
+    """Sigmas (N, 6) with the error of a datum shift or geoid. A height without one has 1.5 times the horizontal one."""
     sigma = sigma.copy()
     sigma[~(sigma > 0.0)] = np.nan
     own_up = np.where(np.isnan(sigma[:, 2]), VERTICAL_FACTOR * sigma[:, :2].max(axis=1), sigma[:, 2])
@@ -98,7 +97,7 @@ def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path
 
 
 def is_geocentric(settings: TrajectoryFile) -> bool:
-    """Whether the CRS of the settings has its origin in the earth's centre. Raises DriveFolderError where PROJ does not know it."""
+    """Whether the CRS of the settings has its origin in the earth's centre. Raises DriveFolderError if PROJ does not know it."""
     return settings.crs is not None and _crs(settings.crs, "crs").is_geocentric
 
 
@@ -117,7 +116,7 @@ def _crs(text: str, key: str) -> CRS:
 
 
 def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Path) -> tuple[list[Transformer], float]:
-    """Steps to longitude, latitude, ellipsoidal height of WGS 84, for a file that begins at `start` (3,), and their accuracy (m)."""
+    """Steps to longitude, latitude, ellipsoidal height (WGS 84) for a file that begins at `start` (3,); their accuracy (m)."""
     source = _crs(settings.crs or ("EPSG:4978" if axes == "geocentric" else "EPSG:4979"), "crs")
     flat = source.sub_crs_list[0] if source.is_compound else source
     kinds = {"geodetic": flat.is_geographic, "geocentric": flat.is_geocentric, "projected": flat.is_projected}
@@ -189,7 +188,10 @@ def _grid(name: str, path: Path) -> Transformer:
 
 def _missing(path: Path, what: str, grids: list[str]) -> str:
     if not grids:
-        return f"{path}: PROJ has no transformation from {shown(what)} to WGS 84; export latitude, longitude and ellipsoidal height"
+        return (
+            f"{path}: PROJ has no transformation from {shown(what)} to WGS 84; export"
+            " latitude, longitude and ellipsoidal height"
+        )
     named = ", ".join(grids)
     return (
         f"{path}: heights or positions of {shown(what)} need the grid {named}, which is not installed: put it into "

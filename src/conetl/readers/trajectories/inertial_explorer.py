@@ -1,7 +1,7 @@
 """Text exports of NovAtel (Waypoint) Inertial Explorer and GrafNav: lines about the project, names of columns, units, records.
 
-          GPSTime  Week       Latitude      Longitude        H-Ell         Roll        Pitch      Heading  SDNorth   SDEast SDHeight ...
-            (sec) (weeks)     (+/-D M S)     (+/-D M S)          (m)        (deg)        (deg)        (deg)      (m)      (m)      (m) ...
+      GPSTime  Week    Latitude   Longitude     H-Ell      Roll     Pitch   Heading  SDNorth   SDEast SDHeight ...
+        (sec) (weeks)  (+/-D M S)  (+/-D M S)      (m)     (deg)     (deg)     (deg)      (m)      (m)      (m) ...
 
 Columns and units are those of an export profile that the user may change, so they are taken from these two lines. Angles: heading
 clockwise from true north, pitch with the front up, roll with the right side down (Waypoint Software user manual, export wizard).
@@ -24,7 +24,8 @@ _ROLES = {
     "gpsdate": "date", "utcdate": "date",
     "latitude": "lat", "longitude": "lon", "h-ell": "height", "h-msl": "height_msl", "easting": "easting", "northing": "northing",
     "roll": "roll", "pitch": "pitch", "heading": "heading", "sdnorth": "sigma_n", "sdeast": "sigma_e", "sdheight": "sigma_u",
-    "sd-n": "sigma_n", "sd-e": "sigma_e", "sd-h": "sigma_u", "sd-vert": "sigma_u", "sdvert": "sigma_u", "sdhoriz": "sigma_horizontal",
+    "sd-n": "sigma_n", "sd-e": "sigma_e", "sd-h": "sigma_u", "sd-vert": "sigma_u", "sdvert": "sigma_u",
+    "sdhoriz": "sigma_horizontal",
     "rollsd": "sigma_roll", "sdroll": "sigma_roll", "rllsd": "sigma_roll", "pitchsd": "sigma_pitch", "sdpitch": "sigma_pitch",
     "ptchsd": "sigma_pitch", "headingsd": "sigma_heading", "hdngsd": "sigma_heading", "sdheading": "sigma_heading",
 }  # fmt: skip
@@ -56,8 +57,8 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     at = header_of(lines)
     if at is None:
         raise DriveFolderError(
-            f"{path}: expected a line with the names of the columns (GPSTime, Week, Latitude, Longitude, H-Ell, ...) and one with their "
-            "units; export with a profile that writes both"
+            f"{path}: expected a line with the names of the columns (GPSTime, Week, Latitude, Longitude, H-Ell, ...) and one "
+            "with their units; export with a profile that writes both"
         )
     names, units = lines[at].split(), re.findall(r"\([^()]*\)", lines[at + 1])
     if len(names) != len(units):

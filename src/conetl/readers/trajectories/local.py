@@ -1,7 +1,7 @@
 """Poses in a local level frame: TUM files and data.csv of EuRoC folders.
 
-    TUM    # timestamp tx ty tz qx qy qz qw                                            seconds since 1970 (Sturm et al., IROS 2012)
-    EuRoC  #timestamp,p_RS_R_x [m],...,q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],...     nanoseconds since 1970 (Burri et al., IJRR 2016)
+    TUM    # timestamp tx ty tz qx qy qz qw                                    seconds since 1970 (Sturm et al., IROS 2012)
+    EuRoC  #timestamp,p_RS_R_x [m],...,q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []  nanoseconds since 1970 (Burri et al., IJRR 2016)
 
 Columns are read by their order. drive.yaml gives the position of the frame on the earth (`georeference`) and the sigmas.
 """

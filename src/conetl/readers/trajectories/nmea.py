@@ -1,6 +1,6 @@
 """NMEA 0183 logs: GGA (position), RMC or ZDA (date), GST (sigmas), HDT, THS or PASHR (attitude), joined by their time of day.
 
-Read without pynmeagps, which takes about ten times as long per sentence and cuts times to microseconds (docs/explanation/decisions).
+Read without pynmeagps: see docs/explanation/decisions.md.
 Height = altitude above the sea + geoid separation, both of GGA. Sentences without a valid checksum are not used.
 """
 
@@ -25,8 +25,8 @@ from conetl.readers.trajectories.times import DAY_NS, Times, decimal_ns
 MAX_BYTES = 1 << 30
 """About six million epochs of GGA, RMC and GST."""
 SIGMAS_OF_QUALITY_M = {1: (5.0, 10.0), 2: (2.0, 4.0), 3: (5.0, 10.0), 4: (0.05, 0.1), 5: (0.5, 1.0), 9: (2.0, 4.0)}
-"""Sigmas (horizontal, up) without GST by the quality of GGA: autonomous, differential, PPS, RTK fixed, RTK float, SBAS (NovAtel). They are
-multiplied by HDOP where it is above 1."""
+"""Sigmas (horizontal, up) without GST by the quality of GGA: autonomous, differential, PPS, RTK fixed, RTK float, SBAS (NovAtel).
+They are multiplied by HDOP where it is above 1."""
 HEADING_SIGMA_DEG = 1.0
 """Of HDT and THS, which state none: two antennas half a metre apart."""
 _NO_FIX = {
@@ -89,8 +89,9 @@ class _Log:
             time_ns = self._at(_time_of_day(words[1]))
             quality = int(words[6] or 0)
             lat, lon = (_degrees(words[2], words[3]), _degrees(words[4], words[5])) if quality else (np.nan, np.nan)
+            values = [lat, lon, _number(words[9]), _number(words[11]), quality, _number(words[8]), number]
             self.gga_ns.append(time_ns)
-            self.gga.extend([lat, lon, _number(words[9]), _number(words[11]), quality, _number(words[8]), number])
+            self.gga.extend(values)
         elif kind == "RMC" and words[1] and words[2] == "A" and len(words[9]) == 6:
             year = int(words[9][4:])
             self._date(date(year + (1900 if year >= 80 else 2000), int(words[9][2:4]), int(words[9][:2])), words[1])
@@ -102,15 +103,16 @@ class _Log:
             self.gst.extend(sigmas)
         elif kind in {"HDT", "THS"} and words[1] and words[2] in {"T", "A"} and self.last_ns >= 0:
             level = float(np.degrees(LEVEL_SIGMA_RAD))
+            values = [_number(words[1]), 0.0, 0.0, level, level, HEADING_SIGMA_DEG]
             self.turn_ns.append(self.day * DAY_NS + self.last_ns)
-            self.turn.extend([_number(words[1]), 0.0, 0.0, level, level, HEADING_SIGMA_DEG])
+            self.turn.extend(values)
         elif kind == "ASHR" and len(words) >= 10 and words[1] and words[3] == "T":
             values = [_number(words[k]) for k in (2, 4, 5, 7, 8, 9)]
             self.turn_ns.append(self._at(_time_of_day(words[1])))
             self.turn.extend(values)
 
     def _at(self, time_of_day_ns: int) -> int:
-        """Time of a sentence; a time of day that begins anew is on the next day, the last ones before midnight may come after it."""
+        """Time of a sentence; a time of day that begins anew is on the next day, late sentences are on the day before."""
         step = time_of_day_ns - self.last_ns if self.last_ns >= 0 else 0
         if step > DAY_NS // 2:
             return (self.day - 1) * DAY_NS + time_of_day_ns

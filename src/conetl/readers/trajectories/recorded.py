@@ -74,6 +74,8 @@ class Reading(NamedTuple):
     axes: Axes = "geodetic"
     heights: Literal["ellipsoidal", "sea level", "unstated"] = "ellipsoidal"
     """What the file says of its heights."""
+    yaw_column: str | None = None
+    """Of a table whose yaw counts from east, counter-clockwise, as far as its name says."""
 
 
 def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:
@@ -142,14 +144,15 @@ def assembled(
     first = np.diff(times[order], prepend=0) > 0
     for time_ns in times[order[~first]][: MAX_BAD - len(bad)].tolist():
         bad[time_ns] = "a second record of this time"
-    order = order[first]
-    rotations = [piece.rotations for piece in kept if piece.rotations is not None]
-    sigma = np.concatenate([piece.sigma for piece in kept])[order]
+    # Of most files all records stay where they are, and need no copy.
+    keep: Any = slice(None) if first.all() and bool(np.all(np.diff(times) > 0)) else order[first]
+    positions = np.concatenate([piece.positions for piece in kept])[keep]
+    sigma = np.concatenate([piece.sigma for piece in kept])[keep]
     sigma[~(np.isfinite(sigma) & (sigma > 0.0))] = np.nan
-    return RecordedTrajectory(
-        name, times[order], np.concatenate([piece.positions for piece in kept])[order], is_local,
-        np.concatenate(rotations)[order] if rotations else None, sigma, dict(sorted(bad.items())),
-    )  # fmt: skip
+    parts = [piece.rotations for piece in kept if piece.rotations is not None]
+    kept.clear()
+    rotations = np.concatenate(parts)[keep] if parts else None
+    return RecordedTrajectory(name, times[keep], positions, is_local, rotations, sigma, dict(sorted(bad.items())))
 
 
 def problems(piece: Records, is_local: bool) -> dict[int, str]:

@@ -4,7 +4,7 @@
     %  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m) ...
     2019/06/14 00:00:00.000   49.002011153    8.429826219   116.1040   1  12   0.0051   0.0043   0.0102 ...
 
-Latitude and longitude in degrees or degrees, minutes, seconds; or x, y, z; times of GPST, UTC or JST, as a date or as week and seconds.
+Latitude and longitude in degrees or degrees, minutes, seconds; or x, y, z. Times of GPST, UTC or JST, as date or week.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _SCALES = {"GPST": "gps", "UTC": "UTC", "JST": "Asia/Tokyo"}
 _NAME = re.compile(r"([A-Za-z/-]+)\((?:[^()]*)\)|\b(Q|ns|ratio)\b")
 _ROLES = {
     "latitude": "lat", "longitude": "lon", "height": "height", "x-ecef": "x", "y-ecef": "y", "z-ecef": "z", "Q": "quality",
-    "sdn": "sigma_n", "sde": "sigma_e", "sdu": "sigma_u", "sdx": "sdx", "sdy": "sdy", "sdz": "sdz", "sdxy": "sdxy", "sdyz": "sdyz",
-    "sdzx": "sdzx",
+    "sdn": "sigma_n", "sde": "sigma_e", "sdu": "sigma_u", "sdx": "sdx", "sdy": "sdy", "sdz": "sdz", "sdxy": "sdxy",
+    "sdyz": "sdyz", "sdzx": "sdzx",
 }  # fmt: skip
 SINGLE_SIGMA_M = (5.0, 5.0, 10.0)
 """The least sigmas of Q=5: RTKLIB computes those of single solutions from assumed noise, without the errors of the atmosphere."""

@@ -1,7 +1,7 @@
 """Applanix SBET files: 17 little-endian doubles per record, and the sigmas of smrmsg files beside them, 10 doubles per record.
 
-SBET: time (s of the GPS week, or of the day), latitude, longitude (rad), ellipsoidal height (m), 3 velocities, roll, pitch, platform
-heading, wander angle (rad), 3 accelerations, 3 angular rates. True heading = platform heading - wander angle.
+SBET: time (s of the GPS week, or of the day), latitude, longitude (rad), ellipsoidal height (m), 3 velocities, roll, pitch,
+platform heading, wander angle (rad), 3 accelerations, 3 angular rates. True heading = platform heading - wander angle.
 smrmsg: time, sigmas of north, east, down (m), of 3 velocities (m/s), of roll, pitch, heading (minutes of arc).
 (Applanix, POSPac MMS user guide, SBET and SMRMSG formats.)
 """
@@ -76,7 +76,8 @@ def _mapped(path: Path, width: int) -> Floats:
         size = path.stat().st_size
         if size % (8 * width) or size > MAX_BYTES:
             raise DriveFolderError(
-                f"{path}: has {size:,} bytes; expected records of {8 * width} bytes, {MAX_BYTES:,} at most. Was it copied completely?"
+                f"{path}: has {size:,} bytes; expected records of {8 * width} bytes, "
+                f"{MAX_BYTES:,} at most. Was it copied completely?"
             )
         return np.memmap(path, "<f8", "r", shape=(size // (8 * width), width)) if size else np.zeros((0, width))
     except OSError as error:
@@ -84,12 +85,13 @@ def _mapped(path: Path, width: int) -> Floats:
 
 
 def sigma_file(path: Path) -> Path | None:
-    """The smrmsg file of an SBET file: smrmsg_NAME.out beside sbet_NAME.out, or the only one beside it. Raises DriveFolderError."""
+    """The smrmsg file of an SBET file: smrmsg_X.out beside sbet_X.out, or the only one beside it. Raises DriveFolderError."""
     found = sorted(p for p in path.parent.glob("[sS][mM][rR][mM][sS][gG]*") if p.is_file())
     own = [p for p in found if p.stem.lower().removeprefix("smrmsg") == path.stem.lower().removeprefix("sbet")]
     if len(own or found) > 1:
+        wanted = f"smrmsg{path.stem.lower().removeprefix('sbet')}.out"
         raise DriveFolderError(
-            f"{path}: {', '.join(p.name for p in found[:5])} are beside it; name one of them smrmsg{path.stem.lower().removeprefix('sbet')}.out"
+            f"{path}: {', '.join(p.name for p in found[:5])} are beside it; name one of them {wanted}"
         )
     return next(iter(own or found), None)
 
@@ -133,7 +135,7 @@ def _unwrapped_s(seconds: Floats, period_ns: int) -> Floats:
 
 
 def _sigmas_at(seconds: Floats, times: Floats, rows: Floats) -> Floats:
-    """(N, 6) east, north, up (m), roll, pitch, yaw (rad) at times (N,): the larger of the neighbours (M,), which may be 1 s apart."""
+    """(N, 6) east, north, up (m), roll, pitch, yaw (rad) at times (N,): the larger of the neighbours (M,)."""
     after = np.searchsorted(times, seconds).clip(0, len(times) - 1)
     before = (after - (times[after] > seconds)).clip(0)
     near = np.minimum(np.abs(times[after] - seconds), np.abs(times[before] - seconds)) <= MAX_SIGMA_GAP_S

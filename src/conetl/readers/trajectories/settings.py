@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import date as Date
+import datetime
 from typing import Literal
 from zoneinfo import ZoneInfo
 
@@ -29,7 +29,7 @@ class TrajectoryFile(Record):
     """utc, gps or the IANA name of a time zone."""
     week: int | None = Field(default=None, ge=0, lt=10_000)
     """GPS week, without rollover, of a file whose times are seconds of a week."""
-    date: Date | None = None
+    date: datetime.date | None = None
     """Day of the first record, where times are seconds of a week or of a day, or have no date."""
     crs: str | None = Field(default=None, min_length=1, max_length=10_000)
     heights: str | None = Field(default=None, min_length=1, max_length=10_000)

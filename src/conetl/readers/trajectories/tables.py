@@ -28,7 +28,8 @@ POSITIONS: dict[Axes, tuple[str, str, str]] = {
 QUATERNION = ("qw", "qx", "qy", "qz")
 SIGMAS = ("sigma_e", "sigma_n", "sigma_u", "sigma_roll", "sigma_pitch", "sigma_heading")
 ROLES = (
-    *TIMES, "lat", "lon", "height", "height_msl", "easting", "northing", "x", "y", "z", "roll", "pitch", "heading", "yaw", *QUATERNION,
+    *TIMES, "lat", "lon", "height", "height_msl", "easting", "northing", "x", "y", "z", "roll", "pitch", "heading", "yaw",
+    *QUATERNION,
     *SIGMAS, "sigma_horizontal", "quality",
 )  # fmt: skip
 ANGLES = frozenset({"lat", "lon", "roll", "pitch", "heading", "yaw", "sigma_roll", "sigma_pitch", "sigma_heading"})
@@ -65,8 +66,8 @@ class Layout(NamedTuple):
     """Decimals are after a comma."""
     comments: tuple[str, ...] = ("#", "%")
     scale: str = "UTC"
-    """Of times unless the settings name another: `gps` or a time zone; `""`: gps for times of a week, else UTC; `?`: the same, but
-    dates and times since 1970 need the settings, as the column's name speaks of GPS."""
+    """Of times unless the settings name another: `gps` or a time zone; `""`: gps for times of a week, else UTC; `?`: the same,
+    but dates and times since 1970 need the settings, as the column's name speaks of GPS."""
     time_words: int = 1
     """Values that make up a time: 2 for `2024/02/07 12:00:00.000` where any white space is a delimiter."""
     clock: Clock | None = None
@@ -137,8 +138,8 @@ def _clock(words: Sequence[str], short: Container[int], layout: Layout, settings
             clock = clock._replace(scale="gps")
         elif layout.scale == "?" or clock.kind == "day":
             raise DriveFolderError(
-                f"{path}: column {column.name!r}: GPS time, which is some seconds ahead of UTC, or UTC? Put trajectory: {{time: gps}} "
-                "or {time: utc} into drive.yaml"
+                f"{path}: column {column.name!r}: GPS time, which is some seconds ahead of UTC, or UTC? Put "
+                "trajectory: {time: gps} or {time: utc} into drive.yaml"
             )
     return clock._replace(order=layout.order)
 
@@ -146,10 +147,8 @@ def _clock(words: Sequence[str], short: Container[int], layout: Layout, settings
 def _time_words(rows: Sequence[list[str]], layout: Layout) -> list[str]:
     """The times as texts; a date of its own column is before them."""
     at = layout.columns["time"].at
-    if layout.time_words == 2:
-        words = [f"{row[at]} {row[at + 1]}" for row in rows]
-    else:
-        words = [row[at] for row in rows]
+    two = layout.time_words == 2
+    words = [f"{row[at]} {row[at + 1]}" if two else row[at] for row in rows]
     if "date" in layout.columns:
         date = layout.columns["date"].at
         words = [f"{row[date].strip()} {word.strip()}" if word else "" for row, word in zip(rows, words, strict=True)]

@@ -49,7 +49,7 @@ def head_lines(path: Path) -> list[str]:
 
 
 def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number of the first line, from 1, and lines of consecutive pieces of a file; too long lines are cut. Raises DriveFolderError."""
+    """Number of the first line, from 1, and lines of consecutive pieces of a file, too long ones cut. Raises DriveFolderError."""
     encoding = encoding_of(head_bytes(path))
     number, rest = 1, ""
     try:

@@ -1,4 +1,4 @@
-"""Times of trajectory files -> UTC nanoseconds since 1970, exact: texts, seconds since 1970 or 1980, seconds of a GPS week or of a day.
+"""Times of trajectory files -> exact UTC nanoseconds since 1970: texts, seconds since 1970 or 1980, of a GPS week or of a day.
 
 GPS time has no leap seconds: it was equal to UTC on 1980-01-06 and is ahead of it by one second for each that UTC has had since
 (IS-GPS-200; IERS Bulletin C). Within a leap second, whose nanoseconds UTC counts twice, times repeat those of the second after.
@@ -75,7 +75,7 @@ def gps_week_of(day: date) -> int:
 def parse_timestamp(text: str, zone: str = "UTC", order: Literal["dmy", "mdy"] | None = None) -> int:
     """UTC nanoseconds since 1970 of a text such as `2011-09-26 13:04:32.345808896`, with an offset (Z, +01:00) or in a time zone.
 
-    Years first with -, / or . between; years last with points (26.09.2011), else only where `order` says which number is the month.
+    Years first with -, / or . between; years last with points (26.09.2011), else only where `order` says what is the month.
     A time that is ambiguous because of a clock change is the earlier one. Raises ValueError.
     """
     match = _STAMP.fullmatch(text)
@@ -221,10 +221,10 @@ TimeReader = Callable[[Sequence[str], Sequence[str] | None], tuple[Times, dict[i
 
 
 def time_reader(clock: Clock) -> TimeReader:
-    """A function of the words of consecutive records and, for times of a week, of their weeks: UTC ns (N,), and what is wrong by index.
+    """A function of the texts of consecutive times and of their GPS weeks: UTC ns (N,), and what is wrong by index.
 
-    Times of a week or a day without one of their own that begin anew belong to the next week or day: if two times were in the last
-    14th of one and the next is in the first of another, so that one wild time does not move all that follow.
+    Times of a week or a day without one of their own that begin anew belong to the next one: if two times were in the last 14th
+    and the next is in the first 14th, so that one wild time does not move all that follow.
     """
     period_ns = DAY_NS if clock.kind == "day" else WEEK_NS
     unix_zone = "UTC" if clock.scale == "gps" else clock.scale
