@@ -280,6 +280,8 @@ class Drive(Record):
     frame_pairs: tuple[FramePair, ...] = Field(min_length=1)
     expected_frame_count: int = Field(gt=0)
     """Number of frame pairs in the folder, rejected ones included."""
+    clock_sigma_s: Positive | None = None
+    """Of the offset between the clocks of images and poses; None: as the parameters assume (`TrajectoryParams`)."""
 
     @model_validator(mode="after")
     def _frames_in_order(self) -> Drive:

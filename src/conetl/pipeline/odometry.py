@@ -137,6 +137,7 @@ def refine(drive: Drive, motions: list[Path], matches: list[Path], params: Inges
     """Refined poses of the whole drive; the logged ones, with the reason, where images or parameters do not allow it."""
     measured, _ = load_results(motions, RelativeMotion)
     found, _ = load_results(matches, StereoMatch)
+    params = params.model_copy(update={"trajectory": _by_its_clock(drive, params.trajectory)})
     result = refine_with_cones(drive.frame_pairs, drive.rig, measured, found, params)
     _log.info("Trajectory %s: %s", result.outcome.replace("_", " "), result.detail)
     return result
@@ -155,7 +156,13 @@ def check_poses(
         for pair in trajectory.logged
         if pair.frame_index in details
     ]
-    return check_trajectory(pairs, drive.rig, load_results(motions, RelativeMotion)[0], trajectory, params)
+    measured, _ = load_results(motions, RelativeMotion)
+    return check_trajectory(pairs, drive.rig, measured, trajectory, _by_its_clock(drive, params))
+
+
+def _by_its_clock(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
+    """The parameters with the sigma of the drive's own clocks, where it is known."""
+    return params if drive.clock_sigma_s is None else params.model_copy(update={"clock_sigma_s": drive.clock_sigma_s})
 
 
 def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:

@@ -58,9 +58,15 @@ class ClockOffset(NamedTuple):
         least_s = max(LEAST_S, _SIGNIFICANT * self.sigma_s)
         return self.sigma_s <= MAX_SIGMA_S and least_s < abs(self.offset_s) < _TRIED_S[-1] - 0.02
 
+    def is_applied(self, assumed_s: float) -> bool:
+        """Whether the poses are to be corrected by it, given the sigma of the clocks without it: that of clocks that were not
+        synchronised is large, and any better estimate counts."""
+        better = assumed_s > LEAST_S and 2 * self.sigma_s <= assumed_s and abs(self.offset_s) < _TRIED_S[-1] - 0.02
+        return self.is_significant or (better and self.sigma_s <= MAX_SIGMA_S)
+
     def remaining_s(self, assumed_s: float) -> float:
         """Sigma of the offset that is left: of the correction, else as assumed, and wider where the drive is in doubt of that."""
-        if self.is_significant:
+        if self.is_applied(assumed_s):
             return self.sigma_s
         doubtful = self.sigma_s <= MAX_SIGMA_S and abs(self.offset_s) > _DOUBTFUL * self.sigma_s
         return max(assumed_s, abs(self.offset_s) if doubtful else 0.0)

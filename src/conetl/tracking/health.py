@@ -176,10 +176,11 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
         return HealthCheck(name=name, verdict=Verdict.PASS, value=None, detail=detail)
     text = f"{1e3 * clock.offset_s:+.0f} +- {1e3 * clock.sigma_s:.0f} ms"
     detail = f"The clocks agree ({text})."
-    if clock.is_significant:
+    applied = clock.is_applied(params.clock_sigma_s)
+    if applied:
         detail = f"The stamps of GNSS/INS lag by {text}: corrected. Correct the synchronisation of the recorder."
     return HealthCheck(
-        name=name, verdict=Verdict.CORRECTED if clock.is_significant else Verdict.PASS, value=1e3 * clock.offset_s,
+        name=name, verdict=Verdict.CORRECTED if applied else Verdict.PASS, value=1e3 * clock.offset_s,
         sigma=1e3 * clock.sigma_s, limit=1e3 * LEAST_S, unit="ms", detail=detail,
     )  # fmt: skip
 

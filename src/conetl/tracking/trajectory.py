@@ -355,7 +355,7 @@ def refine_with_cones(
         measured_motions(frame_pairs, motions, params.trajectory),
     )
     clock = estimate_clock(frame_pairs, log, measured) if params.trajectory.refine else None
-    if clock is not None and clock.is_significant:
+    if clock is not None and clock.is_applied(params.trajectory.clock_sigma_s):
         frame_pairs = at_images(frame_pairs, log, clock.offset_s)
     refined = _refine_with_cones(frame_pairs, rig, motions, matches, params)
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))

@@ -7,7 +7,6 @@ the frame pairs between two records do not count as measurements of their own.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -34,34 +33,22 @@ _TURNS_RAD_S2 = np.array([0.1, 0.1, 0.5])
 
 
 def pose_reader(
-    track: Samples,
-    exposures_ns: Sequence[int],
-    max_gap_s: float | None = None,
-    *,
-    from_course: bool = False,
-    clock_sigma_s: float = 0.0,
+    track: Samples, exposures_ns: Sequence[int], max_gap_s: float | None = None, *, from_course: bool = False
 ) -> Callable[[int], Pose]:
     """Pose of the body at each of the exposures, by the trajectory's clock (ns); the function raises PairError for those that
     have none.
 
     from_course: the attitudes are not recorded (`with_course`). max_gap_s: `max_pose_gap_s` of drive.yaml; without it records
-    are interpolated over gaps of 0.5 s, and sparse ones over 2.5 times their median distance, at most 5 s. clock_sigma_s: of
-    the offset of the clocks (`image_clock`), which moves the positions along the path. A dense trajectory with attitudes is
-    interpolated in straight lines (`poses.at`). Raises DriveFolderError where positions alone do not show a heading.
+    are interpolated over gaps of 0.5 s, and sparse ones over 2.5 times their median distance, at most 5 s. A dense trajectory
+    with attitudes is interpolated in straight lines (`poses.at`). Raises DriveFolderError where positions alone do not show a
+    heading.
     """
     step_s = float(np.median(np.diff(track.times_ns))) * 1e-9 if len(track.times_ns) > 1 else 0.0
     sparse = step_s > SPARSE_S
     usual_s = min(_GAP_FACTOR * step_s, _LONGEST_GAP_S) if sparse else MAX_POSE_GAP_S
     gap_ns = round((max_gap_s or max(usual_s, MAX_POSE_GAP_S)) * 1e9)
     if not sparse and not from_course:
-        velocity = _velocity(track) if clock_sigma_s else np.zeros((len(track.times_ns), 3))
-
-        def dense_at(time_ns: int) -> Pose:
-            pose, sigma = at(track, time_ns, gap_ns)
-            nearest = min(bisect_left(track.times_ns, time_ns), len(velocity) - 1)
-            return to_pose(pose, np.concatenate([np.hypot(sigma[:3], velocity[nearest] * clock_sigma_s), sigma[3:]]))
-
-        return dense_at
+        return lambda time_ns: to_pose(*at(track, time_ns, gap_ns))
     spline = _spline(track.name, track.times_ns, track.map_SE3_body[:, :3, 3], track.sigma[:, :3])
     inside = sorted({t for t in exposures_ns if track.times_ns[0] <= t <= track.times_ns[-1]})
     times_s = _seconds(inside, track.times_ns[0])
@@ -82,8 +69,7 @@ def pose_reader(
             rotation = se3.interpolate(track.map_SE3_body[first], track.map_SE3_body[second], weight)[:3, :3]
             turned = _TURNS_RAD_S2 * apart_s**2 / 2 * weight * (1 - weight)
             sigma_rpy = np.hypot(sigma[3:], turned)
-        along_m = moved.velocity_m_s[k] * clock_sigma_s
-        sigma_enu = np.sqrt(sigma[:3] ** 2 + moved.sigma_m[k] ** 2 + along_m**2)
+        sigma_enu = np.hypot(sigma[:3], moved.sigma_m[k])
         pose = to_pose(se3.se3(rotation, moved.positions_m[k]), np.concatenate([sigma_enu, sigma_rpy]))
         part = Interpolated(sigma_enu_m=vec3(moved.sigma_m[k]), sigma_rpy_rad=vec3(turned), apart_s=apart_s)
         return pose.model_copy(update={"interpolated": part})
@@ -114,13 +100,6 @@ def with_course(recorded: RecordedTrajectory) -> RecordedTrajectory:
     return recorded._replace(
         rotations=enu_R_grid @ grid_R_body, sigma=np.hstack([recorded.sigma[:, :3], angles])
     )  # fmt: skip
-
-
-def _velocity(track: Samples) -> Floats:
-    """(N, 3) m/s at each record."""
-    if len(track.times_ns) < 2:
-        return np.zeros((len(track.times_ns), 3))
-    return np.asarray(np.gradient(track.map_SE3_body[:, :3, 3], _seconds(track.times_ns, track.times_ns[0]), axis=0))
 
 
 def _spline(name: str, times_ns: Sequence[int], positions_m: Floats, sigma_m: Floats) -> PositionSpline:
