@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 CAMERA_INFO, FIX, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
 ODOMETRY, TRANSFORMS, TF_STATIC = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "/tf_static"
-
+USED_TYPES = frozenset({COMPRESSED, RAW, CAMERA_INFO, FIX, IMU, ODOMETRY, TRANSFORMS})
 
 #: Characters of a list of topics in a message.
 _MAX_LISTED = 600

@@ -1,4 +1,4 @@
-"""ROS 2 bags and MCAP files with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) overrides.
+"""Bags of ROS 2 and ROS 1 and MCAP files with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) overrides.
 
     sensor_msgs CompressedImage or Image    two topics, with left and right in their names
     sensor_msgs CameraInfo                  one beside each; or a rig.yaml in the bag's folder, which wins
@@ -7,8 +7,8 @@
     nav_msgs Odometry                       instead of both: in a level frame that drive.yaml (georeference) locates
     tf2_msgs TFMessage on /tf_static        poses of the left camera and the antenna on the body (the IMU's or odometry's frame)
 
-A bag is a folder with metadata.yaml, a folder with one .mcap, or NAME.mcap itself (then with NAME.drive.yaml and NAME.rig.yaml
-beside it). Times are the header stamps, UTC.
+A bag is a folder with metadata.yaml, a folder with one .mcap or else one .bag, or NAME.mcap or NAME.bag itself (then with
+NAME.drive.yaml and NAME.rig.yaml beside it). Times are the header stamps, UTC.
 """
 
 from __future__ import annotations
@@ -95,7 +95,9 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     source = path.resolve()
     file = bag_files(source)
     if file is None:
-        raise DriveFolderError(f"{path}: this is not a bag: neither a .mcap file nor a folder with metadata.yaml")
+        raise DriveFolderError(
+            f"{path}: this is not a bag: neither a .mcap or .bag file nor a folder with metadata.yaml"
+        )
     if options.images_folder is None:
         raise DriveFolderError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
     settings = read_drive_yaml(source)
