@@ -1,8 +1,9 @@
 """Bags of ROS 2 and ROS 1 and MCAP files as streams of messages, in the order of their recording, and the images in them.
 
-A bag folder (metadata.yaml with .mcap or .db3 files) and a .bag file of ROS 1 are read by rosbags' AnyReader; a bare .mcap file, as Foxglove or a crash of
-`ros2 bag` leaves it, by the mcap library, its messages by rosbags' type system. Each image is unpacked once into a folder,
-under the hash of its bytes: compressed ones as they were recorded, byte for byte, raw ones as PNG, which loses nothing.
+A bag folder (metadata.yaml with .mcap or .db3 files) and a .bag file of ROS 1 are read by rosbags' AnyReader; a bare .mcap
+file, as Foxglove or a crash of `ros2 bag` leaves it, by the mcap library, its messages by rosbags' type system. Each image is
+unpacked once into a folder, under the hash of its bytes: compressed ones as they were recorded, byte for byte, raw ones as
+PNG, which loses nothing.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ def is_bare_bag(source: Path) -> bool:
 
 
 def small_file(source: Path, name: str) -> Path:
-    """Path of a small file `name` (drive.yaml, rig.yaml) of a drive: in its folder, or NAME.drive.yaml beside NAME.mcap or NAME.bag."""
+    """Path of a small file `name` (drive.yaml, rig.yaml) of a drive: in its folder, or NAME.drive.yaml beside a bare bag."""
     source = source.resolve()
     return source.with_name(f"{source.stem}.{name}") if is_bare_bag(source) else source / name
 

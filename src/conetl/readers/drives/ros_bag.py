@@ -1,4 +1,4 @@
-"""Bags of ROS 2 and ROS 1 and MCAP files with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) overrides.
+"""Bags (ROS 2, ROS 1, MCAP) with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) overrides.
 
     sensor_msgs CompressedImage or Image    two topics, with left and right in their names
     sensor_msgs CameraInfo                  one beside each; or a rig.yaml in the bag's folder, which wins
@@ -27,7 +27,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid
 from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, Pose, Rig, Side
+from conetl.model.records import MAX_LEVER_ARM_M, Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection
 from conetl.readers.drives.bag_messages import (
     METADATA,
@@ -290,8 +290,18 @@ def _trajectory(
 
 def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Array:
     """(3,) the antenna in the IMU's frame. Raises DriveFolderError."""
-    if settings.antenna_t_m is not None:
-        return np.array(settings.antenna_t_m)
+    antenna_m = (
+        _recorded_antenna(topics, found, source) if settings.antenna_t_m is None else np.array(settings.antenna_t_m)
+    )
+    if not np.all(np.abs(antenna_m) <= MAX_LEVER_ARM_M):  # NaN fails too
+        raise DriveFolderError(
+            f"{source}: the antenna is at {antenna_m} m in the IMU's frame, expected at most {MAX_LEVER_ARM_M:g} m; put "
+            "antenna_t_m: [x, y, z] into drive.yaml"
+        )
+    return antenna_m
+
+
+def _recorded_antenna(topics: Topics, found: _Recorded, source: Path) -> Array:
     imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.fix or "", "")
     pose = found.frames.find(imu, antenna)
     if pose is None:
@@ -299,7 +309,7 @@ def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path
             f"{source}: {TF_STATIC} does not connect the antenna '{antenna}' with '{imu}'; put antenna_t_m: [x, y, z] into "
             "drive.yaml ([0, 0, 0] where the receiver's driver reduces its positions to the IMU)"
         )
-    return np.array(pose[:3, 3])
+    return np.asarray(pose[:3, 3])
 
 
 def _read_images(
