@@ -15,6 +15,7 @@ from conetl.geometry.rectification import raw_from_rectified, stored_camera
 from conetl.geometry.rig import camera_of
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.images import decode_image, read_hashed_bytes, read_image
+from conetl.perception.video import frame_of, read_frame
 
 #: Bicubic: bilinear resampling blurs by how far a pixel falls between its neighbours, and area-based matching sees that as shift.
 _INTERPOLATION = cv2.INTER_CUBIC
@@ -30,7 +31,8 @@ def read_rig_image(path: Path, rig: Rig, side: Side) -> NDArray[np.uint8]:
     Raises ImageFileError (see `read_image`).
     """
     stored = stored_camera(rig, side)
-    image = read_image(path, (stored.width_px, stored.height_px))
+    frame = frame_of(path)
+    image = read_image(path, (stored.width_px, stored.height_px)) if frame is None else read_frame(frame)
     return image if rig.rectified_from is None else rectify_image(image, rig, side)
 
 
@@ -42,15 +44,18 @@ def read_pair_image(pair: FramePair, side: Side, rig: Rig, *, grey: bool = False
     """
     path, sha256 = pair.image(side)
     stored = stored_camera(rig, side)
-    data = read_hashed_bytes(as_path(path), sha256)
-    image = decode_image(data, Path(path).name, (stored.width_px, stored.height_px), grey=grey)
+    if (frame := frame_of(path)) is not None:
+        image = read_frame(frame, sha256, grey=grey)
+    else:
+        data = read_hashed_bytes(as_path(path), sha256)
+        image = decode_image(data, Path(path).name, (stored.width_px, stored.height_px), grey=grey)
     return image if rig.rectified_from is None else rectify_image(image, rig, side)
 
 
 def fetch_pairs(pairs: Sequence[FramePair]) -> None:
     """Ask for the images of some frame pairs at once where they are in object storage and not in memory."""
     images = [pair.image(side) for pair in pairs for side in ("left", "right")]
-    fetch([as_path(path) for path, sha256 in images if recall(sha256) is None])
+    fetch([as_path(path) for path, sha256 in images if frame_of(path) is None and recall(sha256) is None])
 
 
 def rectify_image(image: NDArray[np.uint8], rig: Rig, side: Side) -> NDArray[np.uint8]:

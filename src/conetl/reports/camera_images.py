@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from conetl.model.errors import InputError
 from conetl.model.records import Rig, Side
 from conetl.perception.rectified_image import read_rig_image
+from conetl.perception.video import frame_of
 
 Image = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
@@ -32,15 +33,18 @@ class ImageMissingError(InputError):
 
 
 def image_file(source_path: str, image_path: str) -> Path:
-    """The image file that the database names. Raises ImageMissingError for a missing file, or none inside the drive's folder."""
-    folder = Path(source_path).resolve()
-    path = (folder / image_path).resolve()  # an absolute path stays absolute
-    if path.suffix.lower() not in IMAGE_SUFFIXES or not path.is_relative_to(folder):
+    """The image file, or the frame of a video, that the database names.
+
+    Raises ImageMissingError for a missing file, or none inside the drive's folder.
+    """
+    folder, frame = Path(source_path).resolve(), frame_of(image_path)
+    path = (folder / (frame.path if frame else image_path)).resolve()  # an absolute path stays absolute
+    if (frame is None and path.suffix.lower() not in IMAGE_SUFFIXES) or not path.is_relative_to(folder):
         raise ImageMissingError(f"{Path(image_path).name} is no image inside the folder of its drive")
     if not path.is_file():
         name = path.relative_to(folder).as_posix()
         raise ImageMissingError(f"the image {name} is missing: restore the drive to {folder}")
-    return path
+    return path if frame is None else Path(str(frame._replace(path=path)))
 
 
 def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float, whole: bool = False) -> bytes:

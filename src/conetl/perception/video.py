@@ -1,0 +1,353 @@
+"""Frames of video files (PyAV): the index of a file without decoding it, and single frames by their time stamp.
+
+A frame is named like a file: `left.mp4#pts=51200`, with the frame's time stamp in the units of its stream; the half of a
+side-by-side frame by the region of W3C Media Fragments, `&xywh=x,y,width,height` in pixels. Frames are decoded when they are
+read and never written to disk. Rotation tags are not applied: calibrations are for the pixels as stored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import av
+import numpy as np
+from av.container import InputContainer
+from av.video.frame import VideoFrame
+from av.video.reformatter import Interpolation
+from numpy.typing import NDArray
+
+from conetl.model.errors import InputError, StorageError
+from conetl.model.records import MAX_IMAGE_PIXELS
+from conetl.model.rejections import RejectionReason
+from conetl.perception.images import ImageFileError
+
+Image = NDArray[np.uint8]
+Region = tuple[int, int, int, int]
+"""x, y of the top-left corner, width, height in pixels."""
+
+VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".ts"})
+#: Nothing but files and containers: a playlist would make the library open other files and addresses.
+_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts"}
+#: 18 hours at 30 Hz.
+MAX_FRAMES = 2_000_000
+#: Decoders that stay open between two reads, and decoded frames that each keeps: searches read the middle of five pairs first.
+_MAX_DECODERS, _KEPT_FRAMES = 8, 12
+#: Frames that a decoder rather decodes than seeks over.
+_NEAR = 30
+#: Without these the library rounds down, by more than one grey level.
+_EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
+_FRAGMENT = re.compile(
+    r"^(?P<path>.+)#pts=(?P<pts>-?\d{1,18})(?:&xywh=(?P<region>\d{1,5}(?:,\d{1,5}){3}))?$", re.DOTALL
+)
+
+
+class Frame(NamedTuple):
+    """One frame of a video file, or a region of it."""
+
+    path: Path
+    pts: int
+    region: Region | None = None
+
+    def __str__(self) -> str:
+        region = f"&xywh={','.join(map(str, self.region))}" if self.region else ""
+        return f"{self.path}#pts={self.pts}{region}"
+
+
+class VideoIndex(NamedTuple):
+    """What a video file holds, without its images."""
+
+    path: Path
+    codec: str
+    width_px: int
+    height_px: int
+    time_base: Fraction
+    """Seconds per unit of the time stamps."""
+    pts: tuple[int, ...]
+    """Of every frame, rising."""
+    sha256s: tuple[bytes, ...]
+    """Of the packet of every frame; empty where packets were not read for their hash."""
+    created_at: datetime | None
+    """As the container states it, UTC: mostly to the second, and often of a clock that nobody set."""
+
+    def times_s(self) -> NDArray[np.float64]:
+        """(N,) of every frame, from the beginning of the file's time scale."""
+        return np.array([float(pts * self.time_base) for pts in self.pts])
+
+    def sha256(self, number: int, region: Region | None = None) -> str:
+        """Hash that identifies the content of frame `number`, or of a region of it; empty where packets have none."""
+        return frame_sha256(self.sha256s[number], region) if self.sha256s else ""
+
+
+def frame_of(path: str | Path) -> Frame | None:
+    """The frame that a path names; None for a path of a file."""
+    found = _FRAGMENT.match(str(path))
+    if found is None or Path(found["path"]).suffix.lower() not in VIDEO_SUFFIXES:
+        return None
+    x, y, width, height = (int(word) for word in (found["region"] or "0,0,0,0").split(","))
+    return Frame(Path(found["path"]), int(found["pts"]), (x, y, width, height) if found["region"] else None)
+
+
+def frame_sha256(packet_sha256: bytes, region: Region | None) -> str:
+    """Hash of a frame, or of a region of it, by its packet's."""
+    return packet_sha256.hex() if region is None else hashlib.sha256(packet_sha256 + repr(region).encode()).hexdigest()
+
+
+def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
+    """The frames of a video file. Nothing is decoded, but the whole file is read.
+
+    hashed: with the hash of every packet. Raises InputError where the file is no video, is cut off before its index, or has no
+    usable time stamps.
+    """
+    with _opened(path) as container:
+        stream = container.streams.video[0]
+        found: dict[int, bytes] = {}
+        try:
+            for packet in container.demux(stream):
+                pts = packet.pts if packet.pts is not None else packet.dts
+                if pts is None or packet.is_discard or not packet.size:
+                    continue
+                found[pts] = _packet_sha256(packet, pts) if hashed else b""
+                if len(found) > MAX_FRAMES:
+                    raise InputError(f"{path}: more than {MAX_FRAMES:,} frames: cut the recording into several drives")
+        except av.FFmpegError as error:
+            raise InputError(
+                f"{path}: the video cannot be read to its end ({error.strerror}): copy it again"
+            ) from error
+        context, base = stream.codec_context, stream.time_base
+        width, height = int(context.width), int(context.height)
+        created = container.metadata.get("creation_time")
+    if not found or base is None:
+        raise InputError(f"{path}: the video has no frames with time stamps; record it into MP4 or MKV")
+    if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS:
+        raise InputError(f"{path}: frames of {width} x {height} pixels are not supported")
+    order = sorted(found)
+    sha256s = tuple(found[pts] for pts in order) if hashed else ()
+    return VideoIndex(path, context.name, width, height, Fraction(base), tuple(order), sha256s, _created(created))
+
+
+class VideoFacts(NamedTuple):
+    """What the header of a video file states."""
+
+    frames: int
+    duration_s: float
+    width_px: int
+    height_px: int
+
+
+def video_facts(path: Path) -> VideoFacts:
+    """Number of frames, duration and size by the header alone. Raises InputError."""
+    with _opened(path) as container:
+        stream = container.streams.video[0]
+        duration_s = float((container.duration or 0) / av.time_base)
+        frames = stream.frames or round(duration_s * float(stream.average_rate or 0))
+        return VideoFacts(int(frames), duration_s, int(stream.codec_context.width), int(stream.codec_context.height))
+
+
+def read_frame(frame: Frame, sha256: str = "", *, grey: bool = False) -> Image:
+    """A frame as (height, width, 3) uint8 in blue, green, red order; grey: (height, width) of its brightness.
+
+    sha256: of `VideoIndex.sha256`, when its drive was read; empty: not compared. Raises ImageFileError where the frame is not
+    there or cannot be decoded, StorageError where the file changed since.
+    """
+    found, packet_sha256 = _decoders.read(frame)
+    if sha256 and frame_sha256(packet_sha256, frame.region) != sha256:
+        raise StorageError(
+            f"{frame.path}: the video changed while it was worked on. Run the same command again when nobody writes to the "
+            "drive. Nothing was written."
+        )
+    image = _pixels(found, grey)
+    if frame.region is None:
+        return image
+    x, y, width, height = frame.region
+    return np.ascontiguousarray(image[y : y + height, x : x + width])
+
+
+def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = False) -> Iterator[tuple[int, Image]]:
+    """Frames of a file in the order of their time stamps, from the first to the last of these. Raises ImageFileError."""
+    decoder = _Decoder(path)
+    try:
+        decoder.seek(first_pts)
+        for frame in decoder.decoded():
+            if frame.pts is not None and frame.pts > last_pts:
+                break
+            if frame.pts is not None and frame.pts >= first_pts:
+                yield frame.pts, _pixels(frame, grey)
+    finally:
+        decoder.close()
+
+
+def _pixels(frame: VideoFrame, grey: bool) -> Image:
+    """(height, width, 3) in blue, green, red order or (height, width), in the range and colour space that the file states."""
+    return np.asarray(frame.to_ndarray(format="gray" if grey else "bgr24", interpolation=_EXACT), dtype=np.uint8)
+
+
+# --------------------------------------------------------------------------- decoders
+
+
+class _Decoder:
+    """One open file, decoded from where it stands on."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._container = _open(path)
+        except InputError as error:
+            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
+        self._stream = self._container.streams.video[0]
+        self._stream.codec_context.thread_count = 1  # workers keep all cores busy
+        self._packets: dict[int, bytes] = {}
+        self.kept: OrderedDict[int, tuple[VideoFrame, bytes]] = OrderedDict()
+        self._iterator = self.decoded()
+
+    def at(self) -> int | None:
+        """Time stamp of the last frame that was decoded."""
+        return next(reversed(self.kept), None)
+
+    def decoded(self) -> Iterator[VideoFrame]:
+        """Frames from here on; damaged packets are skipped."""
+        for packet in self._container.demux(self._stream):
+            pts = packet.pts if packet.pts is not None else packet.dts
+            if pts is not None and packet.size:
+                self._packets[pts] = _packet_sha256(packet, pts)
+            with suppress(av.FFmpegError):
+                yield from packet.decode()
+
+    def seek(self, pts: int) -> None:
+        """Go to the last key frame that is not after a time stamp."""
+        self._container.seek(pts, stream=self._stream, backward=True)
+        self._restart()
+
+    def _restart(self) -> None:
+        self.kept.clear()
+        self._packets.clear()
+        self._iterator = self.decoded()
+
+    def read(self, pts: int) -> tuple[VideoFrame, bytes] | None:
+        """The frame of a time stamp and the hash of its packet; None where there is none."""
+        if pts in self.kept:
+            return self.kept[pts]
+        position = self.at()
+        if position is None or position > pts:
+            self.seek(pts)
+        found = self._forward(pts)
+        if found is None and (first := next(iter(self.kept), None)) is not None and first > pts:
+            # The index counts in the order of decoding: frames shown before their key frame need the one before it.
+            self._container.seek(0, stream=self._stream, backward=True)
+            self._restart()
+            found = self._forward(pts)
+        return found
+
+    def _forward(self, pts: int) -> tuple[VideoFrame, bytes] | None:
+        for frame in self._iterator:
+            if frame.pts is None:
+                continue
+            self.kept[frame.pts] = frame, self._packets.pop(frame.pts, b"")
+            if len(self.kept) > _KEPT_FRAMES:
+                self.kept.popitem(last=False)
+            if frame.pts >= pts:
+                break
+        return self.kept.get(pts)
+
+    def close(self) -> None:
+        self._container.close()
+
+
+class _Decoders:
+    """Decoders that wait for the next read; each is used by one thread at a time, and follows that thread's frames."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._idle: list[_Decoder] = []
+
+    def read(self, frame: Frame) -> tuple[VideoFrame, bytes]:
+        """A decoded frame and its packet's hash. Raises ImageFileError."""
+        decoder = self._take(frame) or _Decoder(frame.path)
+        try:
+            found = decoder.read(frame.pts)
+        except av.FFmpegError as error:
+            decoder.close()
+            raise ImageFileError(
+                RejectionReason.IMAGE_UNREADABLE, f"{frame}: cannot be decoded ({error.strerror}): copy the video again"
+            ) from error
+        self._give_back(decoder)
+        if found is None:
+            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{frame}: the frame is damaged or missing")
+        return found
+
+    def _take(self, frame: Frame) -> _Decoder | None:
+        """The decoder that reaches the frame soonest, if any is near; else the oldest one of the file, once there are many."""
+        with self._lock:
+            own = [d for d in self._idle if d.path == frame.path]
+            near = [d for d in own if frame.pts in d.kept] or [
+                d for d in own if (at := d.at()) is not None and at < frame.pts and _steps(d) * _NEAR >= frame.pts - at
+            ]
+            many = len(self._idle) >= _MAX_DECODERS
+            found = max(near, key=lambda d: d.at() or 0) if near else own[0] if own and many else None
+            if found is not None:
+                self._idle.remove(found)
+            return found
+
+    def _give_back(self, decoder: _Decoder) -> None:
+        with self._lock:
+            self._idle.append(decoder)
+            old = self._idle.pop(0) if len(self._idle) > _MAX_DECODERS else None
+        if old is not None:
+            old.close()
+
+
+def _steps(decoder: _Decoder) -> int:
+    """Smallest step between the frames that a decoder keeps."""
+    return min((b - a for a, b in pairwise(decoder.kept)), default=0)
+
+
+_decoders = _Decoders()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[InputContainer]:
+    container = _open(path)
+    try:
+        yield container
+    finally:
+        container.close()
+
+
+def _open(path: Path) -> InputContainer:
+    """An open video file. Raises InputError."""
+    try:
+        container = av.open(str(path), options=_OPTIONS)
+    except (av.FFmpegError, OSError) as error:
+        raise InputError(
+            f"{path}: the video cannot be opened ({error.strerror or error}). A recording that was cut off before its index was "
+            "written (MP4: 'moov atom not found') needs the recorder's repair tool; record MKV to avoid that"
+        ) from error
+    if not container.streams.video:
+        container.close()
+        raise InputError(f"{path}: the file has no video stream")
+    return container
+
+
+def _packet_sha256(packet: av.Packet[Any], pts: int) -> bytes:
+    """Hash of one frame's packet. Equal key frames are equal images; other packets refer to the frames before them."""
+    data = hashlib.sha256(memoryview(packet))
+    if not packet.is_keyframe:
+        data.update(str(pts).encode())
+    return data.digest()
+
+
+def _created(text: str | None) -> datetime | None:
+    try:
+        created = datetime.fromisoformat(text or "")
+    except ValueError:
+        return None
+    return created if created.tzinfo else created.replace(tzinfo=UTC)

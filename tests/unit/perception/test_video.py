@@ -1,0 +1,160 @@
+"""Frames of video files by their time stamps, in any order; files that are no videos, damaged, or something else."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from conetl.model.errors import InputError, StorageError
+from conetl.perception.images import ImageFileError
+from conetl.perception.video import Frame, frame_of, frames_between, index_video, read_frame, video_facts
+from conetl.perception.video_sync import find_video_lag
+
+CODECS = {
+    "h264 with B frames.mp4": ("libx264", {"crf": "10", "g": "12", "bf": "3"}),
+    "h265 with open groups.mkv": ("libx265", {"crf": "10", "x265-params": "log-level=none:keyint=10:open-gop=1"}),
+    "motion jpeg.avi": ("mjpeg", {"q:v": "2"}),
+}
+
+
+def write_video(
+    path: Path,
+    images: Sequence[np.ndarray],
+    codec: str = "libx264",
+    options: dict[str, str] | None = None,
+    ms: Sequence[int] | None = None,
+) -> Path:
+    """Images (H, W, 3), even in size, as a video; ms: their time stamps, else 10 Hz."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=10, options=options or {"crf": "18"})
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        if ms is not None:
+            stream.codec_context.time_base = Fraction(1, 1000)
+        for n, image in enumerate(images):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
+            frame.pts, frame.time_base = (n, Fraction(1, 10)) if ms is None else (ms[n], Fraction(1, 1000))
+            for packet in stream.encode(frame):
+                container.mux(packet)
+        for packet in stream.encode(None):
+            container.mux(packet)
+    return path
+
+
+def numbered(count: int, size: tuple[int, int] = (96, 64)) -> list[np.ndarray]:
+    """Smooth images, each with brightness of its own: 5, 10, 15 ..."""
+    return [np.full((size[1], size[0], 3), 5 + 5 * n, np.uint8) for n in range(count)]
+
+
+@pytest.fixture(params=CODECS)
+def video(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    codec, options = CODECS[request.param]
+    return write_video(tmp_path / request.param, numbered(50), codec, options)
+
+
+def test_every_frame_by_its_time_stamp_in_any_order(video: Path) -> None:
+    index = index_video(video)
+    assert np.allclose(index.times_s() - index.times_s()[0], np.arange(50) / 10)
+    assert (index.width_px, index.height_px) == (96, 64)
+    assert video_facts(video)[0] == 50
+    order = list(range(50))
+    random.Random(0).shuffle(order)
+    for n in [*order, *range(50)]:
+        image = read_frame(Frame(video, index.pts[n]), index.sha256(n))
+        assert abs(float(image.mean()) - (5 + 5 * n)) < 2.4
+        assert abs(float(read_frame(Frame(video, index.pts[n]), grey=True).mean()) - (5 + 5 * n)) < 2.4
+    assert [pts for pts, _ in frames_between(video, index.pts[20], index.pts[30])] == list(index.pts[20:31])
+
+
+def test_time_stamps_of_a_variable_rate(tmp_path: Path) -> None:
+    ms = [0, 33, 70, 200, 233, 1000, 1033]
+    index = index_video(write_video(tmp_path / "a.mkv", numbered(7), ms=ms))
+    assert np.allclose(index.times_s() * 1000, ms, atol=1)
+
+
+def test_a_region_is_a_part_of_the_frame(tmp_path: Path) -> None:
+    both = np.hstack([np.full((64, 96, 3), 60, np.uint8), np.full((64, 96, 3), 180, np.uint8)])
+    path = write_video(tmp_path / "both.mp4", [both] * 3)
+    index, region = index_video(path), (96, 0, 96, 64)
+    frame = Frame(path, index.pts[1], region)
+    assert frame_of(str(frame)) == frame
+    image = read_frame(frame, index.sha256(1, region))
+    assert image.shape == (64, 96, 3) and abs(float(image.mean()) - 180) < 2
+    assert index.sha256(1, region) != index.sha256(1)
+
+
+@pytest.mark.parametrize(
+    "name", ["left/0001.png", "left.mp4", "left.mp4#t=3", "left.png#pts=4", "a.mp4#pts=1&xywh=1,2,3"]
+)
+def test_other_names_are_no_frames(name: str) -> None:
+    assert frame_of(name) is None
+
+
+def test_a_video_that_changed_is_noticed(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.mp4", numbered(5))
+    other = index_video(write_video(tmp_path / "b.mp4", numbered(9)[4:]))
+    with pytest.raises(StorageError, match="changed while it was worked on"):
+        read_frame(Frame(path, other.pts[0]), other.sha256(0))
+
+
+def test_damage_costs_the_damaged_frames_only(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (40, 64, 96, 3), dtype=np.uint8)
+    path = write_video(tmp_path / "a.avi", list(noise), "mjpeg", {"q:v": "2"})
+    good = index_video(path)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"\xff\xda", len(data) // 2)
+    data[at : at + 900] = bytes(900)
+    path.with_name("b.avi").write_bytes(data)
+    index = index_video(path.with_name("b.avi"))
+    changed = [n for n in range(40) if index.sha256(n) != good.sha256(n)]
+    assert 1 <= len(changed) <= 2
+    for n in set(range(40)) - set(changed):
+        assert np.array_equal(read_frame(Frame(index.path, index.pts[n])), read_frame(Frame(path, good.pts[n])))
+
+
+def test_what_is_no_video(tmp_path: Path) -> None:
+    playlist = tmp_path / "list.mp4"
+    playlist.write_text("#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n")
+    text, whole = tmp_path / "text.mp4", write_video(tmp_path / "a.mp4", numbered(9))
+    text.write_text("left right")
+    cut = tmp_path / "cut.mp4"
+    cut.write_bytes(whole.read_bytes()[:-400])
+    for path in (playlist, text, cut, tmp_path / "none.mp4"):
+        with pytest.raises(InputError, match=path.name):
+            index_video(path)
+        with pytest.raises(ImageFileError, match=path.name):
+            read_frame(Frame(path, 0))
+    with pytest.raises(ImageFileError, match="damaged or missing"):
+        read_frame(Frame(whole, 7))
+
+
+def shaken(count: int, seed: int) -> list[np.ndarray]:
+    """A textured scene under a camera that shakes."""
+    rng = np.random.default_rng(seed)
+    scene = cv2.GaussianBlur(rng.integers(0, 255, (240, 400, 3), dtype=np.uint8), (0, 0), 3)
+    scene = cv2.normalize(scene, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    x, y = rng.integers(0, 12, (2, count))
+    return [scene[20 + v : 180 + v, 20 + u : 340 + u] for u, v in zip(x, y, strict=True)]
+
+
+def test_the_shift_of_two_files_and_frames_that_one_lost(tmp_path: Path) -> None:
+    images = shaken(240, 1)
+    left = index_video(write_video(tmp_path / "left.mp4", images[:200]))
+    for first in (0, 7, 31):
+        right = index_video(
+            write_video(tmp_path / f"right{first}.mp4", [255 - image for image in images[first : first + 190]])
+        )
+        lag = find_video_lag(left, right)
+        assert lag is not None and lag.is_constant
+        assert lag.offset_s == pytest.approx(first / 10, abs=0.02)
+    lost = find_video_lag(left, index_video(write_video(tmp_path / "lost.mp4", images[:100] + images[106:200])))
+    assert lost is not None and not lost.is_constant
+    still = index_video(write_video(tmp_path / "still.mp4", images[:1] * 200))
+    assert find_video_lag(left, still) is None
