@@ -123,7 +123,7 @@ def calibrate(
     misfits = [
         rejection(pairs[r.pair_index], r.side, RejectionReason.BOARD_MISFIT, r.detail) for r in result.rejected_views
     ]
-    # A film also shows how the board is brought and taken away.
+    # A video also shows how the board is brought and taken away.
     empty = _without_board(images) if videos else frozenset()
     rejected = [*(r for r in images.rejections if r.payload["pair"] not in empty), *misfits]
     content = calibration_as_dict(rig, result, pairs, rejected, sensor)
