@@ -47,6 +47,7 @@ from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.oxts import parse_oxts
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
+from tests.unit.readers import test_device_rigs as device_rigs
 from tests.unit.readers import test_rig_formats as rig_files
 from tests.unit.readers import trajectory_files
 
@@ -169,6 +170,11 @@ def write_mat(folder: Path) -> Path:
     scipy.io.savemat(path, {"s": rig_files.matlab_content(new=False)})  # plain: mutations reach what is in it
     path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + path.read_bytes()[116:])  # without the time
     return path
+
+
+def read_chosen_rig(**choice: Any) -> Callable[[Path, Path], object]:
+    """A reader of a file with several cameras or resolutions."""
+    return lambda path, _: read_rig(path, **choice)
 
 
 def read_any_rig(path: Path, _: Path) -> object:
@@ -359,6 +365,12 @@ READERS: dict[str, Reader] = {
     "rig_ros": Reader(rig_files.ros_pair, read_any_rig),
     "rig_matlab_json": Reader(written("s.json", json.dumps(rig_files.matlab_content(new=True))), read_any_rig),
     "rig_matlab_mat": Reader(write_mat, read_any_rig),
+    "rig_zed": Reader(written("SN1.conf", device_rigs.zed_text()), read_chosen_rig(image_size=(1280, 720))),
+    "rig_oak": Reader(written("calib.json", json.dumps(device_rigs.oak_content())), read_any_rig),
+    "rig_metashape": Reader(written("cameras.xml", device_rigs.metashape_text()), read_any_rig),
+    "rig_of_many": Reader(
+        written("rig.yaml", yaml.safe_dump(device_rigs.rig_of_many()[0])), read_chosen_rig(pair=("l", "r"))
+    ),
     "image_jpeg": Reader(written("a.jpg", image_bytes(".jpg")), read_one_image),
     "image_png": Reader(written("a.png", image_bytes(".png", channels=4)), read_one_image),
     "points_las": Reader(lambda f: layers.write_las(f / "a.las", 50), read_points),

@@ -38,7 +38,7 @@ _MAX_LINES = 12
 
 
 def inspect(
-    drive: Annotated[Path, typer.Argument(help="Drive folder, bag folder or .mcap file.")],
+    drive: Annotated[Path, typer.Argument(help="Drive folder, bag folder, .mcap or .bag file.")],
     picture: Annotated[
         Path | None,
         typer.Option(

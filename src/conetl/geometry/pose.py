@@ -8,7 +8,7 @@ pitch positive with the front down and roll positive with the left side up (Geig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,6 +53,23 @@ def apply(dst_SE3_src: ArrayLike, points_src_m: ArrayLike) -> Array:
     points = np.asarray(points_src_m, dtype=np.float64)
     moved: Array = np.einsum("...ij,...j->...i", pose[..., :3, :3], points) + pose[..., :3, 3]
     return moved
+
+
+def connect(dst_SE3_src: Mapping[tuple[str, str], Array], dst: str, src: str) -> Array | None:
+    """Pose (4, 4) of the frame `src` in `dst` along known poses, by (dst, src) and used in both directions.
+
+    The shortest way wins. None where the frames are not connected.
+    """
+    both = {**{(b, a): invert(pose) for (a, b), pose in dst_SE3_src.items()}, **dst_SE3_src}
+    found: dict[str, Array] = {dst: np.eye(4)}
+    edge = [dst]
+    while edge and src not in found:
+        here = edge.pop(0)
+        for (parent, child), pose in both.items():
+            if parent == here and child not in found:
+                found[child] = compose(found[here], pose)
+                edge.append(child)
+    return found.get(src)
 
 
 def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:

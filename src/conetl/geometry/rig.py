@@ -42,6 +42,35 @@ def left_SE3_right(rig: Rig) -> Array:
     return se3.compose(se3.invert(body_SE3_camera(rig, "left")), body_SE3_camera(rig, "right"))
 
 
+def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
+    """The rig of the same images scaled to another size, each as a whole; its covariance is scaled with it.
+
+    Edges map to edges, so a point u of the centre of pixels becomes s (u + 0.5) - 0.5. Raises ValueError for another aspect
+    ratio: such images were cropped.
+    """
+    cameras: dict[str, Camera] = {}
+    factors: dict[str, float] = {}
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        sx, sy = width_px / camera.width_px, height_px / camera.height_px
+        if abs(camera.width_px * sy - width_px) > 0.5:
+            raise ValueError(
+                f"images of {camera.width_px} x {camera.height_px} pixels cannot be scaled to {width_px} x {height_px}: another "
+                "aspect ratio, so they were cropped; calibrate with such images"
+            )
+        cameras[side] = camera.model_copy(update={
+            "width_px": width_px, "height_px": height_px, "fx_px": sx * camera.fx_px, "fy_px": sy * camera.fy_px,
+            "cx_px": sx * (camera.cx_px + 0.5) - 0.5, "cy_px": sy * (camera.cy_px + 0.5) - 0.5,
+        })  # fmt: skip
+        factors |= {f"{side}.{axis}_px": sx if "x" in axis else sy for axis in ("fx", "fy", "cx", "cy")}
+    covariance = rig.calibration_covariance
+    if covariance is not None:
+        scale = np.array([factors.get(name, 1.0) for name in covariance.names])
+        matrix = np.array(covariance.matrix) * np.outer(scale, scale)
+        covariance = covariance.model_copy(update={"matrix": tuple(map(tuple, matrix.tolist()))})
+    names = {"rig_id": f"{rig.rig_id}-{width_px}x{height_px}", "calibration_covariance": covariance}
+    return rig.model_copy(update={**cameras, **names})
+
+
 def infinity_shift_px(rig: Rig, left_uv_px: Array) -> Array:
     """(..., 2) left minus right image point of an infinitely far point, at points (..., 2) of the left image.
 

@@ -76,7 +76,13 @@ def test_size_and_unit_of_a_file_that_has_none(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("words", "message"),
-    [(("--to", "colmap"), "--to colmap: known formats"), (("--to", "rig", "--image-size", "big"), "--image-size big")],
+    [
+        (("--to", "colmap"), "--to colmap: known formats"),
+        (("--to", "rig", "--image-size", "big"), "--image-size big"),
+        (("--to", "rig", "--scale-to", "0x0"), "--scale-to 0x0: expected width and height"),
+        (("--to", "rig", "--scale-to", "1920x1080"), "--scale-to 1920x1080: .*another aspect ratio"),
+        (("--to", "rig", "--pair", "cam0"), "--pair cam0: expected the names"),
+    ],
 )
 def test_bad_options_are_rejected(rig_yaml: Path, tmp_path: Path, words: tuple[str, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):
@@ -92,3 +98,21 @@ def test_a_rig_yaml_needs_no_format_and_others_do(rig_yaml: Path, tmp_path: Path
     assert read_rig(back).baseline_m == pytest.approx(0.2745)
     with pytest.raises(InputError, match=r"choose the format with --to: .*kalibr"):
         run("convert", rig_yaml, tmp_path / "other.yaml")
+
+
+def test_a_pair_of_a_scaled_chain(tmp_path: Path) -> None:
+    pose = np.eye(4)
+    pose[0, 3] = -0.2
+    camera = {
+        "camera_model": "pinhole", "intrinsics": [900.0, 900.0, 639.5, 359.5], "resolution": [1280, 720],
+        "distortion_model": "radtan", "distortion_coeffs": [0.0] * 4,
+    }  # fmt: skip
+    chain = {f"cam{n}": camera | ({"T_cn_cnm1": pose.tolist()} if n else {}) for n in range(3)}
+    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
+    with pytest.raises(CalibrationError, match="choose the stereo pair: conetl rig convert with --pair LEFT,RIGHT"):
+        run("show", tmp_path / "camchain.yaml")
+    words = ("--pair", "cam0,cam2", "--scale-to", "640x360")
+    run("convert", tmp_path / "camchain.yaml", tmp_path / "rig.yaml", *words)
+    rig = read_rig(tmp_path / "rig.yaml")
+    assert (rig.baseline_m, rig.left.fx_px) == pytest.approx((0.4, 450.0))
+    assert (rig.left.cx_px, rig.left.width_px) == pytest.approx((319.5, 640))

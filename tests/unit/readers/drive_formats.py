@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 from pyproj import Transformer
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -29,6 +30,8 @@ HEADING_DEG = 30.0
 SIGMAS = "sigmas: {horizontal_m: 0.02, vertical_m: 0.03}\n"
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
+STORE1 = get_typestore(Stores.ROS1_NOETIC)
+STORE1.register({"tf2_msgs/msg/TFMessage": STORE.fielddefs["tf2_msgs/msg/TFMessage"]})
 #: An IMU like EuRoC's: its x axis points up, y right, z forward.
 IMU_R_BODY = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 ANTENNA_M = np.array([0.4, -0.2, 1.1])
@@ -265,19 +268,18 @@ def compressed(stamp_ns: int, frame_id: str, data: bytes) -> tuple[str, Any]:
 Image = Callable[[int, str, bytes], tuple[str, Any]]
 
 
-def write_bag(
+def recording(
     root: Path,
     frames: list[Frame],
     rig: Rig,
     *,
-    plugin: StoragePlugin = StoragePlugin.MCAP,
     odometry: bool = False,
     image: Image = compressed,
     image_name: str = "image_raw/compressed",
     connected: bool = True,
     recorder_as_images: bool = False,
-    mangle: Callable[[str, int, bytes], bytes] = lambda topic, number, data: data,
-) -> Path:
+) -> list[tuple[int, str, str, Any]]:
+    """Time of the recorder, topic, type and content of all messages."""
     messages: list[tuple[int, str, str, Any]] = []
     start = frames[0].stamp_ns
     for side, info in camera_infos(rig, root.with_name("infos")).items():
@@ -300,6 +302,19 @@ def write_bag(
         if frame.oxts is not None:
             made = odometry_messages(origin_of(frames), frame) if odometry else fix_messages(frame)
             messages += [(at, topic, kind, content) for topic, kind, content in made]
+    return messages
+
+
+def write_bag(
+    root: Path,
+    frames: list[Frame],
+    rig: Rig,
+    *,
+    plugin: StoragePlugin = StoragePlugin.MCAP,
+    mangle: Callable[[str, int, bytes], bytes] = lambda topic, number, data: data,
+    **options: Any,
+) -> Path:
+    messages = recording(root, frames, rig, **options)
     with Writer(root, version=9, storage_plugin=plugin) as writer:
         topics = {
             topic: writer.add_connection(topic, kind, typestore=STORE)
@@ -310,9 +325,46 @@ def write_bag(
             data = mangle(topic, counts[topic], bytes(STORE.serialize_cdr(content, kind)))
             writer.write(topics[topic], at, data)
             counts[topic] += 1
-    if odometry:
+    if options.get("odometry"):
         (root / "drive.yaml").write_text(georeference(frames))
     return root
+
+
+def as_ros1(content: Any) -> Any:
+    """A message of ROS 2 as the same one of ROS 1: a header has a number, a CameraInfo names in capitals."""
+    if isinstance(content, list):
+        return [as_ros1(item) for item in content]
+    if not hasattr(content, "__msgtype__"):
+        return content
+    names = [name for name, _ in STORE1.fielddefs[content.__msgtype__][1]]
+    values = {name: getattr(content, name, getattr(content, name.lower(), 0)) for name in names}
+    return STORE1.types[content.__msgtype__](**{name: as_ros1(value) for name, value in values.items()})
+
+
+def write_ros1_bag(
+    root: Path,
+    frames: list[Frame],
+    rig: Rig,
+    *,
+    compression: Writer1.CompressionFormat | None = None,
+    chunk_bytes: int = 1 << 18,
+    **options: Any,
+) -> Path:
+    file = root.with_suffix(".bag")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    writer = Writer1(file)
+    if compression is not None:
+        writer.set_compression(compression)
+    writer.chunk_threshold = chunk_bytes
+    messages = recording(root, frames, rig, **options)
+    with writer:
+        topics = {
+            topic: writer.add_connection(topic, kind, typestore=STORE1)
+            for topic, kind in dict.fromkeys((m[1], m[2]) for m in messages)
+        }
+        for at, topic, kind, content in messages:
+            writer.write(topics[topic], at, STORE1.serialize_ros1(as_ros1(content), kind))
+    return file
 
 
 def write_odometry_bag(root: Path, frames: list[Frame], rig: Rig) -> Path:
@@ -330,4 +382,5 @@ def write_mcap_file(root: Path, frames: list[Frame], rig: Rig) -> Path:
 WRITERS: dict[str, Callable[[Path, list[Frame], Rig], Path]] = {
     "kitti": write_kitti, "plain": write_plain, "euroc": write_euroc, "bag": write_bag,
     "odometry bag": write_odometry_bag, "mcap file": write_mcap_file,
+    "ros1 bag": write_ros1_bag,
 }  # fmt: skip

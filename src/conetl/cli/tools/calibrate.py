@@ -1,4 +1,4 @@
-"""`conetl calibrate`: images of a board -> rig.yaml with covariances."""
+"""`conetl calibrate`: images or videos of a board -> rig.yaml with covariances."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ from conetl.perception.boards.images import (
     rejection,
     start_values,
 )
+from conetl.perception.boards.videos import Layout, find_videos, open_videos, pairs_in_videos
+from conetl.perception.images import ImageFileError
 from conetl.readers.rigs.rig_yaml import write_rig_yaml
 from conetl.reports.calibration_report import calibration_as_dict, write_calibration_report
 
@@ -38,7 +40,13 @@ Pairing = Literal["folders", "even-odd"]
 
 
 def calibrate(
-    folder: Annotated[Path, typer.Argument(help="Folder of the images, with left/ and right/; or see --pairing.")],
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FOLDER | LEFT.mp4 RIGHT.mp4",
+            help="Folder of the images, with left/ and right/ (or see --pairing) or two videos; or the videos themselves.",
+        ),
+    ],
     board: Annotated[
         str,
         typer.Option(
@@ -50,6 +58,17 @@ def calibrate(
     ] = "folders",
     left_pattern: Annotated[str | None, typer.Option(help="Names of the left images, e.g. 'left_*.png'.")] = None,
     right_pattern: Annotated[str | None, typer.Option(help="Names of the right images, e.g. 'right_*.png'.")] = None,
+    layout: Annotated[
+        Layout | None, typer.Option(help="One video that holds both images: where left and right are in each frame.")
+    ] = None,
+    offset_s: Annotated[
+        float | None,
+        typer.Option(
+            min=-3600,
+            max=3600,
+            help="Seconds to add to the times of the right video; default: from the motion in both.",
+        ),
+    ] = None,
     lens: Annotated[
         Literal["auto", "none", "radial", "brown", "rational", "fisheye"],
         typer.Option(help="Lens model; auto: the one with the lowest BIC."),
@@ -69,14 +88,17 @@ def calibrate(
     report: Annotated[Path | None, typer.Option(help="Folder for report.json and coverage.png.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a two-camera rig from images of a chessboard, a ChArUco board or an AprilGrid.
+    """Calibrate a two-camera rig from images or videos of a chessboard, a ChArUco board or an AprilGrid.
 
+    Of videos, frames are taken where nothing moves: hold the board still for a second in each position.
     Lens model and board shape are selected by information criterion. The standard deviations include errors that are correlated
     within a pair. Exit code 1 if more than a quarter of the images were rejected; rig.yaml is written anyway.
     """
     drawn = parse_board(board)
     sensor = None if sensor_mm is None else _sensor(sensor_mm)
-    pairs = _pairs(folder, pairing, left_pattern, right_pattern)
+    folder, videos = sources[0], _videos(sources, layout)
+    filmed = _pairs_of_videos(videos, layout, offset_s) if videos else None
+    pairs = _pairs(folder, pairing, left_pattern, right_pattern) if filmed is None else filmed
     total, done = sum(pair.path(side) is not None for pair in pairs for side in SIDES), 0
     with progress_bar("find corners", "images") as update:
 
@@ -101,8 +123,11 @@ def calibrate(
     misfits = [
         rejection(pairs[r.pair_index], r.side, RejectionReason.BOARD_MISFIT, r.detail) for r in result.rejected_views
     ]
-    rejected = [*images.rejections, *misfits]
+    # A video also shows how the board is brought and taken away.
+    empty = _without_board(images) if videos else frozenset()
+    rejected = [*(r for r in images.rejections if r.payload["pair"] not in empty), *misfits]
     content = calibration_as_dict(rig, result, pairs, rejected, sensor)
+    content["pairs"] -= len(empty)
     write_rig_yaml(rig, output)
     content["written"] = [str(output)]
     if report is not None:
@@ -111,8 +136,38 @@ def calibrate(
         print_json(content)
     else:
         _print(content)
-    if len(rejected) > MAX_REJECTED_SHARE * 2 * len(pairs):
+    if len(rejected) > MAX_REJECTED_SHARE * 2 * content["pairs"]:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
+
+
+def _videos(sources: list[Path], layout: Layout | None) -> list[Path]:
+    """The video files to read; none where the source is a folder of images. Raises InputError."""
+    for source in sources:
+        if not source.exists():
+            raise InputError(f"{source}: no such folder or file")
+    if len(sources) > 2 or (len(sources) == 2 and any(source.is_dir() for source in sources)):
+        raise InputError("give one folder, two video files (left, right), or one video file with --layout")
+    found = sources if sources[0].is_file() else find_videos(sources[0], layout)
+    if layout is not None and not found:
+        raise InputError(f"{sources[0]}: --layout is for a video file, and there is none")
+    return found
+
+
+def _pairs_of_videos(videos: list[Path], layout: Layout | None, offset_s: float | None) -> list[ImagePair]:
+    opened = open_videos(videos, layout)
+    with progress_bar("choose frames", "frames") as update:
+        try:
+            pairs, found_s = pairs_in_videos(opened, offset_s, on_frame=update)
+        except ImageFileError as error:
+            raise CalibrationError(str(error)) from error
+    err.print(f"{len(pairs)} pairs of frames; the times of the right video {found_s:+.2f} s", markup=False)
+    return pairs
+
+
+def _without_board(images: BoardImages) -> frozenset[str]:
+    """Names of the pairs of which neither image shows the board."""
+    counted = Counter(r.payload["pair"] for r in images.rejections if r.reason is RejectionReason.BOARD_NOT_FOUND)
+    return frozenset(str(name) for name, count in counted.items() if count == len(SIDES))
 
 
 def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) -> list[ImagePair]:

@@ -19,10 +19,16 @@ from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, WRITERS, read_rig_and_fo
 
 SizeOption = Annotated[
     str | None,
-    typer.Option("--image-size", help="Image size like 1242x375, if the file (OpenCV, MATLAB) has none."),
+    typer.Option(
+        "--image-size", help="Image size like 1242x375, if the file (OpenCV, MATLAB) has none, or (ZED) several."
+    ),
 ]
 UnitOption = Annotated[
-    str | None, typer.Option("--unit", help="Unit of the baseline in an OpenCV or MATLAB file: m, cm, mm, in.")
+    str | None,
+    typer.Option("--unit", help="Unit of the baseline in an OpenCV, MATLAB or Metashape file: m, cm, mm, in."),
+]
+PairOption = Annotated[
+    str | None, typer.Option("--pair", help="Names of the left and right camera, if the file has more: LEFT,RIGHT.")
 ]
 _DECIMALS = {"_px": 3, "_rad": 6, "_m": 5}
 
@@ -31,10 +37,13 @@ def show(
     file: Annotated[Path, typer.Argument(help="Calibration file of a supported format, or a folder with one.")],
     image_size: SizeOption = None,
     unit: UnitOption = None,
+    pair: PairOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show interior and exterior orientation, with sigmas if the file contains them."""
-    rig, found = read_rig_and_format(file, image_size=_size(image_size), length_unit=unit)
+    rig, found = read_rig_and_format(
+        file, image_size=_size("--image-size", image_size), length_unit=unit, pair=_pair(pair)
+    )
     if as_json:
         rectified = is_rectified(rig)
         print_json({"format": found, "rectified": rectified, "baseline_m": rig.baseline_m, "rig": rig})
@@ -70,6 +79,13 @@ def convert(
     ] = None,
     image_size: SizeOption = None,
     unit: UnitOption = None,
+    pair: PairOption = None,
+    scale_to: Annotated[
+        str | None,
+        typer.Option(
+            "--scale-to", help="Size of your images like 640x400, if they are scaled-down ones of the calibrated size."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Convert a calibration to the format of another tool."""
@@ -79,7 +95,15 @@ def convert(
         to = "rig"
     if to not in WRITERS:
         raise InputError(f"--to {to}: known formats are {', '.join(WRITERS)}")
-    rig, found = read_rig_and_format(source, image_size=_size(image_size), length_unit=unit)
+    size = _size("--scale-to", scale_to)
+    rig, found = read_rig_and_format(
+        source, image_size=_size("--image-size", image_size), length_unit=unit, pair=_pair(pair)
+    )
+    if size is not None:
+        try:
+            rig = rigs.resized(rig, *size)
+        except ValueError as error:
+            raise InputError(f"--scale-to {scale_to}: {source}: {error}") from error
     WRITERS[to](rig, target)
     lost = _lost(rig, to)
     text = f"{source}: {FORMAT_NAMES[found]} -> {target}: {_name(to)}"
@@ -153,10 +177,19 @@ def _usage(rig: Rig) -> str:
     return f"The images are raw; they are rectified when read, to {sizes[0]} and {sizes[1]} pixels, f {flat.left.fx_px:.1f} px."
 
 
-def _size(text: str | None) -> tuple[int, int] | None:
+def _size(option: str, text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
-    found = re.fullmatch(r"(\d+)x(\d+)", text.strip().lower())
+    found = re.fullmatch(r"([1-9]\d{0,5})x([1-9]\d{0,5})", text.strip().lower())
     if not found:
-        raise InputError(f"--image-size {text}: expected width and height in pixels like 1242x375")
+        raise InputError(f"{option} {text}: expected width and height in pixels like 1242x375")
     return int(found[1]), int(found[2])
+
+
+def _pair(text: str | None) -> tuple[str, str] | None:
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or not all(names):
+        raise InputError(f"--pair {text}: expected the names of the left and the right camera like cam0,cam2")
+    return names[0], names[1]

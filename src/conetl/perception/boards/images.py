@@ -1,4 +1,4 @@
-"""Images of a calibration board in a folder: which belong together, and the corners in each."""
+"""Images of a calibration board: which ones in a folder belong together, and the corners in each."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from conetl.model.records import Camera, Lens, Side
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.perception.boards.boards import Board, Found, NotFound, find_board, matched_orientation
 from conetl.perception.images import ImageFileError, read_image
+from conetl.perception.video import frame_of, read_frame
 
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -37,7 +38,7 @@ _OUTLIER = 5.0
 
 @dataclass(frozen=True)
 class ImagePair:
-    """Two images of one instant; None where one is missing. name: what they have in common."""
+    """Two images of one instant, files or frames of videos; None where one is missing. name: what they have in common."""
 
     name: str
     left: Path | None
@@ -155,7 +156,8 @@ def _missing(pair: ImagePair, side: Side) -> NotFound:
 
 def _search(path: Path, board: Board) -> tuple[Size | None, Found | NotFound]:
     try:
-        image = read_image(path)
+        frame = frame_of(path)
+        image = read_image(path) if frame is None else read_frame(frame)
     except ImageFileError as error:
         return None, NotFound(error.reason, str(error))
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

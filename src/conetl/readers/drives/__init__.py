@@ -62,7 +62,7 @@ def read_drive(
 
 def _not_a_drive(path: Path) -> DriveFolderError:
     if not path.is_dir():
-        return DriveFolderError(f"{path}: this is a file; give the folder of one drive, or a .mcap file")
+        return DriveFolderError(f"{path}: this is a file; give the folder of one drive, or a .mcap or .bag file")
     children = sorted(child for child in path.iterdir() if not child.name.startswith("."))
     if not children:
         return DriveFolderError(
@@ -77,5 +77,5 @@ def _not_a_drive(path: Path) -> DriveFolderError:
     return DriveFolderError(
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt), a "
         f"plain one (left, right, trajectory.csv, rig.yaml), a EuRoC one (mav0/cam0, cam1) or a "
-        f"bag (metadata.yaml, *.mcap); found {', '.join(child.name for child in children[:5])}"
+        f"bag (metadata.yaml, *.mcap, *.bag); found {', '.join(child.name for child in children[:5])}"
     )

@@ -1,12 +1,14 @@
-"""ROS 2 bags and MCAP files as streams of messages, in the order of their recording, and the images in them.
+"""Bags of ROS 2 and ROS 1 and MCAP files as streams of messages, in the order of their recording, and the images in them.
 
-A bag folder (metadata.yaml with .mcap or .db3 files) is read by rosbags' AnyReader; a bare .mcap file, as Foxglove or a crash of
-`ros2 bag` leaves it, by the mcap library, its messages by rosbags' type system. Each image is unpacked once into a folder,
-under the hash of its bytes: compressed ones as they were recorded, byte for byte, raw ones as PNG, which loses nothing.
+A bag folder (metadata.yaml with .mcap or .db3 files) and a .bag file of ROS 1 are read by rosbags' AnyReader; a bare .mcap
+file, as Foxglove or a crash of `ros2 bag` leaves it, by the mcap library, its messages by rosbags' type system. Each image is
+unpacked once into a folder, under the hash of its bytes: compressed ones as they were recorded, byte for byte, raw ones as
+PNG, which loses nothing.
 """
 
 from __future__ import annotations
 
+import bz2
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -22,7 +24,8 @@ import numpy as np
 from mcap.reader import McapReader, make_reader
 from mcap.records import Schema
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
+from rosbags.highlevel import AnyReader, anyreader
+from rosbags.rosbag1 import reader as rosbag1_reader
 from rosbags.rosbag2 import reader as rosbag2_reader
 from rosbags.rosbag2 import storage_mcap as rosbag2_mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -33,10 +36,13 @@ from conetl.files.documents import MAX_SHOWN, read_yaml
 from conetl.model.errors import ConetlError, DriveFolderError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, check_image_bytes
+from conetl.readers.drives.bag_rig import CAMERA_INFO, TRANSFORMS, USED_TYPES
 from conetl.readers.drives.drive_yaml import is_bare_bag
 from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.ros1_reader import BoundedReader
 
 METADATA = "metadata.yaml"
+ROS1_SUFFIX = ".bag"
 
 #: OpenCV names Bayer patterns from another pixel than ROS does (REP 118, cv_bridge).
 _TO_BGR: dict[str, int | None] = {
@@ -77,7 +83,9 @@ def _whole_file(*_: object) -> NoReturn:
 _zstd, _lz4 = _limited(vars(rosbag2_reader)["zstd"].ZstdDecompressor), _limited(lz4.frame.LZ4FrameDecompressor)
 rosbag2_mcap.DECOMPRESSORS.update(zstd=_zstd, lz4=_lz4)
 vars(rosbag2_reader)["zstd"] = SimpleNamespace(decompress=_zstd, open=_whole_file)
+rosbag1_reader.decompressors.update(bz2=_limited(bz2.BZ2Decompressor), lz4=_lz4)
 vars(mcap.stream_reader).update(zstandard=SimpleNamespace(decompress=_zstd), lz4=SimpleNamespace(decompress=_lz4))
+vars(anyreader)["Reader1"] = lambda path: BoundedReader(path, USED_TYPES, MAX_CHUNK_BYTES)
 
 
 class Message(NamedTuple):
@@ -104,7 +112,7 @@ class Bag(NamedTuple):
 
 
 def bag_files(path: Path) -> Path | None:
-    """What to open of a bag: the folder itself, or a bare .mcap file; None for anything else."""
+    """What to open of a bag: the folder itself, or a bare .mcap or .bag file; None for anything else."""
     if is_bare_bag(path):
         return path
     if not path.is_dir():
@@ -112,6 +120,7 @@ def bag_files(path: Path) -> Path | None:
     files = sorted(path.glob("*.mcap"))
     if (path / METADATA).is_file() and (files or any(path.glob("*.db3"))):
         return path
+    files = files or sorted(path.glob(f"*{ROS1_SUFFIX}"))
     return files[0] if len(files) == 1 else None
 
 
@@ -124,7 +133,10 @@ def open_bag(path: Path) -> Iterator[Bag]:
                 if (path / METADATA).is_file():
                     read_yaml(path / METADATA)  # within the limits, before rosbags builds it
                 reader = opened.enter_context(AnyReader([path], default_typestore=_ros_types()))
-                bag = _bag_of_folder(reader, path)
+                bag = _bag_of_rosbags(reader, path)
+            elif path.suffix == ROS1_SUFFIX:
+                reader = opened.enter_context(AnyReader([path], default_typestore=_ros1_types()))
+                bag = _bag_of_rosbags(reader, path)
             else:
                 bag = _bag_of_file(make_reader(opened.enter_context(path.open("rb")), validate_crcs=True), path)
         yield bag._replace(types={topic: kind for topic, kind in bag.types.items() if len(topic) <= MAX_TOPIC})
@@ -139,20 +151,32 @@ def _library_errors(path: Path) -> Iterator[None]:
         raise DriveFolderError(str(error)) from error
     except Exception as error:
         text = str(error)[:MAX_SHOWN] or type(error).__name__
+        repair = (
+            f"'rosbag reindex {path.name}'"
+            if path.suffix == ROS1_SUFFIX
+            else "'mcap recover' (MCAP) or 'ros2 bag reindex'"
+        )
         raise DriveFolderError(
-            f"{path}: the bag cannot be read: {text}. A recording that was cut off is repaired by 'mcap recover' (MCAP) or "
-            "'ros2 bag reindex'"
+            f"{path}: the bag cannot be read: {text}. A recording that was cut off is repaired by {repair}"
         ) from error
 
 
-def _bag_of_folder(reader: AnyReader, path: Path) -> Bag:
+def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
         with _library_errors(path):
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
-                yield Message(connection.topic, _decoded(reader.deserialize, raw, connection.msgtype), at_ns)
+                content = _decoded(reader.deserialize, raw, connection.msgtype)
+                if connection.msgtype == CAMERA_INFO and not reader.is2 and content is not None:
+                    content = _ros2_camera_info(content)
+                yield Message(connection.topic, content, at_ns)
 
-    types = {c.topic: _type_name(reader.typestore, c.msgtype) for c in reader.connections}
+    ros = _ros_types() if reader.is2 else _ros1_types()
+    types = {
+        # Of a ROS 1 bag only the definitions of these types are read.
+        c.topic: _type_name(reader.typestore, c.msgtype, ros) if reader.is2 or c.msgtype in USED_TYPES else c.msgtype
+        for c in reader.connections
+    }
     counts = {topic: info.msgcount for topic, info in reader.topics.items()}
     return Bag(types, counts, (reader.start_time, reader.end_time - 1), messages)  # its end is exclusive
 
@@ -170,7 +194,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
             found = get_types_from_msg(schema.data.decode("utf-8"), _ros_name(schema))
             store.register({name: fields for name, fields in found.items() if name not in store.types})
     types = {
-        channel.topic: _type_name(store, _ros_name(summary.schemas[channel.schema_id]))
+        channel.topic: _type_name(store, _ros_name(summary.schemas[channel.schema_id]), _ros_types())
         for channel in summary.channels.values()
         if channel.message_encoding == "cdr" and channel.schema_id in summary.schemas
     }
@@ -200,9 +224,13 @@ def _decoded(deserialize: Callable[[bytes, str], object], raw: bytes, kind: str)
         return None
 
 
-def _type_name(store: Typestore, name: str) -> str:
+def _ros2_camera_info(content: Any) -> Any:
+    """A CameraInfo of ROS 1 under the field names of ROS 2, which are in lower case."""
+    return SimpleNamespace(**{name if len(name) > 1 else name.lower(): value for name, value in vars(content).items()})
+
+
+def _type_name(store: Typestore, name: str, ros: Typestore) -> str:
     """The name of a message type; with a remark where the bag defines other fields than ROS."""
-    ros = _ros_types()
     try:
         same = name not in ros.fielddefs or store.hash_rihs01(name) == ros.hash_rihs01(name)
     except Exception:  # of many types, for a definition that refers to what the bag does not define
@@ -213,6 +241,14 @@ def _type_name(store: Typestore, name: str) -> str:
 @cache
 def _ros_types() -> Typestore:
     return get_typestore(Stores.ROS2_HUMBLE)
+
+
+@cache
+def _ros1_types() -> Typestore:
+    """Types of ROS 1, with the one of tf2 that rosbags has only for ROS 2."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register({TRANSFORMS: _ros_types().fielddefs[TRANSFORMS]})
+    return store
 
 
 def _ros_name(schema: Schema) -> str:

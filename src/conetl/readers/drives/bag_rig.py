@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 CAMERA_INFO, FIX, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
 ODOMETRY, TRANSFORMS, TF_STATIC = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "/tf_static"
-
+USED_TYPES = frozenset({COMPRESSED, RAW, CAMERA_INFO, FIX, IMU, ODOMETRY, TRANSFORMS})
 
 #: Characters of a list of topics in a message.
 _MAX_LISTED = 600
@@ -160,19 +160,8 @@ class Frames:
                 pose = se3.se3(rotation_of(q.w, q.x, q.y, q.z), [t.x, t.y, t.z])
             except ValueError:
                 continue
-            parent, child = transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")
-            self._parent_SE3_child[parent, child] = pose
-            self._parent_SE3_child[child, parent] = se3.invert(pose)
+            self._parent_SE3_child[transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")] = pose
 
     def find(self, dst: str, src: str) -> Array | None:
         """dst_SE3_src (4, 4), None where the frames are not connected."""
-        dst, src = dst.lstrip("/"), src.lstrip("/")
-        found: dict[str, Array] = {dst: np.eye(4)}
-        edge = [dst]
-        while edge and src not in found:
-            here = edge.pop(0)
-            for (parent, child), pose in self._parent_SE3_child.items():
-                if parent == here and child not in found:
-                    found[child] = se3.compose(found[here], pose)
-                    edge.append(child)
-        return found.get(src)
+        return se3.connect(self._parent_SE3_child, dst.lstrip("/"), src.lstrip("/"))

@@ -164,12 +164,12 @@ class DriveYaml(Record):
 
 
 def is_bare_bag(source: Path) -> bool:
-    """True for a .mcap file; a bag's folder is a folder."""
-    return source.suffix == ".mcap" and source.is_file()
+    """True for a .mcap or .bag file; a bag's folder is a folder."""
+    return source.suffix in (".mcap", ".bag") and source.is_file()
 
 
 def small_file(source: Path, name: str) -> Path:
-    """Path of a small file `name` (drive.yaml, rig.yaml) of a drive: in its folder, or NAME.drive.yaml beside NAME.mcap."""
+    """Path of a small file `name` (drive.yaml, rig.yaml) of a drive: in its folder, or NAME.drive.yaml beside a bare bag."""
     source = source.resolve()
     return source.with_name(f"{source.stem}.{name}") if is_bare_bag(source) else source / name
 

@@ -1,4 +1,4 @@
-"""ROS 2 bags and MCAP files with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) overrides.
+"""Bags (ROS 2, ROS 1, MCAP) with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) overrides.
 
     sensor_msgs CompressedImage or Image    two topics, with left and right in their names
     sensor_msgs CameraInfo                  one beside each; or a rig.yaml in the bag's folder, which wins
@@ -7,8 +7,8 @@
     nav_msgs Odometry                       instead of both: in a level frame that drive.yaml (georeference) locates
     tf2_msgs TFMessage on /tf_static        poses of the left camera and the antenna on the body (the IMU's or odometry's frame)
 
-A bag is a folder with metadata.yaml, a folder with one .mcap, or NAME.mcap itself (then with NAME.drive.yaml and NAME.rig.yaml
-beside it). Times are the header stamps, UTC.
+A bag is a folder with metadata.yaml, a folder with one .mcap or else one .bag, or NAME.mcap or NAME.bag itself (then with
+NAME.drive.yaml and NAME.rig.yaml beside it). Times are the header stamps, UTC.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid
 from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, Pose, Rig, Side
+from conetl.model.records import MAX_LEVER_ARM_M, Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection
 from conetl.readers.drives.bag_messages import (
     METADATA,
@@ -95,7 +95,9 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     source = path.resolve()
     file = bag_files(source)
     if file is None:
-        raise DriveFolderError(f"{path}: this is not a bag: neither a .mcap file nor a folder with metadata.yaml")
+        raise DriveFolderError(
+            f"{path}: this is not a bag: neither a .mcap or .bag file nor a folder with metadata.yaml"
+        )
     if options.images_folder is None:
         raise DriveFolderError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
     settings = read_drive_yaml(source)
@@ -288,8 +290,18 @@ def _trajectory(
 
 def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Array:
     """(3,) the antenna in the IMU's frame. Raises DriveFolderError."""
-    if settings.antenna_t_m is not None:
-        return np.array(settings.antenna_t_m)
+    antenna_m = (
+        _recorded_antenna(topics, found, source) if settings.antenna_t_m is None else np.array(settings.antenna_t_m)
+    )
+    if not np.all(np.abs(antenna_m) <= MAX_LEVER_ARM_M):  # NaN fails too
+        raise DriveFolderError(
+            f"{source}: the antenna is at {antenna_m} m in the IMU's frame, expected at most {MAX_LEVER_ARM_M:g} m; put "
+            "antenna_t_m: [x, y, z] into drive.yaml"
+        )
+    return antenna_m
+
+
+def _recorded_antenna(topics: Topics, found: _Recorded, source: Path) -> Array:
     imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.fix or "", "")
     pose = found.frames.find(imu, antenna)
     if pose is None:
@@ -297,7 +309,7 @@ def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path
             f"{source}: {TF_STATIC} does not connect the antenna '{antenna}' with '{imu}'; put antenna_t_m: [x, y, z] into "
             "drive.yaml ([0, 0, 0] where the receiver's driver reduces its positions to the IMU)"
         )
-    return np.array(pose[:3, 3])
+    return np.asarray(pose[:3, 3])
 
 
 def _read_images(

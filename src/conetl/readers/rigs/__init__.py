@@ -14,27 +14,39 @@ from typing import Literal
 
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
-from conetl.readers.rigs.common import Size, read_json, read_text, read_yaml, rectified_rig
+from conetl.readers.rigs.common import Pair, Size, read_json, read_text, read_xml, read_yaml, rectified_rig
 from conetl.readers.rigs.kalibr import looks_like_kalibr, read_kalibr_rig, write_kalibr_rig
 from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 from conetl.readers.rigs.matlab import looks_like_matlab, read_matlab_rig, write_matlab_rig
+from conetl.readers.rigs.metashape import looks_like_metashape, read_metashape_rig
+from conetl.readers.rigs.oak import looks_like_oak, read_oak_rig
 from conetl.readers.rigs.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
 from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
 from conetl.readers.rigs.ros import looks_like_ros, read_ros_rig, write_ros_rig
+from conetl.readers.rigs.zed import read_zed_rig
 
 __all__ = [
     "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "read_kitti_rig", "read_rig",
     "read_rig_and_format", "read_rig_for_images", "read_rig_yaml", "write_rig_yaml",
 ]  # fmt: skip
 
-Format = Literal["rig", "kitti", "opencv", "kalibr", "ros", "matlab"]
+Format = Literal["rig", "kitti", "opencv", "kalibr", "ros", "matlab", "zed", "oak", "metashape"]
 FORMAT_NAMES: dict[Format, str] = {
     "rig": "conetl rig.yaml", "kitti": "KITTI calib_cam_to_cam.txt", "opencv": "OpenCV stereo calibration",
     "kalibr": "Kalibr camchain", "ros": "ROS camera_info pair", "matlab": "MATLAB stereoParameters",
+    "zed": "ZED factory calibration", "oak": "OAK (DepthAI) calibration", "metashape": "Metashape cameras",
 }  # fmt: skip
-_READERS: dict[Format, Callable[[Path], Rig]] = {
+_READERS: dict[Format, Callable[..., Rig]] = {
     "rig": read_rig_yaml, "kitti": partial(read_kitti_rig, body_required=False), "kalibr": read_kalibr_rig, "ros": read_ros_rig,
+    "opencv": read_opencv_rig, "matlab": read_matlab_rig, "zed": read_zed_rig, "oak": read_oak_rig,
+    "metashape": read_metashape_rig,
 }  # fmt: skip
+#: What a reader takes besides the path, and how messages call it.
+_TAKES: dict[Format, tuple[str, ...]] = {
+    "opencv": ("image_size", "length_unit"), "matlab": ("image_size", "length_unit"), "zed": ("image_size",),
+    "rig": ("pair",), "kalibr": ("pair",), "ros": ("pair",), "oak": ("pair",), "metashape": ("pair", "length_unit"),
+}  # fmt: skip
+_CALLED = {"image_size": "image size", "length_unit": "unit", "pair": "pair of cameras"}
 #: Writers by format; that of ROS takes a folder, the others a file.
 WRITERS: dict[str, Callable[[Rig, Path], None]] = {
     "rig": write_rig_yaml, "opencv": write_opencv_rig, "kalibr": write_kalibr_rig, "ros": write_ros_rig,
@@ -42,31 +54,33 @@ WRITERS: dict[str, Callable[[Rig, Path], None]] = {
 }  # fmt: skip
 _KNOWN = (
     "rig.yaml, KITTI calib_cam_to_cam.txt, OpenCV .yml/.xml/.json, Kalibr camchain.yaml, ROS left.yaml + right.yaml, "
-    "MATLAB .json/.mat"
+    "MATLAB .json/.mat, ZED SN*.conf, OAK calib.json, Metashape cameras.xml"
 )
 
 
-def read_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
+def read_rig(
+    path: Path, *, image_size: Size | None = None, length_unit: str | None = None, pair: Pair | None = None
+) -> Rig:
     """Rig from a calibration file of any known format, or from a folder with one; see `read_rig_and_format`."""
-    return read_rig_and_format(path, image_size=image_size, length_unit=length_unit)[0]
+    return read_rig_and_format(path, image_size=image_size, length_unit=length_unit, pair=pair)[0]
 
 
 def read_rig_and_format(
-    path: Path, *, image_size: Size | None = None, length_unit: str | None = None
+    path: Path, *, image_size: Size | None = None, length_unit: str | None = None, pair: Pair | None = None
 ) -> tuple[Rig, Format]:
     """Rig and its recognised format.
 
-    image_size (width, height) and length_unit are for OpenCV and MATLAB files without them. A KITTI calibration gives its
-    rectified pair (cameras 02 and 03; with the two other files beside it the body is the IMU, else the left camera).
-    Raises CalibrationError.
+    image_size (width, height) and length_unit are for files without them, image_size also chooses the resolution of a ZED file.
+    pair: names of the left and the right camera in a file with more than two. A KITTI calibration gives its rectified pair
+    (cameras 02 and 03; with the two other files beside it the body is the IMU, else the left camera). Raises CalibrationError.
     """
-    path, found = _recognise(path)
-    if found in ("opencv", "matlab"):
-        read = read_opencv_rig if found == "opencv" else read_matlab_rig
-        return read(path, image_size=image_size, length_unit=length_unit), found
-    if image_size is not None or length_unit is not None:
-        raise CalibrationError(f"{path}: a {FORMAT_NAMES[found]} has its own image size and unit; leave them out")
-    return _READERS[found](path), found
+    path, found = _recognise(path, pair)
+    options = {"image_size": image_size, "length_unit": length_unit, "pair": pair}
+    given = {name: value for name, value in options.items() if value is not None}
+    foreign = [_CALLED[name] for name in given if name not in _TAKES.get(found, ())]
+    if foreign:
+        raise CalibrationError(f"{path}: a {FORMAT_NAMES[found]} has its own {' and '.join(foreign)}; leave them out")
+    return _READERS[found](path, **given), found
 
 
 def read_rig_for_images(path: Path, size: Size | None) -> Rig:
@@ -77,13 +91,13 @@ def read_rig_for_images(path: Path, size: Size | None) -> Rig:
     path, found = _recognise(path)
     if found == "kitti":
         return read_kitti_rig(path, images=size, body_required=False)
-    return rectified_rig(read_rig(path), path)
+    return rectified_rig(read_rig(path, image_size=size if found == "zed" else None), path)
 
 
-def _recognise(path: Path) -> tuple[Path, Format]:
+def _recognise(path: Path, pair: Pair | None = None) -> tuple[Path, Format]:
     """The file to read (or the folder, for formats of several files) and its format. Raises CalibrationError."""
     if path.is_dir():
-        return _in_folder(path)
+        return _in_folder(path, pair)
     if not path.is_file():
         raise CalibrationError(f"{path}: there is no such file. Known: {_KNOWN}, or a folder that holds one of them")
     match path.suffix.lower():
@@ -92,7 +106,9 @@ def _recognise(path: Path) -> tuple[Path, Format]:
         case ".mat":
             return path, "matlab"
         case ".xml":
-            return path, "opencv"
+            return path, "metashape" if looks_like_metashape(read_xml(path)) else "opencv"
+        case ".conf":
+            return path, "zed"
         case ".json":
             return path, _of_json(path)
         case ".yaml" | ".yml":
@@ -104,10 +120,13 @@ def _of_json(path: Path) -> Format:
     content = read_json(path)
     if looks_like_matlab(content):
         return "matlab"
+    if looks_like_oak(content):
+        return "oak"
     if looks_like_opencv(content):
         return "opencv"
     raise CalibrationError(
-        f"{path}: neither MATLAB's stereoParameters (CameraParameters1) nor OpenCV's (M1, D1); known: {_KNOWN}"
+        f"{path}: neither MATLAB's stereoParameters (CameraParameters1) nor an OAK's cameraData nor OpenCV's (M1, D1); "
+        f"known: {_KNOWN}"
     )
 
 
@@ -125,7 +144,9 @@ def _of_yaml(path: Path) -> Format:
     return "rig"
 
 
-def _in_folder(folder: Path) -> tuple[Path, Format]:
+def _in_folder(folder: Path, pair: Pair | None) -> tuple[Path, Format]:
+    if pair is not None and any((folder / f"{pair[0]}{suffix}").is_file() for suffix in (".yaml", ".yml")):
+        return folder, "ros"
     found: list[tuple[Path, Format]] = []
     if (folder / RIG_YAML).is_file():
         found.append((folder / RIG_YAML, "rig"))

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import yaml
@@ -23,6 +24,8 @@ from conetl.model.records import MAX_IMAGE_PIXELS, Camera, Lens, Rig
 
 Array = NDArray[np.float64]
 Size = tuple[int, int]
+Pair = tuple[str, str]
+"""Names of the left and the right camera in a file with several."""
 
 #: Length of units in metres, by the names that calibration tools write.
 LENGTH_UNITS: Mapping[str, float] = {
@@ -67,6 +70,14 @@ def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises CalibrationError."""
     with _calibration_errors():
         return documents.read_json(path)
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """Root element of an XML file. Raises CalibrationError."""
+    try:
+        return ElementTree.fromstring(read_text(path))
+    except (ElementTree.ParseError, ValueError) as error:
+        raise CalibrationError(f"{path}: this is not XML: {error}") from error
 
 
 @contextmanager
@@ -126,6 +137,25 @@ def size_of_images(path: Path, key: str, value: Any) -> Size:
     if not np.all((size >= 1) & (size <= MAX_IMAGE_PIXELS) & (size == np.round(size))):
         raise bad(path, key, f"must be whole numbers of pixels, found {size[0]:g} x {size[1]:g}")
     return int(size[0]), int(size[1])
+
+
+def choose_pair(path: Path, names: Sequence[str], pair: Sequence[str] | None) -> Pair:
+    """The left and the right of a file's cameras: `pair`, else the only two in their order. Raises CalibrationError."""
+    if pair is None and len(names) == 2:
+        return names[0], names[1]
+    listed = shown(list(names)[:20])
+    if pair is None:
+        raise CalibrationError(
+            f"{path}: the file has {len(names)} cameras, {listed}; choose the stereo pair: conetl rig convert with "
+            "--pair LEFT,RIGHT"
+        )
+    left, right = pair
+    for name in (left, right):
+        if list(names).count(name) != 1:
+            raise CalibrationError(f"{path}: there is no camera {shown(name)}; found {listed}")
+    if left == right:
+        raise CalibrationError(f"{path}: {shown(left)} cannot be both the left and the right camera; found {listed}")
+    return left, right
 
 
 def camera_from_matrix(path: Path, key: str, k: Array, size: Size, lens: Lens) -> Camera:

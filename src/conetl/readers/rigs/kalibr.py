@@ -1,11 +1,13 @@
-"""Kalibr's `camchain.yaml` of two pinhole cameras (Furgale, Rehder & Siegwart 2013), read and written.
+"""Kalibr's `camchain.yaml` of pinhole cameras (Furgale, Rehder & Siegwart 2013), read and written.
 
-`cam1.T_cn_cnm1` transforms points of cam0 to cam1, metres. radtan is k1, k2, p1, p2 and equidistant is OpenCV's fisheye.
-`T_cam_imu` is ignored: Kalibr's IMU is any IMU, conetl's body is the INS of the trajectory; write body_SE3_left into a rig.yaml.
+`T_cn_cnm1` of each camera after the first transforms points of the one before it to its own, metres. radtan is k1, k2, p1, p2
+and equidistant is OpenCV's fisheye. `T_cam_imu` is ignored: Kalibr's IMU is any IMU, conetl's body is the INS of the trajectory;
+write body_SE3_left into a rig.yaml.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,10 @@ from conetl.geometry.camera import intrinsics
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
 from conetl.readers.rigs.common import (
+    Array,
+    Pair,
     bad,
+    choose_pair,
     numbers_at,
     opencv_coefficients,
     pinhole_camera,
@@ -36,24 +41,37 @@ def looks_like_kalibr(content: Any) -> bool:
     return isinstance(content, Mapping) and "cam0" in content
 
 
-def read_kalibr_rig(path: Path) -> Rig:
-    """Raw rig of cam0 (left) and cam1 (right). Raises CalibrationError."""
+def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
+    """Raw rig of cam0 (left) and cam1 (right), or of another pair of a chain of more cameras. Raises CalibrationError."""
     content = read_yaml(path)
     if not isinstance(content, Mapping):
         raise CalibrationError(f"{path}: expected a YAML mapping with the keys cam0 and cam1")
-    names = [str(name) for name in content if str(name).startswith("cam")]
-    if sorted(names) != ["cam0", "cam1"]:
-        raise CalibrationError(
-            f"{path}: expected the two cameras cam0 (left) and cam1 (right), found {shown(names)}; keep these two"
-        )
-    left, right = (
-        pinhole_camera(path, content[name], f"{name}.", "distortion_coeffs", _LENSES) for name in ("cam0", "cam1")
+    names = sorted(
+        (name for name in map(str, content) if re.fullmatch(r"cam\d{1,3}", name)), key=lambda name: int(name[3:])
     )
-    key = "cam1.T_cn_cnm1"
-    pose = numbers_at(path, content["cam1"], "T_cn_cnm1", (4, 4), "cam1.")
+    if len(names) < 2 or names != [f"cam{number}" for number in range(len(names))]:
+        raise CalibrationError(
+            f"{path}: expected the cameras cam0 (left), cam1 (right) and so on, found {shown(names)}"
+        )
+    left, right = choose_pair(path, names, pair)
+    cameras = [pinhole_camera(path, content[name], f"{name}.", "distortion_coeffs", _LENSES) for name in (left, right)]
+    first, last = sorted((int(left[3:]), int(right[3:])))
+    pose = np.eye(4)
+    for number in range(first + 1, last + 1):
+        pose = se3.compose(_from_the_one_before(path, content[f"cam{number}"], f"cam{number}."), pose)
+    right_SE3_left = pose if left == f"cam{first}" else se3.invert(pose)
+    key = f"cam{last}.T_cn_cnm1"
+    return stereo_rig(path, key, "kalibr", cameras[0], cameras[1], right_SE3_left[:3, :3], right_SE3_left[:3, 3])
+
+
+def _from_the_one_before(path: Path, camera: Any, where: str) -> Array:
+    pose = numbers_at(path, camera, "T_cn_cnm1", (4, 4), where)
+    key = f"{where}T_cn_cnm1"
     if not np.allclose(pose[3], [0, 0, 0, 1]):
         raise bad(path, key, "must end with the row 0, 0, 0, 1")
-    return stereo_rig(path, key, "kalibr", left, right, pose[:3, :3], pose[:3, 3])
+    if not se3.is_rotation(pose[:3, :3]):
+        raise bad(path, key, "holds a 3 x 3 part that is not a rotation")
+    return se3.se3(se3.nearest_rotation(pose[:3, :3]), pose[:3, 3])
 
 
 def write_kalibr_rig(rig: Rig, path: Path) -> None:

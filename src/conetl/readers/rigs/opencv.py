@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import cv2
 import numpy as np
@@ -37,6 +37,7 @@ from conetl.readers.rigs.common import (
     parse_yaml,
     read_json,
     read_text,
+    read_xml,
     size_of_images,
     stereo_rig,
 )
@@ -71,28 +72,19 @@ def read_storage(path: Path) -> dict[str, Any]:
 
     Not by `cv2.FileStorage`: a damaged file overwrites its memory (OpenCV 5.0).
     """
-    text = read_text(path)
     if path.suffix.lower() == ".json":
         content = read_json(path)
     elif path.suffix.lower() == ".xml":
-        content = _read_xml(path, text)
+        content = _of_element(path, read_xml(path), 0)
     else:
-        content = parse_yaml(path, _MATRIX_TAG.sub("", _YAML_HEADER.sub("", text, count=1)))
+        content = parse_yaml(path, _MATRIX_TAG.sub("", _YAML_HEADER.sub("", read_text(path), count=1)))
     if not isinstance(content, dict):
         raise CalibrationError(f"{path}: expected keys and values such as M1, D1, M2, D2, R, T")
     return {str(key): _plain(value) for key, value in content.items()}
 
 
-def _read_xml(path: Path, text: str) -> Any:
+def _of_element(path: Path, element: Element, depth: int) -> Any:
     """Elements as dictionaries by name, those named `_` as lists, their texts as they are."""
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise CalibrationError(f"{path}: this is not XML: {error}") from error
-    return _of_element(path, root, 0)
-
-
-def _of_element(path: Path, element: ElementTree.Element, depth: int) -> Any:
     if depth > MAX_DEPTH:
         raise CalibrationError(f"{path}: nested too deeply")
     if len(element) == 0:

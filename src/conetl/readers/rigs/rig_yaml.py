@@ -18,7 +18,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import CalibrationError
 from conetl.model.records import CalibrationCovariance, Camera, Lens, Matrix3, NonNegative, Positive, Record, Rig, Vec3
-from conetl.readers.rigs.common import Array, first_message, read_yaml, rig_of, write_yaml
+from conetl.readers.rigs.common import Array, Pair, choose_pair, first_message, read_yaml, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"
 _INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
@@ -151,6 +151,20 @@ class _RigFile(Record):
         return covariance
 
 
+class _CameraOfMany(_CameraFile):
+    """One camera of a rig with more than two."""
+
+    body_SE3_camera: _RigidFile
+
+
+class _RigOfMany(Record):
+    """A `rig.yaml` with cameras by name, each with its pose on the body; its stereo pair has to be chosen."""
+
+    rig_id: str | None = Field(default=None, min_length=1)
+    cameras: dict[str, _CameraOfMany] = Field(min_length=2)
+    sigma_px: Positive = 0.5
+
+
 def _in_own_unit(name: str, file: _RigFile) -> tuple[str, float]:
     """A sigma's name in the unit of CalibrationCovariance, and its factor."""
     part, _, field = name.partition(".")
@@ -184,12 +198,16 @@ def _check_covariance(covariance: CalibrationCovariance, lenses: Mapping[str, Le
         raise ValueError("'calibration_covariance.matrix' is not a covariance: it has a negative eigenvalue")
 
 
-def read_rig_yaml(path: Path) -> Rig:
-    """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras. Raises CalibrationError."""
+def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
+    """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras; pair: of its `cameras`. Raises CalibrationError."""
     content: Any = read_yaml(path)
     if not isinstance(content, dict):
         raise CalibrationError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")
     try:
+        if "cameras" in content:
+            return _pair_of_many(path, _RigOfMany.model_validate(content), pair)
+        if pair is not None:
+            raise ValueError("the file has no 'cameras' to choose from, but left and right; leave --pair out")
         file = _RigFile.model_validate(content)
         if file.left_SE3_right is not None:
             left_SE3_right = file.left_SE3_right.matrix("left_SE3_right")
@@ -204,6 +222,19 @@ def read_rig_yaml(path: Path) -> Rig:
         return rig.model_copy(update={"calibration_covariance": file.covariance()})
     except ValueError as error:
         raise CalibrationError(f"{path}: {first_message(error)}") from error
+
+
+def _pair_of_many(path: Path, file: _RigOfMany, pair: Pair | None) -> Rig:
+    left, right = choose_pair(path, [*file.cameras], pair)
+    body_SE3_left, body_SE3_right = (
+        file.cameras[name].body_SE3_camera.matrix(f"cameras.{name}.body_SE3_camera") for name in (left, right)
+    )
+    left_SE3_right = se3.compose(se3.invert(body_SE3_left), body_SE3_right)
+    check_stereo_baseline(left_SE3_right)
+    return rig_of(
+        "rig", file.cameras[left].camera(), file.cameras[right].camera(), left_SE3_right, sigma_px=file.sigma_px,
+        rig_id=f"{file.rig_id}-{left}-{right}" if file.rig_id else None, body_SE3_left=body_SE3_left,
+    )  # fmt: skip
 
 
 def write_rig_yaml(rig: Rig, path: Path) -> None:

@@ -23,8 +23,10 @@ from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Lens, Rig
 from conetl.readers.rigs.common import (
     Array,
+    Pair,
     bad,
     camera_from_matrix,
+    choose_pair,
     entry,
     fisheye_lens,
     numbers_at,
@@ -47,13 +49,21 @@ def looks_like_ros(content: Any) -> bool:
     )  # fmt: skip
 
 
-def pair_of(path: Path) -> tuple[Path, Path]:
-    """Both files of a pair, given one of them (with left or right in its name) or their folder. Raises CalibrationError."""
+def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
+    """Both files of a pair, given one of them (with left or right in its name) or their folder.
+
+    pair: names without suffix, of two of a folder's files. Raises CalibrationError.
+    """
+    if pair is not None:
+        folder = path if path.is_dir() else path.parent
+        files = {file.stem: file for file in sorted(folder.glob("*.y*ml"))}
+        left, right = choose_pair(folder, [*files], pair)
+        return files[left], files[right]
     if path.is_dir():
         for suffix in (".yaml", ".yml"):
-            pair = path / f"left{suffix}", path / f"right{suffix}"
-            if all(file.is_file() for file in pair):
-                return pair
+            both = path / f"left{suffix}", path / f"right{suffix}"
+            if all(file.is_file() for file in both):
+                return both
         raise CalibrationError(f"{path}: expected left.yaml and right.yaml in the folder")
     name = path.name
     for ours, theirs in (("left", "right"), ("right", "left")):
@@ -65,9 +75,9 @@ def pair_of(path: Path) -> tuple[Path, Path]:
     raise CalibrationError(f"{path}: this is one camera of two; name the files left.yaml and right.yaml, side by side")
 
 
-def read_ros_rig(path: Path) -> Rig:
-    """Raw rig of a camera_info pair. Raises CalibrationError."""
-    left_path, right_path = pair_of(path)
+def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
+    """Raw rig of a camera_info pair; pair as in `pair_of`. Raises CalibrationError."""
+    left_path, right_path = pair_of(path, pair)
     extrinsics = left_path.parent / EXTRINSICS
     if extrinsics.is_file():
         left, right = _camera(left_path, read_yaml(left_path))[0], _camera(right_path, read_yaml(right_path))[0]

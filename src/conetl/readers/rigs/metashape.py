@@ -1,0 +1,147 @@
+"""Cameras of an Agisoft Metashape project (File > Export > Export Cameras, XML) with a multi-camera system.
+
+Metashape's frame camera (Appendix C of its manual) differs from OpenCV's in three points: (cx, cy) is an offset from the centre
+of the image, whose first pixel's centre is (0.5, 0.5); fx is f + b1, with b2 the skew; and p1, p2 are OpenCV's p2, p1. `rotation`
+and `location` of a sensor with `master_id` are its pose in the master camera, `p_master = R p_slave + t`, in x right, y down,
+z forward. The chunk's own unit need not be the metre: with a scale in the file, the unit of `location` has to be confirmed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from conetl.files.documents import shown
+from conetl.geometry import pose as se3
+from conetl.model.errors import CalibrationError
+from conetl.model.records import Camera, Lens, Rig
+from conetl.readers.rigs.common import (
+    LENGTH_UNITS,
+    Array,
+    Pair,
+    bad,
+    camera_from_matrix,
+    choose_pair,
+    fisheye_lens,
+    numbers,
+    opencv_lens,
+    read_xml,
+    size_of_images,
+    stereo_rig,
+)
+
+_FISHEYES = ("fisheye", "equidistant_fisheye")
+_NUMBERS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+_SCALE_SHARE = 1e-6
+
+
+def looks_like_metashape(root: Element) -> bool:
+    """True for the root element of an export with sensors."""
+    return root.tag == "document" and root.find("chunk/sensors") is not None
+
+
+def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str | None = None) -> Rig:
+    """Raw rig of two sensors; pair: their labels or numbers. length_unit: of `location`. Raises CalibrationError."""
+    root = read_xml(path)
+    chunks = root.findall("chunk")
+    if len(chunks) != 1:
+        raise CalibrationError(f"{path}: expected the export of one chunk, found {len(chunks)}")
+    sensors = {sensor.get("id", ""): sensor for sensor in chunks[0].findall("sensors/sensor")}
+    labels = [sensor.get("label", "") for sensor in sensors.values()]
+    names = {
+        number: label if label and labels.count(label) == 1 else number
+        for number, label in zip(sensors, labels, strict=True)
+    }
+    chosen = None if pair is None else tuple(names.get(name, name) for name in pair)
+    left, right = choose_pair(path, [*names.values()], chosen)
+    by_name = {names[number]: sensor for number, sensor in sensors.items()}
+    unit_m = _unit_m(path, chunks[0], length_unit)
+    poses = {}
+    for number, sensor in sensors.items():
+        master = sensor.get("master_id", number)
+        if master != number and names[number] in (left, right):
+            poses[master, number] = _pose(path, sensor, names[number], unit_m)
+    numbers_of = {name: number for number, name in names.items()}
+    right_SE3_left = se3.connect(poses, numbers_of[right], numbers_of[left])
+    if right_SE3_left is None:
+        raise CalibrationError(
+            f"{path}: the sensors {shown(left)} and {shown(right)} are not in one multi-camera system: neither is the master "
+            "(master_id) of the other, nor have they the same"
+        )
+    left_camera, right_camera = (_camera(path, by_name[name], name) for name in (left, right))
+    return stereo_rig(
+        path, f"{right}.location", "metashape", left_camera, right_camera, right_SE3_left[:3, :3], right_SE3_left[:3, 3]
+    )
+
+
+def _unit_m(path: Path, chunk: Element, length_unit: str | None) -> float:
+    if length_unit is not None:
+        if length_unit not in LENGTH_UNITS:
+            raise bad(path, "location", f"needs a known unit: {', '.join(LENGTH_UNITS)}, found {shown(length_unit)}")
+        return LENGTH_UNITS[length_unit]
+    for place in ("transform/scale", "components/component/transform/scale"):
+        for scale in chunk.findall(place):
+            value = numbers(path, "transform.scale", (scale.text or "").strip(), (1,))[0]
+            if abs(value - 1.0) > _SCALE_SHARE:
+                raise bad(
+                    path, "location", f"may be in the chunk's own unit, which is {value:g} m. If Slave Offset in Camera "
+                    "Calibration shows the same numbers in metres, add --unit m to conetl rig convert",
+                )  # fmt: skip
+    return 1.0
+
+
+def _pose(path: Path, sensor: Element, name: str, unit_m: float) -> Array:
+    """master_SE3_sensor (4, 4)."""
+    rotation = _numbers(path, sensor, "rotation", name, 9).reshape(3, 3)
+    if not se3.is_rotation(rotation):
+        raise bad(path, f"{name}.rotation", "is not a rotation")
+    return se3.se3(se3.nearest_rotation(rotation), unit_m * _numbers(path, sensor, "location", name, 3))
+
+
+def _numbers(path: Path, sensor: Element, key: str, name: str, count: int) -> Array:
+    text = sensor.findtext(key)
+    if text is None:
+        raise bad(
+            path, f"{name}.{key}", "is missing: align the project with the relative position of the slave cameras"
+        )
+    return numbers(path, f"{name}.{key}", text.split()[: count + 1], (count,))
+
+
+def _camera(path: Path, sensor: Element, name: str) -> Camera:
+    found = sorted(sensor.findall("calibration"), key=lambda c: c.get("class") != "adjusted")
+    if not found:
+        raise bad(path, f"{name}.calibration", "is missing: calibrate the camera (Align Photos)")
+    calibration, where = found[0], f"{name}.calibration."
+    kind = calibration.get("type", "frame")
+    if kind != "frame" and kind not in _FISHEYES:
+        raise bad(path, f"{where}type", f"{shown(kind)} is not supported; known: frame, {', '.join(_FISHEYES)}")
+    unknown = {child.tag for child in calibration} - {*_NUMBERS, "resolution", "date"}
+    if unknown:
+        raise bad(path, where[:-1], f"has {shown(sorted(unknown))}, which conetl does not know")
+    resolution = calibration.find("resolution")
+    resolution = sensor.find("resolution") if resolution is None else resolution
+    attributes = {} if resolution is None else resolution.attrib
+    size = size_of_images(path, f"{where}resolution", [attributes.get("width", ""), attributes.get("height", "")])
+    v = {
+        key: float(numbers(path, where + key, (calibration.findtext(key) or "0").strip(), (1,))[0]) for key in _NUMBERS
+    }
+    k = np.array([
+        [v["f"] + v["b1"], v["b2"], size[0] / 2 + v["cx"] - 0.5], [0.0, v["f"], size[1] / 2 + v["cy"] - 0.5], [0.0, 0.0, 1.0],
+    ])  # fmt: skip
+    return camera_from_matrix(path, where[:-1], k, size, _lens(path, where, v, fisheye=kind in _FISHEYES))
+
+
+def _lens(path: Path, where: str, v: dict[str, float], *, fisheye: bool) -> Lens:
+    lacking = ("p1", "p2", "p3", "p4") if fisheye else ("k4", "p3", "p4")
+    used = [key for key in lacking if v[key] != 0.0]
+    if used:
+        raise bad(
+            path,
+            f"{where}{used[0]}",
+            f"is {v[used[0]]:g}, which conetl's lenses do not have; calibrate with {used[0]} fixed to 0",
+        )
+    if fisheye:
+        return fisheye_lens(path, f"{where}k1", [v["k1"], v["k2"], v["k3"], v["k4"]])
+    return opencv_lens(path, f"{where}k1", [v["k1"], v["k2"], v["p2"], v["p1"], v["k3"]])
