@@ -26,7 +26,7 @@ from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.errors import MapMismatchError
-from conetl.model.health import HealthCheck, Verdict, hold_reason
+from conetl.model.health import AGREEMENT, HealthCheck, Verdict, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
@@ -39,6 +39,9 @@ from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings
 
 _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
+AGREES = HealthCheck(
+    name=AGREEMENT, verdict=Verdict.PASS, value=None, detail="The map as earlier drives left it does not contradict the drive."
+)
 #: Libraries that numbers come from.
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj", "prefect")
 
@@ -125,7 +128,7 @@ def commit(
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
         if known is not None:  # another ingest of the same drive was faster
             return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
-        changeset, hold = _changeset(drive, settings.map_name, identity), hold_reason(analysed.health)
+        changeset = _changeset(drive, settings.map_name, identity)
         merged = merge_drive(
             conn,
             records,
@@ -134,15 +137,15 @@ def commit(
             map_name=settings.map_name,
             evidence=identity.evidence,
             run=run,
-            hold=hold,
+            hold=holding(analysed.health),
         )
-    deltas, hold = merged.changeset.deltas, hold or merged.extension.hold
-    against_map = HealthCheck(
-        name="agreement with the map", verdict=Verdict.HOLD, value=None, detail=merged.extension.hold or ""
-    )
+    deltas, health = merged.changeset.deltas, analysed.health
+    if not holding(health):  # a recording that contradicts itself is not compared with the map
+        health = (*health, merged.extension.hold or AGREES)
+    hold = hold_reason(health)
     report = IngestReport(
         drive_id=drive.drive_id,
-        status="committed",
+        status="committed" if hold is None else "held",
         changeset_id=merged.changeset.changeset_id,
         captured_from=drive.captured_from,
         captured_to=drive.captured_to,
@@ -165,9 +168,10 @@ def commit(
         calibration=analysed.calibration.detail,
         committed_at=None,
         counts_on_map=hold is None,
-        health=(*analysed.health, against_map) if merged.extension.hold else analysed.health,
+        health=health,
         on_hold=hold,
         replayed_drives=merged.replayed,
+        hold_changes=merged.hold_changes,
     )
     return CommittedDrive(merged.result.changeset, drive, deltas, tuple(merged.extension.untouched), report)
 
@@ -226,7 +230,7 @@ def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_na
     """The report of a drive that is on the map already, whether the drive itself is at hand or not."""
     return IngestReport(
         drive_id=known.drive_id,
-        status="no changes",
+        status="no changes" if known.hold is None else "held",
         changeset_id=known.changeset_id,
         captured_from=utc_from_ns(known.captured_from_ns),
         captured_to=utc_from_ns(known.captured_to_ns),
