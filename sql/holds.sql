@@ -43,13 +43,18 @@ from conetl.changeset c
 where c.changeset_id = any(%(changeset_ids)s);
 
 -- name: replaced_by
--- The later delivery of the recording of a changeset that counts in its place; no row where the changeset was reverted itself.
--- Parameters: changeset_id. Columns: changeset_no.
+-- The later delivery of the recording of a changeset that counts, or waits, in its place; no row where the changeset was
+-- reverted itself, or counts because the later one does not. Parameters: changeset_id. Columns: changeset_no.
 select n.newer_no as changeset_no
 from conetl.newer_delivery n
 where n.changeset_id = %(changeset_id)s
-and not exists (select from conetl.discounted r where r.changeset_id = n.changeset_id)
-and not exists (select from conetl.discounted r where r.changeset_id = n.newer_id)
+and not exists (
+    select from conetl.active_decision a where a.changeset_id in (n.changeset_id, n.newer_id) and a.kind = 'revert'
+)
+and (
+    exists (select from conetl.discounted r where r.changeset_id = n.changeset_id)
+    or not exists (select from conetl.discounted r where r.changeset_id = n.newer_id)
+)
 order by n.newer_no desc
 limit 1;
 

@@ -29,6 +29,7 @@ from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
 from flows import artifacts, ingest_drive
 from tests.integration.conftest import conetl_process
+from tests.integration.drives_of_days import held_for
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 #: 210 bytes.
@@ -223,7 +224,7 @@ def test_what_was_is_pending_is_published_without_the_drive(
     samples.commit(conn, samples.added(cone), key="a")
     later_ns = samples.START_NS + samples.DAY_NS
     samples.commit(conn, samples.removed(cone, later_ns), key="b", start_ns=later_ns)
-    samples.commit(conn, key="c", start_ns=later_ns + samples.DAY_NS, hold="GNSS/INS jumps.")
+    samples.commit(conn, key="c", start_ns=later_ns + samples.DAY_NS, hold=held_for("GNSS/INS jumps."))
 
     def publish_pending(**quiet: timedelta) -> None:
         with MapDatabase(settings) as database:

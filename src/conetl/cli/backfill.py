@@ -117,16 +117,22 @@ def backfill(
             {"held": held, "hold_events": events, "plan": plan_as_dict(plan, max_parallel or 1), "drives": drives}
         )
     else:
-        say()
-        print_held(held)
-        print_hold_events(events)
-        waiting = {drive.changeset_id for drive in held}
-        done = [receipt for receipt in ended if receipt.done and receipt.changeset_id not in waiting]
-        on_hold = f"on hold: {len(held)}; " if held else ""
-        say(f"On map {settings.map_name}: {counted(len(done), 'drive')}; {on_hold}failed: {len(failed)}.")
-        if failed:
-            say("Run the same command again to retry the failed drives.")
+        _print_summary(settings.map_name, ended, held, events)
     raise typer.Exit(_exit_code(ended, failed, held))
+
+
+def _print_summary(map_name: str, ended: list[Receipt], held: list[HeldDrive], events: list[HoldEvent]) -> None:
+    """What became of the drives of a batch, those on hold first."""
+    say()
+    print_held(held)
+    print_hold_events(events)
+    waiting = {drive.changeset_id for drive in held}
+    done = [receipt for receipt in ended if receipt.done and receipt.changeset_id not in waiting]
+    failed = sum(not receipt.done for receipt in ended)
+    on_hold = f"on hold: {len(held)}; " if held else ""
+    say(f"On map {map_name}: {counted(len(done), 'drive')}; {on_hold}failed: {failed}.")
+    if failed:
+        say("Run the same command again to retry the failed drives.")
 
 
 def _exit_code(ended: list[Receipt], failed: list[Receipt], held: list[HeldDrive]) -> int:

@@ -54,6 +54,11 @@ class HealthCheck(Record):
         return f"{self.value:.3g}{sigma}{self.unit and f' {self.unit}'}{limit}"
 
 
+AGREES = HealthCheck(
+    name=AGREEMENT, verdict=Verdict.PASS, value=None, detail="The map as earlier drives left it does not contradict the drive."
+)
+
+
 class HeldDrive(Record):
     """A drive on hold."""
 

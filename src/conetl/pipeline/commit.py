@@ -26,7 +26,7 @@ from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.errors import MapMismatchError
-from conetl.model.health import AGREEMENT, HealthCheck, Verdict, hold_reason, holding
+from conetl.model.health import AGREES, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
@@ -39,9 +39,6 @@ from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings
 
 _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
-AGREES = HealthCheck(
-    name=AGREEMENT, verdict=Verdict.PASS, value=None, detail="The map as earlier drives left it does not contradict the drive."
-)
 #: Libraries that numbers come from.
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj", "prefect")
 

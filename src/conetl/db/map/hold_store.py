@@ -42,7 +42,7 @@ def hold_changes(
     held = {drive.changeset_id: drive for drive in held_drives(conn, map_name=map_name)}
     was = {drive.changeset_id: drive for drive in before}
     gone = {"changeset_ids": list(was.keys() - held.keys())}
-    states = {drive: "on hold" for drive in held.keys() - was.keys()}
+    states = dict.fromkeys(held.keys() - was.keys(), "on hold")
     with database_errors(f"The drives on hold on map {map_name} cannot be read"):
         states |= {row["changeset_id"]: row["state"] for row in execute(conn, load_sql("holds.unheld_states"), gone)}
     changed = [(was | held)[drive] for drive in states if drive != without]

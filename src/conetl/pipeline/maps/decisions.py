@@ -26,7 +26,7 @@ from conetl.db.map.replay_store import (
     superseded_drives,
     write_replay,
 )
-from conetl.db.map.results import Decidable, MapInfo, Replay
+from conetl.db.map.results import CommittedChangeset, Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.health import HeldDrive, HoldChange
@@ -174,11 +174,8 @@ def accept_drive(
         ]
         held = [known for known in found if known.hold is not None]
         if not held:
-            state = ""
-            if found:
-                counts = "counts already" if found[0].counts else "was reverted, or a later delivery replaced it"
-                state = f" (changeset {found[0].changeset_no} {counts})"
-            raise ConflictError(f"no drive {drive} is on hold on the map {map_name}{state}: `conetl drive held` lists them")
+            state = _not_held(conn, found[0]) if found else "`conetl drive held` lists them"
+            raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: {state}")
         if len(held) > 1:
             raise InputError(f"{len(held)} drives {drive} are on hold: give the number that `conetl drive held` lists")
         known = held[0]
@@ -205,6 +202,20 @@ def _deciding(
         decided_at = system_time(conn, info, now)
         insert = partial(insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by)
         yield _Deciding(info, decided_at, insert, held_drives(conn, map_name=map_name))
+
+
+def _not_held(conn: Connection, known: CommittedChangeset) -> str:
+    """Why a changeset that is not on hold cannot be accepted."""
+    number = known.changeset_no
+    if known.counts:
+        return f"changeset {number} counts already"
+    later = replaced_by_delivery(conn, known.changeset_id)
+    if later is None:
+        return f"changeset {number} was reverted, see `conetl map decisions`"
+    return (
+        f"a later delivery of the drive took the place of changeset {number}, and both would count as two surveys. Revert that "
+        f"one first with `conetl map revert {later}`, if this one is to count instead"
+    )
 
 
 def _outcome(
