@@ -80,7 +80,12 @@ def _held_lines(standing: Standing) -> list[str]:
     """The drives on hold, and what happened to them during the batch; nothing without any."""
     lines: list[str] = []
     if standing.held:
-        lines += [f"## {len(standing.held)} on hold", "", "| drive | check | measured | what to do |", "|---|---|---|---|"]
+        lines += [
+            f"## {len(standing.held)} on hold",
+            "",
+            "| drive | check | measured | what to do |",
+            "|---|---|---|---|",
+        ]
         lines += [
             f"| {as_markdown(drive.drive_id)} (changeset {drive.changeset_no}) | {check.name} | {check.figures} | "
             f"{as_markdown(check.detail)} {as_markdown(what_to_do(drive.changeset_no))} |"

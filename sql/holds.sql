@@ -76,10 +76,10 @@ with held as (
     where m.map_name = %(map_name)s
 ),
 event as (
-    select h.changeset_id, lower(h.system_period) as at, 3 as rank, 'on hold' as what, h.reason as detail, null::text as by
+    select h.changeset_id, lower(h.system_period) as at, 3 as rank, 'on hold' as what, '' as detail, null::text as by, h.checks
     from conetl.hold h
     union all
-    select h.changeset_id, upper(h.system_period), 3, 'released', 'The map does not contradict it any more.', null
+    select h.changeset_id, upper(h.system_period), 3, 'released', 'The map does not contradict it any more.', null, '[]'
     from conetl.hold h
     where not upper_inf(h.system_period)
     and not exists (
@@ -90,22 +90,23 @@ event as (
         where a.changeset_id = h.changeset_id and a.kind = 'accept' and a.decided_at = upper(h.system_period)
     )
     union all
-    select d.changeset_id, d.decided_at, 1, case d.kind when 'accept' then 'accepted' else 'reverted' end, d.note, d.decided_by
+    select
+        d.changeset_id, d.decided_at, 1, case d.kind when 'accept' then 'accepted' else 'reverted' end, d.note, d.decided_by, '[]'
     from conetl.decision d
     where d.kind in ('accept', 'revert')
     union all
     select
         d.changeset_id, w.decided_at, 2, case d.kind when 'accept' then 'acceptance withdrawn' else 'revert withdrawn' end, w.note,
-        w.decided_by
+        w.decided_by, '[]'
     from conetl.decision w
     join conetl.decision d on d.decision_id = w.withdraws
     where d.kind in ('accept', 'revert')
     union all
-    select n.changeset_id, c.committed_at, 0, 'delivered again', 'Changeset ' || n.newer_no || '.', null
+    select n.changeset_id, c.committed_at, 0, 'delivered again', 'Changeset ' || n.newer_no || '.', null, '[]'
     from conetl.newer_delivery n
     join conetl.changeset c on c.changeset_id = n.newer_id
 )
-select e.at, h.drive_id, h.changeset_no, e.changeset_id, e.what, e.detail, e.by
+select e.at, h.drive_id, h.changeset_no, e.changeset_id, e.what, e.detail, e.by, e.checks
 from held h
 join event e using (changeset_id)
 where (%(since)s::timestamptz is null or e.at >= %(since)s) and (%(until)s::timestamptz is null or e.at < %(until)s)

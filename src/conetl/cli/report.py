@@ -60,7 +60,7 @@ def night(
         print_held(facts.held)
         print_hold_events(facts.hold_events)
     counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
-    _print_written(as_json, path, {"held": facts.held, **period, **counts, "hold_events": facts.hold_events})
+    _print_written(as_json, path, {**period, **counts, "held": facts.held, "hold_events": facts.hold_events})
     if facts.held:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 

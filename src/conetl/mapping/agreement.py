@@ -106,7 +106,13 @@ def _held(what: str, value: float, detail: str, *, limit: float, sigma: float | 
     value, limit = round(value, 3), round(float(limit), 3)
     sigma = None if sigma is None else round(sigma, 3)
     return HealthCheck(
-        name=f"{AGREEMENT}: {what}", verdict=Verdict.HOLD, value=value, sigma=sigma, limit=limit, unit=unit, detail=detail
+        name=f"{AGREEMENT}: {what}",
+        verdict=Verdict.HOLD,
+        value=value,
+        sigma=sigma,
+        limit=limit,
+        unit=unit,
+        detail=detail,
     )
 
 

@@ -43,7 +43,6 @@ class HealthCheck(Record):
     detail: str
     """One sentence: what was found, and what to do unless the check passes."""
 
-
     @property
     def figures(self) -> str:
         """What was measured, with its sigma, unit and limit; empty where the recording does not show it."""
@@ -55,7 +54,10 @@ class HealthCheck(Record):
 
 
 AGREES = HealthCheck(
-    name=AGREEMENT, verdict=Verdict.PASS, value=None, detail="The map as earlier drives left it does not contradict the drive."
+    name=AGREEMENT,
+    verdict=Verdict.PASS,
+    value=None,
+    detail="The map as earlier drives left it does not contradict the drive.",
 )
 
 
@@ -108,14 +110,17 @@ class HoldEvent(Record):
     what: str
     """on hold, released, accepted, acceptance withdrawn, reverted, revert withdrawn or delivered again."""
     detail: str
-    """Why it went on hold, or the note of the decision."""
+    """The note of a decision, or what ended the hold."""
     by: str | None
     """Who decided; None of what the checks decided, and if no name was given."""
+    checks: tuple[HealthCheck, ...]
+    """Those for which it went on hold; empty of other events."""
 
     @property
     def sentence(self) -> str:
         by = f" by {self.by}" if self.by else ""
-        return f"{self.what}{by}{self.detail and f': {self.detail}'}"
+        detail = self.detail or ", ".join(f"{check.name} {check.figures}".strip() for check in self.checks)
+        return f"{self.what}{by}{detail and f': {detail}'}"
 
 
 def what_to_do(drive: str | int) -> str:

@@ -61,7 +61,7 @@ class IngestReport(Record):
     counts_on_map: bool = True
     """False for a drive on hold, and for a known one that was reverted or analysed again."""
     health: tuple[HealthCheck, ...] = ()
-    """Checks of the recording; empty for a known drive."""
+    """Checks of the recording, and of it against the map; of a known drive those for which it is on hold."""
     on_hold: str | None = None
     """Why the drive does not count until a person accepts it; None unless it is on hold."""
     unpublished: str | None = None
@@ -70,7 +70,6 @@ class IngestReport(Record):
     """Other drives that went on hold because of this one, or are on hold no longer; empty for a known drive."""
     replayed_drives: int = 0
     """Later drives that were compared with the map again because this one came late."""
-
 
     @property
     def is_known(self) -> bool:

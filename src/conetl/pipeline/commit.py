@@ -18,6 +18,7 @@ from uuid import UUID, uuid4, uuid5
 
 from conetl.db.connection import transaction
 from conetl.db.live_store import drop_watched_recording
+from conetl.db.map.hold_store import held_drives
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
@@ -81,10 +82,15 @@ def already_committed(
     """The report "no changes" where this very drive is on the map already."""
     with database.connection() as conn:
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
-        if known is not None:  # it may have been watched again since
-            with transaction(conn, "Provisional features cannot be removed"):
-                drop_watched_recording(conn, drive, map_name=settings.map_name)
-    return _no_changes(drive, identity, known, settings) if known else None
+        if known is None:
+            return None
+        with transaction(conn, "Provisional features cannot be removed"):  # it may have been watched again since
+            drop_watched_recording(conn, drive, map_name=settings.map_name)
+        held = held_drives(conn, map_name=settings.map_name) if known.hold else []
+    report = _no_changes(drive, identity, known, settings)
+    return report.model_copy(
+        update={"health": next((one.checks for one in held if one.changeset_id == known.changeset_id), ())}
+    )
 
 
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:

@@ -115,7 +115,9 @@ def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, se
         for known in list_changesets(conn, map_name=settings.map_name):
             if known.changeset_id == report.changeset_id:
                 _write_page(conn, known, settings)
-        changed = {event.changeset_id for event in hold_events(conn, map_name=settings.map_name, since=report.committed_at)}
+        changed = {
+            event.changeset_id for event in hold_events(conn, map_name=settings.map_name, since=report.committed_at)
+        }
         renew_pages(conn, changed - {report.changeset_id}, settings)
     notify(report, database, send)
 

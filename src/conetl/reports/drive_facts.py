@@ -137,13 +137,13 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
             raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
         rows = [_change(row) for row in read_changeset_changes(conn, map_name, changeset.changeset_no)]
         rejections = execute(conn, load_sql("reports.rejections"), parameters)
+        residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
         events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
         against_map = map_checks(conn, changeset.changeset_id)
     checks = tuple(HealthCheck(**check) for check in (header["facts"] or {}).get("health", ()))
     accepted = [event.what for event in events if "accept" in event.what][-1:] == ["accepted"]
     if checks and not against_map and not accepted and not holding(checks):
         against_map = (AGREES,)
-        residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
     rig = Rig.model_validate(header["rig"])
     rows.sort(key=lambda row: (_ORDER.index(row["kind"]), row["changed_at"], str(row["feature_id"])))
     frame_pairs = read_frame_pairs(conn, changeset.drive_uuid)

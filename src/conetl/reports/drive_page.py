@@ -95,7 +95,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
             reason = f"the drive is on hold. {hold} {what_to_do(facts.changeset.changeset_no)}"
         yield Alert(True, f"This changeset is not in effect: {reason}")
     elif facts.hold_events and facts.hold_events[-1].what == "accepted":
-        yield Alert(False, f"The drive was on hold, and is in effect because a person {facts.hold_events[-1].sentence}")
+        yield Alert(False, f"The drive was on hold, and was {facts.hold_events[-1].sentence}")
     if facts.lost_pairs:
         expected = int(facts.header["expected_frame_count"])
         share, limit = facts.lost_pairs / expected, facts.params.get("max_rejected_fraction")

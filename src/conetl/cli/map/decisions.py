@@ -9,7 +9,7 @@ from uuid import UUID
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, complain, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, complain, counted, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import list_decisions
@@ -128,7 +128,7 @@ def finish(conn: Connection, decided: DecisionOutcome, settings: Settings, as_js
     else:
         say(
             f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): {decided.versions_written} feature versions written, "
-            f"{decided.replayed} drives compared with the map again."
+            f"{counted(decided.replayed, 'drive')} compared with the map again."
         )
         if decided.replaced_by is not None:
             say(f"The drive does not count: a later delivery of it does (changeset {decided.replaced_by}).")
@@ -144,7 +144,9 @@ def finish(conn: Connection, decided: DecisionOutcome, settings: Settings, as_js
     try:
         renew_pages(conn, about, settings)
     except ConetlError as error:
-        complain(f"The decision is made, but a report could not be written: {error} `conetl report drive` writes it again.")
+        complain(
+            f"The decision is made, but a report could not be written: {error} `conetl report drive` writes it again."
+        )
         raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
 
 

@@ -91,9 +91,7 @@ def log(
                 raise InputError(f"{feature!r} is ambiguous: give more characters of the id")
             entries = feature_log(conn, found[0])
     if as_json and feature is None:
-        print_json(
-            [vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets]
-        )
+        print_json([vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets])
     elif as_json:
         print_json(entries)
     elif feature is None:

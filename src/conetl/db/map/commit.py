@@ -73,7 +73,9 @@ def place_drive(
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
     elsewhere = {"drive_uuid": drive_uuid, "map_id": info.map_id}
-    if execute(conn, load_sql("drives.belongs_elsewhere"), elsewhere)[0]["elsewhere"]:  # a map of this name was set aside
+    if execute(conn, load_sql("drives.belongs_elsewhere"), elsewhere)[0][
+        "elsewhere"
+    ]:  # a map of this name was set aside
         drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{info.map_id}/{idempotency_key}")
     times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
     parameters = {
