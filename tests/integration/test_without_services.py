@@ -97,7 +97,7 @@ def test_a_folder_of_links_to_drives_is_ingested_once(
 ) -> None:
     """Links by other names, and one drive whose calibration lies beside the link only; its heights are of another datum."""
     here, beside = (
-        cut_drive(SAMPLES[n], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)
+        cut_drive(SAMPLES[0], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)
     )
     for path in (beside / "oxts" / "data").iterdir():
         lat, lon, height, *others = path.read_text().split()
@@ -151,9 +151,9 @@ def report(**changes: Any) -> IngestReport:
     values: dict[str, Any] = {
         "drive_id": "drive", "status": "committed", "changeset_id": "00000000-0000-4000-8000-000000000000",
         "captured_from": at, "captured_to": at, "map_name": "default", "map_srid": 32632, "frame_pairs": 3,
-        "frame_pairs_rejected": 0, "detections": 0, "matches": 0, "positions": 0, "tracks": 0, "counts": dict.fromkeys(DeltaKind, 0), "changes": (),
-        "rejections": {}, "params_sha256": "a", "model_sha256": "b", "content_sha256": "c" * 64, "seconds": 1.0,
-        "committed_at": None,
+        "frame_pairs_rejected": 0, "detections": 0, "matches": 0, "positions": 0, "tracks": 0, "changes": (),
+        "counts": dict.fromkeys(DeltaKind, 0), "rejections": {}, "params_sha256": "a", "model_sha256": "b",
+        "content_sha256": "c" * 64, "seconds": 1.0, "committed_at": None,
     }  # fmt: skip
     return IngestReport(**values | changes)
 

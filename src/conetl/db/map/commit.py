@@ -126,8 +126,8 @@ def commit_changeset(
     clock); it is moved behind the map's last one. Versions are numbered here: the open one's plus one. suppressed: features that
     end where a person decided that nothing stands. replay: for a drive that is older than others around it, the new state of the
     whole neighbourhood, the changeset's own deltas included. hold: the checks for which the drive must not count until a person
-    accepts it; held_by_map: whether the comparison with the map made them. Raises MapMismatchError if the drive is in another CRS,
-    the records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding
+    accepts it; held_by_map: whether the comparison with the map made them. Raises MapMismatchError if the drive is in another
+    CRS, the records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding
     `map_transaction`.
     """
     map_lock(conn, map_name)
