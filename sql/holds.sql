@@ -20,14 +20,24 @@ where n.reason is not null
 on conflict (changeset_id) where upper_inf(system_period) do nothing;
 
 -- name: held_drives
--- The drives of a map that are on hold now, the one that waits longest first. Parameters: map_name. Columns: as HeldDrive.
-select d.drive_id, c.changeset_no, h.changeset_id, h.since, h.checks
+-- The drives of a map that are on hold now, the one that waits longest first. A hold whose cause or figures changed goes on.
+-- Parameters: map_name. Columns: as HeldDrive.
+with recursive waiting as (
+    select h.changeset_id, h.since
+    from conetl.on_hold h
+    union all
+    select p.changeset_id, lower(p.system_period)
+    from waiting w
+    join conetl.hold p on p.changeset_id = w.changeset_id and upper(p.system_period) = w.since
+)
+select d.drive_id, c.changeset_no, h.changeset_id, w.since, h.checks
 from conetl.on_hold h
+join (select changeset_id, min(since) as since from waiting group by changeset_id) w using (changeset_id)
 join conetl.map m using (map_id)
 join conetl.changeset c using (changeset_id)
 join conetl.drive d using (drive_uuid)
 where m.map_name = %(map_name)s
-order by h.since, c.changeset_no;
+order by w.since, c.changeset_no;
 
 -- name: unheld_states
 -- Why changesets that were on hold are not any more. Parameters: changeset_ids (uuid[]).
@@ -65,8 +75,8 @@ from conetl.hold h
 where h.changeset_id = %(changeset_id)s and h.by_map and upper_inf(h.system_period);
 
 -- name: hold_events
--- What happened to drives that are or were on hold, in order. A hold that ends with an acceptance, or gives way to one for
--- another reason, is no event of its own. Parameters: map_name; since, until (timestamptz, null: all). Columns: as HoldEvent.
+-- What happened to drives that are or were on hold, in order. A hold that ends with an acceptance, or gives way to one with
+-- another cause, is no event of its own; nor is one with other figures of the same check. Parameters: map_name; since, until (timestamptz, null: all). Columns: as HoldEvent.
 with held as (
     select distinct h.changeset_id, c.changeset_no, d.drive_id
     from conetl.hold h
@@ -78,6 +88,11 @@ with held as (
 event as (
     select h.changeset_id, lower(h.system_period) as at, 3 as rank, 'on hold' as what, '' as detail, null::text as by, h.checks
     from conetl.hold h
+    where not exists (
+        select from conetl.hold p
+        where p.changeset_id = h.changeset_id and upper(p.system_period) = lower(h.system_period)
+        and jsonb_path_query_array(p.checks, '$[*].name') = jsonb_path_query_array(h.checks, '$[*].name')
+    )
     union all
     select h.changeset_id, upper(h.system_period), 3, 'released', 'The map does not contradict it any more.', null, '[]'
     from conetl.hold h
