@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,9 +19,11 @@ from prefect.states import Completed
 from pydantic import Field
 
 from conetl.db.connection import Connection
+from conetl.db.map.hold_store import held_drives, hold_events
 from conetl.db.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.files.names import printable
 from conetl.files.storage import as_path
+from conetl.model.health import HeldDrive, HoldEvent
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import Plan, PlanLine, plan_drives, write_plan
 from conetl.pipeline.database import MapDatabase
@@ -68,6 +70,10 @@ class Standing:
     running: list[DriveRun]
     ended: list[Receipt]
     pairs_done: int = 0
+    held: list[HeldDrive] = field(default_factory=list)
+    """Drives that are on hold now: those of the batch, and those that it put on hold."""
+    hold_events: list[HoldEvent] = field(default_factory=list)
+    """Holds and releases since the batch began, in order."""
     note: str = ""
     """What a person has to correct while the batch waits."""
 
@@ -81,7 +87,9 @@ class Standing:
 
     @property
     def done(self) -> int:
-        return sum(receipt.done for receipt in self.ended)
+        """Drives on the map, without those on hold."""
+        waiting = {drive.changeset_id for drive in self.held}
+        return sum(receipt.done and receipt.changeset_id not in waiting for receipt in self.ended)
 
     @property
     def failed(self) -> list[Receipt]:
@@ -145,6 +153,9 @@ def run_batch(
     standing = Standing(plan, parallel, place, time.monotonic(), [], [])
     board = open_board(standing)
     workers = WorkerWatch()
+    with database.connection() as conn:
+        held_before = {drive.changeset_id for drive in held_drives(conn, map_name=settings.map_name)}
+        known_events = set(hold_events(conn, map_name=settings.map_name))
     waiting: deque[tuple[PlanLine, int]] = deque((line, 1) for line in plan.todo)
     _tell(standing, board)
     try:
@@ -175,6 +186,13 @@ def run_batch(
                 time.sleep(_POLL_S)
     finally:
         abandon(standing.running)
+    with database.connection() as conn:
+        own = {receipt.changeset_id for receipt in standing.ended}
+        held = held_drives(conn, map_name=settings.map_name)
+        standing.held = [drive for drive in held if drive.changeset_id in own or drive.changeset_id not in held_before]
+        events = hold_events(conn, map_name=settings.map_name)
+        standing.hold_events = [event for event in events if event not in known_events]
+    _tell(standing, board)
     show_summary(standing)
     return _end(standing)
 
@@ -240,14 +258,18 @@ def _tell(standing: Standing, board: BatchBoard) -> None:
 
 def _end(standing: Standing) -> State[Any]:
     failed = standing.failed
+    on_hold = f"{len(standing.held)} on hold, " if standing.held else ""
     message = (
-        f"{standing.done} on the map, {len(failed)} failed, {standing.plan.count('skip')} had nothing to do; "
+        f"{on_hold}{standing.done} on the map, {len(failed)} failed, {standing.plan.count('skip')} had nothing to do; "
         f"{standing.seconds:.0f} s"
     )
     _log.info(message)
     if failed:
         first = failed[0]
         return Completed(name="SomeFailed", message=f"{message}. {first.drive_id}: {first.reason}")
+    if standing.held:
+        first_held = standing.held[0]
+        return Completed(name="SomeOnHold", message=f"{message}. {first_held.drive_id}: {first_held.reason}")
     return Completed(message=message)
 
 

@@ -15,6 +15,7 @@ from prefect.artifacts import (
 )
 
 from conetl.files.names import as_markdown
+from conetl.model.health import what_to_do
 from conetl.pipeline.backfill_plan import reasons
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def show_summary(standing: Standing) -> None:
     _write_table(standing)
     plan = standing.plan
     lines = [
+        *_held_lines(standing),
         f"## {standing.done} drives committed to map {plan.map_name}, {len(standing.failed)} failed",
         "",
         f"{len(plan.lines)} drives below {as_markdown(plan.root)}, planned in {plan.seconds:.1f} s, "
@@ -72,6 +74,34 @@ def show_summary(standing: Standing) -> None:
     create_markdown_artifact(
         "\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives"
     )
+
+
+def _held_lines(standing: Standing) -> list[str]:
+    """The drives on hold, and what happened to them during the batch; nothing without any."""
+    lines: list[str] = []
+    if standing.held:
+        lines += [
+            f"## {len(standing.held)} on hold",
+            "",
+            "| drive | check | measured | what to do |",
+            "|---|---|---|---|",
+        ]
+        lines += [
+            f"| {as_markdown(drive.drive_id)} (changeset {drive.changeset_no}) | {check.name} | {check.figures} | "
+            f"{as_markdown(check.detail)} {as_markdown(what_to_do(drive.changeset_no))} |"
+            for drive in standing.held[:_SHOWN_ROWS]
+            for check in drive.checks
+        ]
+        lines.append("")
+    if standing.hold_events:
+        lines += ["| time (UTC) | drive | holds and releases |", "|---|---|---|"]
+        lines += [
+            f"| {event.at:%Y-%m-%d %H:%M:%S} | {as_markdown(event.drive_id)} (changeset {event.changeset_no}) | "
+            f"{as_markdown(event.sentence)} |"
+            for event in standing.hold_events[:_SHOWN_ROWS]
+        ]
+        lines.append("")
+    return lines
 
 
 def _write_table(standing: Standing) -> None:
@@ -97,7 +127,7 @@ def _write_table(standing: Standing) -> None:
                 "why": as_markdown(why),
             }
         )
-    order = ("failed", "crashed", "in work", "waiting", "committed", "known", "nothing to do")
+    order = ("failed", "crashed", "held", "in work", "waiting", "committed", "known", "nothing to do")
     rows.sort(key=lambda row: order.index(row["state"]))
     note = f"; the first {_SHOWN_ROWS} are shown" if len(rows) > _SHOWN_ROWS else ""
     create_table_artifact(rows[:_SHOWN_ROWS], key="batch-drives", description=f"{len(rows)} drives{note}")

@@ -84,9 +84,9 @@ def ingest_drive(
         try:
             _describe_run(header, settings.map_name)
             report = ingest_in_run(header, settings, params, map_srid=map_srid, database=database)
-            problem = report.unpublished or ""
+            problem = " ".join(report.remarks)
         except NeedsAttentionError as error:
-            report, problem = error.report, " ".join(filter(None, (str(error), error.report.unpublished)))
+            report, problem = error.report, " ".join((str(error), *error.report.remarks))
         except Exception as error:
             keep(failed(begun, error), settings, database)
             raise

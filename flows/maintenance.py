@@ -10,6 +10,7 @@ from prefect.states import Completed, Failed
 from pydantic import Field
 
 from conetl.db.audits import run_audits
+from conetl.db.map.hold_store import held_drives
 from conetl.db.map.map_store import find_map
 from conetl.exports import FORMATS
 from conetl.files.names import as_markdown
@@ -43,6 +44,8 @@ def publish_map(
         published, manifests = write_publication(
             settings, wanted, folder or settings.exports_folder, as_of, database=database
         )
+        with database.connection() as conn:
+            held = held_drives(conn, map_name=settings.map_name)
     create_table_artifact(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",
@@ -55,7 +58,11 @@ def publish_map(
         link_text="QA report of the last 24 hours",
         description=f"The file: {as_markdown(page)}",
     )
-    return Completed(message=f"{len(manifests)} files in {published}")
+    message = f"{len(manifests)} files in {published}"
+    if held:
+        message = f"{len(held)} drives on hold; {message}. {held[0].drive_id}: {held[0].reason}"
+        return Completed(name="DrivesOnHold", message=message)
+    return Completed(message=message)
 
 
 @flow(name="audit", flow_run_name="audit")

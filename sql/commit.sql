@@ -32,6 +32,10 @@ from conetl.changeset c
 where c.changeset_id = %(changeset_id)s and c.run_id is not null
 on conflict (run_id, step) do nothing;
 
+-- name: changeset_exists
+-- Whether a changeset id is in use, on whatever map. Parameters: changeset_id.
+select exists (select from conetl.changeset c where c.changeset_id = %(changeset_id)s) as found;
+
 -- name: insert_changeset
 -- The changeset itself, with the counts that an audit compares with the rows.
 -- Parameters: as the columns. Columns: changeset_no.

@@ -18,6 +18,10 @@ select
 where not exists (select from conetl.drive d where d.drive_uuid = %(drive_uuid)s)
 on conflict (drive_uuid) do nothing;
 
+-- name: belongs_elsewhere
+-- Whether a drive is stored with another map: one that was set aside and had this map's name. Parameters: drive_uuid; map_id.
+select exists (select from conetl.drive d where d.drive_uuid = %(drive_uuid)s and d.map_id <> %(map_id)s) as elsewhere;
+
 -- name: insert_import
 -- An imported map as an event of the fold, unless it exists.
 -- Parameters: drive_uuid, map_id, srid, drive_id (name of the file), source_path, content_sha256, reconcile (JSON),

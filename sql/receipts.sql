@@ -13,7 +13,7 @@ values (
 on conflict (attempt_id, (state = 'started')) do nothing;
 
 -- name: latest_receipts
--- The last receipt of drives of a map. Parameters: map_name; headers (text[]).
+-- The last receipt of drives of a map, except of those whose map was set aside. Parameters: map_name; headers (text[]).
 -- Columns: as Receipt; attempts counts how often work on the drive was started.
 select
     r.attempt_id, r.map_name, r.drive_path, r.drive_id, r.header_sha256, r.analysis_sha256, r.content_sha256, r.state, r.reason,
@@ -25,6 +25,12 @@ select
     ) as attempts
 from conetl.latest_receipt r
 where r.map_name = %(map_name)s and r.header_sha256 = any(%(headers)s::text[])
+and not exists (
+    select
+    from conetl.changeset c
+    join conetl.map m using (map_id)
+    where c.changeset_id = r.changeset_id and m.map_name <> r.map_name
+)
 order by r.receipt_no;
 
 -- name: receipt_ends
@@ -45,7 +51,7 @@ select
 from (
     select r.frame_pairs, r.seconds
     from conetl.receipt r
-    where r.map_name = %(map_name)s and r.state = 'committed' and r.seconds > 0 and r.frame_pairs > 0
+    where r.map_name = %(map_name)s and r.state in ('committed', 'held') and r.seconds > 0 and r.frame_pairs > 0
     order by r.receipt_no desc
     limit 200
 ) as timed;

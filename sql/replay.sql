@@ -20,12 +20,19 @@ join conetl.active_drive d using (drive_uuid)
 order by d.captured_from_ns, d.content_sha256 collate "C", d.idempotency_key collate "C";
 
 -- name: superseded_drives
--- The other analysis of the same recording that is active now; this drive replaces it.
+-- The other analysis or delivery of the same recording that is active now, as newer_delivery knows it; this drive replaces it.
 -- Parameters: drive_uuid. Columns: drive_uuid.
 select other.drive_uuid
 from conetl.drive d
-join conetl.active_drive other on other.map_id = d.map_id and other.content_sha256 = d.content_sha256
-where d.drive_uuid = %(drive_uuid)s and other.drive_uuid <> d.drive_uuid;
+join conetl.active_drive other on other.map_id = d.map_id and other.drive_uuid <> d.drive_uuid
+where d.drive_uuid = %(drive_uuid)s
+and (
+    other.content_sha256 = d.content_sha256
+    or (
+        other.drive_id = d.drive_id and other.rig is not null and d.rig is not null
+        and (other.captured_from_ns = d.captured_from_ns or other.captured_to_ns = d.captured_to_ns)
+    )
+);
 
 -- name: drives_at
 -- The active drives whose area comes within a radius of a position.
@@ -210,21 +217,3 @@ select
 from replayed_delta_stage s
 left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less
 order by f.cell, s.feature_id, s.changed_at_ns;
-
--- name: end_holds
--- End the holds against the map of some changesets that are not held for this reason any more. That of a recording stays,
--- also once it is accepted.
--- Parameters: committed_at (timestamptz); changeset_ids (uuid[]); reasons (text[], null: not held).
-update conetl.hold h
-set system_period = tstzrange(lower(h.system_period), %(committed_at)s)
-from unnest(%(changeset_ids)s::uuid[], %(reasons)s::text[]) n (changeset_id, reason)
-where h.changeset_id = n.changeset_id and h.by_map and upper_inf(h.system_period) and h.reason is distinct from n.reason;
-
--- name: begin_holds
--- Hold some changesets, unless they are held already.
--- Parameters: committed_at; changeset_ids; reasons (as for end_holds); by_map: whether the comparison with the map decided it.
-insert into conetl.hold (changeset_id, by_map, reason, system_period)
-select n.changeset_id, %(by_map)s, n.reason, tstzrange(%(committed_at)s, null)
-from unnest(%(changeset_ids)s::uuid[], %(reasons)s::text[]) n (changeset_id, reason)
-where n.reason is not null
-on conflict (changeset_id) where upper_inf(system_period) do nothing;

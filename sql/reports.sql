@@ -99,7 +99,7 @@ select
     t.residual_px, t.sigma_m,
     (
         select r.seconds from conetl.receipt r
-        where r.changeset_id = c.changeset_id and r.state = 'committed'
+        where r.changeset_id = c.changeset_id and r.state in ('committed', 'held')
         order by r.receipt_no
         limit 1
     ) as seconds

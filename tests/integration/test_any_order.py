@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from conetl.db.connection import connect, execute
-from conetl.db.map.decision_store import read_decisions
+from conetl.db.map.decision_store import list_decisions, read_decisions
 from conetl.db.map.drive_store import load_stored_drive
+from conetl.db.map.hold_store import held_drives, hold_events
 from conetl.db.map.map_store import (
     feature_log,
     find_map,
@@ -22,10 +23,10 @@ from conetl.db.map.map_store import (
     read_features_as_of,
     system_time,
 )
-from conetl.db.map.replay_store import affected_drives, write_replay
+from conetl.db.map.replay_store import affected_drives, other_deliveries, write_replay
 from conetl.geometry.calibration.covariance import calibration_id, unpack_all
 from conetl.geometry.packing import cov_matrix
-from conetl.model.errors import ConflictError
+from conetl.model.errors import ConflictError, InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import SharedErrorJacobian
@@ -102,8 +103,7 @@ def test_all_orders_of_three_drives_give_the_same_map(conn, rigs, in_order, orde
 def test_a_drive_that_contradicts_the_map_is_on_hold_in_every_order(conn, order):
     """The last drive's heights are of another datum. Alone it stands; with an earlier one it is on hold until it is accepted."""
     good = of_day(2)
-    lower = [t.model_copy(update={"xyz_m": (*t.xyz_m[:2], t.xyz_m[2] - 48.0)}) for t in good.tracks]
-    drives = [of_day(0), of_day(1), replace(good, tracks=lower)]
+    drives = [of_day(0), of_day(1), lowered(good)]
     for count, day in enumerate(order, start=1):
         merge(conn, drives[day])
         states = {known.drive_id: known for known in list_changesets(conn)}
@@ -148,23 +148,154 @@ def test_a_recording_on_hold_is_on_hold_again_once_its_acceptance_is_reverted(co
     corrected = replace(held, drive=held.drive.model_copy(update={"content_sha256": "ab" * 32}))
     merge(conn, corrected)
     conn.commit()
-    with pytest.raises(ConflictError, match="would count as two surveys"):
+    with pytest.raises(ConflictError, match="count as two surveys"):
         accept_drive(conn, "2", map_name="default")
+
+
+def test_what_others_do_to_drives_on_hold_is_said_and_kept_in_order(conn):
+    """A drive goes on hold because an earlier one arrives, is accepted, put on hold again, and released by a revert."""
+    good, lower = of_day(0), lowered(of_day(2))
+    merge(conn, lower)
+    assert [(c.drive_id, c.state) for c in merge(conn, good).hold_changes] == [(lower.drive.drive_id, "on hold")]
+    [held] = held_drives(conn, map_name="default")
+    [check] = held.checks
+    assert check.name == "agreement with the map: heights" and check.value == pytest.approx(-48.0, abs=0.1)
+    assert check.sigma and check.limit and check.unit == "m" and "48.0 m lower" in held.reason
+    conn.commit()
+    accepted = accept_drive(conn, lower.drive.drive_id, map_name="default", note="known", decided_by="Ada")
+    for drive, error in ((lower.drive.drive_id, "counts already"), ("2", "counts already"), ("nobody", "drive held")):
+        with pytest.raises(ConflictError, match=error):
+            accept_drive(conn, drive, map_name="default")
+    again = revert(conn, str(accepted.decision_id), map_name="default")
+    released = revert(conn, "2", map_name="default")
+    states = [[change.state for change in one.hold_changes] for one in (accepted, again, released)]
+    assert states == [["released"], ["on hold"], ["released"]]
+    events = hold_events(conn, map_name="default")
+    kinds = ["on hold", "accepted", "acceptance withdrawn", "on hold", "released"]
+    assert [event.what for event in events] == kinds
+    assert events[1].sentence == "accepted by Ada: known" and "heights -48" in events[0].sentence
+    assert hold_events(conn, map_name="default", since=events[1].at, until=events[2].at) == events[1:2]
+    conn.commit()
+    assert failed_audits(conn) == []
+
+
+def test_of_two_deliveries_only_the_later_one_counts_whatever_releases_them(conn):
+    merge(conn, of_day(0))
+    first = of_day(2)
+    corrected = replace(first, drive=first.drive.model_copy(update={"content_sha256": "ab" * 32}))
+    merge(conn, lowered(first))  # changeset 2, on hold against the map
+    [change] = merge(conn, corrected).hold_changes
+    assert (change.changeset_no, change.state) == (2, "replaced")
+    conn.commit()
+    with pytest.raises(ConflictError, match="conetl map revert 3"):
+        accept_drive(conn, "2", map_name="default")
+    before = valid_time_map(conn)
+    revert(conn, "1", map_name="default")  # nothing is left that the first delivery contradicts
+    assert counting(conn) == [3]
+    conn.commit()
+    revert(conn, "3", map_name="default")
+    assert counting(conn) == [2], "the earlier one stands for the recording again"
+    conn.commit()
+    [withdrawn] = [d for d in list_decisions(conn) if d.kind == "revert" and d.changeset_id != changeset(conn, 1)]
+    revert(conn, str(withdrawn.decision_id), map_name="default")
+    assert counting(conn) == [3]
+    conn.commit()
+    reverted = revert(conn, "2", map_name="default")
+    brought_back = revert(conn, str(reverted.decision_id), map_name="default")
+    assert brought_back.replaced_by == 3 and counting(conn) == [3]
+    conn.commit()
+    [first_revert] = [d for d in list_decisions(conn) if d.kind == "revert"]
+    revert(conn, str(first_revert.decision_id), map_name="default")
+    assert counting(conn) == [1, 3] and valid_time_map(conn) == before
+    assert failed_audits(conn) == []
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_random_decisions_and_deliveries_leave_one_delivery_of_each_and_nothing_to_replay(conn, seed):
+    rng = np.random.default_rng(seed)
+    for _ in range(12):
+        known = [str(one.changeset_no) for one in list_changesets(conn)]
+        decided = [str(one.decision_id) for one in list_decisions(conn)]
+        held = held_drives(conn, map_name="default")
+        conn.rollback()
+        try:
+            match int(rng.integers(4)):
+                case 0 | 1:
+                    one = of_day(int(rng.integers(3)))
+                    drive = one.drive.model_copy(
+                        update={"content_sha256": f"{one.drive.drive_id[4]}{rng.integers(2)}" * 32}
+                    )
+                    one = replace(lowered(one) if rng.random() < 0.4 else one, drive=drive)
+                    instants = [pair.captured_at_ns for pair in drive.frame_pairs]
+                    span = min(instants), max(instants)
+                    counts = other_deliveries(conn, drive.drive_id, span, drive.content_sha256, map_name="default")
+                    conn.rollback()
+                    if not counts:
+                        merge(conn, one, hold="GNSS/INS jumps." if rng.random() < 0.3 else None)
+                case 2:
+                    accept_drive(conn, str(held[0].changeset_no) if held else "1", map_name="default")
+                case 3:
+                    revert(conn, str(rng.choice([*known, *decided] or ["1"])), map_name="default")
+        except InputError:
+            conn.rollback()
+    names = [one.drive_id for one in list_changesets(conn) if one.counts]
+    assert len(names) == len(set(names))
+    assert failed_audits(conn) == []
+    assert_nothing_to_replay(conn)
+
+
+def test_a_map_that_was_set_aside_twice_keeps_its_history(conn):
+    """Drives on hold in two zones take turns: each starts the map anew, and each is stored once per map."""
+    one, other = of_day(0), of_day(1)
+    other = replace(other, drive=other.drive.model_copy(update={"map_srid": 32633}))
+    for drive in (one, other, one, other):
+        merge(conn, drive, hold="GNSS/INS jumps.")
+    maps = execute(conn, "select map_name, srid from conetl.map order by map_id")
+    assert [row["srid"] for row in maps] == [32632, 32633, 32632, 32633] and maps[-1]["map_name"] == "default"
+    conn.commit()
+    for row in maps:
+        [held] = held_drives(conn, map_name=row["map_name"])
+        conn.commit()
+        assert accept_drive(conn, held.drive_id, map_name=row["map_name"]).versions_written
+        assert read_current_features(conn, map_name=row["map_name"])
+        conn.commit()
+    assert failed_audits(conn) == []
+
+
+def lowered(one):
+    """Its heights are of another datum."""
+    tracks = [t.model_copy(update={"xyz_m": (*t.xyz_m[:2], t.xyz_m[2] - 48.0)}) for t in one.tracks]
+    return replace(one, tracks=tracks)
+
+
+def counting(conn):
+    return sorted(one.changeset_no for one in list_changesets(conn) if one.counts)
+
+
+def changeset(conn, number):
+    return next(one.changeset_id for one in list_changesets(conn) if one.changeset_no == number)
+
+
+def assert_nothing_to_replay(conn, drives_expected=None):
+    """All drives that count, compared again, make the map and the holds that are stored."""
+    conn.rollback()
+    with map_transaction(conn):
+        drives = [row["drive_uuid"] for row in execute(conn, "select drive_uuid from conetl.drive")]
+        again = affected_drives(conn, drives)
+        assert drives_expected in (None, len(again))
+        _, replay = replay_of(conn, drives, again, read_decisions(conn))
+        info, held = find_map(conn), held_drives(conn, map_name="default")
+        assert write_replay(conn, info, replay, system_time(conn, info)) == 0
+        closed = execute(conn, "select max(upper(system_period)) as t from conetl.feature_version")[0]["t"]
+        assert closed is None or closed <= info.last_committed_at
+        assert held_drives(conn, map_name="default") == held
 
 
 def test_playing_everything_again_writes_nothing(conn, rigs):
     for day in (1, 3, 0, 2):
         merge(conn, of_day(day, rigs))
     assert failed_audits(conn) == []
-    with map_transaction(conn):
-        drives = [row["drive_uuid"] for row in execute(conn, "select drive_uuid from conetl.drive")]
-        again = affected_drives(conn, drives)
-        assert len(again) == 4
-        _, replay = replay_of(conn, drives, again, read_decisions(conn))
-        info = find_map(conn)
-        assert write_replay(conn, info, replay, system_time(conn, info)) == 0
-        closed = execute(conn, "select max(upper(system_period)) as t from conetl.feature_version")[0]["t"]
-        assert closed <= info.last_committed_at
+    assert_nothing_to_replay(conn, 4)
 
 
 def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn, map_of):

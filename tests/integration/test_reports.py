@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -34,6 +34,7 @@ from conetl.reports.drive_page import alerts, drive_page, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
 from conetl.web.app import create_app
 from tests.conftest import cloned_database
+from tests.integration.drives_of_days import merge, survey
 from tests.view_map import two_drives
 
 EVIL = "<img src=x onerror=alert(1)>"
@@ -249,3 +250,40 @@ def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     ):
         assert isinstance(runner.invoke(app, ["report", "night", *wrong]).exception, InputError)
     assert isinstance(runner.invoke(app, ["report", "drive", "nobody"]).exception, InputError)
+
+
+def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
+    conetl: Callable[..., str], conn_of_test: Any, tmp_path: Path
+) -> None:
+    """In the report of the night, the log of the map and the drive's own page."""
+    first, held = survey(0), survey(1)
+    merge(conn_of_test, first)
+    merge(conn_of_test, held, hold=f"GNSS/INS jumps {EVIL}.")
+    conn_of_test.commit()
+    night = json.loads(conetl("report", "night", "--out", tmp_path / "night.html", "--json", code=1))
+    assert [(one["drive_id"], one["checks"][0]["value"]) for one in night["held"]] == [(held.drive.drive_id, 5.0)]
+    page = (tmp_path / "night.html").read_text()
+    assert_loads_nothing(page)
+    assert "1 drive is on hold and waits for a person" in page and "All drives are on the map" not in page
+    for said in ("jumps of the poses", "5 +- 0.1 m (limit 0.1)", "conetl drive accept 2 --note REASON"):
+        assert said in page, said
+    conetl("report", "drive", "2")
+    [path] = (tmp_path / "home" / "exports" / "reports" / "default").glob("*2-*.html")
+    assert "the drive is on hold. GNSS/INS jumps" in path.read_text()
+    assert "Released: drive" in conetl("drive", "accept", held.drive.drive_id, "--note", "seen", "--by", "Ada")
+    page = path.read_text()
+    assert_loads_nothing(page)
+    assert "The drive was on hold, and was accepted by Ada: seen" in page and "not in effect" not in page
+    assert "Holds and releases" in page
+    assert json.loads(conetl("report", "night", "--out", tmp_path / "night.html", "--json"))["held"] == []
+    log = [line.split()[-1] for line in conetl("map", "log").splitlines()[1:]]
+    assert log[0] == "seen" and len(log) == 4
+    [decision] = json.loads(conetl("map", "decisions", "--json"))
+    assert "On hold now: drive" in conetl("map", "revert", decision["decision_id"])
+    assert "the drive is on hold. GNSS/INS jumps" in path.read_text()
+
+
+@pytest.fixture
+def conn_of_test(database_url: str) -> Iterator[Any]:
+    with closing(connect(database_url)) as connection:
+        yield connection

@@ -15,20 +15,25 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import httpx
 import pytest
 
+from conetl.cli.ingest import print_report
 from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.run_store import is_published, pending_changesets
 from conetl.model.errors import CalibrationError, StorageError
-from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.health import CALIBRATION, HealthCheck, HoldChange, Verdict
+from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
+from conetl.model.map_records import DeltaKind
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
 from flows import artifacts, ingest_drive
 from tests.integration.conftest import conetl_process
+from tests.integration.drives_of_days import held_for
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 #: 210 bytes.
@@ -90,10 +95,13 @@ def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts
 def test_a_folder_of_links_to_drives_is_ingested_once(
     tmp_path: Path, database_url: str, prefect: dict[str, str]
 ) -> None:
-    """Links by other names, and one drive whose calibration lies beside the link only."""
+    """Links by other names, and one drive whose calibration lies beside the link only; its heights are of another datum."""
     here, beside = (
-        cut_drive(SAMPLES[n], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)
+        cut_drive(SAMPLES[0], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)
     )
+    for path in (beside / "oxts" / "data").iterdir():
+        lat, lon, height, *others = path.read_text().split()
+        path.write_text(" ".join([lat, lon, str(float(height) - 48.0), *others]))
     links = tmp_path / "links"
     links.mkdir()
     for calibration in beside.glob("calib*.txt"):
@@ -104,10 +112,12 @@ def test_a_folder_of_links_to_drives_is_ingested_once(
 
     code, drives = backfill()
     assert {name: drive["state"] for name, drive in drives.items()} == {
-        "2026-05-01_run": "committed", "2026-05-02_run": "committed",
+        "2026-05-01_run": "committed", "2026-05-02_run": "held",
     }  # fmt: skip
-    assert code == 0
+    assert "48.0 m lower" in str(drives["2026-05-02_run"]["reason"])
+    assert code == 1
     code, drives = backfill()
+    assert "on hold since" in str(drives["2026-05-02_run"]["why"])
     assert {name: drive["action"] for name, drive in drives.items()} == {
         "2026-05-01_run": "skip", "2026-05-02_run": "skip",
     }  # fmt: skip
@@ -141,9 +151,9 @@ def report(**changes: Any) -> IngestReport:
     values: dict[str, Any] = {
         "drive_id": "drive", "status": "committed", "changeset_id": "00000000-0000-4000-8000-000000000000",
         "captured_from": at, "captured_to": at, "map_name": "default", "map_srid": 32632, "frame_pairs": 3,
-        "frame_pairs_rejected": 0, "detections": 0, "matches": 0, "positions": 0, "tracks": 0, "counts": {}, "changes": (),
-        "rejections": {}, "params_sha256": "a", "model_sha256": "b", "content_sha256": "c" * 64, "seconds": 1.0,
-        "committed_at": None,
+        "frame_pairs_rejected": 0, "detections": 0, "matches": 0, "positions": 0, "tracks": 0, "changes": (),
+        "counts": dict.fromkeys(DeltaKind, 0), "rejections": {}, "params_sha256": "a", "model_sha256": "b",
+        "content_sha256": "c" * 64, "seconds": 1.0, "committed_at": None,
     }  # fmt: skip
     return IngestReport(**values | changes)
 
@@ -200,10 +210,26 @@ def test_a_failure_after_the_commit_leaves_a_receipt_that_says_committed(attempt
     receipt = attempt(lambda *_, **__: done)
     assert receipt["state"] == "committed"
     assert receipt["reason"] == "the map's file cannot be written"
+    receipt = attempt(raising(DriveOnHoldError(done.model_copy(update={"status": "held", "on_hold": "It jumps."}))))
+    assert receipt["state"] == "held" and "the map's file cannot be written" in receipt["reason"]
     receipt = attempt(raising(TooManyRejectionsError(done, 1, 0.1)))
     assert receipt["state"] == "committed"
     assert "the map's file cannot be written" in receipt["reason"]
     assert "max_rejected_fraction" in receipt["reason"]
+
+
+def test_a_report_of_an_ingest_says_each_thing_once(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "right camera turned by 0.10 degrees"
+    passed = HealthCheck(name=CALIBRATION, verdict=Verdict.PASS, value=None, detail=f"R{text[1:]}.")
+    other = HoldChange(
+        drive_id="later", changeset_no=7, changeset_id=uuid4(), state="on hold", reason="Its cones lie lower."
+    )
+    for check in (passed, passed.model_copy(update={"verdict": Verdict.CORRECTED})):
+        print_report(done := report(calibration=text, health=(check,), hold_changes=(other,)))
+        said = capsys.readouterr().out
+        assert said.count(text[1:]) == 1
+        assert said.count("drive later (changeset 7). Its cones lie lower.") == 1
+    assert done.remarks == (other.sentence,), "it makes the exit code 1"
 
 
 @pytest.fixture
@@ -223,7 +249,7 @@ def test_what_was_is_pending_is_published_without_the_drive(
     samples.commit(conn, samples.added(cone), key="a")
     later_ns = samples.START_NS + samples.DAY_NS
     samples.commit(conn, samples.removed(cone, later_ns), key="b", start_ns=later_ns)
-    samples.commit(conn, key="c", start_ns=later_ns + samples.DAY_NS, hold="GNSS/INS jumps.")
+    samples.commit(conn, key="c", start_ns=later_ns + samples.DAY_NS, hold=held_for("GNSS/INS jumps."))
 
     def publish_pending(**quiet: timedelta) -> None:
         with MapDatabase(settings) as database:

@@ -131,7 +131,10 @@ def test_ingest_of_a_drive_on_hold_ends_with_its_cause(database_url: str, home: 
     for _ in range(2):  # a second time it is known, and on hold as before
         with pytest.raises(DriveOnHoldError, match=r"on hold .* jumps by 5.0 m .* conetl drive accept jumping") as held:
             ingest(folder, settings=settings)
-        assert held.value.exit_code == 1
+        report = held.value.report
+        assert held.value.exit_code == 1 and report.status == "held" and not report.counts_on_map
+        jump = next(check for check in report.health if check.verdict is Verdict.HOLD)
+        assert (jump.name, jump.value, jump.unit) == ("jumps of the poses", pytest.approx(5.0, abs=0.1), "m")
     with closing(connect(database_url)) as conn:
         assert not read_current_features(conn)
 

@@ -259,7 +259,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
             drive, view = survey(road, evidence, rng, start_ns=start_ns, span=span)
             extension = apply_drive(standing, drive, Decisions(), summaries)
             if extension.hold is not None:
-                score.held.append(f"seed {seed}, day {day}, drive {number + 1}: {extension.hold}")
+                score.held.append(f"seed {seed}, day {day}, drive {number + 1}: {extension.hold.detail}")
             happened += [(number + 1, delta) for delta in extension.deltas]
             gone = {d.feature_id for d in extension.deltas if d.kind in (DeltaKind.REMOVED, DeltaKind.MOVED)}
             for cone, feature_id in known.items() if day else ():

@@ -35,6 +35,8 @@ export interface TimelineItem {
   rejection_count: number;
   /** False if it was reverted, or a later analysis of the same recording replaced it. */
   counts: boolean;
+  /** Why it is on hold; null unless it is. */
+  hold: string | null;
 }
 
 export interface Timeline {
@@ -149,6 +151,8 @@ export interface Decided {
   decision_id: string;
   versions_written: number;
   replayed: number;
+  /** Drives that went on hold, or are on hold no longer, a sentence each. */
+  hold_changes: string[];
 }
 
 export type DecisionRequest = { decided_by: string; reason: string } & (

@@ -170,7 +170,7 @@ export function createDecider(host: HTMLElement) {
         const done = await api.decide(context.map, choice.request(by), secret);
         remember();
         cancel();
-        report(`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, false); // prettier-ignore
+        report([`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, ...done.hold_changes].join(" "), false); // prettier-ignore
         context.changed();
       } catch (error) {
         refused(error);

@@ -216,7 +216,8 @@ async function newChangeset(no: number): Promise<void> {
     void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
     const counts = [`${item.added_count} new`, `${item.moved_count} moved`, `${item.removed_count} removed`].join(", ");
     const follows = state.mode === "drive" && state.changeset === null;
-    layout.toast(item.counts ? `${item.drive_id} was committed: ${counts}.` : `${item.drive_id} does not count: see the decisions.`, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
+    const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} does not count: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
+    layout.toast(said, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
     await refresh();
     if (chosen) await select(chosen.id);
   } catch (error) {

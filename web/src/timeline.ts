@@ -78,7 +78,8 @@ function driveView(actions: TimelineActions) {
         bar.style.background = STYLES[kind].colour;
         return bar;
       });
-      const title = `${t.drive_id}: ${changesOf(t).map((c) => c.text).join(", ")}`;
+      if (t.hold !== null) bars.push(el("i", { class: "held" }));
+      const title = `${t.drive_id}: ${t.hold === null ? changesOf(t).map((c) => c.text).join(", ") : `on hold. ${t.hold}`}`;
       return el("button", { type: "button", class: "column", tabIndex: -1, title, onclick: () => go(i), data: { changeset: String(t.changeset_no) } },
         el("span", { class: "bars" }, ...bars), items.length <= 12 && el("span", { class: "day", textContent: utc(t.captured_from, false).slice(5) })); // prettier-ignore
     }));
@@ -113,7 +114,7 @@ function driveView(actions: TimelineActions) {
       const map = actions.writableMap();
       const about = actions.decisions().filter((d) => d.changeset_id === t.changeset_id);
       const reverted = about.some((d) => d.kind === "revert");
-      const mayRevert = !reverted && (t.counts || about.some((d) => d.kind === "hold"));
+      const mayRevert = !reverted && (t.counts || t.hold !== null);
       const choices: Choice[] = map === null ? [] : [...about.map(withdrawChoice), ...(mayRevert ? [revertChoice(t.changeset_id, t.drive_id)] : [])];
       decider.show(`${t.changeset_id} ${about.map((d) => d.decision_id).join(" ")} ${String(t.counts)} ${String(map)}`, choices, { map: map ?? "", changed: () => actions.decided() });
       slider.setAttribute("aria-valuetext", `${t.drive_id}, drive ${index + 1} of ${items.length}`);
@@ -122,17 +123,17 @@ function driveView(actions: TimelineActions) {
         el("strong", { textContent: t.drive_id }),
         el("span", { textContent: `drive ${index + 1} of ${items.length} · recorded ${utc(t.captured_from)} UTC · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
         el("span", { class: "chips" }, ...changesOf(t).map((c) => el("span", { class: "chip" }, icon(c.kind), c.text)),
-          !t.counts && notCounted(about)),
+          !t.counts && notCounted(about, t.hold),
+          t.hold !== null && el("span", { class: "hold-reason", title: t.hold, textContent: t.hold })),
       ); // prettier-ignore
     },
   };
 }
 
-function notCounted(about: Decision[]): HTMLElement {
-  const hold = about.find((d) => d.kind === "hold");
-  if (hold) return el("span", { class: "chip off", title: hold.reason, textContent: "on hold" });
+function notCounted(about: Decision[], hold: string | null): HTMLElement {
+  if (hold !== null) return el("span", { class: "chip off", title: hold, textContent: "on hold" });
   const reverted = about.some((d) => d.kind === "revert");
-  return el("span", { class: "chip off", title: reverted ? "A person decided that it does not count." : "A later analysis of the same recording replaced it, or it was reverted.", textContent: reverted ? "reverted" : "not counted" });
+  return el("span", { class: "chip off", title: reverted ? "A person decided that it does not count." : "A later analysis or delivery of the same recording replaced it, or it was reverted.", textContent: reverted ? "reverted" : "not counted" });
 }
 
 function knownSelect(actions: TimelineActions) {

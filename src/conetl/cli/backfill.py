@@ -19,6 +19,8 @@ from conetl.cli.console import (
     counted,
     err,
     parse_time,
+    print_held,
+    print_hold_events,
     print_json,
     print_records,
     print_table,
@@ -33,6 +35,7 @@ from conetl.pipeline.settings import prefect_environment, read_settings
 
 if TYPE_CHECKING:
     from conetl.db.receipt_store import Receipt
+    from conetl.model.health import HeldDrive, HoldEvent
     from conetl.pipeline.backfill_plan import Plan
     from flows.backfill import Standing
 
@@ -71,9 +74,11 @@ def backfill(
         _print_plan(plan, max_parallel or 1)
     if dry_run or not (plan.todo or pending):
         if as_json:
-            print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
+            print_json({"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
         return
     ended: list[Receipt] = []
+    held: list[HeldDrive] = []
+    events: list[HoldEvent] = []
     noted: set[str] = set()
     with ExitStack() as running:
         with spinner("Starting Prefect"):
@@ -91,6 +96,7 @@ def backfill(
             if standing.note and standing.note not in noted:
                 noted.add(standing.note)
                 err.print(f"conetl: {standing.note}", markup=False, soft_wrap=True)
+            held[:], events[:] = standing.held, standing.hold_events
             for receipt in standing.ended[len(ended) :]:
                 ended.append(receipt)
                 if not as_json:
@@ -106,18 +112,32 @@ def backfill(
         ).result()  # fmt: skip
     failed = [receipt for receipt in ended if not receipt.done]
     if as_json:
-        print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": [_receipt_as_dict(r) for r in ended]})
+        drives = [_receipt_as_dict(receipt) for receipt in ended]
+        print_json(
+            {"held": held, "hold_events": events, "plan": plan_as_dict(plan, max_parallel or 1), "drives": drives}
+        )
     else:
-        done = counted(len(ended) - len(failed), "drive")
-        say(f"\nOn map {settings.map_name}: {done}; failed: {len(failed)}.")
-        if failed:
-            say("Run the same command again to retry the failed drives.")
-    raise typer.Exit(_exit_code(ended, failed))
+        _print_summary(settings.map_name, ended, held, events)
+    raise typer.Exit(_exit_code(ended, failed, held))
 
 
-def _exit_code(ended: list[Receipt], failed: list[Receipt]) -> int:
+def _print_summary(map_name: str, ended: list[Receipt], held: list[HeldDrive], events: list[HoldEvent]) -> None:
+    """What became of the drives of a batch, those on hold first."""
+    say()
+    print_held(held)
+    print_hold_events(events)
+    waiting = {drive.changeset_id for drive in held}
+    done = [receipt for receipt in ended if receipt.done and receipt.changeset_id not in waiting]
+    failed = sum(not receipt.done for receipt in ended)
+    on_hold = f"on hold: {len(held)}; " if held else ""
+    say(f"On map {map_name}: {counted(len(done), 'drive')}; {on_hold}failed: {failed}.")
+    if failed:
+        say("Run the same command again to retry the failed drives.")
+
+
+def _exit_code(ended: list[Receipt], failed: list[Receipt], held: list[HeldDrive]) -> int:
     if not failed:  # a committed drive has a reason if too many of its records were rejected
-        return EXIT_NEEDS_ATTENTION if any(receipt.reason for receipt in ended) else EXIT_DONE
+        return EXIT_NEEDS_ATTENTION if held or any(receipt.reason for receipt in ended) else EXIT_DONE
     return EXIT_SERVICE_MISSING if all(receipt.may_pass for receipt in failed) else EXIT_BAD_INPUT
 
 
@@ -172,6 +192,9 @@ def _minute(time: datetime | None) -> str:
 def _print_receipt(receipt: Receipt) -> None:
     if not receipt.done:
         say(f"{receipt.drive_id}: {receipt.state}: {receipt.reason}")
+        return
+    if receipt.state == "held":
+        say(receipt.reason)
         return
     took = f" in {receipt.seconds:.1f} s" if receipt.seconds else ""
     reason = f"; {receipt.reason}" if receipt.reason else ""

@@ -24,7 +24,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, what_to_do
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 ParamsOption = Annotated[
@@ -127,6 +127,39 @@ def print_checks(checks: Sequence[HealthCheck]) -> None:
         if check.verdict is not Verdict.PASS:
             verdict = "On hold" if check.verdict is Verdict.HOLD else check.verdict.value.capitalize()
             out.print(f"[bold]{verdict}[/], {escape(check.name)}: {escape(check.detail)}")
+
+
+def print_all_checks(checks: Sequence[HealthCheck]) -> None:
+    """Every health check that was made: those that passed in a table, the others with what to do."""
+    columns: Columns = {
+        "check": "name",
+        "measured": lambda check: check.figures or "not shown by the recording",
+        "verdict": "verdict",
+    }
+    print_records("Health checks", columns, checks, numbers_from=len(columns))
+    print_checks(checks)
+
+
+def print_held(drives: Sequence[HeldDrive]) -> None:
+    """Drives on hold: check, what was measured, and what to do."""
+    rows = [(drive, check) for drive in drives for check in drive.checks]
+    columns: Columns = {
+        "no": lambda row: row[0].changeset_no,
+        "drive": lambda row: row[0].drive_id,
+        "since (UTC)": lambda row: row[0].since,
+        "check": lambda row: row[1].name,
+        "measured": lambda row: row[1].figures,
+    }
+    if rows:
+        print_records(f"On hold: {counted(len(drives), 'drive')}", columns, rows, numbers_from=len(columns))
+        for drive in drives:
+            say(f"{drive.drive_id}: {drive.reason} {what_to_do(drive.changeset_no)}")
+
+
+def print_hold_events(events: Sequence[HoldEvent]) -> None:
+    """Holds and releases, in order."""
+    columns: Columns = {"time (UTC)": "at", "no": "changeset_no", "drive": "drive_id", "holds and releases": "sentence"}
+    print_records("", columns, events, numbers_from=len(columns))
 
 
 def cell(value: object) -> str:

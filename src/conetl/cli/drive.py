@@ -1,4 +1,4 @@
-"""`conetl drive held|accept`: drives on hold, whose recordings contradict themselves."""
+"""`conetl drive held|accept`: drives on hold, which contradict themselves or the map."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, print_json, print_records, say
+from conetl.cli.console import JsonOption, print_held, print_json, say
 from conetl.cli.database import open_map
-from conetl.cli.map.decisions import By, Note, print_outcome, who_decides
+from conetl.cli.map.decisions import By, Note, finish, who_decides
+from conetl.db.map.hold_store import held_drives
 from conetl.db.map.map_store import list_changesets
 from conetl.pipeline.settings import read_settings
 
@@ -17,12 +18,12 @@ def held(as_json: JsonOption = False) -> None:
     """List the drives on hold, and why."""
     settings = read_settings()
     with open_map(settings) as conn:
-        found = [known for known in list_changesets(conn, map_name=settings.map_name) if known.hold is not None]
+        found = held_drives(conn, map_name=settings.map_name)
+        known = {one.changeset_id: one for one in list_changesets(conn, map_name=settings.map_name)}
     if as_json:
-        print_json(found)
+        print_json([vars(known[one.changeset_id]) | one.model_dump(mode="json") for one in found])
         return
-    columns: Columns = {"no": "changeset_no", "drive": "drive_id", "ingested (UTC)": "committed_at", "why": "hold"}
-    print_records("", columns, found, numbers_from=len(columns))
+    print_held(found)
     if not found:
         say("No drive is on hold.")
 
@@ -39,4 +40,4 @@ def accept(
     settings = read_settings()
     with open_map(settings) as conn:
         decided = accept_drive(conn, drive, map_name=settings.map_name, note=note, decided_by=who_decides(by))
-    print_outcome(decided, as_json)
+        finish(conn, decided, settings, as_json)

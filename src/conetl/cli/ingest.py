@@ -26,6 +26,7 @@ from conetl.cli.console import (
     print_records,
     print_table,
     progress_bar,
+    say,
     spinner,
 )
 from conetl.files.atomic import sweep
@@ -33,6 +34,7 @@ from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
+from conetl.model.health import CALIBRATION, Verdict
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
@@ -126,8 +128,7 @@ def ingest_drives(
                 continue
             reports.append(report)
             show(report)
-            if report.unpublished:
-                complaints.append(report.unpublished)
+            complaints += report.remarks
             for complaint in complaints:
                 complain(complaint)
                 exit_code = max(exit_code, EXIT_NEEDS_ATTENTION)
@@ -193,7 +194,7 @@ def print_report(report: IngestReport) -> None:
     kinds = [kind for kind in DeltaKind if kind in _USUAL or report.counts[kind]]
     counts = ", ".join(f"{report.counts[kind]} {kind.replace('_', ' ')}" for kind in kinds)
     drive = f"[bold]{report.drive_id}[/] ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
-    if report.status == "no changes":
+    if report.is_known:
         known = f"on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"
         if report.counts_on_map:
             state = f" ({counts})"
@@ -210,12 +211,15 @@ def print_report(report: IngestReport) -> None:
     )
     if report.trajectory:
         out.print(f"Trajectory: {report.trajectory}.")
-    if report.calibration:
+    told = {check.name for check in report.health if check.verdict is not Verdict.PASS}
+    if report.calibration and CALIBRATION not in told:
         out.print(f"Calibration: {report.calibration}.")
     print_checks(report.health)
     if report.replayed_drives:
         later = counted(report.replayed_drives, "later drive")
         out.print(f"{later} over the same roads compared with the map again.")
+    for change in report.hold_changes:
+        say(change.sentence)
     print_records("", _CHANGES, report.changes, numbers_from=2)
     rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]
     print_table("Quarantined", ("reason", "records"), rows)

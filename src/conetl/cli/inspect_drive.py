@@ -12,7 +12,7 @@ from conetl.cli.console import (
     Columns,
     JsonOption,
     MapSridOption,
-    print_checks,
+    print_all_checks,
     print_json,
     print_records,
     print_table,
@@ -69,7 +69,9 @@ def inspect(
         print_json({**facts, "picture": None if picture is None else str(picture)})
     else:
         _print(drive, kind, summary, seconds, settings.workers)
-        print_checks(checks)
+        print_all_checks(checks)
+        if kind == "bag":
+            say("Health checks: none, because the images of a bag are not unpacked here; `conetl ingest` makes them.")
         if picture is not None:
             say(f"Image: {picture}")
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, answer, parse_time
+from conetl.cli.console import JsonOption, answer, parse_time, print_held, print_hold_events
 from conetl.cli.database import open_map
-from conetl.model.errors import InputError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.settings import read_settings
 from conetl.reports.drive_facts import find_drive
 
@@ -44,7 +44,10 @@ def night(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Report all drives processed in a period: committed, failed and why, changes, worst drives, size of the map."""
+    """Report all drives processed in a period: committed, on hold, failed and why, changes, worst drives, size of the map.
+
+    Drives on hold come first, also those of earlier days that still wait. Exit code 1 if there are any.
+    """
     from conetl.reports.night_page import write_night_page
 
     settings = read_settings()
@@ -53,7 +56,13 @@ def night(
     with open_map(settings) as conn:
         facts = write_night_page(conn, path, map_name=settings.map_name, since=begin, until=end)
     period = {"since": begin.isoformat(), "until": end.isoformat()}
-    _print_written(as_json, path, {**period, "drives": len(facts.drives), "failed": len(facts.failures)})
+    if not as_json:
+        print_held(facts.held)
+        print_hold_events(facts.hold_events)
+    counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
+    _print_written(as_json, path, {**period, **counts, "held": facts.held, "hold_events": facts.hold_events})
+    if facts.held:
+        raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
 def _print_written(as_json: bool, path: Path, facts: dict[str, Any]) -> None:

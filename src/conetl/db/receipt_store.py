@@ -24,7 +24,7 @@ from conetl.model.errors import DatabaseError, InputError, StorageError
 
 _log = logging.getLogger(__name__)
 
-State = Literal["started", "committed", "known", "failed", "crashed"]
+State = Literal["started", "committed", "held", "known", "failed", "crashed"]
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Receipt:
 
     @property
     def done(self) -> bool:
-        """The drive is on the map."""
-        return self.state in {"committed", "known"}
+        """The drive is stored: on the map, or on hold."""
+        return self.state in {"committed", "held", "known"}
 
     @property
     def drive_lock(self) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from math import hypot, lgamma, log
+from math import exp, hypot, lgamma, log
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, common_offset, near_pairs
+from conetl.model.health import AGREEMENT, HealthCheck, Verdict
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
@@ -45,8 +46,8 @@ _BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
 
 def contradiction(
     tracks: Sequence[Track], features: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
-) -> str | None:
-    """Why a drive must not change the map before a person has looked, as a sentence; None if it may.
+) -> HealthCheck | None:
+    """Why a drive must not change the map before a person has looked; None if it may.
 
     features: the map around the drive; deltas: what `reconcile` made of both. The order of none of them matters.
     """
@@ -61,8 +62,8 @@ def contradiction(
 
 def _displaced(
     tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
-) -> str | None:
-    """The common displacement of a drive's cones against the map's, as a sentence; None where the stated sigmas cover it."""
+) -> HealthCheck | None:
+    """The common displacement of a drive's cones against the map's; None where the stated sigmas cover it."""
     t, f = (np.array([one.xyz_m for one in side]) for side in (tracks, features))
     near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
     # GNSS without a fix lies metres aside, as its sigmas say: only the heights are compared after its offset is taken out.
@@ -92,11 +93,27 @@ def _displaced(
         return None
     turned = f" and turned by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
     if fit.largest_m <= np.sqrt(_MAX_CHI2) * sigma_m:
-        return (
+        detail = (
             f"Its cones lie {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
             "to tell which cone is which: process its GNSS with corrections, or ingest it into a map of its own."
         )
-    return _aside(fit.middle_m, sigma_m, turned)
+        return _held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
+    return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, np.sqrt(_MAX_CHI2) * sigma_m))
+
+
+def _held(what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str) -> HealthCheck:
+    """A hold; its figures are rounded to what is meant, so that they are the same wherever they are computed again."""
+    value, limit = round(value, 3), round(float(limit), 3)
+    sigma = None if sigma is None else round(sigma, 3)
+    return HealthCheck(
+        name=f"{AGREEMENT}: {what}",
+        verdict=Verdict.HOLD,
+        value=value,
+        sigma=sigma,
+        limit=limit,
+        unit=unit,
+        detail=detail,
+    )
 
 
 def _horizontal_sigma_m(cov_m2: Floats) -> float:
@@ -104,28 +121,31 @@ def _horizontal_sigma_m(cov_m2: Floats) -> float:
     return float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2))
 
 
-def _common_displacement(apart_m: Floats, cov_m2: Floats) -> str | None:
+def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
     """apart_m (K, 3): tracks less their features; cov_m2 (3, 3): of one difference."""
     east, north, up = np.median(apart_m, axis=0).tolist()
     sigma_m = float(np.sqrt(cov_m2[2, 2]))
     least_m = _LEAST_RISE_M if len(apart_m) >= _LEAST_PAIRS else _GROSS_RISE_M
-    if abs(up) > max(least_m, np.sqrt(_MAX_CHI2) * sigma_m):
-        return (
+    if abs(up) > (limit_m := max(least_m, np.sqrt(_MAX_CHI2) * sigma_m)):
+        detail = (
             f"Its cones lie {abs(up):.1f} m {'higher' if up > 0 else 'lower'} than the same cones of the map, at a stated "
             f"{sigma_m:.2f} m: the heights refer to another datum (ellipsoid or geoid), or the height of the antenna is wrong."
         )
+        return _held("heights", up, detail, sigma=sigma_m, limit=limit_m, unit="m")
     offset = np.array([east, north])
     chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
     if len(apart_m) >= _LEAST_PAIRS and chi2 > _MAX_CHI2 and hypot(east, north) > _LEAST_OFFSET_M:
-        return _aside(hypot(east, north), _horizontal_sigma_m(cov_m2), "")
+        sigma_m = _horizontal_sigma_m(cov_m2)
+        return _aside(hypot(east, north), sigma_m, "", max(_LEAST_OFFSET_M, np.sqrt(_MAX_CHI2) * sigma_m))
     return None
 
 
-def _aside(distance_m: float, sigma_m: float, turned: str) -> str:
-    return (
+def _aside(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> HealthCheck:
+    detail = (
         f"Its cones lie {distance_m:.1f} m from those of the map{turned}, at a stated {sigma_m:.2f} m: one of the two has a "
         "wrong position, or all cones were moved alike. Check base station, datum and antenna offset of the drive."
     )
+    return _held("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
 class _Fit(NamedTuple):
@@ -181,19 +201,20 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
     return _Fit(agreeing, float(np.median(moved_m)), float(moved_m.max()), turn, beside, distinct)
 
 
-def _scattered(kinds: Counter[DeltaKind]) -> str | None:
-    """Whether most of the cones that a drive shows are at other places than the map's, as a sentence."""
+def _scattered(kinds: Counter[DeltaKind]) -> HealthCheck | None:
+    """Whether most of the cones that a drive shows are at other places than the map's."""
     moved, stayed = kinds[DeltaKind.MOVED], kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
     if moved < _LEAST_MOVED or moved <= stayed:
         return None
-    return (
+    detail = (
         f"It would move {moved} of the {moved + stayed} cones that it shows: its distances or poses are wrong (baseline, "
         "alignment), or the zone was set up anew."
     )
+    return _held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit="cones")
 
 
-def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> str | None:
-    """Whether a drive that finds many cones gone is more likely to have been blind than plausible, as a sentence.
+def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | None:
+    """Whether a drive that finds many cones gone is more likely to have been blind than plausible.
 
     Beta-binomial: a drive detects all that the model card says, and the cones of a road vanish together (share of mean
     `vanished_probability`, beta-distributed with concentration 1), or it detects a share of them about which nothing is known.
@@ -208,10 +229,12 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> str | None:
     blind = log(_BLIND_PRIOR) + _log_beta(1 + removed, 1 + seen)
     if blind - gone <= log(_MAX_BLIND / (1 - _MAX_BLIND)):
         return None
-    return (
+    detail = (
         f"It would remove {removed} of the {removed + stayed} cones in its view and shows {seen or 'no'} "
         f"{'cone' if seen == 1 else 'cones'}: were they cleared, or could its cameras not see them? Look at its images."
     )
+    probability = 1.0 / (1.0 + exp(gone - blind))
+    return _held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
 
 
 def _log_beta(a: float, b: float) -> float:

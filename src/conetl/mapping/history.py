@@ -19,6 +19,7 @@ from conetl.mapping.agreement import contradiction
 from conetl.mapping.changes import VisibilityCheck, reconcile
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
+from conetl.model.health import HealthCheck
 from conetl.model.map_records import (
     Decisions,
     Delta,
@@ -68,7 +69,7 @@ class MapUpdate:
     misses: list[MissedObservation]
     untouched: list[MapFeature]
     """Features within the drive's influence without a delta."""
-    hold: str | None = None
+    hold: HealthCheck | None = None
     """Why the drive contradicts the map and changes nothing until a person accepts it; None where it counts."""
 
     @property

@@ -7,7 +7,7 @@ from typing import Literal
 from uuid import UUID
 
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError
-from conetl.model.health import HealthCheck
+from conetl.model.health import HealthCheck, HoldChange, what_to_do
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import Record, Vec3
 from conetl.model.rejections import RejectionReason
@@ -30,8 +30,9 @@ class IngestReport(Record):
     """Result of `ingest`."""
 
     drive_id: str
-    status: Literal["committed", "no changes"]
-    """'no changes': this drive with these parameters and this model is on the map already; nothing was written."""
+    status: Literal["committed", "held", "no changes"]
+    """'held': stored, now or before, and on hold. 'no changes': this drive with these parameters and this model is on the map
+    already; nothing was written."""
     changeset_id: UUID
     captured_from: datetime
     captured_to: datetime
@@ -56,16 +57,30 @@ class IngestReport(Record):
     calibration: str | None = None
     """Outcome of the self-calibration, as a sentence; None for a known drive."""
     committed_at: datetime | None
+    """None of a drive that was committed now."""
     counts_on_map: bool = True
     """False for a drive on hold, and for a known one that was reverted or analysed again."""
     health: tuple[HealthCheck, ...] = ()
-    """Checks of the recording; empty for a known drive."""
+    """Checks of the recording, and of it against the map; of a known drive those for which it is on hold."""
     on_hold: str | None = None
     """Why the drive does not count until a person accepts it; None unless it is on hold."""
     unpublished: str | None = None
     """Files or notifications that failed after the commit, and what to do; None if all succeeded."""
+    hold_changes: tuple[HoldChange, ...] = ()
+    """Other drives that went on hold because of this one, or are on hold no longer; empty for a known drive."""
     replayed_drives: int = 0
     """Later drives that were compared with the map again because this one came late."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the drive was stored before; nothing was written then."""
+        return self.committed_at is not None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a person has to look at besides the drive itself: what was not published, and other drives that went on hold."""
+        others = [change.sentence for change in self.hold_changes if change.state == "on hold"]
+        return (*([self.unpublished] if self.unpublished else ()), *others)
 
 
 class NeedsAttentionError(ConetlError):
@@ -84,8 +99,8 @@ class DriveOnHoldError(NeedsAttentionError):
     def __init__(self, report: IngestReport) -> None:
         super().__init__(
             report,
-            f"Drive {report.drive_id} is on hold and changes nothing on the map. {report.on_hold} Deliver the drive again with "
-            f"that corrected, or accept it as it is: conetl drive accept {report.drive_id} --note REASON",
+            f"Drive {report.drive_id} is on hold and changes nothing on the map. {report.on_hold} "
+            f"{what_to_do(report.drive_id)}",
         )
 
 

@@ -117,12 +117,13 @@ def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
 def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:
     """Whether a part of a lens is covered; one that is covered whole, darkness and fog leave `ImageDetail` of the whole image."""
     shares = {side: _blank_share(details[side]) for side in _SIDES}
-    blank = {side: share for side, share in shares.items() if share is not None and share > _MAX_BLANK_SHARE}
-    worst = max(blank.values(), default=0.0)
+    known = {side: share for side, share in shares.items() if share is not None}
+    blank = [side for side, share in known.items() if share > _MAX_BLANK_SHARE]
+    worst = max(known.values(), default=None)
     detail = "All parts of the images show the road."
     if None in shares.values():
         detail = "The images show too little to tell."
-    if blank:
+    if blank and worst is not None:
         detail = (
             f"In {worst:.0%} of the lower half of the {' and '.join(blank)} images nothing is to be seen, and the rest is sharp: "
             "the lens is covered in part or dazzled, and cones there would seem to be gone. Clean it; accept the drive where the "
@@ -160,7 +161,8 @@ def _check_trigger(fitting: int, matched: int, fitting_at: Callable[[int], int])
             f"{fitting} as delivered. Correct the numbers of the images or the trigger."
         )
     return HealthCheck(
-        name="trigger of both cameras", verdict=Verdict.HOLD if lag else Verdict.PASS, value=float(lag), limit=0.0,
+        name="trigger of both cameras", verdict=Verdict.HOLD if lag else Verdict.PASS, limit=0.0,
+        value=float(lag) if lag or fitting >= _MIN_MATCHES else None,
         unit="frames", detail=detail,
     )  # fmt: skip
 

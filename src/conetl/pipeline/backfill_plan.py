@@ -9,19 +9,21 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
 from conetl.db.connection import Connection
+from conetl.db.map.hold_store import held_drives
 from conetl.db.receipt_store import DriveOnMap, Receipt, drives_on_map, held_locks, latest_receipts, pairs_per_second
 from conetl.files.atomic import atomic_text_file
 from conetl.files.names import printable
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import evidence_sha256
 from conetl.model.errors import InputError
+from conetl.model.health import HeldDrive
 from conetl.model.params import IngestParams, params_sha256
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
@@ -121,7 +123,9 @@ def plan_drives(
     headers = [o for o in headers if _is_within(o, since, until)]
     analysis = analysis_of(params, settings)
     receipts = latest_receipts(conn, map_name=settings.map_name, headers=[o.header_sha256 for o in headers])
-    held = held_locks(conn, [receipt.drive_lock for receipt in receipts.values() if receipt.state == "started"])
+    locked = held_locks(conn, [receipt.drive_lock for receipt in receipts.values() if receipt.state == "started"])
+    on_hold = {drive.changeset_no: drive for drive in held_drives(conn, map_name=settings.map_name)}
+    conn.rollback()
     known: dict[str, list[DriveOnMap]] = {}
     for drive in drives_on_map(conn, map_name=settings.map_name):
         known.setdefault(drive.drive_id, []).append(drive)
@@ -133,8 +137,8 @@ def plan_drives(
             action, why = "skip", f"the same recording as {printable(seen[header.header_sha256])}"
         else:
             action, why = _judge(
-                header, receipt, known.get(header.drive_id, []), analysis,
-                working=receipt is not None and receipt.drive_lock in held, once=once, recheck=recheck,
+                header, receipt, known.get(header.drive_id, []), analysis, on_hold,
+                working=receipt is not None and receipt.drive_lock in locked, once=once, recheck=recheck,
             )  # fmt: skip
         seen.setdefault(header.header_sha256, header.path)
         lines.append(PlanLine(header, action, why))  # type: ignore[arg-type]
@@ -156,6 +160,7 @@ def _judge(
     receipt: Receipt | None,
     on_map: Sequence[DriveOnMap],
     analysis: Analysis,
+    on_hold: Mapping[int, HeldDrive],
     *,
     working: bool,
     once: bool,
@@ -166,7 +171,9 @@ def _judge(
         return "wait", f"{receipt.host} ingests it since {_when(receipt.at)}"
     same = receipt is not None and receipt.analysis_sha256 == analysis.sha256
     if receipt is not None and same and receipt.done:
-        return ("ingest", "asked to compare it again") if recheck else ("skip", f"on the map since {_when(receipt.at)}")
+        waits = next((drive for drive in on_hold.values() if drive.changeset_id == receipt.changeset_id), None)
+        since = _on_hold_since(waits) if waits else f"on the map since {_when(receipt.at)}"
+        return ("ingest", "asked to compare it again") if recheck else ("skip", since)
     if receipt is not None and same and once and not receipt.may_pass and receipt.state == "failed":
         return "skip", f"failed on {_when(receipt.at)} and has not changed since: {receipt.reason}"
     if receipt is not None and same and once and receipt.attempts >= MAX_ATTEMPTS and not receipt.done:
@@ -186,10 +193,16 @@ def _judge(
         if not same_folder:
             return "ingest", f"changed since it was brought onto the map (changeset {alike[-1].changeset_no})"
         drive = same_folder[-1]
+        if drive.changeset_no in on_hold:
+            return "skip", _on_hold_since(on_hold[drive.changeset_no])
         return "skip", f"on the map since {_when(drive.committed_at)} (changeset {drive.changeset_no})"
     if found or receipt is not None:
         return "ingest", "known, but analysed with other parameters or another model"
     return "ingest", "new"
+
+
+def _on_hold_since(drive: HeldDrive) -> str:
+    return f"on hold since {_when(drive.since)} (changeset {drive.changeset_no}; see `conetl drive held`)"
 
 
 def _is_same_recording(header: DriveHeader, drive: DriveOnMap) -> bool:

@@ -18,6 +18,7 @@ from uuid import UUID, uuid4, uuid5
 
 from conetl.db.connection import transaction
 from conetl.db.live_store import drop_watched_recording
+from conetl.db.map.hold_store import held_drives
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
@@ -26,7 +27,7 @@ from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.errors import MapMismatchError
-from conetl.model.health import HealthCheck, Verdict, hold_reason
+from conetl.model.health import AGREES, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
@@ -81,10 +82,15 @@ def already_committed(
     """The report "no changes" where this very drive is on the map already."""
     with database.connection() as conn:
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
-        if known is not None:  # it may have been watched again since
-            with transaction(conn, "Provisional features cannot be removed"):
-                drop_watched_recording(conn, drive, map_name=settings.map_name)
-    return _no_changes(drive, identity, known, settings) if known else None
+        if known is None:
+            return None
+        with transaction(conn, "Provisional features cannot be removed"):  # it may have been watched again since
+            drop_watched_recording(conn, drive, map_name=settings.map_name)
+        held = held_drives(conn, map_name=settings.map_name) if known.hold else []
+    report = _no_changes(drive, identity, known, settings)
+    return report.model_copy(
+        update={"health": next((one.checks for one in held if one.changeset_id == known.changeset_id), ())}
+    )
 
 
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
@@ -125,7 +131,7 @@ def commit(
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
         if known is not None:  # another ingest of the same drive was faster
             return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
-        changeset, hold = _changeset(drive, settings.map_name, identity), hold_reason(analysed.health)
+        changeset = _changeset(drive, settings.map_name, identity)
         merged = merge_drive(
             conn,
             records,
@@ -134,15 +140,15 @@ def commit(
             map_name=settings.map_name,
             evidence=identity.evidence,
             run=run,
-            hold=hold,
+            hold=holding(analysed.health),
         )
-    deltas, hold = merged.changeset.deltas, hold or merged.extension.hold
-    against_map = HealthCheck(
-        name="agreement with the map", verdict=Verdict.HOLD, value=None, detail=merged.extension.hold or ""
-    )
+    deltas, health = merged.changeset.deltas, analysed.health
+    if not holding(health):  # a recording that contradicts itself is not compared with the map
+        health = (*health, merged.extension.hold or AGREES)
+    hold = hold_reason(health)
     report = IngestReport(
         drive_id=drive.drive_id,
-        status="committed",
+        status="committed" if hold is None else "held",
         changeset_id=merged.changeset.changeset_id,
         captured_from=drive.captured_from,
         captured_to=drive.captured_to,
@@ -165,9 +171,10 @@ def commit(
         calibration=analysed.calibration.detail,
         committed_at=None,
         counts_on_map=hold is None,
-        health=(*analysed.health, against_map) if merged.extension.hold else analysed.health,
+        health=health,
         on_hold=hold,
         replayed_drives=merged.replayed,
+        hold_changes=merged.hold_changes,
     )
     return CommittedDrive(merged.result.changeset, drive, deltas, tuple(merged.extension.untouched), report)
 
@@ -226,7 +233,7 @@ def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_na
     """The report of a drive that is on the map already, whether the drive itself is at hand or not."""
     return IngestReport(
         drive_id=known.drive_id,
-        status="no changes",
+        status="no changes" if known.hold is None else "held",
         changeset_id=known.changeset_id,
         captured_from=utc_from_ns(known.captured_from_ns),
         captured_to=utc_from_ns(known.captured_to_ns),

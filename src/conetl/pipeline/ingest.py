@@ -114,7 +114,7 @@ def ingest(
             if (report := known()) is None:
                 raise
             return _unless_held(report)
-        if committed.report.status != "committed":  # another ingest of the same drive was faster
+        if committed.report.is_known:  # another ingest of the same drive was faster
             return _unless_held(known() or committed.report)
         report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
         committed = replace(committed, report=report)
@@ -211,7 +211,7 @@ def ended(begun: Receipt, report: IngestReport, seconds: float, reason: str) -> 
     """The receipt of a drive that is on the map. reason: what a person has to look at."""
     return replace(
         begun,
-        state="committed" if report.status == "committed" else "known",
+        state="held" if report.on_hold else "known" if report.is_known else "committed",
         reason=reason[:2000],
         may_pass=False,
         changeset_id=report.changeset_id,

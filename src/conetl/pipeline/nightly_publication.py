@@ -67,10 +67,13 @@ def write_publication(
                 export_map(conn, unfinished / f"{settings.map_name}{FORMATS[wanted].suffix}", wanted, request)
                 for wanted in dict.fromkeys(formats)
             ]
-            now = datetime.now(UTC)
+            now, held = datetime.now(UTC), []
             if info is not None:
-                write_night_page(conn, unfinished / REPORT, map_name=settings.map_name, since=now - REPORTED, until=now)
-        content = {"map": settings.map_name, "report": REPORT if info else None, "files": manifests}
+                facts = write_night_page(
+                    conn, unfinished / REPORT, map_name=settings.map_name, since=now - REPORTED, until=now
+                )
+                held = [drive.model_dump(mode="json") for drive in facts.held]
+        content = {"map": settings.map_name, "report": REPORT if info else None, "held": held, "files": manifests}
         (unfinished / "publication.json").write_text(json.dumps(content, indent=2) + "\n")
         unfinished.replace(folder / name)
     except BaseException:

@@ -7,15 +7,17 @@ by the run that ingests the same drive again and finds it on the map, or by the 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
 from datetime import timedelta
 from pathlib import Path
 from typing import NamedTuple
+from uuid import UUID
 
 import numpy as np
 
 from conetl.db.connection import Connection
+from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import find_changeset, list_changesets
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.run_store import (
@@ -71,6 +73,7 @@ def publish(
         geojson = _write_map(conn, settings)
         write_run_steps(conn, changeset.changeset_id, times)
         page = _write_page(conn, changeset, settings)
+        renew_pages(conn, [change.changeset_id for change in committed.report.hold_changes], settings)
     plan_view = draw_plan_view(
         settings.drive_image_path(drive.drive_id),
         title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC\n"
@@ -80,6 +83,18 @@ def publish(
         untouched=committed.untouched,
     )
     return PublishedFiles(geojson, plan_view, page)
+
+
+def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Settings) -> list[Path]:
+    """Write the QA reports of drives again that are on disk, as after one went on hold or was released; their paths.
+
+    Raises InputError where one cannot be written.
+    """
+    if not changeset_ids:
+        return []
+    known = [one for one in list_changesets(conn, map_name=settings.map_name) if one.changeset_id in changeset_ids]
+    written = [one for one in known if settings.drive_report_path(one.drive_id, one.changeset_no).is_file()]
+    return [_write_page(conn, one, settings) for one in written]
 
 
 def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
@@ -100,6 +115,10 @@ def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, se
         for known in list_changesets(conn, map_name=settings.map_name):
             if known.changeset_id == report.changeset_id:
                 _write_page(conn, known, settings)
+        changed = {
+            event.changeset_id for event in hold_events(conn, map_name=settings.map_name, since=report.committed_at)
+        }
+        renew_pages(conn, changed - {report.changeset_id}, settings)
     notify(report, database, send)
 
 

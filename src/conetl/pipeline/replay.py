@@ -16,9 +16,10 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db.connection import Connection
-from conetl.db.map.commit import INFLUENCE_M, commit_changeset, place_drive
+from conetl.db.map.commit import INFLUENCE_M, commit_changeset, place_drive, with_free_id
 from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
+from conetl.db.map.hold_store import held_drives, hold_changes
 from conetl.db.map.replay_store import (
     affected_drives,
     read_deltas,
@@ -33,6 +34,7 @@ from conetl.db.retention import require_comparable
 from conetl.mapping.history import DriveEvidence, Floats, MapHistory, MapUpdate, apply_drive, replay_drives
 from conetl.mapping.visibility import DriveObservations, NotObserved, check_visibility, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
+from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MapFeature, MissedObservation
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import DriveRecords, Rig
@@ -67,6 +69,8 @@ class Merged(NamedTuple):
     replayed: int
     """Later drives that were compared with the map again because of it."""
     result: CommitResult
+    hold_changes: tuple[HoldChange, ...]
+    """Other drives that went on hold because of it, or are on hold no longer."""
 
 
 @no_cycle_search()
@@ -80,15 +84,15 @@ def merge_drive(
     evidence: DetectorEvidence | None = None,
     run: RunInfo | None = None,
     now: datetime | None = None,
-    hold: str | None = None,
+    hold: Sequence[HealthCheck] = (),
 ) -> Merged:
     """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
 
     changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
-    the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: why the recording must not
-    count; it is stored and changes nothing until a person accepts it.
+    the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: the checks for which the
+    recording must not count; it is stored and changes nothing until a person accepts it.
     """
-    drive = records.drive
+    drive, held_before = records.drive, held_drives(conn, map_name=map_name)
     figures = AbsenceFigures(evidence=evidence or UNMEASURED, score_threshold=params.detection.score_threshold)
     drive_uuid = place_drive(
         conn,
@@ -100,9 +104,11 @@ def merge_drive(
         influence_m=influence_m(params),
         figures=figures,
     )
-    if hold is not None:
+    changeset = with_free_id(conn, changeset, drive_uuid)
+    if hold:
         result = commit_changeset(conn, records, changeset, map_name=map_name, now=now, run=run, hold=hold)
-        return Merged(changeset, MapUpdate([], [], [], []), 0, result)
+        others = hold_changes(conn, held_before, map_name=map_name, without=changeset.changeset_id)
+        return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
     spots = [(p.frame_index, p.xyz_m) for p in records.positions]
     view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
     own = DriveEvidence(
@@ -137,10 +143,11 @@ def merge_drive(
         run=run,
         suppressed=extension.suppressed,
         replay=replay,
-        hold=extension.hold,
+        hold=() if extension.hold is None else (extension.hold,),
         held_by_map=True,
     )
-    return Merged(changeset, extension, len(later), result)
+    others = hold_changes(conn, held_before, map_name=map_name, without=changeset.changeset_id)
+    return Merged(changeset, extension, len(later), result, others)
 
 
 def replay_of(

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import Connection, database_errors, execute, stream
 from conetl.db.map.drive_store import load_stored_drive, read_frame_pairs
+from conetl.db.map.hold_store import hold_events, map_checks
 from conetl.db.map.map_store import list_changesets, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.serve_store import read_changeset_changes
 from conetl.db.statements import load_sql
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
+from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import FramePair, Rig, Track
 
@@ -70,6 +72,10 @@ class DriveFacts:
     frame_pairs: list[FramePair]
     tracks: list[Track]
     changes: tuple[DriveChange, ...]
+    checks: tuple[HealthCheck, ...]
+    """Of the recording as it was ingested, and of the drive against the map as it is now; () where none were stored."""
+    hold_events: tuple[HoldEvent, ...]
+    """Holds and releases of this drive, in order."""
     rejections: list[Row]
     """step, reason, count, and record and detail of the first one."""
     range_m: Floats
@@ -132,6 +138,12 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         rows = [_change(row) for row in read_changeset_changes(conn, map_name, changeset.changeset_no)]
         rejections = execute(conn, load_sql("reports.rejections"), parameters)
         residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
+        events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
+        against_map = map_checks(conn, changeset.changeset_id)
+    checks = tuple(HealthCheck(**check) for check in (header["facts"] or {}).get("health", ()))
+    accepted = [event.what for event in events if "accept" in event.what][-1:] == ["accepted"]
+    if checks and not against_map and not accepted and not holding(checks):
+        against_map = (AGREES,)
     rig = Rig.model_validate(header["rig"])
     rows.sort(key=lambda row: (_ORDER.index(row["kind"]), row["changed_at"], str(row["feature_id"])))
     frame_pairs = read_frame_pairs(conn, changeset.drive_uuid)
@@ -149,6 +161,8 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         frame_pairs=frame_pairs,
         tracks=load_stored_drive(conn, changeset.drive_uuid).tracks,
         changes=tuple(DriveChange(number=number, **row) for number, row in enumerate(rows, start=1)),
+        checks=(*checks, *against_map),
+        hold_events=tuple(events),
         rejections=rejections,
         range_m=residuals[:, 1],
         residual_px=residuals[:, 2],

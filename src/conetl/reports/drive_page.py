@@ -12,6 +12,7 @@ import numpy as np
 
 from conetl.db.connection import Connection
 from conetl.db.map.results import CommittedChangeset
+from conetl.model.health import what_to_do
 from conetl.model.map_records import DeltaKind
 from conetl.reports import figures
 from conetl.reports.change_images import MAX_ILLUSTRATED, images_of
@@ -89,8 +90,12 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
     kinds = Counter(c.kind for c in facts.changes)
     if not facts.changeset.counts:
         hold = facts.changeset.hold
-        reason = f"the drive is on hold. {hold}" if hold else "it was reverted, or the drive was analysed again."
+        reason = "it was reverted, or the drive was analysed or delivered again."
+        if hold:
+            reason = f"the drive is on hold. {hold} {what_to_do(facts.changeset.changeset_no)}"
         yield Alert(True, f"This changeset is not in effect: {reason}")
+    elif facts.hold_events and facts.hold_events[-1].what == "accepted":
+        yield Alert(False, f"The drive was on hold, and was {facts.hold_events[-1].sentence}")
     if facts.lost_pairs:
         expected = int(facts.header["expected_frame_count"])
         share, limit = facts.lost_pairs / expected, facts.params.get("max_rejected_fraction")
@@ -166,10 +171,6 @@ def _trajectory_rows(facts: DriveFacts) -> list[tuple[str, str]]:
     rows = [
         ("trajectory", str(facts.run_facts.get("trajectory", "not stored"))),
         ("self-calibration", str(facts.run_facts.get("calibration", "not stored"))),
-        *(
-            (f"check: {check['name']}", f"{check['verdict']}. {check['detail']}")
-            for check in facts.run_facts.get("health", ())
-        ),
         (
             "rig",
             f"{facts.rig.rig_id}: baseline {facts.rig.baseline_m:.3f} m, focal length {facts.rig.left.fx_px:.1f} px",

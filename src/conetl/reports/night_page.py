@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from conetl.db.connection import Connection, database_errors, execute
+from conetl.db.map.hold_store import held_drives, hold_events
 from conetl.db.map.map_store import require_map
 from conetl.db.statements import load_sql
 from conetl.model.errors import InputError
+from conetl.model.health import HeldDrive, HoldEvent, what_to_do
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import utc_from_ns
 from conetl.reports import figures
@@ -32,6 +34,10 @@ class NightFacts:
     until: datetime
     drives: list[Row]
     """Committed changesets, oldest first (`report/night_drives`), with lost_pairs and lost_share."""
+    held: list[HeldDrive]
+    """Drives that went on hold before the end of the period and are on hold now."""
+    hold_events: list[HoldEvent]
+    """Holds and releases in the period, in order."""
     failures: list[Row]
     vanished: list[Row]
     """At most `_MAX_ROWS`; each with the `total`."""
@@ -56,6 +62,8 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
         failures = execute(conn, load_sql("reports.night_failures"), period)
         vanished = execute(conn, load_sql("reports.night_removed"), period | {"max_rows": _MAX_ROWS})
         rejections = execute(conn, load_sql("reports.night_rejections"), period)
+        held = [drive for drive in held_drives(conn, map_name=map_name) if drive.since < until]
+        events = hold_events(conn, map_name=map_name, since=since, until=until)
         conn.rollback()
     for row in drives:
         row["captured_at"] = utc_from_ns(row["captured_from_ns"])
@@ -64,7 +72,7 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     for row in vanished:
         row["first_seen_at"] = utc_from_ns(row["first_seen_ns"])
     counts = [(row["at"], int(row["standing"])) for row in sizes]
-    return NightFacts(map_name, since, until, drives, failures, vanished, rejections, counts)
+    return NightFacts(map_name, since, until, drives, held, events, failures, vanished, rejections, counts)
 
 
 def write_night_page(conn: Connection, path: Path, *, map_name: str, since: datetime, until: datetime) -> NightFacts:
@@ -88,6 +96,7 @@ def night_page(facts: NightFacts) -> str:
         title=f"Map {facts.map_name}, {facts.since:%Y-%m-%d %H:%M} to {facts.until:%Y-%m-%d %H:%M} UTC",
         made_at=datetime.now(UTC),
         facts=facts,
+        what_to_do=what_to_do,
         totals=[(kind, sum(row[f"{kind.value}_count"] for row in facts.drives)) for kind in DeltaKind],
         frame_pairs=sum(row["frame_pair_count"] for row in recorded),
         lost=sum(row["lost_pairs"] for row in recorded),

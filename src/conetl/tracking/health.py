@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import CALIBRATION, HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import MIN_DETAIL, FramePair, Rig
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
@@ -82,7 +82,7 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
     detail = f"{calibration.detail[0].upper()}{calibration.detail[1:]}."
     if verdict is Verdict.HOLD:
         detail += " Calibrate the rig anew (conetl calibrate), or see whether the images were cropped or shifted."
-    return [HealthCheck(name="calibration", verdict=verdict, value=None, detail=detail)]
+    return [HealthCheck(name=CALIBRATION, verdict=verdict, value=None, detail=detail)]
 
 
 def _measured(frame_pairs: Sequence[FramePair], rig: Rig, measured: int) -> HealthCheck:

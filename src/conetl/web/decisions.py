@@ -97,8 +97,13 @@ class Writer:
             else:
                 what = wish.changeset_id if isinstance(wish, DriveRequest) else wish.decision_id
                 done = revert(conn, str(what), **common)
-        outcome = {name: getattr(done, name) for name in Decided.model_fields if name != "also_changed"}
-        return Decided(**outcome, also_changed=[conflict.feature_id for conflict in done.conflicts])
+        computed = {
+            "also_changed": [conflict.feature_id for conflict in done.conflicts],
+            "hold_changes": [change.sentence for change in done.hold_changes],
+        }
+        return Decided(
+            **{name: getattr(done, name) for name in Decided.model_fields if name not in computed}, **computed
+        )
 
 
 @router.get("")

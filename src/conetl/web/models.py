@@ -71,7 +71,9 @@ class TimelineItem(Answer):
     rejection_count: int
     code_version: str
     counts: bool
-    """False if it is on hold or was reverted, or a later analysis of the same recording replaced it."""
+    """False if it is on hold or was reverted, or a later analysis or delivery of the same recording replaced it."""
+    hold: str | None
+    """Why it is on hold; null unless it is."""
 
 
 class Timeline(Answer):
@@ -237,6 +239,8 @@ class Decided(Answer):
     """Drives that were compared with the map again."""
     also_changed: list[UUID]
     """Of a reverted changeset: features that later drives changed too; their observations are kept."""
+    hold_changes: list[str]
+    """Drives that went on hold by it, or are on hold no longer, a sentence each."""
 
 
 class FoundFeatures(Answer):

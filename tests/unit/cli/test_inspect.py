@@ -52,6 +52,13 @@ def test_inspect_shows_what_is_lost(
     assert "KITTI raw layout" in text
     assert "7 of 10 usable, 3 lost" in text
     assert "there is no right image" in text
+    code, text, _ = run(["inspect", str(SAMPLE)], capsys)
+    assert code == 0
+    checks = [line.split("  ") for line in text.splitlines() if line.rstrip().endswith(" pass")]
+    assert [line[0] for line in checks] == [
+        "covered parts of the lenses", "trigger of both cameras", "columns of the right images", "rows of the right images",
+    ]  # fmt: skip
+    assert "+- 0.3 px (limit 0.7)" in text
 
 
 def test_inspect_exits_with_2_for_what_cannot_be_ingested(

@@ -54,7 +54,8 @@ def finding(places: Floats, before: Floats = ZONE, *, sigma_m: float = 0.03, see
     found = contradiction(tracks, known, deltas, PARAMS)
     backwards = contradiction(tracks[::-1], known[::-1], deltas[::-1], PARAMS)
     assert found == backwards, "the order matters"
-    return found
+    assert found is None or (found.value is not None and found.limit is not None and abs(found.value) > found.limit)
+    return found and found.detail
 
 
 def turned(places: Floats, degrees: float, about: tuple[float, float] = (-30.0, 0.0)) -> Floats:
@@ -142,7 +143,9 @@ def test_long_rows_that_lie_aside_are_found(count: int) -> None:
     row = np.column_stack([np.cumsum(rng.uniform(3.0, 9.0, count)), rng.normal(3.0, 0.5, count), np.zeros(count)])
     tracks, known = tracks_at(row + np.array((0, 10.0, 0))), features_at(row)
     deltas = reconcile(tracks, known, lambda *_: None, PARAMS, founding_key="d")
-    assert re.search(r"(9\.9|10\.[01]) m from those of the map", contradiction(tracks, known, deltas, PARAMS) or "")
+    found = contradiction(tracks, known, deltas, PARAMS)
+    assert found is not None and re.search(r"(9\.9|10\.[01]) m from those of the map", found.detail)
+    assert found.value == pytest.approx(10.0, abs=0.15)
 
 
 def test_a_second_row_beside_the_first_one_is_none() -> None:
@@ -159,4 +162,5 @@ def test_a_second_row_beside_the_first_one_is_none() -> None:
 def test_a_blind_drive_is_found_on_maps_of_any_size() -> None:
     for removed, confirmed in ((9, 0), (50, 10), (5000, 1000)):
         kinds = Counter({DeltaKind.REMOVED: removed, DeltaKind.CONFIRMED: confirmed})
-        assert f"remove {removed} of the {removed + confirmed}" in (_blind(kinds, PARAMS) or "")
+        found = _blind(kinds, PARAMS)
+        assert found is not None and f"remove {removed} of the {removed + confirmed}" in found.detail

@@ -120,7 +120,7 @@ class Ingest:
 
 
 def holds(history: MapHistory) -> dict[UUID, str]:
-    return {key: update.hold for key, update in history.updates.items() if update.hold is not None}
+    return {key: update.hold.detail for key, update in history.updates.items() if update.hold is not None}
 
 
 def state(history: MapHistory) -> State:

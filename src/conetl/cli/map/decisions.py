@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import getpass
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal
+from uuid import UUID
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, complain, counted, print_json, print_records, say
 from conetl.cli.database import open_map
+from conetl.db.connection import Connection
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import list_changesets
-from conetl.model.errors import InputError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
 from conetl.model.map_records import FeatureVersion
-from conetl.pipeline.settings import read_settings
+from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:
     from conetl.pipeline.maps.decisions import DecisionOutcome
@@ -51,8 +54,14 @@ def revert(
     with open_map(settings) as conn:
         decided = decisions.revert(conn, what, map_name=settings.map_name, note=note, decided_by=who_decides(by))
         numbers = {c.changeset_id: c.changeset_no for c in list_changesets(conn, map_name=settings.map_name)}
-    print_outcome(decided, as_json)
-    if as_json or not decided.conflicts:
+        if not as_json:
+            _print_conflicts(decided, numbers)
+        finish(conn, decided, settings, as_json)
+
+
+def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> None:
+    """What other drives changed after a reverted changeset. numbers: of changesets."""
+    if not decided.conflicts:
         return
     say("Other drives changed these features as well; their changes are kept:")
     columns: Columns = {
@@ -100,7 +109,7 @@ def _decide_place(
         decided = decide_place(
             conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note, decided_by=who_decides(by)
         )
-    print_outcome(decided, as_json)
+        finish(conn, decided, settings, as_json)
 
 
 def who_decides(by: str | None) -> str:
@@ -111,15 +120,34 @@ def who_decides(by: str | None) -> str:
         raise InputError("the login name is unknown: give the name of the person who decides with --by NAME") from error
 
 
-def print_outcome(decided: DecisionOutcome, as_json: bool) -> None:
-    """Print what a decision did."""
+def finish(conn: Connection, decided: DecisionOutcome, settings: Settings, as_json: bool) -> None:
+    """Print what a decision did, and write the QA reports of the drives again whose state it changed. Exits with 1 where a report
+    cannot be written: the decision is made."""
     if as_json:
         print_json(decided._asdict() | {"conflicts": [conflict._asdict() for conflict in decided.conflicts]})
+    else:
+        say(
+            f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): {decided.versions_written} feature versions written, "
+            f"{counted(decided.replayed, 'drive')} compared with the map again."
+        )
+        if decided.replaced_by is not None:
+            say(f"The drive does not count: a later delivery of it does (changeset {decided.replaced_by}).")
+        for change in decided.hold_changes:
+            say(change.sentence)
+    about = {change.changeset_id for change in decided.hold_changes}
+    if decided.changeset_id is not None:
+        about.add(decided.changeset_id)
+    if not about:
         return
-    say(
-        f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): {decided.versions_written} feature versions written, "
-        f"{decided.replayed} drives compared with the map again."
-    )
+    from conetl.pipeline.publish import renew_pages  # matplotlib takes half a second to load
+
+    try:
+        renew_pages(conn, about, settings)
+    except ConetlError as error:
+        complain(
+            f"The decision is made, but a report could not be written: {error} `conetl report drive` writes it again."
+        )
+        raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
 
 
 def _state_text(version: FeatureVersion | None, nothing: str) -> str:

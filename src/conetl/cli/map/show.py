@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Annotated, Any
 
 import typer
 
 from conetl.cli.console import Columns, JsonOption, cell, counted, parse_time, print_json, print_records, say
 from conetl.cli.database import open_map
+from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, FeatureLogEntry
 from conetl.model.errors import InputError
+from conetl.model.health import HoldEvent
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.settings import read_settings
 
@@ -78,6 +82,7 @@ def log(
     with open_map(settings) as conn:
         if feature is None:
             changesets = list_changesets(conn, map_name=settings.map_name)
+            events = hold_events(conn, map_name=settings.map_name)
         else:
             found = find_features(conn, feature, map_name=settings.map_name)
             if not found:
@@ -85,10 +90,15 @@ def log(
             if len(found) > 1:
                 raise InputError(f"{feature!r} is ambiguous: give more characters of the id")
             entries = feature_log(conn, found[0])
-    if as_json:
-        print_json(changesets if feature is None else entries)
+    if as_json and feature is None:
+        print_json([vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets])
+    elif as_json:
+        print_json(entries)
     elif feature is None:
-        print_records("", _CHANGESETS, changesets, numbers_from=3)
+        # Newest first; what happened at the instant of a commit comes after it.
+        rows: list[CommittedChangeset | HoldEvent] = [*reversed(changesets), *events]
+        rows.sort(key=lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at)
+        print_records("", _LOG, rows[::-1], numbers_from=3)
     else:
         print_records("", _HISTORY, entries, numbers_from=3)
 
@@ -101,6 +111,10 @@ def _others(changeset: CommittedChangeset) -> str:
         "merged": changeset.merged_count,
     }
     return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
+
+
+def _state_of(changeset: CommittedChangeset) -> str:
+    return "" if changeset.counts else "on hold" if changeset.hold else "does not count"
 
 
 def _frames(entry: FeatureLogEntry) -> str:
@@ -120,7 +134,21 @@ _CHANGESETS: Columns = {
     "missed": "missed_count",
     "other": _others,
     "quarantined": "rejection_count",
-    "": lambda c: "" if c.counts else "does not count",
+}
+
+
+def _of_changeset(read: str | Callable[[Any], object]) -> Callable[[Any], object]:
+    """A column that is empty for what happened to a drive on hold."""
+    reader = attrgetter(read) if isinstance(read, str) else read
+    return lambda row: None if isinstance(row, HoldEvent) else reader(row)
+
+
+_LOG: Columns = {
+    **{heading: _of_changeset(read) for heading, read in _CHANGESETS.items()},
+    "no": "changeset_no",
+    "drive": "drive_id",
+    "committed (UTC)": lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at,
+    "": lambda row: row.sentence if isinstance(row, HoldEvent) else _state_of(row),
 }
 _HISTORY: Columns = {
     "change": "kind",

@@ -27,12 +27,14 @@ from conetl.db.connection import Connection, CopyBlock, copy_block, copy_columns
 from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
+from conetl.db.map.hold_store import write_holds
 from conetl.db.map.map_store import find_changeset, map_for, map_lock, system_time
-from conetl.db.map.replay_store import write_holds, write_replay
+from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
 from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.errors import MapMismatchError
+from conetl.model.health import HealthCheck
 from conetl.model.map_records import Changeset, DeltaKind
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Drive, DriveRecords, utc_from_ns
@@ -70,6 +72,11 @@ def place_drive(
     """
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
+    elsewhere = {"drive_uuid": drive_uuid, "map_id": info.map_id}
+    if execute(conn, load_sql("drives.belongs_elsewhere"), elsewhere)[0][
+        "elsewhere"
+    ]:  # a map of this name was set aside
+        drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{info.map_id}/{idempotency_key}")
     times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
     parameters = {
         "drive_uuid": drive_uuid,
@@ -93,6 +100,13 @@ def place_drive(
     return drive_uuid
 
 
+def with_free_id(conn: Connection, changeset: Changeset, drive_uuid: UUID) -> Changeset:
+    """A new changeset, with another id where its own is that of the same drive on a map of this name that was set aside."""
+    if execute(conn, load_sql("commit.changeset_exists"), {"changeset_id": changeset.changeset_id})[0]["found"]:
+        return changeset.model_copy(update={"changeset_id": uuid5(drive_uuid, str(changeset.changeset_id))})
+    return changeset
+
+
 def commit_changeset(
     conn: Connection,
     records: DriveRecords,
@@ -103,7 +117,7 @@ def commit_changeset(
     run: RunInfo | None = None,
     suppressed: Collection[UUID] = (),
     replay: Replay | None = None,
-    hold: str | None = None,
+    hold: Sequence[HealthCheck] = (),
     held_by_map: bool = False,
 ) -> CommitResult:
     """Write a drive, everything made from it, and its changeset, inside the caller's `map_transaction`.
@@ -111,9 +125,10 @@ def commit_changeset(
     The map is created by its first changeset with the drive's SRID. `now` is the system time of the changeset (None: the server's
     clock); it is moved behind the map's last one. Versions are numbered here: the open one's plus one. suppressed: features that
     end where a person decided that nothing stands. replay: for a drive that is older than others around it, the new state of the
-    whole neighbourhood, the changeset's own deltas included. hold: why the drive must not count until a person accepts it, and
-    whether the comparison with the map decided that. Raises MapMismatchError if the drive is in another CRS, the records
-    do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding `map_transaction`.
+    whole neighbourhood, the changeset's own deltas included. hold: the checks for which the drive must not count until a person
+    accepts it; held_by_map: whether the comparison with the map made them. Raises MapMismatchError if the drive is in another
+    CRS, the records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding
+    `map_transaction`.
     """
     map_lock(conn, map_name)
     known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
@@ -138,7 +153,7 @@ def commit_changeset(
             versions_written = write_replay(conn, info, replay, committed_at)
         for block in blocks:
             copy_block(conn, block)
-    write_holds(conn, {changeset.changeset_id: hold}, committed_at, by_map=held_by_map)
+    write_holds(conn, {changeset.changeset_id: hold} if hold else {}, committed_at, by_map=held_by_map)
     return committed_result(conn, changeset, versions_written, map_name=map_name)
 
 

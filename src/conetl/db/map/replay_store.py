@@ -5,14 +5,14 @@ Rows are only changed by closing their system period; versions and deltas with t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from datetime import datetime
 from typing import Any
 from uuid import UUID
 
 from conetl.db.connection import Connection, copy_columns, database_errors, execute, execute_count, stream
-from conetl.db.copy_binary import clean_text
 from conetl.db.map import rows as map_rows
+from conetl.db.map.hold_store import write_holds
 from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
 from conetl.db.map.rows import version_of
 from conetl.db.statements import load_sql
@@ -36,7 +36,7 @@ def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[Drive
 
 
 def superseded_drives(conn: Connection, drive_uuid: UUID) -> list[UUID]:
-    """Other analyses of the same recording, which this one replaces."""
+    """The other analysis or delivery of the same recording that is active, which this one replaces."""
     return [
         row["drive_uuid"] for row in execute(conn, load_sql("replay.superseded_drives"), {"drive_uuid": drive_uuid})
     ]
@@ -126,20 +126,9 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
     written = execute_count(conn, load_sql("replay.insert_staged_versions"), parameters)
     execute(conn, load_sql("replay.insert_replayed_deltas"), parameters)
     execute(conn, "drop table version_stage, replayed_delta_stage")
-    write_holds(conn, replay.holds, committed_at)
+    checks = {changeset: () if check is None else (check,) for changeset, check in replay.holds.items()}
+    write_holds(conn, checks, committed_at, by_map=True)
     return written
-
-
-def write_holds(
-    conn: Connection, holds: Mapping[UUID, str | None], committed_at: datetime, *, by_map: bool = True
-) -> None:
-    """Begin and end holds of drives, by changeset (None: it counts); by_map: as the comparison with the map decided, and not
-    the recording alone. Does not commit."""
-    if holds:
-        rows = {"changeset_ids": list(holds), "reasons": [reason and clean_text(reason) for reason in holds.values()]}
-        parameters = {**rows, "committed_at": committed_at, "by_map": by_map}
-        execute(conn, load_sql("replay.end_holds"), parameters)
-        execute(conn, load_sql("replay.begin_holds"), parameters)
 
 
 def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:

@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
+from conetl.model.health import HealthCheck
 from conetl.model.map_records import Delta, DeltaKind, DriveOrder, FeatureVersion, Location, MapFeature
 
 
@@ -76,7 +77,7 @@ class CommittedChangeset:
     captured_from_ns: int
     captured_to_ns: int
     counts: bool
-    """False if the drive is on hold or was reverted, or another analysis of the same recording replaced it."""
+    """False if the drive is on hold or was reverted, or a later analysis or delivery of the same recording replaced it."""
     hold: str | None
     """Why the drive is on hold; None unless it is."""
 
@@ -175,7 +176,7 @@ class Replay:
     deltas_before: StoredDeltas
     versions: Sequence[FeatureVersion]
     deltas: Sequence[tuple[UUID, Delta]]
-    holds: Mapping[UUID, str | None]
+    holds: Mapping[UUID, HealthCheck | None]
     """Why the drives that were compared again are on hold, by changeset; None of those that count."""
 
 

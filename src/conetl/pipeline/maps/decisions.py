@@ -16,6 +16,7 @@ from uuid import UUID
 from conetl.db.connection import LOCK_TIMEOUT_S, Connection
 from conetl.db.map.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
 from conetl.db.map.drive_store import load_stored_drive
+from conetl.db.map.hold_store import held_drives, hold_changes, replaced_by_delivery
 from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
 from conetl.db.map.replay_store import (
     affected_drives,
@@ -25,9 +26,10 @@ from conetl.db.map.replay_store import (
     superseded_drives,
     write_replay,
 )
-from conetl.db.map.results import Decidable, MapInfo, Replay
+from conetl.db.map.results import CommittedChangeset, Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
+from conetl.model.health import HeldDrive, HoldChange
 from conetl.model.map_records import FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
@@ -63,6 +65,21 @@ class DecisionOutcome(NamedTuple):
     """Drives that were compared with the map again."""
     conflicts: tuple[RevertConflict, ...]
     """Of a reverted changeset: features that other drives changed after it; these changes are kept."""
+    hold_changes: tuple[HoldChange, ...]
+    """Drives that went on hold, or are on hold no longer."""
+    changeset_id: UUID | None
+    """Of the drive that it is about."""
+    replaced_by: int | None
+    """Number of the later delivery that keeps this drive from counting, although nothing else does."""
+
+
+class _Deciding(NamedTuple):
+    """A map under its lock while a decision is made."""
+
+    info: MapInfo
+    decided_at: datetime
+    insert: Callable[..., UUID]
+    held_before: list[HeldDrive]
 
 
 def decide_place(
@@ -82,7 +99,7 @@ def decide_place(
     where the same was decided already, or the feature's version is not `expected_version`, on which the person decided."""
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"a radius of {radius_m} m is not between 0 and {MAX_RADIUS_M:g} m")
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as (info, decided_at, insert):
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as at:
         state = _feature(conn, map_name, feature)
         before = read_decisions(conn, map_name=map_name)
         if is_within(state, before.suppressed if kind == SUPPRESS else before.pinned):
@@ -93,9 +110,9 @@ def decide_place(
                 f"{state.version} now. Look at it again."
             )
         place = Location(xy_m=state.xyz_m[:2], radius_m=radius_m)
-        decision_id = insert(kind, place=place, feature_id=state.feature_id)
-        written, replayed = _judge_place(conn, info, kind, place, decided_at)
-    return DecisionOutcome(decision_id, kind, decided_at, written, replayed, ())
+        decision_id = at.insert(kind, place=place, feature_id=state.feature_id)
+        written, replayed = _judge_place(conn, at.info, kind, place, at.decided_at)
+        return _outcome(conn, at, decision_id, kind, written, replayed)
 
 
 def revert(
@@ -111,7 +128,7 @@ def revert(
     """Revert a changeset (its drive does not count any more) or a decision. what: its id, the beginning of it, or the changeset's
     number. Nothing is lost: reverting the decision brings everything back. Raises InputError, ConflictError where that was done
     already."""
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as (info, decided_at, insert):
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as at:
         target = _target(conn, map_name, what)
         if target.kind == "changeset":
             for known in list_decisions(conn, map_name=map_name):
@@ -123,18 +140,18 @@ def revert(
         else:
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
         decision = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
-        decide = partial(insert, kind, changeset_id=changeset_id, withdraws=withdraws)
+        decide = partial(at.insert, kind, changeset_id=changeset_id, withdraws=withdraws)
         conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
             decision_id, written, replayed, conflicts = _judge_drive(
-                conn, info, target.drive_uuid, decide, decided_at, changeset_id
+                conn, at.info, target.drive_uuid, decide, at.decided_at, changeset_id
             )
         elif decision is not None and (place := decision.place) is not None:
             decision_id = decide()
-            written, replayed = _judge_place(conn, info, decision.kind, place, decided_at)
+            written, replayed = _judge_place(conn, at.info, decision.kind, place, at.decided_at)
         else:
             raise InputError(f"decision {target.id} cannot be reverted")
-    return DecisionOutcome(decision_id, kind, decided_at, written, replayed, conflicts)
+        return _outcome(conn, at, decision_id, kind, written, replayed, conflicts, target.changeset_id)
 
 
 def accept_drive(
@@ -149,14 +166,16 @@ def accept_drive(
 ) -> DecisionOutcome:
     """Let a drive on hold count as it is. drive: its id, or its changeset's number or id. Reverting the decision puts it on hold
     again. Raises ConflictError where no such drive is on hold, or another delivery of it counts."""
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as (info, decided_at, insert):
-        held = [
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as at:
+        found = [
             known
             for known in list_changesets(conn, map_name=map_name)
-            if known.hold is not None and drive in (known.drive_id, str(known.changeset_no), str(known.changeset_id))
+            if drive in (known.drive_id, str(known.changeset_no), str(known.changeset_id))
         ]
+        held = [known for known in found if known.hold is not None]
         if not held:
-            raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: `conetl drive held` lists them")
+            state = _not_held(conn, found[0]) if found else "`conetl drive held` lists them"
+            raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: {state}")
         if len(held) > 1:
             raise InputError(f"{len(held)} drives {drive} are on hold: give the number that `conetl drive held` lists")
         known = held[0]
@@ -168,24 +187,53 @@ def accept_drive(
                 f"another delivery of drive {known.drive_id} is on the map already (changeset {others[-1]}); the two would count "
                 f"as two surveys. Revert that one first with `conetl map revert {others[-1]}`, if this one is to count instead."
             )
-        decide = partial(insert, ACCEPT, changeset_id=known.changeset_id)
-        decision_id, written, replayed, _ = _judge_drive(conn, info, known.drive_uuid, decide, decided_at, None)
-    return DecisionOutcome(decision_id, ACCEPT, decided_at, written, replayed, ())
+        decide = partial(at.insert, ACCEPT, changeset_id=known.changeset_id)
+        decision_id, written, replayed, _ = _judge_drive(conn, at.info, known.drive_uuid, decide, at.decided_at, None)
+        return _outcome(conn, at, decision_id, ACCEPT, written, replayed, changeset_id=known.changeset_id)
 
 
 @contextmanager
 def _deciding(
     conn: Connection, map_name: str, note: str, decided_by: str | None, lock_timeout_s: float, now: datetime | None
-) -> Iterator[tuple[MapInfo, datetime, Callable[..., UUID]]]:
-    """The map under its lock, the instant of the decision, and `insert_decision` for it."""
+) -> Iterator[_Deciding]:
+    """The map under its lock, the instant of the decision, `insert_decision` for it, and the drives on hold."""
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         info = require_map(conn, map_name)
         decided_at = system_time(conn, info, now)
-        yield (
-            info,
-            decided_at,
-            partial(insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by),
-        )
+        insert = partial(insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by)
+        yield _Deciding(info, decided_at, insert, held_drives(conn, map_name=map_name))
+
+
+def _not_held(conn: Connection, known: CommittedChangeset) -> str:
+    """Why a changeset that is not on hold cannot be accepted."""
+    number = known.changeset_no
+    if known.counts:
+        return f"changeset {number} counts already"
+    later = replaced_by_delivery(conn, known.changeset_id)
+    if later is None:
+        return f"changeset {number} was reverted, see `conetl map decisions`"
+    return (
+        f"a later delivery of the drive took the place of changeset {number}, and both would count as two surveys. Revert that "
+        f"one first with `conetl map revert {later}`, if this one is to count instead"
+    )
+
+
+def _outcome(
+    conn: Connection,
+    at: _Deciding,
+    decision_id: UUID,
+    kind: str,
+    written: int,
+    replayed: int,
+    conflicts: tuple[RevertConflict, ...] = (),
+    changeset_id: UUID | None = None,
+) -> DecisionOutcome:
+    """What a decision did, read before it is committed. changeset_id: of the drive that it is about."""
+    changes = hold_changes(conn, at.held_before, map_name=at.info.map_name)
+    replaced_by = None if changeset_id is None else replaced_by_delivery(conn, changeset_id)
+    return DecisionOutcome(
+        decision_id, kind, at.decided_at, written, replayed, conflicts, changes, changeset_id, replaced_by
+    )
 
 
 def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:
