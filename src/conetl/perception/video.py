@@ -256,10 +256,11 @@ class _Decoder:
         if not self.leads_to(pts):
             self.seek(pts)
         first_pts = None
-        for self.at, frame in self._frames:
-            first_pts = self.at if first_pts is None else first_pts
-            keep(self.at, _Decoded(frame, self._packets.pop(self.at, b"")))
-            if self.at >= pts:
+        for at, frame in self._frames:
+            first_pts = at if first_pts is None else first_pts
+            keep(at, _Decoded(frame, self._packets.pop(at, b"")))
+            self.at = at
+            if at >= pts:
                 break
         return first_pts is None or first_pts <= pts
 
@@ -320,7 +321,7 @@ class _Decoders:
                 self._kept_bytes -= _bytes_of(self._kept.popitem(last=False)[1].frame)
 
     def _take(self, file: _File, pts: int) -> _Decoder | None:
-        """The decoder of this thread (or of one that ended) that is nearest before a frame, else any of its decoders of the file."""
+        """The decoder of this thread (or of one that ended) that is nearest before a frame, else any other of the file."""
         with self._lock:
             me = threading.current_thread()
             own = [d for d in self._idle if d.file == file and (d.thread is me or not d.thread.is_alive())]

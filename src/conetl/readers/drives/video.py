@@ -91,7 +91,7 @@ class Timing(NamedTuple):
 
 
 def matches(path: Path) -> bool:
-    """True for a folder with video files, or with folders of images that drive.yaml names. (A KITTI drive may hold a video, too.)"""
+    """True for a folder with video files, or with folders of images that drive.yaml names. (KITTI drives may hold videos.)"""
     has_videos = path.is_dir() and not (path / "image_02").is_dir() and bool(names_in(path, VIDEO_SUFFIXES))
     return has_videos or _names_images(path)
 
@@ -126,13 +126,12 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
 
     hashes = {path: sha256 for camera in cameras for path, sha256 in _hashes(camera)}
     exposures_ns = [stamp for couple in timed.couples if (stamp := _time_ns(couple)) is not None]
-    pose_at = pose_reader(
-        track, exposures_ns, settings.max_pose_gap_s, from_course=from_course, clock_sigma_s=timed.clock.sigma_s
-    )
-    return drive_of_couples(
+    pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s, from_course=from_course)
+    drive, rejections = drive_of_couples(
         timed.couples, {"left": cameras[0].name, "right": cameras[1].name}, source=root, settings=settings, rig=rig, srid=srid,
         content=content, images_of=images_of, pose_at=pose_at,
     )  # fmt: skip
+    return drive.model_copy(update={"clock_sigma_s": timed.clock.sigma_s or None}), rejections
 
 
 def read_timing(root: Path) -> Timing:
@@ -180,8 +179,8 @@ def _rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Fl
         return rig_on_body(rig, _body_SE3_left(settings.mount), settings, path)
     if rigs.body_is_left_camera(rig):
         raise CalibrationError(
-            f"{path}: where the cameras are on the vehicle is unknown. Put into {DRIVE_YAML}, as seen from the IMU or antenna whose "
-            "trajectory was recorded: 'mount: {forward_m: 1.2, left_m: 0.3, up_m: -0.2, pitch_deg: 3}'"
+            f"{path}: where the cameras are on the vehicle is unknown. Put into {DRIVE_YAML}, as seen from the IMU or antenna "
+            "whose trajectory was recorded: 'mount: {forward_m: 1.2, left_m: 0.3, up_m: -0.2, pitch_deg: 3}'"
         )
     return rig_on_body(rig, rigs.body_SE3_camera(rig, "left"), settings, path)
 
