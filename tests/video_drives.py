@@ -1,0 +1,92 @@
+"""A KITTI drive as two videos, or one with both images in each frame, with its trajectory as a table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from conetl.geometry import geodesy
+from conetl.model.records import Drive
+from conetl.perception.rectified_image import read_pair_image
+from conetl.readers.rigs import write_rig_yaml
+
+#: Time stamps of the videos, in a second.
+UNITS = 90_000
+
+
+def write_frames(path: Path, images: Sequence[np.ndarray], times_ns: Sequence[int], codec: str, options: dict[str, str]) -> Path:
+    """Images (H, W, 3), even in size, as a video whose time stamps begin with zero."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=10, options=options)
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        stream.time_base = stream.codec_context.time_base = Fraction(1, UNITS)
+        for image, time_ns in zip(images, times_ns, strict=True):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
+            frame.pts, frame.time_base = round((time_ns - times_ns[0]) * UNITS / 1e9), Fraction(1, UNITS)
+            for packet in stream.encode(frame):
+                container.mux(packet)
+        for packet in stream.encode(None):
+            container.mux(packet)
+    return path
+
+
+def write_video_drive(
+    root: Path, drive: Drive, *, layout: str | None = None, codec: str = "libx264", options: dict[str, str] | None = None,
+    suffix: str = ".mp4", trajectory: bool = True,
+) -> Path:
+    """The same drive as videos, a rig.yaml and a table with the poses; drive.yaml says when it began. The last row of odd images
+    is left out."""
+    root.mkdir(parents=True)
+    height, width = drive.rig.left.height_px // 2 * 2, drive.rig.left.width_px // 2 * 2
+    images = {
+        side: [read_pair_image(pair, side, drive.rig)[:height, :width] for pair in drive.frame_pairs] for side in ("left", "right")
+    }
+    times = [pair.captured_at_ns for pair in drive.frame_pairs]
+    options = options or {"crf": "18"}
+    if layout is None:
+        for side, frames in images.items():
+            write_frames(root / f"{side}{suffix}", frames, times, codec, options)
+    else:
+        order = ("left", "right") if layout in ("left-right", "top-bottom") else ("right", "left")
+        join = np.hstack if "left" in layout else np.vstack
+        both = [join(pair) for pair in zip(*(images[side] for side in order), strict=True)]
+        write_frames(root / f"both{suffix}", both, times, codec, options)
+    cameras = {s: getattr(drive.rig, s).model_copy(update={"height_px": height, "width_px": width}) for s in images}
+    write_rig_yaml(drive.rig.model_copy(update=cameras), root / "rig.yaml")
+    seconds, rest = divmod(times[0], 10**9)
+    start = f"{np.datetime64(seconds, 's')}".replace("T", " ") + f".{rest:09d}Z"
+    layout_text = f", layout: {layout}" if layout else ", right_offset_s: 0"
+    (root / "drive.yaml").write_text(f"images: {{start: '{start}'{layout_text}}}\n")
+    if trajectory:
+        write_table(root / "poses.csv", drive)
+    return root
+
+
+def write_table(path: Path, drive: Drive) -> Path:
+    """Poses as semicolon-separated values with decimal commas, heading clockwise from north."""
+    lines = ["Zeit;Breite [deg];Länge [deg];Höhe [m];roll;pitch;heading;sigma_e;sigma_n;sigma_u;sigma_roll;sigma_pitch;sigma_heading"]
+    for pair in drive.frame_pairs:
+        pose = pair.pose
+        lat, lon, height = geodesy.to_geodetic(drive.map_srid, np.array(pose.map_t_body_m))
+        R = np.array(pose.map_R_body)
+        convergence = float(geodesy.grid_convergence_rad(drive.map_srid, lat, lon))
+        yaw = math.atan2(R[1, 0], R[0, 0]) - convergence
+        pitch_up, roll_right = math.asin(R[2, 0]), -math.atan2(R[2, 1], R[2, 2])
+        day, rest = divmod(pair.captured_at_ns, 10**9)
+        time = f"{np.datetime64(day, 's')}".replace("T", " ") + f".{rest:09d}Z"
+        angles = [math.degrees(roll_right), math.degrees(pitch_up), (90 - math.degrees(yaw)) % 360]
+        sigma = [*pose.sigma_enu_m, *(math.degrees(s) for s in pose.sigma_rpy_rad)]
+        lines.append(";".join([time, *(f"{v:.12f}".replace(".", ",") for v in (lat, lon, height, *angles, *sigma))]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def same_image(found: np.ndarray, true: np.ndarray) -> bool:
+    return found.shape == true.shape and cv2.PSNR(found, true) > 30
