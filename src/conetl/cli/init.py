@@ -39,6 +39,12 @@ def init(
     start: Annotated[
         str | None, typer.Option(help="Time of the first left frame, UTC; else found from the images.")
     ] = None,
+    right_offset: Annotated[
+        str | None,
+        typer.Option(
+            help="Seconds to add to the right file's times to have the left one's; else found from the images."
+        ),
+    ] = None,
     trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
     date: Annotated[str | None, typer.Option(help="Day of the recording, for logs without a date.")] = None,
     heights: Annotated[str | None, typer.Option(help="ellipsoidal, or a height system like EPSG:5773.")] = None,
@@ -72,7 +78,7 @@ def init(
     if (root / DRIVE_YAML).exists() and not force:
         raise InputError(f"{root / DRIVE_YAML} exists: edit it, or replace it with --force")
     given = {
-        "left": left, "right": right, "layout": layout, "start": start, "trajectory": trajectory, "date": date,
+        "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory, "date": date,
         "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
     }  # fmt: skip
     answers = {key: value for key, value in given.items() if value is not None}

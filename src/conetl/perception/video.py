@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import av
 import numpy as np
@@ -26,13 +26,16 @@ from av.video.reformatter import Interpolation, VideoReformatter
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError, StorageError
-from conetl.model.records import MAX_IMAGE_PIXELS
+from conetl.model.records import MAX_IMAGE_PIXELS, Side
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError
 
 Image = NDArray[np.uint8]
 Region = tuple[int, int, int, int]
 """x, y of the top-left corner, width, height in pixels."""
+Layout = Literal["left-right", "right-left", "top-bottom", "bottom-top"]
+"""Where left and right are in each frame of one file."""
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".ts"})
 #: Nothing but files and containers: a playlist would make the library open other files and addresses.
@@ -98,6 +101,18 @@ def frame_of(path: str | Path) -> Frame | None:
 def frame_sha256(packet_sha256: bytes, region: Region | None) -> str:
     """Hash of a frame, or of a region of it, by its packet's."""
     return packet_sha256.hex() if region is None else hashlib.sha256(packet_sha256 + repr(region).encode()).hexdigest()
+
+
+def region_of(video: VideoIndex, layout: Layout | None, side: Side) -> Region | None:
+    """The half of each frame that is the image of one side; None: all of it."""
+    if layout is None:
+        return None
+    second = (side == "right") == (layout in ("left-right", "top-bottom"))
+    if layout in ("left-right", "right-left"):
+        width = video.width_px // 2
+        return (width if second else 0, 0, width, video.height_px)
+    height = video.height_px // 2
+    return (0, height if second else 0, video.width_px, height)
 
 
 def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:

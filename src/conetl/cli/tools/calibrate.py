@@ -26,8 +26,9 @@ from conetl.perception.boards.images import (
     rejection,
     start_values,
 )
-from conetl.perception.boards.videos import Layout, find_videos, open_videos, pairs_in_videos
+from conetl.perception.boards.videos import find_videos, open_videos, pairs_in_videos
 from conetl.perception.images import ImageFileError
+from conetl.perception.video import Layout
 from conetl.readers.rigs.rig_yaml import write_rig_yaml
 from conetl.reports.calibration_report import calibration_as_dict, write_calibration_report
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -18,11 +18,18 @@ from numpy.typing import NDArray
 from conetl.model.errors import CalibrationError, InputError
 from conetl.model.records import Side
 from conetl.perception.boards.images import SIDES, ImagePair
-from conetl.perception.video import VIDEO_SUFFIXES, Frame, Region, VideoIndex, frames_between, index_video
+from conetl.perception.video import (
+    LAYOUTS,
+    VIDEO_SUFFIXES,
+    Frame,
+    Layout,
+    VideoIndex,
+    frames_between,
+    index_video,
+    region_of,
+)
 
 Array = NDArray[np.float64]
-Layout = Literal["left-right", "right-left", "top-bottom", "bottom-top"]
-"""Where left and right are in each frame of one file."""
 #: More pairs make a calibration slower, not better.
 MAX_PAIRS = 60
 #: Seconds between the frames that are compared, longest recording, width of the small images.
@@ -68,7 +75,7 @@ def open_videos(paths: Sequence[Path], layout: Layout | None) -> Videos:
     """The videos of two files, or of one with `layout`. Raises InputError."""
     if (len(paths) == 1) == (layout is None):
         raise InputError(
-            f"{paths[0]}: give two video files, or one with --layout left-right (or {', '.join(_layouts()[1:])})"
+            f"{paths[0]}: give two video files, or one with --layout left-right (or {', '.join(LAYOUTS[1:])})"
         )
     indexes = [index_video(path, hashed=False) for path in paths]
     for index in indexes:
@@ -79,22 +86,6 @@ def open_videos(paths: Sequence[Path], layout: Layout | None) -> Videos:
                 "where the board is shown"
             )
     return Videos(indexes[0], indexes[-1], layout)
-
-
-def _layouts() -> tuple[Layout, ...]:
-    return "left-right", "right-left", "top-bottom", "bottom-top"
-
-
-def region_of(video: VideoIndex, layout: Layout | None, side: Side) -> Region | None:
-    """x, y, width, height of one side's image in each frame; None: all of it."""
-    if layout is None:
-        return None
-    second = (side == "right") == (layout in ("left-right", "top-bottom"))
-    if layout in ("left-right", "right-left"):
-        width = video.width_px // 2
-        return (width if second else 0, 0, width, video.height_px)
-    height = video.height_px // 2
-    return (0, height if second else 0, video.width_px, height)
 
 
 def pairs_in_videos(

@@ -13,6 +13,7 @@ from conetl.files.names import printable
 from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import GeodeticPosition, Positive, Record
+from conetl.perception.video import Layout
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 DRIVE_YAML = "drive.yaml"
@@ -59,9 +60,6 @@ class Streams(Record):
     imu: str | None = Field(default=None, min_length=1)
     left_info: str | None = Field(default=None, min_length=1)
     right_info: str | None = Field(default=None, min_length=1)
-
-
-Layout = Literal["left-right", "right-left", "top-bottom", "bottom-top"]
 
 
 class Images(Record):

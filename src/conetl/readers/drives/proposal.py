@@ -64,6 +64,8 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     videos = [root / name for name in names_in(root, VIDEO_SUFFIXES)]
     folders = [path for path in sorted(root.iterdir()) if path.is_dir() and image_files(path)]
     images: dict[str, Any] = {key: answers[key] for key in ("left", "right", "layout", "start") if key in answers}
+    if "right-offset" in answers:
+        images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
     proposal.settings["images"] = images
     sources = videos or folders
     if not sources:

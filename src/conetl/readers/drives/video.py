@@ -28,18 +28,18 @@ from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Drive, Rig, Side
 from conetl.model.rejections import Rejection
 from conetl.perception.rectified_image import read_rig_image
-from conetl.perception.video import VIDEO_SUFFIXES, Frame, Region, VideoIndex, frame_of, index_video, video_facts
-from conetl.perception.video_sync import find_video_lag
-from conetl.readers.drives.drive_yaml import (
-    DRIVE_YAML,
-    Clock,
-    DriveYaml,
-    Images,
-    Layout,
-    Mount,
-    inside,
-    read_drive_yaml,
+from conetl.perception.video import (
+    VIDEO_SUFFIXES,
+    Frame,
+    Region,
+    VideoIndex,
+    frame_of,
+    index_video,
+    region_of,
+    video_facts,
 )
+from conetl.perception.video_sync import find_video_lag
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, Clock, DriveYaml, Images, Mount, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, names_in, rig_on_body
 from conetl.readers.drives.image_clock import image_clock
 from conetl.readers.drives.pairs import (
@@ -201,7 +201,7 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
     cameras = []
     for side, source in zip(sides, sources, strict=True):
         video, stored = videos[source], stored_camera(rig, side)
-        region = _region(video, settings.layout, side) if settings.layout else None
+        region = region_of(video, settings.layout, side)
         found = region[2:] if region else (video.width_px, video.height_px)
         if found != (stored.width_px, stored.height_px):
             raise CalibrationError(
@@ -245,15 +245,6 @@ def _indexed(source: Path, root: Path, content: ContentHash) -> VideoIndex:
         raise DriveFolderError(str(error)) from error
     content.add(source.relative_to(root).as_posix(), b"".join(video.sha256s))
     return video
-
-
-def _region(video: VideoIndex, layout: Layout, side: Side) -> Region:
-    """The half of each frame that is the image of one side."""
-    width, height = video.width_px, video.height_px
-    second = (side == "right") == (layout in ("left-right", "top-bottom"))
-    if layout in ("left-right", "right-left"):
-        return (width // 2 if second else 0, 0, width // 2, height)
-    return (0, height // 2 if second else 0, width, height // 2)
 
 
 def _folder_camera(root: Path, source: Path) -> _Camera:
@@ -420,7 +411,8 @@ def _chosen(couples: Sequence[Couple], settings: Images) -> list[Couple]:
         return []
     inside = couples[both[0] : both[-1] + 1]
     first_ns = min((t for couple in inside if (t := _time_ns(couple)) is not None), default=0)
-    from_ns, to_ns = first_ns + settings.from_s * 1e9, first_ns + (settings.to_s or np.inf) * 1e9
+    from_ns = first_ns + round(settings.from_s * 1e9)
+    to_ns = 2**63 if settings.to_s is None else first_ns + round(settings.to_s * 1e9)
     return [c for c in inside if (t := _time_ns(c)) is None or from_ns <= t <= to_ns][:: settings.every]
 
 

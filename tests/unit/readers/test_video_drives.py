@@ -1,0 +1,208 @@
+"""Drives of stereo video with a trajectory file: the same drive as that of images, whatever files and logs it has."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from conetl.cli.app import app
+from conetl.geometry import rig as rigs
+from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.records import Drive
+from conetl.perception.rectified_image import read_pair_image
+from conetl.pipeline.analysis import analyse
+from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives.header import read_header
+from conetl.readers.rigs import read_rig_yaml, write_rig_yaml
+from conetl.reports.camera_images import ImageMissingError, image_file
+from tests.unit.readers.drive_formats import SAMPLE
+from tests.video_drives import same_image, write_frames, write_table, write_video_drive
+
+VIDEOS = {
+    "two files": {},
+    "side by side": {
+        "layout": "right-left", "codec": "libx265", "options": {"crf": "18", "x265-params": "log-level=none"}, "suffix": ".mkv",
+    },
+    "motion jpeg": {"layout": "top-bottom", "codec": "mjpeg", "options": {"q:v": "2"}, "suffix": ".mkv"},
+}  # fmt: skip
+
+
+COUNT = 16
+
+
+@pytest.fixture(scope="module")
+def whole() -> Drive:
+    return read_drive(SAMPLE)[0]
+
+
+@pytest.fixture(scope="module")
+def sample(whole: Drive) -> Drive:
+    return whole.model_copy(update={"frame_pairs": whole.frame_pairs[:COUNT]})
+
+
+@pytest.fixture(scope="module")
+def folder(sample: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_video_drive(tmp_path_factory.mktemp("video") / "run", sample)
+
+
+def with_settings(folder: Path, tmp_path: Path, text: str) -> Path:
+    """The same files with another drive.yaml."""
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for path in folder.iterdir():
+        (copy / path.name).hardlink_to(path)
+    (copy / "drive.yaml").unlink()
+    (copy / "drive.yaml").write_text(text)
+    return copy
+
+
+@pytest.mark.parametrize("name", VIDEOS)
+def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) -> None:
+    root = write_video_drive(tmp_path / "run", sample, **VIDEOS[name])
+    assert drive_format(root) == "video"
+    drive, rejections = read_drive(root)
+    assert rejections == []
+    assert (drive.map_srid, len(drive.frame_pairs)) == (sample.map_srid, len(sample.frame_pairs))
+    for pair, wanted in zip(drive.frame_pairs, sample.frame_pairs, strict=True):
+        assert abs(pair.captured_at_ns - wanted.captured_at_ns) < 20_000
+        np.testing.assert_allclose(
+            rigs.map_SE3_left(pair.pose, drive.rig), rigs.map_SE3_left(wanted.pose, sample.rig), atol=1e-3
+        )
+        np.testing.assert_allclose(pair.pose.sigma_enu_m, wanted.pose.sigma_enu_m)
+    for side in ("left", "right"):
+        for n in (0, 7, 15):
+            found, true = (read_pair_image(d.frame_pairs[n], side, d.rig) for d in (drive, sample))
+            assert same_image(found, true)
+    header = read_header(root)
+    assert (header.problem, header.frame_pairs) == (None, COUNT)
+    assert header.captured_from_ns == drive.frame_pairs[0].captured_at_ns
+    assert read_drive(root)[0].content_sha256 == drive.content_sha256
+
+
+def test_cones_are_where_those_of_the_images_are(folder: Path, sample: Drive, tmp_path: Path) -> None:
+    found, true = (analyse(drive, results_folder=tmp_path / "results") for drive in (read_drive(folder)[0], sample))
+    assert len(found.tracks) == len(true.tracks)
+    for track in true.tracks:
+        nearest = min(np.linalg.norm(np.subtract(t.xyz_m, track.xyz_m)) for t in found.tracks)
+        assert nearest < 0.02
+
+
+def test_a_part_of_the_recording(folder: Path, tmp_path: Path, sample: Drive) -> None:
+    text = (folder / "drive.yaml").read_text().replace("}", ", every: 3, from_s: 0.3, to_s: 1.2}")
+    drive, _ = read_drive(with_settings(folder, tmp_path, text))
+    start_ns = sample.frame_pairs[0].captured_at_ns
+    inside = [t for pair in sample.frame_pairs if 0.3e9 <= (t := pair.captured_at_ns) - start_ns <= 1.2e9]
+    assert len(drive.frame_pairs) == len(inside[::3])
+    assert all(abs(p.captured_at_ns - t) < 20_000 for p, t in zip(drive.frame_pairs, inside[::3], strict=True))
+
+
+def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive) -> None:
+    root = tmp_path / "run"
+    root.mkdir()
+    for camera in ("image_02", "image_03"):
+        (root / camera).mkdir()
+        for n, pair in enumerate(sample.frame_pairs):
+            (root / camera / f"{pair.captured_at_ns}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
+    write_rig_yaml(sample.rig, root / "rig.yaml")
+    write_table(root / "poses.csv", sample)
+    (root / "drive.yaml").write_text("images: {left: image_02, right: image_03}\n")
+    drive, rejections = read_drive(root)
+    assert rejections == []
+    assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
+    lines = [f"{p.captured_at_ns / 1e9:.6f}" for p in sample.frame_pairs]
+    (root / "times.txt").write_text("\n".join(lines[:-1]))
+    (root / "drive.yaml").write_text("images: {left: image_02, right: image_03, timestamps: times.txt}\n")
+    with pytest.raises(DriveFolderError, match=r"times\.txt: 15 time stamps for the 16 images of image_02"):
+        read_drive(root)
+
+
+def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -> None:
+    start = "images: {start: '2026-03-02 10:00:00Z', right_offset_s: 0"
+    for number, (text, message) in enumerate(
+        {
+            "images: {layout: left-right, left: left.mp4, start: '2026-03-02 10:00:00'}": "480 x 320 pixels, but the calibration",
+            start + ", left: front.mp4}": "the left camera's images are not clear",
+            "images: {start: yesterday, right_offset_s: 0}": "drive.yaml: images.start: expected a time stamp",
+            start + "}\ntrajectory: {file: rover.pos}": "rover.pos",
+            start + "}\ntrajectory: {file: ../poses.csv}": "outside the drive folder",
+        }.items()
+    ):
+        (tmp_path / str(number)).mkdir()
+        with pytest.raises((DriveFolderError, CalibrationError), match=message):
+            read_drive(with_settings(folder, tmp_path / str(number), text))
+    for number, (name, message) in enumerate(
+        {"poses.csv": "which file is the trajectory", "rig.yaml": "rig.yaml is missing"}.items()
+    ):
+        (tmp_path / f"without {number}").mkdir()
+        copy = with_settings(folder, tmp_path / f"without {number}", start + "}")
+        (copy / name).unlink()
+        with pytest.raises((DriveFolderError, CalibrationError), match=message):
+            read_drive(copy)
+    (tmp_path / "still").mkdir()
+    still = with_settings(folder, tmp_path / "still", "images: {start: '2026-03-02 10:00:00'}")
+    (still / "right.mp4").unlink()
+    image, times = np.full((320, 960, 3), 90, np.uint8), [pair.captured_at_ns for pair in sample.frame_pairs]
+    write_frames(still / "right.mp4", [image] * COUNT, times, "libx264", {})
+    with pytest.raises(DriveFolderError, match="do not show how right.mp4 and left.mp4 are shifted in time"):
+        read_drive(still)
+
+
+def test_a_mount_takes_the_place_of_the_pose_in_the_rig(folder: Path, tmp_path: Path) -> None:
+    rig = read_rig_yaml(folder / "rig.yaml")
+    free = rig.model_copy(
+        update={"body_SE3_left": np.eye(4).tolist(), "body_SE3_right": rigs.left_SE3_right(rig).tolist()}
+    )
+    copy = with_settings(folder, tmp_path, (folder / "drive.yaml").read_text())
+    (copy / "rig.yaml").unlink()
+    write_rig_yaml(type(rig).model_validate(free.model_dump()), copy / "rig.yaml")
+    with pytest.raises(CalibrationError, match="where the cameras are on the vehicle is unknown"):
+        read_drive(copy)
+    with (copy / "drive.yaml").open("a") as file:
+        file.write("mount: {forward_m: 1.5, left_m: 0.2, up_m: 0.4, pitch_deg: 10, yaw_deg: 5}\n")
+    pose = np.array(read_drive(copy)[0].rig.body_SE3_left)
+    assert pose[:3, 3] == pytest.approx([1.5, 0.2, 0.4])
+    ahead = pose[:3, 2]  # the optical axis on the body
+    assert np.degrees(np.arcsin(ahead[2])) == pytest.approx(-10)
+    assert np.degrees(np.arctan2(ahead[1], ahead[0])) == pytest.approx(5)
+
+
+def test_frames_are_found_for_people_inside_the_drive_only(folder: Path) -> None:
+    drive, _ = read_drive(folder)
+    path = drive.frame_pairs[0].left_path
+    assert str(image_file(str(folder), path)) == path
+    for wrong in ("../left.mp4#pts=0", "/etc/passwd#pts=0", f"{folder}/none.mp4#pts=0"):
+        with pytest.raises(ImageMissingError):
+            image_file(str(folder), wrong)
+
+
+# --------------------------------------------------------------------------- conetl init
+
+
+def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: Drive) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    (copy / "drive.yaml").unlink()
+    start = np.datetime64(sample.frame_pairs[0].captured_at_ns, "ns")
+    arguments = ["init", str(copy), "--yes", "--right-offset", "0", "--start", f"{start}Z".replace("T", " ")]
+    made = CliRunner().invoke(app, arguments)
+    assert made.exit_code == 0, made.output
+    assert "16 frame pairs" in made.output and f"conetl ingest {copy}" in made.output
+    assert len(read_drive(copy)[0].frame_pairs) == COUNT
+    again = CliRunner().invoke(app, arguments)
+    assert again.exit_code != 0 and "--force" in str(again.exception)
+    drive = CliRunner().invoke(app, ["init", str(SAMPLE), "--json"])
+    assert json.loads(drive.output)["next"][1] == f"conetl ingest {SAMPLE}"
+
+
+def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    for name in ("drive.yaml", "rig.yaml", "poses.csv"):
+        (copy / name).unlink()
+    (copy / "left.mp4").rename(copy / "front.mp4")
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+    assert made.exit_code != 0
+    assert all(f"--{option}: " in str(made.exception) for option in ("left", "trajectory", "rig"))
+    assert not (copy / "drive.yaml").exists()
