@@ -62,6 +62,10 @@ def read_trajectory(
         )
     reading = READERS[name](path, settings)
     is_local = reading.axes == "local"
+    if is_local and (settings.crs or settings.heights):
+        raise DriveFolderError(
+            f"{path}: x, y, z of the format {name} are local: leave out trajectory.crs and heights in drive.yaml"
+        )
     pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
     with np.errstate(all="ignore"):  # damaged numbers become NaN, and their records bad
         found = assembled(path, path.name, pieces, is_local=is_local, between_ns=between_ns)
