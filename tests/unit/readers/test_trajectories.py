@@ -271,6 +271,7 @@ def test_nmea_without_gst_has_sigmas_of_its_quality(tmp_path: Path) -> None:
     path = files.write_nmea(tmp_path, attitude=False)
     lines = [line for line in path.read_text().splitlines() if "GST" not in line]
     lines[0] = lines[0].replace("GNGGA", "GNGGB")
+    lines.append(files.sentence("GNGGA,091600.00,4900.0,N,00800.0,E,4,17,0.7,high,M,47.9,M,1.0,0123"))
     path.write_text("\n".join(lines))
     found = read_trajectory(path)
     assert len(found.times_ns) == files.COUNT - 1
@@ -316,6 +317,11 @@ def test_yaw_columns_are_those_of_conetl(tmp_path: Path) -> None:
     rotations = read_trajectory(path).rotations
     assert rotations is not None
     assert angle_rad(rotations, true_rotations(np.array([[2.0, -3.0, 30.0]]))) < 1e-9
+
+
+def test_a_local_file_has_no_crs(tmp_path: Path) -> None:
+    with pytest.raises(DriveFolderError, match="local"):
+        read_trajectory(files.write_tum(tmp_path), TrajectoryFile(crs="EPSG:25832"))
 
 
 def test_a_yaw_that_is_a_heading_is_refused(tmp_path: Path) -> None:

@@ -224,16 +224,7 @@ def placed(
     """
     if recorded.rotations is None:
         raise DriveFolderError(f"{source}: {recorded.name} has positions without attitudes (roll, pitch, heading)")
-    sigma = _sigmas(recorded, settings)
-    known = np.isfinite(sigma).all(axis=1)
-    bad = recorded.bad | dict.fromkeys(
-        recorded.times_ns[~known].tolist(), "no sigmas of the position between 0 and 1000 m"
-    )
-    if not known.any():
-        raise DriveFolderError(
-            f"{source}: {recorded.name} has no sigmas of its positions; give sigmas.horizontal_m in drive.yaml"
-        )
-    positions, rotations = recorded.positions[known], recorded.rotations[known]
+    positions, rotations = recorded.positions, recorded.rotations
     if recorded.is_local:
         srid, poses = georeferenced(settings, map_srid, source, recorded.name, se3.se3(rotations, positions))
     else:
@@ -243,9 +234,18 @@ def placed(
             poses = se3.se3(enu_to_grid(srid, lat, lon, rotations), geodesy.to_map(srid, lat, lon, height))
         except ValueError as error:
             raise DriveFolderError(f"{source}: {error}") from error
+    sigma = _sigmas(recorded, settings)
+    known = np.isfinite(sigma).all(axis=1)
+    bad = recorded.bad | dict.fromkeys(
+        recorded.times_ns[~known].tolist(), "no sigmas of the position between 0 and 1000 m"
+    )
+    if not known.any():
+        raise DriveFolderError(
+            f"{source}: {recorded.name} has no sigmas of its positions; give sigmas.horizontal_m in drive.yaml"
+        )
     antenna_m = np.array(settings.antenna_t_m or (0.0, 0.0, 0.0))
     body = se3.compose(poses, se3.se3(sensor_R_body, -antenna_m))
-    track = Samples(recorded.name, recorded.times_ns[known].tolist(), body, sigma[known], bad)
+    track = Samples(recorded.name, recorded.times_ns[known].tolist(), body[known], sigma[known], bad)
     return srid, without_wild_fixes(track)
 
 

@@ -9,6 +9,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories import delimited, gpx, inertial_explorer, local, nmea, oxts, rtklib, sbet
 from conetl.readers.trajectories.earth import in_wgs84
@@ -60,8 +62,13 @@ def read_trajectory(
         )
     reading = READERS[name](path, settings)
     is_local = reading.axes == "local"
+    if is_local and (settings.crs or settings.heights):
+        raise DriveFolderError(
+            f"{path}: x, y, z of the format {name} are local: leave out trajectory.crs and heights in drive.yaml"
+        )
     pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
-    found = assembled(path, path.name, pieces, is_local=is_local, between_ns=between_ns)
+    with np.errstate(all="ignore"):  # damaged numbers become NaN, and their records bad
+        found = assembled(path, path.name, pieces, is_local=is_local, between_ns=between_ns)
     if reading.yaw_column is not None:
         delimited.check_yaw(path, found, reading.yaw_column)
     return found

@@ -109,7 +109,7 @@ def _minute_ns(year: int, month: int, day: int, hour: int, minute: int, offset: 
     try:
         return int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * SECOND_NS
     except OverflowError:  # year 1 east of Greenwich, year 9999 west of it
-        raise ValueError(f"expected a time from 2000 on, found the year {year}") from None
+        raise ValueError(f"expected a time from 2000 on, found {year:04d}-{month:02d}-{day:02d}") from None
 
 
 def decimal_ns(text: str, digits: int = 9) -> int:
