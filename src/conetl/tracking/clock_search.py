@@ -107,7 +107,7 @@ def find_clock_offset(
     if target is None:
         return None
     near = (times_s >= at_s[0] - search_s - 5) & (times_s <= at_s[-1] + search_s + 5)
-    if near.sum() < 4:
+    if near.sum() < 4 or np.ptp(times_s[near]) < _OVERLAP_S:
         return None
     first = round((max(times_s[near][0], at_s[0] - search_s) - at_s[0]) / _STEP_S)
     last = round((min(times_s[near][-1], at_s[-1] + search_s) - at_s[0]) / _STEP_S)

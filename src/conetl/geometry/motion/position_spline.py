@@ -71,6 +71,8 @@ class Moved(NamedTuple):
     """(M, 3)"""
     acceleration_m_s2: Floats
     """(M, 3)"""
+    mean_velocity_m_s: Floats
+    """(M, 3) between the records around the instant."""
 
 
 def position_spline(
@@ -80,12 +82,14 @@ def position_spline(
 
     white_share, correlation_s: of the errors of the records, as `gnss_white_share` and `gnss_correlation_s` of
     `TrajectoryParams`. A vehicle that moves more abruptly than is usual widens the covariances. Raises ValueError for fewer than
-    three records, times that do not rise, and values that are not finite.
+    three records at least 0.19 s apart, times that do not rise, and values that are not finite.
     """
     times, positions, sigma = (np.asarray(a, dtype=np.float64) for a in (times_s, positions_m, sigma_m))
-    if len(times) < 3 or not all(np.isfinite(a).all() for a in (times, positions, sigma)) or np.diff(times).min() <= 0:
-        raise ValueError("expected at least three finite positions at rising times")
+    if not all(np.isfinite(a).all() for a in (times, positions, sigma)) or (np.diff(times) <= 0).any():
+        raise ValueError("expected finite positions and sigmas at rising times")
     used = _thinned(times)
+    if len(used) < 3:
+        raise ValueError(f"expected at least three positions {_LEAST_STEP_S:g} s apart, found {len(times)}")
     times, sigma = times[used], np.maximum(sigma[used], 1e-4)
     origin = positions[0].copy()
     observed = positions[used] - origin
@@ -139,10 +143,12 @@ def at_times(spline: PositionSpline, times_s: ArrayLike) -> Moved:
     cov += by_next @ spline.cov[k + 1] @ np.swapaxes(by_next, -1, -2) + q_before - by_next @ after @ q_before
     share = ((times - spline.times_s[k]) / (spline.times_s[k + 1] - spline.times_s[k]))[:, None]
     slow = (1 - share) * spline.slow_m[k] + share * spline.slow_m[k + 1]
+    apart_s = (spline.times_s[k + 1] - spline.times_s[k])[:, None]
     recorded = cov[..., 0, 0] + slow**2 * cov[..., 3, 3] + 2 * slow * cov[..., 0, 3]
     return Moved(
         spline.origin_m + state[..., 0] + slow * state[..., 3], np.sqrt(np.maximum(recorded, 1e-8)), state[..., 1],
         np.sqrt(np.maximum(cov[..., 1, 1], 1e-8)), state[..., 2],
+        (spline.state[k + 1, :, 0] - spline.state[k, :, 0]) / apart_s,
     )  # fmt: skip
 
 
@@ -200,20 +206,22 @@ def _course(moved: Moved) -> tuple[Floats, Floats]:
 
 
 def _moves(moved: Moved) -> NDArray[np.bool_]:
-    """(M,) whether the course is a heading."""
-    speed = np.linalg.norm(moved.velocity_m_s[:, :2], axis=1)
-    return np.asarray(speed > np.maximum(_MOVING_M_S, _MOVING_SIGMAS * moved.velocity_sigma_m_s[:, :2].max(axis=1)))
+    """(M,) whether the course is a heading: after a sudden stop the spline swings back, but the records do not."""
+    least = np.maximum(_MOVING_M_S, _MOVING_SIGMAS * moved.velocity_sigma_m_s[:, :2].max(axis=1))
+    here, mean = moved.velocity_m_s[:, :2], moved.mean_velocity_m_s[:, :2]
+    fast = np.minimum(np.linalg.norm(here, axis=1), np.linalg.norm(mean, axis=1)) > least
+    return np.asarray(fast & ((here * mean).sum(axis=1) > 0))
 
 
 def _thinned(times_s: Floats) -> NDArray[np.intp]:
     """Indices of records at least `_LEAST_STEP_S` apart, the first and the last included."""
-    kept = [0]
-    for k in range(1, len(times_s)):
-        if times_s[k] - times_s[kept[-1]] >= _LEAST_STEP_S:
+    kept: list[int] = []
+    for k in range(len(times_s)):
+        if not kept or times_s[k] - times_s[kept[-1]] >= _LEAST_STEP_S:
             kept.append(k)
-    if kept[-1] != len(times_s) - 1:
-        kept = [*kept[:-1], len(times_s) - 1] if len(kept) > 1 else [0, len(times_s) - 1]
-    return np.array(kept)
+    if kept and kept[-1] != len(times_s) - 1:
+        kept = [*(kept[:-1] or kept), len(times_s) - 1]
+    return np.array(kept, dtype=np.intp)
 
 
 def _transition(step_s: Floats, correlation_s: float) -> tuple[Floats, Floats]:
