@@ -63,6 +63,8 @@ NAME = "video"
 READS_OBJECTS = False
 #: Cameras whose shift is farther than this from a whole number of frames were not triggered together.
 _WHOLE = 0.25
+#: Seconds of the trajectory before and after the images that help to smooth it.
+_MARGIN_S = 20.0
 _log = logging.getLogger(__name__)
 
 
@@ -113,7 +115,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     cameras = _cameras(root, settings.images, rig, content)
     trajectory = _trajectory_file(root, settings)
     _add_files(trajectory, root, content)
-    recorded = read_trajectory(trajectory, settings.trajectory)
+    recorded = read_trajectory(trajectory, settings.trajectory, _needed(cameras, settings, root))
     from_course = recorded.rotations is None
     srid, track = placed(with_course(recorded), settings, options.map_srid, root, sensor_R_body)
     timed = _timed(cameras, track, rig, settings, root, content, from_course=from_course)
@@ -139,7 +141,7 @@ def read_timing(root: Path) -> Timing:
     settings, content = read_drive_yaml(root), ContentHash(headers_only=True)
     rig, sensor_R_body = _rig(root, settings, content)
     cameras = _cameras(root, settings.images, rig, content)
-    recorded = read_trajectory(_trajectory_file(root, settings), settings.trajectory)
+    recorded = read_trajectory(_trajectory_file(root, settings), settings.trajectory, _needed(cameras, settings, root))
     _, track = placed(with_course(recorded), settings, None, root, sensor_R_body)
     return _timed(cameras, track, rig, settings, root, content, from_course=recorded.rotations is None)
 
@@ -352,6 +354,18 @@ def _parsed(text: str, settings: DriveYaml, path: Path) -> int:
     if isinstance(stamp, str):
         raise DriveFolderError(f"{path}: images.start: {stamp}")
     return stamp
+
+
+def _needed(cameras: Sequence[_Camera], settings: DriveYaml, root: Path) -> tuple[int, int] | None:
+    """First and last time (UTC ns) of the trajectory that are needed; None where the images do not tell. It may be of a whole day."""
+    left = cameras[0]
+    if left.video is None or settings.images.start is None:
+        return None
+    clock = settings.clock or Clock(offset_s=0.0)
+    offset_s, reach_s = (0.0, clock.search_s) if clock.offset_s == "estimate" else (clock.offset_s, 0.0)
+    first_ns = _parsed(settings.images.start, settings, root / DRIVE_YAML) + round(offset_s * 1e9)
+    margin_ns = round((reach_s + _MARGIN_S) * 1e9)
+    return first_ns - margin_ns, first_ns + round(float(left.times_s[-1]) * 1e9) + margin_ns
 
 
 def _start_ns(left: _Camera, track: Samples, settings: DriveYaml, root: Path) -> tuple[int, float | None]:
