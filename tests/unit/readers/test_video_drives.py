@@ -146,7 +146,7 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
         with pytest.raises((DriveFolderError, CalibrationError), match=message):
             read_drive(copy)
     (tmp_path / "still").mkdir()
-    still = with_settings(folder, tmp_path / "still", "images: {start: '2026-03-02 10:00:00'}")
+    still = with_settings(folder, tmp_path / "still", "images: {start: '2026-03-02 09:41:07'}")
     (still / "right.mp4").unlink()
     image, times = np.full((320, 960, 3), 90, np.uint8), [pair.captured_at_ns for pair in sample.frame_pairs]
     write_frames(still / "right.mp4", [image] * COUNT, times, "libx264", {})
