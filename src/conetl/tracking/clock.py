@@ -142,9 +142,7 @@ class Fit(NamedTuple):
     """(N, C)"""
 
 
-def robust_fit(
-    misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False, lags: int = _LAGS
-) -> Fit:
+def robust_fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False, lags: int = _LAGS) -> Fit:
     """Robust least squares of misfits (N, C) with the derivatives by (N, C, P); prior (P, P): information on the unknowns.
 
     held: without a change of the first unknown, the offset. lags: so many successive values may be correlated.
