@@ -1,7 +1,7 @@
 """Offset between the clocks of cameras and trajectory that may be tens of seconds apart, from turns and changes of speed.
 
-Visual odometry without any pose gives speed and turn rate of the vehicle at the stamps of the images, the trajectory gives them at
-its own. All offsets within the search are tried (cross-correlation with robust residuals), the best one must fit significantly
+Visual odometry without any pose gives speed and turn rate of the vehicle at the stamps of the images, the trajectory gives them
+at its own. All offsets within the search are tried (cross-correlation with robust residuals), the best one must fit significantly
 better than any other, and is then refined by least squares as in `clock.py`, which finds what is left of it.
 """
 
@@ -30,7 +30,7 @@ _SMOOTHED = 4.0
 _OVERLAP_SHARE, _OVERLAP_S = 0.6, 5.0
 #: Residuals beyond so many sigmas count as this many: a passing lorry, a lost fix.
 _CUT = 3.0
-#: Least sigmas of the two columns: of the turn (rad/s, or m/s^2 across where the trajectory has no attitude) and of the speed (m/s).
+#: Least sigmas of the two columns: of the turn (rad/s, or m/s^2 across where the trajectory has no attitude), of the speed (m/s).
 _LEAST_SIGMA = {True: np.array([0.002, 0.03]), False: np.array([0.02, 0.03])}
 #: An offset that differs by this much must fit worse by so much (chi-square of one degree of freedom at 5 sigma).
 _APART_S, _LEAST_GAIN = 0.5, 25.0
@@ -40,9 +40,9 @@ _LEAST_EXPLAINED = 0.5
 _GAP_S, _GAP_FACTOR = 0.5, 2.5
 #: Residuals of sparse records are alike over so many of their distances.
 _ALIKE = 2.5
-#: Sigma of the scale of the speeds, and the least and the largest one of a result (s): `clock.py` finds what is left within 0.4 s.
+#: Sigma of the scale of the speeds, and the least and largest one of a result (s): `clock.py` finds what is left within 0.4 s.
 _SCALE, _LEAST_SIGMA_S, _MAX_SIGMA_S = 0.02, 0.002, 0.15
-#: Positions drift most like the vehicle moves, slowly: on simulated drives the errors are up to so many of the sigmas by residuals.
+#: Errors of positions change as slowly as the vehicle moves: on simulated drives residuals show a sigma too small by this.
 _DOUBT = 1.5
 _ITERATIONS, _MOST_PIECES = 12, 2_000_000
 
@@ -115,16 +115,34 @@ def find_clock_offset(
     turned = None if rotations is None else rotations[near]
     signal = _trajectory_signal(times_s[near], positions_m[near], turned, sigma_m[near], grid_s)
     reach = round(search_s / _STEP_S)
-    lags = np.arange(-reach, reach + 1)
     padded = np.full((len(target) + 2 * reach, 2), np.nan)
     index = np.arange(first, last + 1) + reach
     inside = (index >= 0) & (index < len(padded))
     padded[index[inside]] = signal[inside]
+    searched = _searched(target, padded, _LEAST_SIGMA[rotations is not None])
+    if searched is None:
+        return None
+    best, worse, common = searched
+    coarse_s = (best - reach) * _STEP_S
+    alike = round(max(_ALIKE * float(np.median(np.diff(times_s[near]))) / _STEP_S, 10 * _SMOOTHED))
+    found = _refined(target, at_s, signal, grid_s, coarse_s, alike)
+    if found is None or not len(worse):
+        return None
+    offset_s, sigma_s, counted = found
+    gain = float((worse * common / counted).sum(axis=1).min())
+    if gain < _LEAST_GAIN or abs(offset_s - coarse_s) > _APART_S or sigma_s > _MAX_SIGMA_S:
+        return None
+    return ImageClock(float(offset_s), max(sigma_s, _LEAST_SIGMA_S))
+
+
+def _searched(target: Floats, padded: Floats, least: Floats) -> tuple[int, Floats, int] | None:
+    """The lag under which two signals (N, 2) and (N + L - 1, 2) fit best; by how much others far from it fit worse, (M, 2) mean
+    squared residuals; how many values they have in common. None where none fits, or the last one tried does best."""
     overlap, typical = _by_lag(target, padded, None)
     enough = overlap >= max(_OVERLAP_SHARE * np.isfinite(target[:, 1]).sum(), _OVERLAP_S / _STEP_S)
     if not enough.any():
         return None
-    sigma = np.maximum(np.min(typical[enough], axis=0), _LEAST_SIGMA[rotations is not None])
+    sigma = np.maximum(np.min(typical[enough], axis=0), least)
     for _ in range(2):
         misfit = np.where(enough[:, None], _by_lag(target, padded, sigma)[1], np.inf)
         best = int(np.argmin(misfit.sum(axis=1)))
@@ -133,18 +151,11 @@ def find_clock_offset(
     valid = np.isfinite(rest).all(axis=1)
     spread = np.minimum((rest[valid] / sigma) ** 2, _CUT**2).mean(axis=0)
     whole = (target[valid] - np.median(target[valid], axis=0)) / sigma
-    if (1 - spread / np.maximum((whole**2).mean(axis=0), 1e-9)).max() < _LEAST_EXPLAINED:
+    explained = 1 - spread / np.maximum((whole**2).mean(axis=0), 1e-9)
+    if explained.max() < _LEAST_EXPLAINED or best in (0, len(misfit) - 1):
         return None
-    apart = enough & (np.abs(lags - lags[best]) * _STEP_S >= _APART_S)
-    alike = round(max(_ALIKE * float(np.median(np.diff(times_s[near]))) / _STEP_S, 10 * _SMOOTHED))
-    found = _refined(target, at_s, signal, grid_s, lags[best] * _STEP_S, alike)
-    if found is None or not apart.any():
-        return None
-    offset_s, sigma_s, counted = found
-    gain = ((misfit[apart] - misfit[best]) * valid.sum() / counted).sum(axis=1).min()
-    if gain < _LEAST_GAIN or abs(offset_s - lags[best] * _STEP_S) > _APART_S or sigma_s > _MAX_SIGMA_S:
-        return None
-    return ImageClock(float(offset_s), max(sigma_s, _LEAST_SIGMA_S))
+    apart = enough & (np.abs(np.arange(len(misfit)) - best) * _STEP_S >= _APART_S)
+    return best, misfit[apart] - misfit[best], int(valid.sum())
 
 
 def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Floats]:
@@ -156,7 +167,8 @@ def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Flo
     turn = rates.turn_rad_s if attitude else rates.turn_rad_s * rates.speed_m_s
     values = np.stack([np.interp(at_s, times, column) for column in (turn, rates.speed_m_s)], axis=1)
     nearest = np.clip(np.searchsorted(times, at_s), 1, len(times) - 1)
-    known = np.minimum(np.abs(times[nearest] - at_s), np.abs(times[nearest - 1] - at_s)) <= 1.5 * _STEP_S
+    reach_s = min(max(1.5 * _STEP_S, 0.75 * float(np.median(np.diff(times)))), _GAP_S)
+    known = np.minimum(np.abs(times[nearest] - at_s), np.abs(times[nearest - 1] - at_s)) <= reach_s
     return np.where(known[:, None], smoothed(values, known.astype(np.float64), _SMOOTHED), np.nan), at_s
 
 
@@ -182,21 +194,23 @@ def _trajectory_signal(
         # Of more than ten records per second the mean of each step, since their differences are mostly noise.
         bins = np.unique((times_s / _STEP_S).astype(np.int64), return_inverse=True)[1]
         counts = np.bincount(bins)
-        turn = CubicSpline(np.bincount(bins, times_s) / counts, np.bincount(bins, yaw) / counts)(grid_s[there], 1)
+        mean_s: Floats = np.asarray(np.bincount(bins, times_s) / counts, dtype=np.float64)
+        mean_yaw: Floats = np.asarray(np.bincount(bins, yaw) / counts, dtype=np.float64)
+        turn = CubicSpline(mean_s, mean_yaw)(grid_s[there], 1)
     signal[there] = np.stack([turn, speed], axis=1)
     known = there.astype(np.float64)
     return np.where(there[:, None], smoothed(np.nan_to_num(signal), known, _SMOOTHED), np.nan)
 
 
 def _by_lag(target: Floats, padded: Floats, sigma: Floats | None) -> tuple[Floats, Floats]:
-    """For every lag the number of values (L,) in common and, by column (L, 2), their robust spread, or with sigmas the mean of their
-    squared residuals, outliers cut."""
+    """For every lag the number of values (L,) in common and, by column (L, 2), the robust spread of their differences, or with
+    sigmas the mean of its squares, outliers cut."""
     windows = np.lib.stride_tricks.sliding_window_view(padded, len(target), axis=0)
     count, found = np.zeros(len(windows)), np.full((len(windows), 2), np.inf)
     at_once = max(_MOST_PIECES // (2 * len(target)), 1)
     for first in range(0, len(windows), at_once):
         rest = np.abs(windows[first : first + at_once] - target.T)
-        common = np.isfinite(rest).all(axis=1)
+        common: NDArray[np.bool_] = np.isfinite(rest[:, 0]) & np.isfinite(rest[:, 1])
         count[first : first + at_once] = common.sum(axis=1)
         some = common.sum(axis=1) > 0
         rest = np.where(common[some][:, None], rest[some], np.nan)

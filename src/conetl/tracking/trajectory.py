@@ -245,7 +245,7 @@ def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParam
 
 
 def _interpolation(frame_pairs: Sequence[FramePair]) -> tuple[Floats, Floats]:
-    """(K, 6) sigmas (m, rad) by which interpolation between sparse records adds to those of poses, and (K,) s between the records."""
+    """(K, 6) sigmas (m, rad) that interpolation between sparse records adds to those of poses; (K,) s between the records."""
     found = [pair.pose.interpolated for pair in frame_pairs]
     sigma = [(0.0,) * 6 if part is None else (*part.sigma_enu_m, *part.sigma_rpy_rad) for part in found]
     return np.array(sigma), np.array([0.0 if part is None else part.apart_s for part in found])

@@ -1,9 +1,9 @@
 """Position, velocity and course of a vehicle at any instant from positions alone, recorded 0.5 to 20 times per second.
 
-Along each axis the acceleration is a first-order Gauss-Markov process (Singer 1970), and the error of a recorded position is one too,
-with a white share, as in `tracking/trajectory.py`. The estimate is the Rauch-Tung-Striebel smoother of that model (Rauch, Tung &
-Striebel 1965): a smoothing spline whose covariance grows between the records by what a vehicle may do in the meantime. Between two
-records it is the Gauss-Markov bridge of the smoothed states.
+Along each axis the acceleration is a first-order Gauss-Markov process (Singer 1970), and so is the error of a recorded position,
+with a white share, as in `tracking/trajectory.py`. The estimate is the smoother of that model (Rauch, Tung & Striebel 1965): a
+smoothing spline whose covariance grows between the records by what a vehicle may do in the meantime. Between two records it is
+the Gauss-Markov bridge of the smoothed states.
 
 All positions and velocities are along east, north and up of a map or of a level frame; yaw counts from east, counter-clockwise.
 """
@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 _ACCELERATION_M_S2, _LASTS_S = np.array([1.8, 1.8, 0.3]), 1.5
 #: Before the first record speed is unknown (m/s, one sigma), and positions differ by as much as this (m).
 _ANY_SPEED_M_S, _ANYWHERE_M = 40.0, 1e4
+#: Over a longer gap (s) nothing is known: the estimate begins anew after it.
+LONGEST_GAP_S = 60.0
 #: Records nearer in time than this to one that is used are left out (s): the slow error hardly changes between them.
 _LEAST_STEP_S = 0.19
 #: A vehicle moves from this speed on, and from this many of its sigmas on: else its course says nothing about its heading.
@@ -95,17 +97,22 @@ def position_spline(
     observed = positions[used] - origin
     count, slow = len(times), np.sqrt(1 - white_share**2) * sigma
     carry, noise = _transition(np.diff(times), correlation_s)
+    begins = np.r_[True, np.diff(times) > LONGEST_GAP_S]
+    carry[begins[1:]] = 0.0
     reach = np.zeros((count, 3, 4))
     reach[..., 0], reach[..., 3] = 1.0, slow
     white = (white_share * sigma) ** 2
     mean, cov = np.zeros((3, 4)), np.zeros((3, 4, 4))
-    cov[:] = np.diag([_ANYWHERE_M**2, _ANY_SPEED_M_S**2, 0.0, 1.0])
-    cov[:, 2, 2] = _ACCELERATION_M_S2**2
-    mean[:, 0] = observed[0]
+    unknown = np.zeros((3, 4, 4))
+    unknown[:] = np.diag([_ANYWHERE_M**2, _ANY_SPEED_M_S**2, 0.0, 1.0])
+    unknown[:, 2, 2] = _ACCELERATION_M_S2**2
     means, covs = np.empty((count, 3, 4)), np.empty((count, 3, 4, 4))
     ahead, ahead_cov, unlikely = np.empty_like(means), np.empty_like(covs), np.zeros((count, 3))
     for k in range(count):
-        if k:
+        if begins[k]:
+            mean, cov = np.zeros((3, 4)), unknown
+            mean[:, 0] = observed[k]
+        else:
             mean, cov = (carry[k - 1] @ mean[..., None])[..., 0], carry[k - 1] @ cov @ carry[k - 1].T + noise[k - 1]
         ahead[k], ahead_cov[k] = mean, cov
         column = (cov @ reach[k][..., None])[..., 0]
@@ -119,14 +126,18 @@ def position_spline(
     for k in range(count - 2, -1, -1):
         means[k] += (gain[k] @ (means[k + 1] - ahead[k + 1])[..., None])[..., 0]
         covs[k] += gain[k] @ (covs[k + 1] - ahead_cov[k + 1]) @ np.swapaxes(gain[k], -1, -2)
-    # The first records only begin the estimate.
-    factor = np.maximum(np.median(unlikely[2:], axis=0) / _MEDIAN_CHI2, 1.0)
+    # The first records of a part only begin the estimate.
+    begun = ~(begins | np.r_[True, begins[:-1]])
+    factor = np.maximum(np.median(unlikely[begun], axis=0) / _MEDIAN_CHI2, 1.0) if begun.any() else np.ones(3)
     factor[:2] = factor[:2].max()
     return PositionSpline(origin, times, means, covs * factor[:, None, None], gain, slow, correlation_s)
 
 
 def at_times(spline: PositionSpline, times_s: ArrayLike) -> Moved:
-    """The vehicle at instants (M,) between the first and the last record. Raises ValueError beyond them."""
+    """The vehicle at instants (M,) between the first and the last record, meaningless in gaps of more than `LONGEST_GAP_S`.
+
+    Raises ValueError beyond the records.
+    """
     times = np.asarray(times_s, dtype=np.float64).reshape(-1)
     if len(times) and not (spline.times_s[0] <= times.min() and times.max() <= spline.times_s[-1]):
         raise ValueError("expected instants between the first and the last record")
@@ -161,15 +172,16 @@ def turn_rate(moved: Moved) -> Floats:
 
 
 def course_attitude(spline: PositionSpline, times_s: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Rotations (M, 3, 3) from body (forward, left, up) to the frame of the positions, and two sets of sigmas (M, 3) of roll, pitch
-    and yaw (rad): of all errors, and of those that last no longer than the time between two records.
+    """Rotations (M, 3, 3) from body (forward, left, up) to the frame of the positions, and two sets of sigmas (M, 3) of roll,
+    pitch and yaw (rad): of all errors, and of those that last no longer than the time between two records.
 
     Yaw is the course, pitch the grade, roll zero. A standing vehicle keeps the heading between those before and after, with a
     sigma that grows with the distance that it may have rolled. A vehicle that reverses is taken for one that drives forward:
     positions do not show the difference. Raises ValueError where it never moves: its heading is unknown then.
     """
     times = np.asarray(times_s, dtype=np.float64).reshape(-1)
-    steady = np.sort(np.concatenate([spline.times_s, (spline.times_s[1:] + spline.times_s[:-1]) / 2]))
+    middle = ((spline.times_s[1:] + spline.times_s[:-1]) / 2)[np.diff(spline.times_s) <= LONGEST_GAP_S]
+    steady = np.sort(np.concatenate([spline.times_s, middle]))
     around, moved = at_times(spline, steady), at_times(spline, times)
     moving = np.flatnonzero(_moves(around))
     if not len(moving):
@@ -226,7 +238,7 @@ def _thinned(times_s: Floats) -> NDArray[np.intp]:
 
 def _transition(step_s: Floats, correlation_s: float) -> tuple[Floats, Floats]:
     """Transition (M, 4, 4) of the state of an axis over times (M,), and the noise (M, 3, 4, 4) that it adds on each axis."""
-    step = np.asarray(step_s, dtype=np.float64)
+    step = np.minimum(step_s, LONGEST_GAP_S)
 
     def answer(t_s: Floats) -> Floats:
         """(..., 3) position, velocity and acceleration after an acceleration of one, t later."""

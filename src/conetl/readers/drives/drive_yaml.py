@@ -102,7 +102,7 @@ class Clock(Record):
     """The clock of the images against that of the trajectory, where they are not the same."""
 
     offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | Literal["estimate"] = "estimate"
-    """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and changes of speed."""
+    """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and speeds."""
     sigma_s: float | None = Field(default=None, gt=0, le=10)
     """Of the stated offset; without it `clock_sigma_s` of the parameters is assumed."""
     search_s: float = Field(default=30.0, gt=0, le=7200)

@@ -53,7 +53,7 @@ def image_clock(
             return found
         first = motions[-1].second_frame_index
     raise DriveFolderError(
-        f"{track.name}: the offset between the clocks of images and trajectory cannot be determined within +-{settings.search_s:g} s: "
-        "the drive shows too few turns and changes of speed, or images and trajectory are not of the same time. State it in "
-        "drive.yaml: 'clock: {offset_s: ..., sigma_s: ...}', the seconds to add to the times of the images"
+        f"{track.name}: the offset between the clocks of images and trajectory cannot be determined within "
+        f"+-{settings.search_s:g} s: the drive shows too few turns and changes of speed, or images and trajectory are not of the "
+        "same time. State it in drive.yaml: 'clock: {offset_s: ..., sigma_s: ...}', the seconds to add to the times of the images"
     )

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
-from conetl.geometry.motion.position_spline import PositionSpline, at_times, course_attitude, position_spline
+from conetl.geometry.motion.position_spline import (
+    LONGEST_GAP_S,
+    PositionSpline,
+    at_times,
+    course_attitude,
+    position_spline,
+)
 from conetl.geometry.packing import vec3
 from conetl.model.errors import DriveFolderError
 from conetl.model.params import TrajectoryParams
@@ -39,16 +45,17 @@ def pose_reader(
     have none.
 
     from_course: the attitudes are not recorded (`with_course`). max_gap_s: `max_pose_gap_s` of drive.yaml; without it records
-    are interpolated over gaps of 0.5 s, and sparse ones over 2.5 times their median distance, at most 5 s. A dense trajectory
-    with attitudes is interpolated in straight lines (`poses.at`). Raises DriveFolderError where positions alone do not show a
-    heading.
+    are interpolated over gaps of 0.5 s, and sparse ones over 2.5 times their median distance, at most 5 s; never over more than
+    60 s. A dense trajectory with attitudes is interpolated in straight lines (`poses.at`). Raises DriveFolderError where
+    positions alone do not show a heading.
     """
     step_s = float(np.median(np.diff(track.times_ns))) * 1e-9 if len(track.times_ns) > 1 else 0.0
     sparse = step_s > SPARSE_S
     usual_s = min(_GAP_FACTOR * step_s, _LONGEST_GAP_S) if sparse else MAX_POSE_GAP_S
-    gap_ns = round((max_gap_s or max(usual_s, MAX_POSE_GAP_S)) * 1e9)
+    gap_s = max_gap_s or max(usual_s, MAX_POSE_GAP_S)
     if not sparse and not from_course:
-        return lambda time_ns: to_pose(*at(track, time_ns, gap_ns))
+        return lambda time_ns: to_pose(*at(track, time_ns, round(gap_s * 1e9)))
+    gap_ns = round(min(gap_s, LONGEST_GAP_S) * 1e9)
     spline = _spline(track.name, track.times_ns, track.map_SE3_body[:, :3, 3], track.sigma[:, :3])
     inside = sorted({t for t in exposures_ns if track.times_ns[0] <= t <= track.times_ns[-1]})
     times_s = _seconds(inside, track.times_ns[0])
@@ -97,9 +104,8 @@ def with_course(recorded: RecordedTrajectory) -> RecordedTrajectory:
     spline = _spline(recorded.name, times_ns, positions, sigma)
     grid_R_body, angles, _ = _course(recorded.name, spline, _seconds(times_ns, times_ns[0]))
     enu_R_grid = se3.rotation_from_rpy(np.zeros(len(times_ns)), np.zeros(len(times_ns)), -convergence)
-    return recorded._replace(
-        rotations=enu_R_grid @ grid_R_body, sigma=np.hstack([recorded.sigma[:, :3], angles])
-    )  # fmt: skip
+    rotations = np.asarray(enu_R_grid @ grid_R_body, dtype=np.float64)
+    return recorded._replace(rotations=rotations, sigma=np.hstack([recorded.sigma[:, :3], angles]))
 
 
 def _spline(name: str, times_ns: Sequence[int], positions_m: Floats, sigma_m: Floats) -> PositionSpline:
@@ -121,4 +127,4 @@ def _course(name: str, spline: PositionSpline, times_s: Floats) -> tuple[Floats,
 
 
 def _seconds(times_ns: Sequence[int], first_ns: int) -> Floats:
-    return (np.array(times_ns, dtype=np.int64) - first_ns) * 1e-9
+    return np.asarray((np.array(times_ns, dtype=np.int64) - first_ns) * 1e-9)

@@ -1,0 +1,86 @@
+"""1 Hz positions without attitude: refined poses are honest, and clocks that are seconds apart are found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from conetl.model.params import IngestParams
+from conetl.tracking.clock_search import find_clock_offset, rates_of
+from conetl.tracking.trajectory import RefinementOutcome, log_errors, refine_trajectory, refine_with_cones
+from tests.synthetic.good_drives import PARAMS, RIG
+from tests.synthetic.odometry import pose_errors
+from tests.synthetic.sparse_drive import record
+
+
+@pytest.mark.parametrize(("sigma_m", "most_m"), [(0.02, 0.1), (0.4, 1.0)])
+def test_refined_poses_of_1_hz_positions_are_honest(sigma_m: float, most_m: float) -> None:
+    runs, positions, attitudes, rms_m = 4, [], [], []
+    for seed in range(runs):
+        drive = record(seed, sigma_m=sigma_m, seconds=20.0)
+        result = refine_trajectory(drive.frame_pairs(0.0), RIG, drive.motions, PARAMS)
+        assert result.outcome is RefinementOutcome.REFINED, result.detail
+        assert result.covariance is not None
+        error, cov = pose_errors(result.frame_pairs, drive.truth), result.covariance.cov[100]
+        positions.append(error[100, :3] @ np.linalg.solve(cov[:3, :3], error[100, :3]))
+        attitudes.append(error[100, 3:] @ np.linalg.solve(cov[3:6, 3:6], error[100, 3:]))
+        rms_m.append(np.sqrt(np.mean(error[:, :3] ** 2)))
+    assert chi2.ppf(0.001, 3 * runs) < sum(positions) < chi2.ppf(0.999, 3 * runs)
+    assert sum(attitudes) < chi2.ppf(0.999, 3 * runs)
+    assert np.median(rms_m) < most_m
+
+
+def test_frame_pairs_between_records_are_no_measurements_of_their_own() -> None:
+    """Without visual odometry twice the images tell no more about where the vehicle was."""
+    drive = record(1, sigma_m=0.4)
+    some, all_of_them = (
+        refine_trajectory(drive.frame_pairs(0.0, every), RIG, kept, PARAMS)
+        for every, kept in ((5, []), (1, drive.motions[:1]))
+    )
+    assert some.outcome is RefinementOutcome.NO_MEASUREMENT
+    sigma = np.array([pair.pose.sigma_enu_m for pair in drive.frame_pairs(0.0)])
+    refined = np.array([pair.pose.sigma_enu_m for pair in all_of_them.frame_pairs])
+    assert np.median(refined / sigma) > 0.8
+    cov = log_errors(drive.frame_pairs(0.0, 5), PARAMS)
+    assert np.linalg.eigvalsh(cov).min() > -1e-9
+    np.testing.assert_allclose(np.sqrt(np.diag(cov))[:3], sigma[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("seed", "offset_s"), [(10, -20.0), (11, -3.2), (12, 0.0), (13, 20.0)])
+def test_clocks_seconds_apart_are_found_from_positions_alone(seed: int, offset_s: float) -> None:
+    found = record(seed, offset_s=offset_s, seconds=40.0).offset()
+    assert found is not None
+    assert abs(found.offset_s - offset_s) < min(0.01, 4 * found.sigma_s)
+
+
+def test_what_is_left_of_the_offset_is_found_with_the_poses() -> None:
+    """0.4 m and attitudes: turns and speeds find some 20 ms, the adjustment the rest; what remains is in the covariance."""
+    errors_s, nees = [], []
+    for seed in range(3):
+        drive = record(20 + seed, offset_s=12.037, rate_hz=10.0, sigma_m=0.4, has_attitude=True, seconds=40.0)
+        found = drive.offset()
+        assert found is not None
+        params = PARAMS.model_copy(update={"clock_sigma_s": found.sigma_s})
+        refined = refine_with_cones(
+            drive.frame_pairs(found.offset_s), RIG, drive.motions, [], IngestParams(trajectory=params)
+        )
+        assert refined.clock is not None
+        assert refined.covariance is not None
+        left_s = refined.clock.offset_s if refined.clock.is_applied(found.sigma_s) else 0.0
+        errors_s.append(found.offset_s - left_s - 12.037)
+        error = pose_errors(refined.frame_pairs, drive.truth)[200, :3]
+        nees.append(error @ np.linalg.solve(refined.covariance.cov[200][:3, :3], error))
+    assert np.abs(errors_s).max() < 0.01
+    assert sum(nees) < chi2.ppf(0.999, 9)
+
+
+def test_a_straight_drive_another_one_or_too_little_do_not_show_the_offset() -> None:
+    assert record(1, straight=True).offset() is None
+    assert [record(seed, path_seed=900 + seed, offset_s=4.0).offset() for seed in range(3)] == [None] * 3
+    assert record(2, seconds=4.0).offset() is None
+    drive = record(3, offset_s=200.0)
+    assert drive.offset() is None
+    rates, samples = rates_of([], dict(enumerate(drive.image_ns)), RIG), drive.track
+    places = samples.map_SE3_body[:, :3, 3]
+    assert find_clock_offset(rates, drive.image_ns[0], samples.times_ns, places, None, samples.sigma[:, :3]) is None
