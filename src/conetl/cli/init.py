@@ -142,7 +142,7 @@ def _write(root: Path, settings: dict[str, Any]) -> None:
 
 
 def _finish(folder: Path, text: str, settings: dict[str, Any], as_json: bool) -> None:
-    commands = [f"conetl inspect {folder}", f"conetl ingest {folder}"]
+    commands = [f"conetl inspect {folder} --page inspection.html", f"conetl ingest {folder}"]
     if as_json:
         print_json({"settings": settings, "next": commands})
         return
