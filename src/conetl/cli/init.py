@@ -78,8 +78,8 @@ def init(
     if (root / DRIVE_YAML).exists() and not force:
         raise InputError(f"{root / DRIVE_YAML} exists: edit it, or replace it with --force")
     given = {
-        "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory, "date": date,
-        "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
+        "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset,
+        "trajectory": trajectory, "date": date, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
     }  # fmt: skip
     answers = {key: value for key, value in given.items() if value is not None}
     asks = sys.stdin.isatty() and not yes and not as_json
