@@ -55,9 +55,9 @@ def find_video_lag(left: VideoIndex, right: VideoIndex) -> VideoLag | None:
         ours = _motion(left, left_s, start_s, start_s + _WINDOW_S)
         theirs = _motion(right, right_s, start_s - SEARCH_S, start_s + _WINDOW_S + SEARCH_S)
         curves.append(_correlations(ours, theirs, period_s))
-        if (shift := _peak(curves[-1])) is not None:
+        if (shift := correlation_peak(curves[-1])) is not None:
             windows.append((start_s, shift * period_s))
-    shift = _peak(np.mean(curves, axis=0))
+    shift = correlation_peak(np.mean(curves, axis=0))
     if shift is None and len(windows) > 1:  # they contradict each other
         shift = windows[0][1] / period_s
     return None if shift is None else VideoLag(shift * period_s, period_s, tuple(windows))
@@ -109,8 +109,11 @@ def _on_grid(series: tuple[Floats, Floats], grid_s: Floats) -> Floats:
     return np.column_stack(columns)
 
 
-def _peak(curve: Floats) -> float | None:
-    """Shift of the best correlation in frames, by a parabola through it and its neighbours; None where it does not stand out."""
+def correlation_peak(curve: Floats) -> float | None:
+    """Shift of the best of correlations at whole shifts around zero, in steps; None where it does not stand out.
+
+    By a parabola through it and its neighbours.
+    """
     best = int(np.argmax(curve))
     others = np.delete(curve, range(max(best - 2, 0), min(best + 3, len(curve))))
     if curve[best] < _LEAST or (len(others) and curve[best] - others.max() < _LEAST_LEAD):

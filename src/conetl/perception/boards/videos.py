@@ -28,6 +28,7 @@ from conetl.perception.video import (
     index_video,
     region_of,
 )
+from conetl.perception.video_sync import SEARCH_S, correlation_peak
 
 Array = NDArray[np.float64]
 #: More pairs make a calibration slower, not better.
@@ -36,8 +37,6 @@ MAX_PAIRS = 60
 _STEP_S, _MAX_S, _WIDTH_PX = 0.2, 1800.0, 96
 #: One frame is taken of so many that follow each other.
 _WINDOW = 5
-#: Seconds by which one file may have begun later, and how clear the correlation of both motions must be.
-_SEARCH_S, _LEAST, _LEAST_LEAD = 5.0, 0.5, 0.1
 #: Mean difference (grey levels) of two small images: less is the noise of a still scene, and of frames that show the same view.
 _STILL, _ALIKE = 1.0, 1.5
 
@@ -171,7 +170,7 @@ def _at(motion: Array, positions: Array) -> Array:
 def _offset_s(videos: Videos, left: Array, right: Array) -> float:
     """The shift at which both videos move and rest together. Raises CalibrationError."""
     ours, theirs = (np.log(np.maximum(motion[1:-1], _STILL)) for motion in (left, right))
-    most = round(_SEARCH_S / _STEP_S)
+    most = round(SEARCH_S / _STEP_S)
     found = np.zeros(2 * most + 1)
     for k, shift in enumerate(range(-most, most + 1)):
         a, b = ours[max(shift, 0) :], theirs[max(-shift, 0) :]
@@ -179,18 +178,13 @@ def _offset_s(videos: Videos, left: Array, right: Array) -> float:
         if common > most:
             a, b = a[:common] - a[:common].mean(), b[:common] - b[:common].mean()
             found[k] = a @ b / max(float(np.sqrt((a @ a) * (b @ b))), 1e-9)
-    best = int(found.argmax())
-    others = np.delete(found, range(max(best - 2, 0), min(best + 3, len(found))))
-    if found[best] < _LEAST or found[best] - others.max() < _LEAST_LEAD:
+    shift = correlation_peak(found)
+    if shift is None:
         raise CalibrationError(
             f"{videos.right.path}: by how much it is shifted against {videos.left.path.name} cannot be seen in the images; give "
             "--offset-s: what to add to its times (0 if both began together)"
         )
-    peak = float(best - most)
-    if 0 < best < 2 * most:
-        before, at, after = found[best - 1 : best + 2].tolist()
-        peak += 0.5 * (before - after) / min(before - 2 * at + after, -1e-9)
-    return peak * _STEP_S
+    return shift * _STEP_S
 
 
 def _still_and_distinct(small: NDArray[np.uint8], motion: Array) -> list[int]:
