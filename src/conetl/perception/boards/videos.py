@@ -178,13 +178,13 @@ def _offset_s(videos: Videos, left: Array, right: Array) -> float:
         if common > most:
             a, b = a[:common] - a[:common].mean(), b[:common] - b[:common].mean()
             found[k] = a @ b / max(float(np.sqrt((a @ a) * (b @ b))), 1e-9)
-    shift = correlation_peak(found)
-    if shift is None:
+    peak = correlation_peak(found)
+    if peak is None:
         raise CalibrationError(
             f"{videos.right.path}: by how much it is shifted against {videos.left.path.name} cannot be seen in the images; give "
             "--offset-s: what to add to its times (0 if both began together)"
         )
-    return shift * _STEP_S
+    return peak * _STEP_S
 
 
 def _still_and_distinct(small: NDArray[np.uint8], motion: Array) -> list[int]:
