@@ -110,23 +110,17 @@ def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: Me
     long = np.minimum(np.linalg.norm(observed, axis=1), np.linalg.norm(logged, axis=1)) > least_m
     back = long & ((observed * logged).sum(axis=1) < 0)
     count = int(back.sum())
-    held = count > _MAX_REVERSED
     detail = "The vehicle drives where its cameras look."
-    if held:
+    if count > _MAX_REVERSED:
         first = frame_pairs[int(measured.start[np.argmax(back)])].frame_index
         detail = (
-            f"The images of {count} intervals, from frame pair {first} on, show the vehicle driving backwards, but positions without "
-            "attitude give the heading of a vehicle that drives forwards. Leave out the part that reverses, or record attitudes."
+            f"The images of {count} intervals, from frame pair {first} on, show the vehicle driving backwards, but positions "
+            "without attitude give the heading of a vehicle that drives forwards. Leave out the part that reverses, or record "
+            "attitudes."
         )
-    return [
-        HealthCheck(
-            name="driving direction",
-            verdict=Verdict.HOLD if held else Verdict.PASS,
-            value=float(count),
-            limit=float(_MAX_REVERSED),
-            detail=detail,
-        )  # fmt: skip
-    ]
+    verdict = Verdict.HOLD if count > _MAX_REVERSED else Verdict.PASS
+    limit = float(_MAX_REVERSED)
+    return [HealthCheck(name="driving direction", verdict=verdict, value=float(count), limit=limit, detail=detail)]
 
 
 def _measured(frame_pairs: Sequence[FramePair], rig: Rig, measured: int) -> HealthCheck:

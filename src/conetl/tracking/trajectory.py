@@ -47,7 +47,7 @@ _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
 _MOTIONS_KEPT = 256
 _LONE_SIGMAS = 4.5
-#: The error of interpolation comes and goes between two records: from one of n frame pairs to the next by this share of it over n.
+#: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
 _CHANGING = 4.0
 #: Neighbouring observations of a cone are correlated (background, sun, calibration): so many count as one.
 _CORRELATED = 4.0
