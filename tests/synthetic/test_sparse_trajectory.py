@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from conetl.geometry import pose as se3
+from conetl.model.health import hold_reason
 from conetl.model.params import IngestParams
 from conetl.tracking.clock_search import find_clock_offset, rates_of
+from conetl.tracking.health import check_trajectory
 from conetl.tracking.trajectory import RefinementOutcome, log_errors, refine_trajectory, refine_with_cones
 from tests.synthetic.good_drives import PARAMS, RIG
-from tests.synthetic.odometry import pose_errors
+from tests.synthetic.odometry import motions_of, pose_errors
 from tests.synthetic.sparse_drive import record
 
 
@@ -73,6 +76,20 @@ def test_what_is_left_of_the_offset_is_found_with_the_poses() -> None:
         nees.append(error @ np.linalg.solve(refined.covariance.cov[200][:3, :3], error))
     assert np.abs(errors_s).max() < 0.01
     assert sum(nees) < chi2.ppf(0.999, 9)
+
+
+@pytest.mark.parametrize("sigma_m", [0.02, 0.4])
+def test_a_vehicle_that_reverses_is_held(sigma_m: float) -> None:
+    """Its course is opposite to its heading, which positions do not show."""
+    drive = record(2, sigma_m=sigma_m)
+    turned = drive.truth @ se3.se3(se3.rotation_from_rpy(0.0, 0.0, np.pi), np.zeros(3))
+    backwards = motions_of(turned, RIG, np.random.default_rng(1), PARAMS)
+    for motions, held in ((backwards, True), (drive.motions, False)):
+        refined = refine_with_cones(drive.frame_pairs(0.0), RIG, motions, [], IngestParams())
+        seen = [pair.model_copy(update={"detail": 10.0}) for pair in refined.logged]
+        checks = check_trajectory(seen, RIG, motions, refined, PARAMS)
+        assert (hold_reason(checks) is not None) == held
+        assert "driving direction" in {check.name for check in checks}
 
 
 def test_a_straight_drive_another_one_or_too_little_do_not_show_the_offset() -> None:

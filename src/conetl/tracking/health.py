@@ -33,6 +33,9 @@ _MAX_SCALE_SIGMAS = 3.2
 _JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
 #: A drift is at least so many metres, and so many sigmas of the change of the log's errors.
 _DRIFT_M, _DRIFT_SIGMAS = 0.1, 6.0
+#: A vehicle that drives backwards for more intervals than this reverses; in each it moves so many metres, and so many of the
+#: sigmas of the log's change.
+_MAX_REVERSED, _REVERSED_M, _REVERSED_SIGMAS = 10, 0.05, 3.0
 #: What a vehicle may gain or lose in speed, m/s^2, and how far around an interval its motion is taken from neighbours.
 _ACCELERATION, _NEIGHBOURS = 8.0, 4
 #: Motions are compared where they are longer, and have something in common from this share of their lengths on.
@@ -64,9 +67,10 @@ def check_trajectory(
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
         *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
+        *_directions(frame_pairs, log, measured),
         HealthCheck(
             name="stated sigmas of the poses",
-            verdict=Verdict.HOLD if trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS else Verdict.PASS,
+            verdict=Verdict.HOLD if trajectory.outcome in _unfit(frame_pairs) else Verdict.PASS,
             value=None,
             detail=f"{trajectory.detail[0].upper()}{trajectory.detail[1:]}.",
         ),
@@ -83,6 +87,40 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
     if verdict is Verdict.HOLD:
         detail += " Calibrate the rig anew (conetl calibrate), or see whether the images were cropped or shifted."
     return [HealthCheck(name=CALIBRATION, verdict=verdict, value=None, detail=detail)]
+
+
+def _unfit(frame_pairs: Sequence[FramePair]) -> set[RefinementOutcome]:
+    """Outcomes after which the poses as logged are not good enough: those between sparse records need the images."""
+    sparse = any(pair.pose.interpolated is not None for pair in frame_pairs)
+    return {RefinementOutcome.AGAINST_STATED_SIGMAS} | ({RefinementOutcome.NOT_CONVERGED} if sparse else set())
+
+
+def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: MeasuredMotions) -> list[HealthCheck]:
+    """Whether the images move where the course of sparse positions has the vehicle move; none of a log with more records.
+
+    A course that is taken for the heading of a vehicle that reverses is opposite to what its cameras show.
+    """
+    if all(pair.pose.interpolated is None for pair in frame_pairs) or not len(measured.start):
+        return []
+    observed = measured.next_SE3_first[:, :3, 3]
+    logged = observed - motion_residuals(log, log.rotations, log.places, measured, 0.0)[0][:, 3:]
+    k = measured.start
+    noise = log.new[k] ** 2 + log.new[k + 1] ** 2 + 2 * log.slow[k] ** 2 * (1 - log.keep[k])
+    least_m = np.maximum(_REVERSED_M, _REVERSED_SIGMAS * np.sqrt(noise[:, :2].max(axis=1)))
+    long = np.minimum(np.linalg.norm(observed, axis=1), np.linalg.norm(logged, axis=1)) > least_m
+    back = long & ((observed * logged).sum(axis=1) < 0)
+    count = int(back.sum())
+    detail = "The vehicle drives where its cameras look."
+    if count > _MAX_REVERSED:
+        first = frame_pairs[int(measured.start[np.argmax(back)])].frame_index
+        detail = (
+            f"The images of {count} intervals, from frame pair {first} on, show the vehicle driving backwards, but positions "
+            "without attitude give the heading of a vehicle that drives forwards. Leave out the part that reverses, or record "
+            "attitudes."
+        )
+    verdict = Verdict.HOLD if count > _MAX_REVERSED else Verdict.PASS
+    limit = float(_MAX_REVERSED)
+    return [HealthCheck(name="driving direction", verdict=verdict, value=float(count), limit=limit, detail=detail)]
 
 
 def _measured(frame_pairs: Sequence[FramePair], rig: Rig, measured: int) -> HealthCheck:

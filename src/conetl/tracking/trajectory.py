@@ -47,6 +47,8 @@ _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
 _MOTIONS_KEPT = 256
 _LONE_SIGMAS = 4.5
+#: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
+_CHANGING = 4.0
 #: Neighbouring observations of a cone are correlated (background, sun, calibration): so many count as one.
 _CORRELATED = 4.0
 
@@ -233,14 +235,16 @@ def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParam
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in frame_pairs])
     between, gap_s = _interpolation(frame_pairs)
     own = _without(stated, between)
-    white = np.maximum(share, 1e-3) * own
+    new = white = np.maximum(share, 1e-3) * own
     if between.any():
-        # All frame pairs between two records together say as much as one record does.
-        sharing = np.maximum(gap_s / np.median(step_s), 1.0)
-        white = np.sqrt(sharing)[:, None] * np.hypot(white, between)
+        # All frame pairs between two records together say as much as one record does; from one to the next their errors change
+        # by a part only.
+        sharing = np.maximum(gap_s / np.median(step_s), 1.0)[:, None]
+        new = np.hypot(white, between * np.minimum(_CHANGING / sharing, 1.0))
+        white = np.sqrt(sharing) * np.hypot(white, between)
     return LoggedPoses(
         poses[:, :3, :3], poses[:, :3, 3], sigma_p, sigma_a, white, np.sqrt(np.maximum(1 - share**2, 1e-6)) * own, keep,
-        np.array(rig.body_SE3_left),
+        np.array(rig.body_SE3_left), new,
     )  # fmt: skip
 
 
@@ -296,15 +300,15 @@ def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: f
 
     # What both poses have in common counts too: an attitude error turns the distance between them to the side.
     kept = log.keep[k] * log.slow[k + 1] / log.slow[k]
-    fresh = log.slow[k + 1] ** 2 * (1 - log.keep[k] ** 2) + log.white[k + 1] ** 2
+    fresh = log.slow[k + 1] ** 2 * (1 - log.keep[k] ** 2) + log.new[k + 1] ** 2
     scaled = motions.next_SE3_first[:, :3, 3] * scale_sigma
-    spread = motions.cov + moved(from_first, log.white[k] ** 2) + moved(from_second, fresh)
+    spread = motions.cov + moved(from_first, log.new[k] ** 2) + moved(from_second, fresh)
     spread += moved(from_first + from_second * kept[:, None, :], log.slow[k] ** 2)
     spread[:, 3:, 3:] += scaled[:, :, None] * scaled[:, None, :]
     chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
     inside = chi2 <= _GATE_CHI2
     good = inside.copy()
-    change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.white[k] ** 2 + log.white[k + 1] ** 2
+    change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.new[k] ** 2 + log.new[k + 1] ** 2
     sigma = np.sqrt(np.diagonal(motions.cov + moved(from_first, change), axis1=1, axis2=2))
     observed = motions.next_SE3_first[:, :3, 3]
     by_log = observed - residual[:, 3:]

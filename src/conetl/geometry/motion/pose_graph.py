@@ -45,6 +45,9 @@ class LoggedPoses:
     keep: Floats
     """(K - 1, 6): share of the slow part that remains at the next frame."""
     body_SE3_left: Floats
+    new: Floats
+    """(K, 6): sigma of what a record's error has beside its slow part and that of the frame before: the white part, of
+    interpolated poses far less."""
 
 
 @dataclass(frozen=True)
