@@ -300,7 +300,15 @@ def _timed(
     def read_image(number: int, side: Side) -> NDArray[np.uint8]:
         return read_rig_image(pairs[number][1][side], rig, side)
 
-    found = image_clock(clock, track, [t for t, _ in pairs], rig, read_image, from_course=from_course)
+    try:
+        found = image_clock(clock, track, [t for t, _ in pairs], rig, read_image, from_course=from_course)
+    except DriveFolderError as error:
+        if start_ns is None or images.start is not None:
+            raise
+        raise DriveFolderError(
+            f"{root}: when the first frame was taken is unknown, and turns and speeds of images and trajectory do not show it. Put "
+            f"'images: {{start: 2026-03-02 10:00:00.250}}' into {DRIVE_YAML}"
+        ) from error
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
     return Timing(moved, None if start_ns is None else start_ns + offset_ns, shift_s, found)
