@@ -306,7 +306,7 @@ def _timed(
         if start_ns is None or images.start is not None:
             raise
         raise DriveFolderError(
-            f"{root}: when the first frame was taken is unknown, and turns and speeds of images and trajectory do not show it. Put "
+            f"{root}: when the first frame was taken is unknown, and turns and speeds do not show it. Put "
             f"'images: {{start: 2026-03-02 10:00:00.250}}' into {DRIVE_YAML}"
         ) from error
     offset_ns = round(found.offset_s * 1e9)
