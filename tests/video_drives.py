@@ -31,7 +31,8 @@ def write_frames(
         stream.time_base = stream.codec_context.time_base = Fraction(1, UNITS)
         for image, time_ns in zip(images, times_ns, strict=True):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
-            frame.pts, frame.time_base = round((time_ns - times_ns[0]) * UNITS / 1e9), Fraction(1, UNITS)
+            # Rounded down: the last frame is not after the last pose of a log that has one per frame.
+            frame.pts, frame.time_base = (time_ns - times_ns[0]) * UNITS // 10**9, Fraction(1, UNITS)
             for packet in stream.encode(frame):
                 container.mux(packet)
         for packet in stream.encode(None):
