@@ -176,33 +176,38 @@ def every_second(t: logs.Known) -> logs.Known:
     return logs.Known(*(column[rows] for column in t))
 
 
-def clock_row(names: Mapping[str, str], videos: Path, root: Path, log: Log, t: logs.Known, error_s: float,
-              part_s: tuple[float, float] | None) -> dict[str, object]:  # fmt: skip
-    """How well an error of `images.start` is found; part_s: only these seconds of the video, so that the log is longer."""
+def clock_row(
+    names: Mapping[str, str], videos: Path, root: Path, log: str, t: logs.Known, error_s: float,
+    part_s: tuple[float, float] | None, home: Path, true: AnalysedDrive,
+) -> dict[str, object]:  # fmt: skip
+    """How well an error of `images.start` is found, and, for the largest one, what is left of it after the analysis.
+
+    part_s: only these seconds of the video, so that the log is longer.
+    """
     start_ns = int(t.times_ns[0]) + round(error_s * 1e9)
     images: dict[str, Any] = {"start": f"{np.datetime64(start_ns, 'ns')}Z".replace("T", " ")}
     if part_s:
         images |= {"from_s": part_s[0], "to_s": part_s[1]}
-    with_log(videos, root, log, t, images=images, clock={"offset_s": "estimate"})
-    names = {**names, "video": "all" if part_s is None else f"{part_s[0]:g} to {part_s[1]:g} s"}
+    with_log(videos, root, LOGS[log], t, images=images, clock={"offset_s": "estimate"})
+    row = {
+        **names,
+        "log": log,
+        "video": "all" if part_s is None else f"{part_s[0]:g} to {part_s[1]:g} s",
+        "wrong by s": error_s,
+    }
+    found: dict[str, object] = {"found off by ms": None, "sigma ms": None, "after analysis ms": None}
     try:
         clock = read_timing(root).clock
+        off_ms = 1000 * (clock.offset_s + error_s)
+        found |= {"found off by ms": off_ms, "sigma ms": 1000 * clock.sigma_s}
+        if error_s == CLOCK_ERRORS_S[-1]:
+            # The refinement finds what is left of the offset, as it does in the drive of images.
+            lags = run(root, home).analysed.trajectory.clock, true.trajectory.clock
+            if lags[0] is not None and lags[1] is not None:
+                found["after analysis ms"] = off_ms - 1000 * (lags[0].offset_s - lags[1].offset_s)
     except ConetlError as error:
-        return {
-            **names,
-            "start wrong by s": error_s,
-            "found off by ms": None,
-            "sigma ms": None,
-            "held": str(error),
-        }
-    off_ms = 1000 * (clock.offset_s + error_s)
-    return {
-        **names,
-        "start wrong by s": error_s,
-        "found off by ms": off_ms,
-        "sigma ms": 1000 * clock.sigma_s,
-        "held": "no",
-    }
+        return {**row, **found, "held": str(error)}
+    return {**row, **found, "held": "no"}
 
 
 def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str, dict[str, object]]]:
@@ -247,7 +252,7 @@ def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str,
                 root = folder / f"clock {number}"
                 yield (
                     "clocks",
-                    clock_row({"drive": name, "log": log_name}, videos, root, LOGS[log_name], t, error_s, piece),
+                    clock_row({"drive": name}, videos, root, log_name, t, error_s, piece, home, true.analysed),
                 )
 
 
