@@ -179,12 +179,9 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
     applied = clock.is_applied(params.clock_sigma_s)
     if applied:
         # An offset within what was known of the clocks, as of videos whose beginning was searched, is no fault of the recorder.
-        expected = abs(clock.offset_s) <= 3 * params.clock_sigma_s
-        advice = (
-            f"It was known to {1e3 * params.clock_sigma_s:.0f} ms." if expected else "Correct the recorder's synchronisation."
-            if expected
-            else "Correct the synchronisation of the recorder."
-        )
+        advice = "Correct the synchronisation of the recorder."
+        if abs(clock.offset_s) <= 3 * params.clock_sigma_s:
+            advice = f"The clocks were known to {1e3 * params.clock_sigma_s:.0f} ms."
         detail = f"The stamps of GNSS/INS lag by {text}: corrected. {advice}"
     return HealthCheck(
         name=name, verdict=Verdict.CORRECTED if applied else Verdict.PASS, value=1e3 * clock.offset_s,
