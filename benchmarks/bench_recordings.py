@@ -126,7 +126,7 @@ def compared(names: Mapping[str, str], root: Path, home: Path, true: Run, *, col
         found = run(root, home)
     except ConetlError as error:
         return {**names, "cones": "refused", **dict.fromkeys(FIGURES), "held": str(error)}
-    off = differences(found.analysed, true.analysed, of_distances="KITTI" in names["drive"])
+    off = differences(found.analysed, true.analysed, of_distances=names["drive"].startswith("KITTI"))
     return {
         **names,
         "cones": f"{len(found.analysed.tracks)}/{len(true.analysed.tracks)}",
@@ -212,7 +212,7 @@ def clock_row(
 
 def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str, dict[str, object]]]:
     """The rows of one drive, each with the part that it belongs to."""
-    name = "KITTI 0005" if source == KITTI else source.name
+    name = "KITTI 0005" if source == KITTI else source.name[:10]
     true = run(source, folder / "home images")
     drive = read_drive(source)[0]  # with the poses as recorded
     t = known_of(drive)
