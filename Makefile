@@ -8,7 +8,7 @@ export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: help setup demo up down test lint check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants fuzz lock
+.PHONY: help setup demo up down test lint check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants bench-recordings fuzz lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -93,6 +93,9 @@ bench-health: setup  ## health checks on simulated good drives: false alarms, NE
 
 bench-mutants: setup  ## wrong recordings: what each does to a map, and whether its cause is named (ARGS='--only TEXT --failures' ...)
 	@$(BIN)/python benchmarks/bench_mutants.py $(ARGS)
+
+bench-recordings: setup  ## the sample drives and KITTI as videos and bags with nine logs: the same cones as the images (ARGS='--only TEXT' ...)
+	@$(BIN)/python benchmarks/bench_recordings.py $(ARGS)
 
 fuzz: setup     ## all readers on mutated files: no crash, 2 s and 1 GB at most (ARGS='--cases 10000 --reader kitti')
 	@$(BIN)/python -m tests.fuzz.fuzz_readers $(ARGS)

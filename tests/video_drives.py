@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +14,7 @@ from conetl.geometry import geodesy
 from conetl.model.records import Drive
 from conetl.perception.rectified_image import read_pair_image
 from conetl.readers.rigs import write_rig_yaml
+from tests.unit.readers.trajectory_files import Known, write_csv
 
 #: Time stamps of the videos, in a second.
 UNITS = 90_000
@@ -31,7 +31,8 @@ def write_frames(
         stream.time_base = stream.codec_context.time_base = Fraction(1, UNITS)
         for image, time_ns in zip(images, times_ns, strict=True):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
-            frame.pts, frame.time_base = round((time_ns - times_ns[0]) * UNITS / 1e9), Fraction(1, UNITS)
+            # Rounded down: the last frame is not after the last pose of a log that has one per frame.
+            frame.pts, frame.time_base = (time_ns - times_ns[0]) * UNITS // 10**9, Fraction(1, UNITS)
             for packet in stream.encode(frame):
                 container.mux(packet)
         for packet in stream.encode(None):
@@ -73,29 +74,21 @@ def write_video_drive(
     layout_text = f", layout: {layout}" if layout else ", right_offset_s: 0"
     (root / "drive.yaml").write_text(f"images: {{start: '{start}'{layout_text}}}\n")
     if trajectory:
-        write_table(root / "poses.csv", drive)
+        write_csv(root, known_of(drive))
     return root
 
 
-def write_table(path: Path, drive: Drive) -> Path:
-    """Poses as semicolon-separated values with decimal commas, heading clockwise from north."""
-    lines = [
-        "Zeit;Breite [deg];Länge [deg];Höhe [m];roll;pitch;heading;sigma_e;sigma_n;sigma_u;sigma_roll;sigma_pitch;sigma_heading"
-    ]
-    for pair in drive.frame_pairs:
-        pose = pair.pose
-        lat, lon, height = geodesy.to_geodetic(drive.map_srid, np.array(pose.map_t_body_m))
-        R = np.array(pose.map_R_body)
-        convergence = float(geodesy.grid_convergence_rad(drive.map_srid, lat, lon))
-        yaw = math.atan2(R[1, 0], R[0, 0]) - convergence
-        pitch_up, roll_right = math.asin(R[2, 0]), math.atan2(R[2, 1], R[2, 2])
-        day, rest = divmod(pair.captured_at_ns, 10**9)
-        time = f"{np.datetime64(day, 's')}".replace("T", " ") + f".{rest:09d}Z"
-        angles = [math.degrees(roll_right), math.degrees(pitch_up), (90 - math.degrees(yaw)) % 360]
-        sigma = [*pose.sigma_enu_m, *(math.degrees(s) for s in pose.sigma_rpy_rad)]
-        lines.append(";".join([time, *(f"{v:.12f}".replace(".", ",") for v in (lat, lon, height, *angles, *sigma))]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+def known_of(drive: Drive) -> Known:
+    """The poses of a drive, to be written as a trajectory file."""
+    poses = [pair.pose for pair in drive.frame_pairs]
+    llh = geodesy.to_geodetic(drive.map_srid, np.array([pose.map_t_body_m for pose in poses]))
+    R = np.array([pose.map_R_body for pose in poses])
+    yaw = np.arctan2(R[:, 1, 0], R[:, 0, 0]) - geodesy.grid_convergence_rad(drive.map_srid, llh[:, 0], llh[:, 1])
+    pitch_up, roll_right = np.arcsin(R[:, 2, 0]), np.arctan2(R[:, 2, 1], R[:, 2, 2])
+    rph = np.column_stack([np.degrees(roll_right), np.degrees(pitch_up), (90 - np.degrees(yaw)) % 360])
+    sigma = np.array([[*pose.sigma_enu_m, *np.degrees(pose.sigma_rpy_rad)] for pose in poses])
+    times = np.array([pair.captured_at_ns for pair in drive.frame_pairs], dtype=np.int64)
+    return Known(times, llh, rph, sigma)
 
 
 def same_image(found: np.ndarray, true: np.ndarray) -> bool:

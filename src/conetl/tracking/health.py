@@ -216,7 +216,11 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
     detail = f"The clocks agree ({text})."
     applied = clock.is_applied(params.clock_sigma_s)
     if applied:
-        detail = f"The stamps of GNSS/INS lag by {text}: corrected. Correct the synchronisation of the recorder."
+        # An offset within what was known of the clocks, as of videos whose beginning was searched, is no fault of the recorder.
+        advice = "Correct the synchronisation of the recorder."
+        if abs(clock.offset_s) <= 3 * params.clock_sigma_s:
+            advice = f"The clocks were known to {1e3 * params.clock_sigma_s:.0f} ms."
+        detail = f"The stamps of GNSS/INS lag by {text}: corrected. {advice}"
     return HealthCheck(
         name=name, verdict=Verdict.CORRECTED if applied else Verdict.PASS, value=1e3 * clock.offset_s,
         sigma=1e3 * clock.sigma_s, limit=1e3 * LEAST_S, unit="ms", detail=detail,

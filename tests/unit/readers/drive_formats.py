@@ -46,6 +46,8 @@ class Frame:
     stamp_ns: int
     pose_stamp_ns: int
     oxts: tuple[float, ...] | None
+    sigmas: tuple[float, ...] = (0.02, 0.02, 0.03, 0.05, 0.05, 0.15)
+    """Of the pose in bags: east, north, up (m), roll, pitch, yaw (degrees)."""
 
 
 def sample_frames() -> list[Frame]:
@@ -225,11 +227,11 @@ def fix_messages(frame: Frame) -> list[tuple[str, str, Any]]:
     fix = T["sensor_msgs/msg/NavSatFix"](
         header=header(frame.pose_stamp_ns, "antenna"), latitude=lat, longitude=lon, altitude=height,
         status=T["sensor_msgs/msg/NavSatStatus"](status=0, service=1),
-        position_covariance=np.diag([0.02**2, 0.02**2, 0.03**2]).reshape(-1), position_covariance_type=2,
+        position_covariance=np.diag(np.square(frame.sigmas[:3])).reshape(-1), position_covariance_type=2,
     )  # fmt: skip
     w, x, y, z = quaternion(rotation)
     zero = T["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
-    sigma = np.radians([0.05, 0.05, 0.15])
+    sigma = np.radians(frame.sigmas[3:])
     imu = T["sensor_msgs/msg/Imu"](
         header=header(frame.pose_stamp_ns, "imu"), orientation=T["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
         orientation_covariance=np.diag(sigma**2).reshape(-1), angular_velocity=zero,
@@ -242,7 +244,7 @@ def odometry_messages(origin: tuple[float, ...], frame: Frame) -> list[tuple[str
     assert frame.oxts is not None
     pose = local_pose(origin, frame.oxts)
     w, x, y, z = quaternion(pose[:3, :3])
-    covariance = np.diag([0.02**2, 0.02**2, 0.03**2, *np.radians([0.05, 0.05, 0.15]) ** 2]).reshape(-1)
+    covariance = np.diag(np.square([*frame.sigmas[:3], *np.radians(frame.sigmas[3:])])).reshape(-1)
     zero = T["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
     message = T["nav_msgs/msg/Odometry"](
         header=header(frame.pose_stamp_ns, "odom"), child_frame_id="imu",

@@ -166,10 +166,10 @@ def test_an_sbet_file_of_seconds_of_the_day_in_utc(tmp_path: Path) -> None:
 def test_nmea_over_midnight_and_with_its_date_later(tmp_path: Path) -> None:
     start = datetime(2024, 2, 28, 23, 59, 58, tzinfo=UTC)
     for first in (0, 3, 25):
-        found = read_trajectory(files.write_nmea(tmp_path, start=start, rmc_first=first))
+        found = read_trajectory(files.write_nmea(tmp_path, files.known(start=start), rmc_first=first))
         expected = int(start.timestamp()) * SECOND_NS + np.arange(files.COUNT) * 10**8
         np.testing.assert_array_equal(found.times_ns, expected)
-    path = files.write_nmea(tmp_path, start=start, rmc_first=1000)
+    path = files.write_nmea(tmp_path, files.known(start=start), rmc_first=1000)
     with pytest.raises(DriveFolderError, match="date"):
         read_trajectory(path)
     assert (

@@ -21,7 +21,8 @@ from conetl.readers.drives.header import read_header
 from conetl.readers.rigs import read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
 from tests.unit.readers.drive_formats import SAMPLE
-from tests.video_drives import same_image, write_frames, write_table, write_video_drive
+from tests.unit.readers.trajectory_files import write_csv
+from tests.video_drives import known_of, same_image, write_frames, write_video_drive
 
 VIDEOS = {
     "two files": {},
@@ -111,7 +112,7 @@ def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive) -> None:
         for n, pair in enumerate(sample.frame_pairs):
             (root / camera / f"{pair.captured_at_ns}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
     write_rig_yaml(sample.rig, root / "rig.yaml")
-    write_table(root / "poses.csv", sample)
+    write_csv(root, known_of(sample))
     (root / "drive.yaml").write_text("images: {left: image_02, right: image_03}\n")
     drive, rejections = read_drive(root)
     assert rejections == []
@@ -131,14 +132,14 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
             start + ", left: front.mp4}": "the left camera's images are not clear",
             "images: {start: yesterday, right_offset_s: 0}": "drive.yaml: images.start: expected a time stamp",
             start + "}\ntrajectory: {file: rover.pos}": "rover.pos",
-            start + "}\ntrajectory: {file: ../poses.csv}": "outside the drive folder",
+            start + "}\ntrajectory: {file: ../drive.csv}": "outside the drive folder",
         }.items()
     ):
         (tmp_path / str(number)).mkdir()
         with pytest.raises((DriveFolderError, CalibrationError), match=message):
             read_drive(with_settings(folder, tmp_path / str(number), text))
     for number, (name, message) in enumerate(
-        {"poses.csv": "which file is the trajectory", "rig.yaml": r"rig\.yaml is missing"}.items()
+        {"drive.csv": "which file is the trajectory", "rig.yaml": r"rig\.yaml is missing"}.items()
     ):
         (tmp_path / f"without {number}").mkdir()
         copy = with_settings(folder, tmp_path / f"without {number}", start + "}")
@@ -202,7 +203,7 @@ def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: 
 
 def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path) -> None:
     copy = with_settings(folder, tmp_path, "")
-    for name in ("drive.yaml", "rig.yaml", "poses.csv"):
+    for name in ("drive.yaml", "rig.yaml", "drive.csv"):
         (copy / name).unlink()
     (copy / "left.mp4").rename(copy / "front.mp4")
     made = CliRunner().invoke(app, ["init", str(copy), "--yes"])

@@ -1,13 +1,14 @@
-"""One known trajectory, written in every format as its maker writes it."""
+"""A known trajectory, written in every format as its maker writes it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from functools import reduce
 from pathlib import Path
 from typing import NamedTuple
+from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ class Known(NamedTuple):
     """East, north, up (m), roll, pitch, heading (degrees)."""
 
 
-def known(count: int = COUNT) -> Known:
+def known(count: int = COUNT, start: datetime = START) -> Known:
     k = np.arange(count, dtype=np.float64)
     heading = 30.0 + 40.0 * np.sin(k / 15.0)
     llh = np.column_stack([49.0 + 8e-6 * k, 8.43 + 6e-6 * k + 1e-6 * np.sin(k), 116.1 + 0.01 * k])
@@ -45,7 +46,7 @@ def known(count: int = COUNT) -> Known:
     sigma = np.column_stack(
         [0.011 + 1e-4 * k, 0.013 + 1e-4 * k, 0.025 + 1e-4 * k, 0.01 + 0 * k, 0.02 + 0 * k, 0.05 + 0 * k]
     )
-    times = np.int64(START.timestamp()) * 10**9 + np.arange(count) * STEP_MS * 10**6
+    times = np.int64(start.timestamp()) * 10**9 + np.arange(count) * STEP_MS * 10**6
     return Known(times, llh, rph, sigma)
 
 
@@ -56,10 +57,32 @@ def local_poses(t: Known) -> tuple[Array, Array]:
     return xyz, turn.as_quat()[:, [3, 0, 1, 2]]
 
 
-def stamps(form: str, shift_s: float = 0.0, count: int = COUNT) -> list[str]:
-    """Times as texts with milliseconds."""
-    found = [START + timedelta(seconds=shift_s, milliseconds=STEP_MS * i) for i in range(count)]
-    return [f"{t:{form}}.{t.microsecond // 1000:03d}" for t in found]
+def digits_of(t: Known) -> int:
+    """Decimals of its times in seconds: milliseconds as most programs write them, else all."""
+    return 9 if (t.times_ns % 10**6).any() else 3
+
+
+def stamps(form: str, t: Known, shift_s: float = 0.0, digits: int | None = None) -> list[str]:
+    """Times as texts, with a fraction of the second."""
+    found = []
+    for time_ns in t.times_ns.tolist():
+        seconds, rest = divmod(time_ns + round(shift_s * 1e9), 10**9)
+        found.append(
+            f"{datetime.fromtimestamp(seconds, UTC):{form}}.{rest:09d}"[: (digits or digits_of(t)) - 9 or None]
+        )
+    return found
+
+
+def leap_s(t: Known) -> int:
+    """By how much GPS is ahead of UTC, from 2009 to 2012 and since 2017."""
+    return 18 if t.times_ns[0] > datetime(2017, 1, 1, tzinfo=UTC).timestamp() * 1e9 else 15
+
+
+def gps_time(t: Known) -> tuple[list[int], list[str]]:
+    """Weeks, and seconds of them as texts."""
+    since_1980 = t.times_ns + (leap_s(t) - 315_964_800) * 10**9
+    weeks, tows = np.divmod(since_1980, 604_800 * 10**9)
+    return weeks.tolist(), [f"{tow // 10**9}.{tow % 10**9:09d}"[: digits_of(t) - 9 or None] for tow in tows.tolist()]
 
 
 def dms(value: float, seconds: int = 5, sep: str = " ") -> str:
@@ -89,11 +112,19 @@ RTKLIB_HEADER = [
 
 
 def write_rtklib(
-    folder: Path, *, system: str = "GPST", form: str = "llh", tow: bool = False, sep: str = " ", quality: int = 1
+    folder: Path,
+    t: Known | None = None,
+    *,
+    system: str = "GPST",
+    form: str = "llh",
+    tow: bool = False,
+    sep: str = " ",
+    quality: int = 1,
 ) -> Path:
-    t = known()
-    shift = {"GPST": 18.0, "UTC": 0.0, "JST": 9 * 3600.0}[system]
-    times = [f"{WEEK}{sep}{TOW + 0.1 * i:.3f}" for i in range(COUNT)] if tow else stamps("%Y/%m/%d %H:%M:%S", shift)
+    t = t or known()
+    shift = {"GPST": leap_s(t), "UTC": 0.0, "JST": 9 * 3600.0}[system]
+    weeks = [f"{week}{sep}{tow_s}" for week, tow_s in zip(*gps_time(t), strict=True)]
+    times = weeks if tow else stamps("%Y/%m/%d %H:%M:%S", t, shift)
     if form == "xyz":
         names = [
             "x-ecef(m)",
@@ -113,7 +144,7 @@ def write_rtklib(
         lon, lat = np.radians(t.llh[:, 1]), np.radians(t.llh[:, 0])
         xyz = np.column_stack(Transformer.from_crs(4979, 4978).transform(*t.llh.T))
         rows = []
-        for i in range(COUNT):
+        for i in range(len(t.llh)):
             e = np.array([-math.sin(lon[i]), math.cos(lon[i]), 0.0])
             n = np.array([-math.sin(lat[i]) * math.cos(lon[i]), -math.sin(lat[i]) * math.sin(lon[i]), math.cos(lat[i])])
             axes = np.column_stack([e, n, np.cross(e, n)])
@@ -156,42 +187,42 @@ def write_rtklib(
 
 def sbet_rows(t: Known, wander_rad: float = 0.3) -> Array:
     rows = np.zeros((len(t.llh), 17))
-    rows[:, 0] = TOW + 0.1 * np.arange(len(t.llh))
+    rows[:, 0] = np.array(gps_time(t)[1], dtype=np.float64)
     rows[:, 1:3], rows[:, 3] = np.radians(t.llh[:, :2]), t.llh[:, 2]
     rows[:, 7:9], rows[:, 9] = np.radians(t.rph[:, :2]), np.radians(t.rph[:, 2]) + wander_rad
     rows[:, 10] = wander_rad
     return rows
 
 
-def write_sbet(folder: Path) -> Path:
-    t = known()
+def write_sbet(folder: Path, t: Known | None = None) -> Path:
+    t = t or known()
     path = folder / "sbet_mission1.out"
     sbet_rows(t).astype("<f8").tofile(path)
-    sigmas = np.zeros((COUNT, 10))
-    sigmas[:, 0] = TOW + 0.1 * np.arange(COUNT)
+    sigmas = np.zeros((len(t.llh), 10))
+    sigmas[:, 0] = sbet_rows(t)[:, 0]
     sigmas[:, 1:4] = t.sigma[:, [1, 0, 2]]
     sigmas[:, 7:] = t.sigma[:, 3:] * 60
     sigmas.astype("<f8").tofile(folder / "smrmsg_mission1.out")
     return path
 
 
-def write_inertial_explorer(folder: Path, *, angles: str = "deg") -> Path:
-    t = known()
+def write_inertial_explorer(folder: Path, t: Known | None = None, *, angles: str = "deg") -> Path:
+    t = t or known()
     unit = "(+/-D M S)" if angles == "dms" else "(deg)"
     angle: Callable[[float], str] = (lambda v: dms(v, 6)) if angles == "dms" else (lambda v: f"{v:.10f}")
     lines = [
         "Project:     20240207_van", "Program:     Inertial Explorer Version 8.90.6611", "Profile:     conetl",
         "Source:      GNSS/INS Epochs(Smoothed TC Combined)", "SolutionType: Tightly coupled",
         "Datum:       WGS84, (processing datum)",
-        "UTC Offset:  18 s", "",
+        f"UTC Offset:  {leap_s(t)} s", "",
         "     GPSTime  Week       Latitude      Longitude        H-Ell         Roll        Pitch      Heading  SDNorth   SDEast "
         "SDHeight    RollSD   PitchSD  HeadingSD  Q",
         f"       (sec) (weeks)  {unit}  {unit}  (m)  (deg)  (deg)  (deg)  (m)  (m)  (m)  (deg)  (deg)  (deg)  ( )",
     ]  # fmt: skip
-    for i in range(COUNT):
+    for i, (week, tow) in enumerate(zip(*gps_time(t), strict=True)):
         (lat, lon, h), (r, p, y), (e, n, u, sr, sp, sy) = t.llh[i], t.rph[i], t.sigma[i]
         lines.append(
-            f"  {TOW + 0.1 * i:.3f}  {WEEK} {angle(lat)} {angle(lon)} {h:12.4f} {r:12.9f} {p:12.9f} {y:13.9f} {n:8.4f} {e:8.4f} "
+            f"  {tow}  {week} {angle(lat)} {angle(lon)} {h:12.4f} {r:12.9f} {p:12.9f} {y:13.9f} {n:8.4f} {e:8.4f} "
             f"{u:8.4f} {sr:.6f} {sp:.6f} {sy:.6f} 1"
         )
     return write(folder, "van.txt", lines, "\r\n")
@@ -209,17 +240,16 @@ def minutes(value: float, digits: int, sides: str) -> str:
     return f"{int(whole):0{digits}d}{rest * 60:011.8f},{sides[int(value < 0)]}"
 
 
-def write_nmea(folder: Path, *, start: datetime = START, rmc_first: int = 0, attitude: bool = True) -> Path:
-    t = known()
+def write_nmea(folder: Path, t: Known | None = None, *, rmc_first: int = 0, attitude: bool = True) -> Path:
+    t = t or known()
     lines = []
-    for i in range(COUNT):
-        at = start + timedelta(milliseconds=STEP_MS * i)
-        clock = f"{at:%H%M%S}.{at.microsecond // 10_000:02d}"
+    digits = 9 if (t.times_ns % 10**7).any() else 2
+    for i, (day, clock) in enumerate(zip(stamps("%d%m%y", t), stamps("%H%M%S", t, digits=digits), strict=True)):
         (lat, lon, h), (r, p, y), (e, n, u, sr, sp, sy) = t.llh[i], t.rph[i], t.sigma[i]
         where = f"{minutes(lat, 2, 'NS')},{minutes(lon, 3, 'EW')}"
         lines.append(sentence(f"GNGGA,{clock},{where},4,17,0.7,{h - GEOID_M:.4f},M,{GEOID_M},M,1.0,0123"))
         if i >= rmc_first:
-            lines.append(sentence(f"GNRMC,{clock},A,{where},12.3,30.0,{at:%d%m%y},,,R,V"))
+            lines.append(sentence(f"GNRMC,{clock},A,{where},12.3,30.0,{day[:6]},,,R,V"))
         lines.append(sentence(f"GNGST,{clock},0.02,0.015,0.01,30.0,{n:.4f},{e:.4f},{u:.4f}"))
         if attitude:
             lines.append(sentence(f"PASHR,{clock},{y:.9f},T,{r:+.9f},{p:+.9f},+0.00,{sr:.3f},{sp:.3f},{sy:.3f},1,1"))
@@ -227,13 +257,13 @@ def write_nmea(folder: Path, *, start: datetime = START, rmc_first: int = 0, att
     return write(folder, "log.nmea", lines, "\r\n")
 
 
-def write_gpx(folder: Path, *, geoid: bool = True) -> Path:
-    t = known()
+def write_gpx(folder: Path, t: Known | None = None, *, geoid: bool = True) -> Path:
+    t = t or known()
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<gpx version="1.1" creator="receiver" xmlns="http://www.topografix.com/GPX/1/1">', "<trk><name>van</name><trkseg>",
     ]  # fmt: skip
-    for (lat, lon, h), stamp in zip(t.llh, stamps("%Y-%m-%dT%H:%M:%S"), strict=True):
+    for (lat, lon, h), stamp in zip(t.llh, stamps("%Y-%m-%dT%H:%M:%S", t), strict=True):
         extra = f"<geoidheight>{GEOID_M}</geoidheight>" if geoid else ""
         lines.append(
             f'<trkpt lat="{lat:.10f}" lon="{lon:.10f}"><ele>{h - geoid * GEOID_M:.4f}</ele><time>{stamp}Z</time>{extra}</trkpt>'
@@ -244,19 +274,19 @@ def write_gpx(folder: Path, *, geoid: bool = True) -> Path:
 # --------------------------------------------------------------------------- OXTS, local, tables
 
 
-def write_oxts(folder: Path) -> Path:
-    t = known()
+def write_oxts(folder: Path, t: Known | None = None) -> Path:
+    t = t or known()
     (folder / "oxts/data").mkdir(parents=True)
-    for i in range(COUNT):
+    for i in range(len(t.llh)):
         r, p, y = np.radians([t.rph[i, 0], -t.rph[i, 1], 90.0 - t.rph[i, 2]])
         values = [*t.llh[i], r, p, y, *[0.0] * 17, 0.011, *[0.0] * 6]
         (folder / f"oxts/data/{i:010d}.txt").write_text(" ".join(repr(float(v)) for v in values))
-    (folder / "oxts/timestamps.txt").write_text("\n".join(f"{s}000000" for s in stamps("%Y-%m-%d %H:%M:%S")) + "\n")
+    (folder / "oxts/timestamps.txt").write_text("\n".join(stamps("%Y-%m-%d %H:%M:%S", t, digits=9)) + "\n")
     return folder / "oxts"
 
 
-def write_tum(folder: Path) -> Path:
-    t = known()
+def write_tum(folder: Path, t: Known | None = None) -> Path:
+    t = t or known()
     xyz, wxyz = local_poses(t)
     rows = np.column_stack([xyz, wxyz[:, [1, 2, 3, 0]]])
     lines = ["# timestamp tx ty tz qx qy qz qw"]
@@ -267,8 +297,8 @@ def write_tum(folder: Path) -> Path:
     return write(folder, "trajectory.txt", lines)
 
 
-def write_euroc(folder: Path) -> Path:
-    t = known()
+def write_euroc(folder: Path, t: Known | None = None) -> Path:
+    t = t or known()
     xyz, wxyz = local_poses(t)
     lines = [
         "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],v_RS_R_x [m s^-1]"
@@ -280,40 +310,43 @@ def write_euroc(folder: Path) -> Path:
     return write(folder, "data.csv", lines)
 
 
-def write_csv(folder: Path) -> Path:
-    t = known()
+def write_csv(folder: Path, t: Known | None = None) -> Path:
+    t = t or known()
     lines = [
         "# exported",
         "time,lat,lon,h_ell,roll,pitch,heading,sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_heading,note",
     ]
-    for stamp, values in zip(stamps("%Y-%m-%dT%H:%M:%S"), np.column_stack([t.llh, t.rph, t.sigma]), strict=True):
+    for stamp, values in zip(stamps("%Y-%m-%dT%H:%M:%S", t), np.column_stack([t.llh, t.rph, t.sigma]), strict=True):
         lines.append(f"{stamp}Z," + ",".join(f"{v:.10f}" for v in values) + ',"a, b"')
     return write(folder, "drive.csv", lines)
 
 
-def write_german(folder: Path) -> Path:
+def write_german(folder: Path, t: Known | None = None) -> Path:
     """Semicolons, decimal commas, date and time apart, local time, Windows' encoding."""
-    t = known()
+    t = t or known()
+    ahead = datetime.fromtimestamp(int(t.times_ns[0]) // 10**9, ZoneInfo("Europe/Berlin")).utcoffset()
+    assert ahead is not None
     lines = ["Datum;Uhrzeit;Breite [°];Länge [°];Höhe [m];Roll;Pitch;Heading;sdE;sdN;sdU;sdRoll;sdPitch;sdHeading"]
-    for stamp, values in zip(stamps("%d.%m.%Y;%H:%M:%S", 3600), np.column_stack([t.llh, t.rph, t.sigma]), strict=True):
+    times = stamps("%d.%m.%Y;%H:%M:%S", t, ahead.total_seconds())
+    for stamp, values in zip(times, np.column_stack([t.llh, t.rph, t.sigma]), strict=True):
         lines.append((stamp + ";" + ";".join(f"{v:.10f}" for v in values)).replace(".", ",").replace(",", ".", 2))
     path = folder / "fahrt.csv"
     path.write_bytes("\r\n".join(lines).replace("Datum;", "Tag;").encode("cp1252"))
     return path
 
 
-def write_tsv(folder: Path) -> Path:
+def write_tsv(folder: Path, t: Known | None = None) -> Path:
     """Tabs, radians, GPS week and seconds, projected coordinates."""
-    t = known()
+    t = t or known()
     east, north = Transformer.from_crs(4326, 25832, always_xy=True).transform(t.llh[:, 1], t.llh[:, 0])
     lines = ["gps_week\ttow[s]\tEasting (m)\tNorthing (m)\tH_mm\troll_rad\tpitch_rad\theading_rad"]
-    for i in range(COUNT):
+    for i, (week, tow) in enumerate(zip(*gps_time(t), strict=True)):
         values = [*np.radians(t.rph[i])]
         lines.append(
             "\t".join(
                 [
-                    str(WEEK),
-                    f"{TOW + 0.1 * i:.1f}",
+                    str(week),
+                    tow,
                     f"{east[i]:.5f}",
                     f"{north[i]:.5f}",
                     f"{t.llh[i, 2] * 1000:.3f}",
