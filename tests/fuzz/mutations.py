@@ -56,7 +56,9 @@ def set_integer(rng: random.Random, data: bytes) -> bytes:
     )
 
 
-_BOX = re.compile(rb"(?:mvhd|tkhd|mdhd|elst|stsd|avc1|avcC|stts|ctts|stss|stsc|stsz|stco|co64|hdlr|dref|avih|strh|strf|idx1|LIST|movi)")
+_BOX = re.compile(
+    rb"(?:mvhd|tkhd|mdhd|elst|stsd|avc1|avcC|stts|ctts|stss|stsc|stsz|stco|co64|hdlr|dref|avih|strh|strf|idx1|LIST|movi)"
+)
 
 
 def set_box_field(rng: random.Random, data: bytes) -> bytes:
@@ -65,7 +67,9 @@ def set_box_field(rng: random.Random, data: bytes) -> bytes:
     if not found:
         return set_integer(rng, data)
     start = max(rng.choice(found).start() - 4 + 4 * rng.randrange(24), 0)
-    value = rng.choice((0, 1, 2, 16384, 65535, 10**9, 2**31 - 1, 2**31, 2**32 - 1, rng.getrandbits(32), rng.getrandbits(12)))
+    value = rng.choice(
+        (0, 1, 2, 16384, 65535, 10**9, 2**31 - 1, 2**31, 2**32 - 1, rng.getrandbits(32), rng.getrandbits(12))
+    )
     return data[:start] + value.to_bytes(4, rng.choice(("little", "big"))) + data[start + 4 :]
 
 

@@ -350,7 +350,10 @@ READERS: dict[str, Reader] = {
     **{name.replace(" ", "_"): Reader(write_drive(name), read_whole_drive) for name in formats.WRITERS},
     "kitti_arriving": Reader(write_drive("kitti"), read_arriving),
     "plain_arriving": Reader(write_drive("plain"), read_arriving),
-    **{f"video_{suffix}": Reader(videos.write_video(suffix, small_rig(), 6), videos.read_video_drive) for suffix in videos.CODECS},
+    **{
+        f"video_{suffix}": Reader(videos.write_video(suffix, small_rig(), 6), videos.read_video_drive)
+        for suffix in videos.CODECS
+    },
     "video_listed_times": Reader(
         videos.write_video("mp4", small_rig(), 6, "images: {{timestamps: times.txt, right_timestamps: times.txt}}\n"),
         videos.read_video_drive,

@@ -55,7 +55,8 @@ def write_video(suffix: str, rig: Rig, frames: int, settings: str = SETTINGS) ->
             write_frames(root / f"{side}.{suffix}", images, times_ns, codec, options)
         write_rig_yaml(rig, root / "rig.yaml")
         rows = [
-            f"{START_S + n / 5},{49 + 5e-6 * n},{8.4 + 3e-7 * n * n},115,0.05,0.05,0.1" for n in range(-4, frames // 2 + 4)
+            f"{START_S + n / 5},{49 + 5e-6 * n},{8.4 + 3e-7 * n * n},115,0.05,0.05,0.1"
+            for n in range(-4, frames // 2 + 4)
         ]
         (root / "poses.csv").write_text("\n".join(["time,lat,lon,h_ell,sigma_e,sigma_n,sigma_u", *rows]) + "\n")
         (root / "times.txt").write_text("".join(f"{START_S + t / 1e9:.3f}\n" for t in times_ns))

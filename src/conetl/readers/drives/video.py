@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import read_bytes
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import CAMERA_R_BODY
@@ -27,6 +28,7 @@ from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Drive, Rig, Side
 from conetl.model.rejections import Rejection
+from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.video import (
     VIDEO_SUFFIXES,
@@ -65,6 +67,8 @@ READS_OBJECTS = False
 _WHOLE = 0.25
 #: Seconds of the trajectory before and after the images that help to smooth it.
 _MARGIN_S = 20.0
+#: A file of time stamps of `MAX_FRAMES` lines.
+_MOST_TIME_BYTES = 128_000_000
 _log = logging.getLogger(__name__)
 
 
@@ -229,7 +233,7 @@ def _sources(root: Path, settings: Images) -> list[Path]:
         else:
             candidates = [video for video in videos if side in video.stem.lower()]
             found[side] = candidates[0] if len(candidates) == 1 else None
-    missing = [side for side, source in found.items() if source is None or not source.exists()]
+    missing = [side for side, source in found.items() if source is None or not (source.is_dir() or source.is_file())]
     if missing:
         raise DriveFolderError(
             f"{root}: the {missing[0]} camera's images are not clear (videos: {', '.join(v.name for v in videos) or 'none'}). "
@@ -325,9 +329,9 @@ def _listed(camera: _Camera, name: str | None, settings: DriveYaml, root: Path, 
         return [Image(_stamp(path.stem, settings), path) for path in camera.paths]
     file = inside(root, name, DRIVE_YAML)
     try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise DriveFolderError(f"{file}: the time stamps cannot be read: {error.strerror}") from error
+        data = read_bytes(file, _MOST_TIME_BYTES)
+    except InputError as error:
+        raise DriveFolderError(f"{name}: the time stamps: {error}") from error
     content.add(name, data)
     lines = [
         line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
@@ -392,7 +396,10 @@ def _right_offset_s(left: _Camera, right: _Camera, settings: Images) -> float:
     if settings.right_offset_s is not None:
         return settings.right_offset_s
     assert left.video is not None and right.video is not None
-    lag = find_video_lag(left.video, right.video)
+    try:
+        lag = find_video_lag(left.video, right.video)
+    except ImageFileError as error:
+        raise DriveFolderError(str(error)) from error
     if lag is None:
         raise DriveFolderError(
             f"{left.video.path.parent}: the images do not show how {right.name} and {left.name} are shifted in time. Put "
@@ -448,7 +455,7 @@ def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
     named = settings.trajectory.file
     if named is not None:
         path = inside(root, named, DRIVE_YAML)
-        if not path.exists():
+        if not (path.is_file() or path.is_dir()):
             raise DriveFolderError(f"{path}: the trajectory is missing")
         return path
     found = find_trajectories(root)
