@@ -10,6 +10,7 @@ import av
 import cv2
 import numpy as np
 
+from conetl.geometry.rig import camera_of
 from conetl.model.errors import ConetlError, StorageError
 from conetl.model.records import Rig
 from conetl.perception.images import ImageFileError
@@ -29,7 +30,8 @@ CODECS = {
     "ts": ("libx264", {"crf": "35", "bf": "0"}),
 }  # fmt: skip
 #: All that drive.yaml says of a video drive, for the mutations of texts.
-SETTINGS = """images: {{left: left.{0}, right: right.{0}, start: '2026-03-02 10:00:00.25Z', right_offset_s: 0.0, every: 1, from_s: 0, to_s: 9}}
+SETTINGS = """images: {{left: left.{0}, right: right.{0}, every: 1, from_s: 0, to_s: 9, right_offset_s: 0.0,
+  start: '2026-03-02 10:00:00.25Z'}}
 trajectory: {{file: poses.csv, time: utc, heights: ellipsoidal}}
 mount: {{forward_m: 1.2, left_m: 0.3, up_m: -0.2, pitch_deg: 3, yaw_deg: 1, roll_deg: -1}}
 clock: {{offset_s: 0.0, sigma_s: 0.01, search_s: 30}}
@@ -40,7 +42,7 @@ def shaken(count: int, width: int, height: int) -> list[np.ndarray]:
     """Images (height, width, 3) of a camera that shakes, the same in every run."""
     rng = np.random.default_rng(3)
     scene = cv2.resize(rng.integers(0, 255, (12, 30, 3), dtype=np.uint8), (width + 40, height + 16))
-    offsets = np.clip(np.cumsum(rng.normal(0, 3, (count, 2)), axis=0) + (20, 8), 0, (40, 16)).astype(int)
+    offsets = np.clip(np.cumsum(rng.normal(0, 3, (count, 2)), axis=0) + np.array((20, 8)), 0, (40, 16)).astype(int)
     return [scene[y : y + height, x : x + width] for x, y in offsets]
 
 
@@ -75,7 +77,8 @@ def read_video_drive(path: Path, _: Path) -> object:
         for side in ("left", "right"):
             with suppress(ImageFileError, StorageError):
                 image = read_pair_image(pair, side, drive.rig)
-                assert image.shape == (drive.rig.left.height_px, drive.rig.left.width_px, 3), image.shape
+                camera = camera_of(drive.rig, side)
+                assert image.shape == (camera.height_px, camera.width_px, 3), image.shape
     return rejections
 
 

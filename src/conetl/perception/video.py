@@ -241,7 +241,10 @@ class _Decoder:
             raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
         self._stream = _stream(self._container)
         self._stream.codec_context.thread_count = 1  # workers keep all cores busy
-        self._stream.codec_context.options = {"max_pixels": str(MAX_IMAGE_PIXELS), "err_detect": "explode"}  # of later frames, too
+        self._stream.codec_context.options = {
+            "max_pixels": str(MAX_IMAGE_PIXELS),
+            "err_detect": "explode",
+        }  # of later frames, too
         self._packets: dict[int, bytes] = {}
         self._frames = self.decoded()
         self.at: int | None = None

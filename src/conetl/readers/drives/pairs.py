@@ -258,7 +258,7 @@ def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: i
             used.add(last + 1)
         last = last if (partner := partners[i]) is None else partner
     couples: list[Couple] = [(p, None if i is None else right[i]) for p, i in zip(left, partners, strict=True)]
-    # A right image that is alone comes before the first later one. (Of two cameras that never agree all are alone: no loop in a loop.)
+    # A right image that is alone comes before the first later one. Of cameras that never agree all are alone: no nested loops.
     latest = list(accumulate((-1 if (t := _stamp(c)) is None else t for c in couples), max))
     alone: dict[int, list[Couple]] = {}
     for time in right_times:

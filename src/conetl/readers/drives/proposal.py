@@ -22,6 +22,7 @@ from conetl.readers.trajectories import (
     read_trajectory,
     trajectory_format,
 )
+from conetl.readers.trajectories.times import parse_timestamp
 
 _RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})
 _LARGEST_RIG_BYTES = 4_000_000
@@ -66,6 +67,8 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     images: dict[str, Any] = {key: answers[key] for key in ("left", "right", "layout", "start") if key in answers}
     if "right-offset" in answers:
         images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
+    if "start" in images:
+        _check_time(images["start"])
     proposal.settings["images"] = images
     sources = videos or folders
     if not sources:
@@ -84,7 +87,7 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     if len(sources) == 1 or "layout" in images:
         images.setdefault("left", sources[0].name)
         if "layout" not in images:
-            text = "How do left and right lie in each frame (left-right, right-left, top-bottom, bottom-top)?"
+            text = "How do left and right lie in each frame: left-right, right-left, top-bottom or bottom-top?"
             proposal.questions.append(Question("layout", text, "left-right"))
     else:
         for side in ("left", "right"):
@@ -169,8 +172,8 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         proposal.settings["mount"] = dict(zip(keys, values, strict=False))
     elif rigs.body_is_left_camera(rig):
         text = (
-            "Where is the left camera as seen from the antenna or IMU of the trajectory: forward, left, up in metres, then its "
-            "pitch in degrees (positive: looks down), like 1.2,0.3,-0.2,3?"
+            "Where is the left camera, seen from the antenna or IMU of the trajectory? Forward, left, up in metres, and "
+            "its pitch in degrees (positive: looks down), like 1.2,0.3,-0.2,3"
         )
         proposal.questions.append(Question("mount", text))
     return None if path == root / RIG_YAML else rig
@@ -192,6 +195,14 @@ def _rigs(root: Path, size: tuple[int, int] | None) -> list[tuple[Path, Rig, Any
     return found
 
 
+def _check_time(text: str) -> None:
+    """Raises InputError where a text is no time stamp."""
+    try:
+        parse_timestamp(text)
+    except ValueError as error:
+        raise InputError(f"--start: {error}") from error
+
+
 def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
     """Numbers separated by commas. Raises InputError."""
     try:
@@ -200,6 +211,8 @@ def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
         values = []
     if not least <= len(values) <= most or not np.isfinite(values).all():
         raise InputError(
-            f"--{key} '{text[:60]}': expected {least}{f' to {most}' if most > least else ''} numbers with commas between"
+            f"--{key} '{text[:60]}': expected {least} to {most} numbers with commas between"
+            if most > least
+            else f"--{key} '{text[:60]}': expected a number"
         )
     return values

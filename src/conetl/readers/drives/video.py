@@ -96,6 +96,14 @@ class Timing(NamedTuple):
     """What was added to the times as stated, and its sigma."""
 
 
+class UnknownTimeError(DriveFolderError):
+    """The images do not show when they were taken. key: name of the option of `conetl init` that states it."""
+
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
 def matches(path: Path) -> bool:
     """True for a folder with video files, or with folders of images that drive.yaml names. (KITTI drives may hold videos.)"""
     has_videos = path.is_dir() and not (path / "image_02").is_dir() and bool(names_in(path, VIDEO_SUFFIXES))
@@ -280,6 +288,7 @@ def _timed(
 ) -> Timing:
     """The couples of images with their times. Raises DriveFolderError."""
     images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
+    search_s = None
     if images.timestamps is not None or left.video is None:
         names = (images.timestamps, images.right_timestamps or images.timestamps)
         ours, theirs = (
@@ -304,7 +313,17 @@ def _timed(
     def read_image(number: int, side: Side) -> NDArray[np.uint8]:
         return read_rig_image(pairs[number][1][side], rig, side)
 
-    found = image_clock(clock, track, [t for t, _ in pairs], rig, read_image, from_course=from_course)
+    try:
+        found = image_clock(clock, track, [t for t, _ in pairs], rig, read_image, from_course=from_course)
+    except DriveFolderError as error:
+        if search_s is None:
+            raise
+        raise UnknownTimeError(
+            "start",
+            f"{root}: turns and changes of speed do not show when {left.name} was recorded: there are too few of them in images "
+            f"and {track.name}, or both are not of the same time. State the time of its first frame in {DRIVE_YAML}: 'images: "
+            "{start: 2026-03-02 10:00:00.250Z}'",
+        ) from error
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
     return Timing(moved, None if start_ns is None else start_ns + offset_ns, shift_s, found)
@@ -361,7 +380,7 @@ def _parsed(text: str, settings: DriveYaml, path: Path) -> int:
 
 
 def _needed(cameras: Sequence[_Camera], settings: DriveYaml, root: Path) -> tuple[int, int] | None:
-    """First and last time (UTC ns) of the trajectory, which may be of a whole day, that are needed; None where that is unknown."""
+    """First and last time (UTC ns) of the trajectory, which may be of a whole day, that are needed; None if unknown."""
     left = cameras[0]
     if left.video is None or settings.images.start is None:
         return None
@@ -401,10 +420,11 @@ def _right_offset_s(left: _Camera, right: _Camera, settings: Images) -> float:
     except ImageFileError as error:
         raise DriveFolderError(str(error)) from error
     if lag is None:
-        raise DriveFolderError(
+        raise UnknownTimeError(
+            "right-offset",
             f"{left.video.path.parent}: the images do not show how {right.name} and {left.name} are shifted in time. Put "
             f"'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "
-            "right file's times"
+            "right file's times",
         )
     if not lag.is_constant:
         found = "; ".join(f"{offset_s:+.2f} s at {at_s:.0f} s" for at_s, offset_s in lag.windows)
