@@ -98,8 +98,9 @@ def _settled(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool) 
     """Settings that are written, and the times that the drive has by them. Raises InputError where an answer is missing."""
     path = root / DRIVE_YAML
     before = path.read_bytes() if path.exists() else None
+    asked = None
     while True:
-        proposal = _complete(root, answers, asks=asks, as_json=as_json)
+        proposal = _complete(root, answers, asked, asks=asks, as_json=as_json)
         if proposal.rig is not None:
             write_rig_yaml(proposal.rig, root / RIG_YAML)
         _write(root, proposal.settings)
@@ -111,20 +112,24 @@ def _settled(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool) 
                 path.unlink() if before is None else path.write_bytes(before)
                 raise InputError(f"{error}; or answer with --{error.key}: {_TIME_QUESTIONS[error.key]}") from error
             say(str(error))
-            answers[error.key] = _asked(Question(error.key, _TIME_QUESTIONS[error.key]))
+            asked = Question(error.key, _TIME_QUESTIONS[error.key])
+            answers[asked.key] = _answer(asked)
         except ConetlError as error:
             say(f"{path} is written, but the drive cannot be read yet:")
             say(str(error))
             raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
 
 
-def _asked(question: Question) -> str:
+def _answer(question: Question) -> str:
     return str(typer.prompt(question.text, default=question.default))
 
 
-def _complete(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool) -> Proposal:
-    """The proposal once nothing is missing. Raises InputError where something is and nobody can be asked."""
-    shown, asked = 0, None
+def _complete(root: Path, answers: dict[str, str], asked: Question | None, *, asks: bool, as_json: bool) -> Proposal:
+    """The proposal once nothing is missing. asked: the question that was answered last; a wrong answer is asked again.
+
+    Raises InputError where something is missing and nobody can be asked.
+    """
+    shown = 0
     while True:
         try:
             proposal = propose(root, answers)
@@ -132,7 +137,7 @@ def _complete(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool)
             if asked is None:
                 raise
             say(str(error))
-            answers[asked.key] = _asked(asked)
+            answers[asked.key] = _answer(asked)
             continue
         if not as_json:
             for line in proposal.found[shown:]:
@@ -144,7 +149,7 @@ def _complete(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool)
             missing = "\n".join(f"  --{question.key}: {question.text}" for question in proposal.questions)
             raise InputError(f"{root}: something is missing; answer it with these options:\n{missing}")
         asked = proposal.questions[0]
-        answers[asked.key] = _asked(asked)
+        answers[asked.key] = _answer(asked)
 
 
 def _add_timing(settings: dict[str, Any], timing: Timing) -> None:

@@ -393,6 +393,8 @@ def _opened(path: Path) -> Iterator[InputContainer]:
 
 def _open(path: Path) -> InputContainer:
     """An open video file. Raises InputError."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: this is no file")  # a pipe would wait for its other end
     try:
         container = av.open(str(path), options=_OPTIONS, metadata_errors="replace")
     except (av.FFmpegError, OSError) as error:

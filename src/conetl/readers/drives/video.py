@@ -237,10 +237,10 @@ def _sources(root: Path, settings: Images) -> list[Path]:
         if named is not None:
             found[side] = inside(root, named, DRIVE_YAML)
         elif settings.layout is not None and len(videos) == 1:
-            found[side] = videos[0]
+            found[side] = inside(root, videos[0].name, str(root))
         else:
             candidates = [video for video in videos if side in video.stem.lower()]
-            found[side] = candidates[0] if len(candidates) == 1 else None
+            found[side] = inside(root, candidates[0].name, str(root)) if len(candidates) == 1 else None
     missing = [side for side, source in found.items() if source is None or not (source.is_dir() or source.is_file())]
     if missing:
         raise DriveFolderError(
