@@ -200,9 +200,12 @@ def test_short_recordings_and_time_stamps_without_distance(tmp_path: Path) -> No
 def test_one_stream_of_images_is_expected(tmp_path: Path) -> None:
     path = tmp_path / "two.mkv"
     with av.open(str(path), "w") as container:
-        for stream in [container.add_stream("libx264", rate=10) for _ in range(2)]:
+        streams = [container.add_stream("libx264", rate=10) for _ in range(2)]
+        for stream in streams:
             stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        for stream in streams:
             image = av.VideoFrame.from_ndarray(np.zeros((64, 96, 3), np.uint8), format="bgr24")
-            container.mux([*stream.encode(image), *stream.encode(None)])
+            for packet in (*stream.encode(image), *stream.encode(None)):
+                container.mux(packet)
     with pytest.raises(InputError, match="2 video streams, expected one"):
         index_video(path)

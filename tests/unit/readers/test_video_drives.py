@@ -214,7 +214,9 @@ def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path
     assert not (copy / "drive.yaml").exists()
 
 
-def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(folder: Path, tmp_path: Path) -> None:
+def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(
+    folder: Path, tmp_path: Path
+) -> None:
     copy = with_settings(folder, tmp_path, "")
     (copy / "drive.yaml").unlink()
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
@@ -242,7 +244,9 @@ def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:
 
 
 def test_cameras_that_never_agree_take_no_time() -> None:
-    left, right = ([Image(10**18 + n * 33_000_000 + off, Path(str(n))) for n in range(50_000)] for off in (0, 16_000_000))
+    left, right = (
+        [Image(10**18 + n * 33_000_000 + off, Path(str(n))) for n in range(50_000)] for off in (0, 16_000_000)
+    )
     couples = pair_by_stamp(left, right, 5_000_000)
     assert len(couples) == 100_000 and all((a is None) != (b is None) for a, b in couples)
     stamps = [image.stamp for couple in couples for image in couple if image]
