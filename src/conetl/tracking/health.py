@@ -153,8 +153,8 @@ def _not_adjusted(measured: MeasuredMotions, residual: Floats) -> HealthCheck:
     return HealthCheck(
         name="adjustment of the poses", verdict=Verdict.HOLD, value=None,
         detail=f"No poses fit both images and GNSS/INS: the images show a path of {images_m:.0f} m, GNSS/INS one of "
-        f"{log_m:.0f} m. Check the rate and the beginning of the images' time stamps (videos may state another rate than that of the recording), the "
-        "log, and the calibration.",
+        f"{log_m:.0f} m. Check the rate and the beginning of the images' time stamps (videos may state another rate than that of "
+        "the recording), the log, and the calibration.",
     )  # fmt: skip
 
 
