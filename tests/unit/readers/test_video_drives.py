@@ -222,6 +222,11 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
     assert made.exit_code != 0 and "--start: When was the first frame" in str(made.exception)
     assert not (copy / "drive.yaml").exists()
+    rows = (copy / "poses.csv").read_text().splitlines()
+    (copy / "poses.csv").unlink()
+    (copy / "poses.csv").write_text("\n".join([*rows, rows[-1].replace(" 09:", " 19:", 1)]))
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
+    assert "hours with the video) to search" in str(made.exception)
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", "noon"])
     assert "--start: expected a time stamp" in str(made.exception)
 

@@ -19,6 +19,8 @@ from conetl.readers.trajectories.settings import TrajectoryFile
 DRIVE_YAML = "drive.yaml"
 #: Poses recorded often are not interpolated over longer gaps.
 MAX_POSE_GAP_S = 0.5
+#: A clock is not searched over more than two hours on either side.
+MAX_SEARCH_S = 7200.0
 
 
 class Cameras(Record):
@@ -105,7 +107,7 @@ class Clock(Record):
     """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and speeds."""
     sigma_s: float | None = Field(default=None, gt=0, le=10)
     """Of the stated offset; without it `clock_sigma_s` of the parameters is assumed."""
-    search_s: float = Field(default=30.0, gt=0, le=7200)
+    search_s: float = Field(default=30.0, gt=0, le=MAX_SEARCH_S)
     """The offset is searched between minus and plus this."""
 
 

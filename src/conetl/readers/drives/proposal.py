@@ -155,7 +155,14 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         path = root / answers["rig"]
         rig, kind = read_rig_and_format(path)
     else:
-        found = _rigs(root, size)
+        found = _rigs(root)
+        for path, rig, _ in found:
+            if size not in (None, (rig.left.width_px, rig.left.height_px)):
+                proposal.found.append(
+                    f"calibration {path.name}: for images of {rig.left.width_px} x {rig.left.height_px}, not of these; 'conetl "
+                    "rig convert --scale-to' fits one to images that were scaled"
+                )
+        found = [item for item in found if size in (None, (item[1].left.width_px, item[1].left.height_px))]
         if len(found) != 1:
             names = ", ".join(path.name for path, _, _ in found) or "none was recognised"
             text = f"Which file is the calibration of the cameras ({names})? 'conetl calibrate' makes one from images of a board."
@@ -179,8 +186,8 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
     return None if path == root / RIG_YAML else rig
 
 
-def _rigs(root: Path, size: tuple[int, int] | None) -> list[tuple[Path, Rig, Any]]:
-    """Calibrations in the folder: rig.yaml if it is there, else those of other tools that are for the images."""
+def _rigs(root: Path) -> list[tuple[Path, Rig, Any]]:
+    """Calibrations in the folder: rig.yaml if it is there, else those of other tools."""
     if (root / RIG_YAML).is_file():
         return [(root / RIG_YAML, *read_rig_and_format(root / RIG_YAML))]
     found = []
@@ -190,8 +197,7 @@ def _rigs(root: Path, size: tuple[int, int] | None) -> list[tuple[Path, Rig, Any
                 rig, kind = read_rig_and_format(root / name)
             except CalibrationError:
                 continue
-            if size is None or size == (rig.left.width_px, rig.left.height_px):
-                found.append((root / name, rig, kind))
+            found.append((root / name, rig, kind))
     return found
 
 

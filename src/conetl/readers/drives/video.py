@@ -41,7 +41,16 @@ from conetl.perception.video import (
     video_facts,
 )
 from conetl.perception.video_sync import find_video_lag
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, Clock, DriveYaml, Images, Mount, inside, read_drive_yaml
+from conetl.readers.drives.drive_yaml import (
+    DRIVE_YAML,
+    MAX_SEARCH_S,
+    Clock,
+    DriveYaml,
+    Images,
+    Mount,
+    inside,
+    read_drive_yaml,
+)
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, names_in, rig_on_body
 from conetl.readers.drives.image_clock import image_clock
 from conetl.readers.drives.pairs import (
@@ -296,6 +305,12 @@ def _timed(
         )
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
+        if search_s is not None and search_s > MAX_SEARCH_S:
+            raise UnknownTimeError(
+                "start",
+                f"{root}: {track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} was "
+                f"recorded. State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'",
+            )
         if search_s is not None:
             clock = Clock(search_s=search_s)
         if left.video is not right.video:
