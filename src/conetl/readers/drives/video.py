@@ -308,8 +308,8 @@ def _timed(
         if search_s is not None and search_s > MAX_SEARCH_S:
             raise UnknownTimeError(
                 "start",
-                f"{root}: {track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} was "
-                f"recorded. State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'",
+                f"{root}: {track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} "
+                f"was recorded. State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'",
             )
         if search_s is not None:
             clock = Clock(search_s=search_s)
