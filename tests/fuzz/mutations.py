@@ -56,6 +56,23 @@ def set_integer(rng: random.Random, data: bytes) -> bytes:
     )
 
 
+_BOX = re.compile(
+    rb"(?:mvhd|tkhd|mdhd|elst|stsd|avc1|avcC|stts|ctts|stss|stsc|stsz|stco|co64|hdlr|dref|avih|strh|strf|idx1|LIST|movi)"
+)
+
+
+def set_box_field(rng: random.Random, data: bytes) -> bytes:
+    """A number near the name of a box of an MP4 or AVI file: its size, a count, a size of images, an offset."""
+    found = list(_BOX.finditer(data))
+    if not found:
+        return set_integer(rng, data)
+    start = max(rng.choice(found).start() - 4 + 4 * rng.randrange(24), 0)
+    value = rng.choice(
+        (0, 1, 2, 16384, 65535, 10**9, 2**31 - 1, 2**31, 2**32 - 1, rng.getrandbits(32), rng.getrandbits(12))
+    )
+    return data[:start] + value.to_bytes(4, rng.choice(("little", "big"))) + data[start + 4 :]
+
+
 def truncate(rng: random.Random, data: bytes) -> bytes:
     return data[: _at(rng, data)]
 
@@ -146,9 +163,12 @@ def is_text(data: bytes) -> bool:
 def mutated(rng: random.Random, data: bytes) -> bytes:
     """The bytes after one to three mutations; of a PNG every other time with checksums that fit."""
     text = is_text(data)
+    boxes = data[4:8] == b"ftyp" or data[8:12] == b"AVI "
     png = data.startswith(b"\x89PNG") and rng.random() < 0.5
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         kind: Mutation = rng.choice(_TEXT if text and rng.random() < 0.7 else _ANY)
+        if boxes and rng.random() < 0.5:
+            kind = set_box_field
         data = kind(rng, data)
     return with_checksums(data) if png else data
 

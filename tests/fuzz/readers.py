@@ -45,6 +45,7 @@ from conetl.readers.recording import open_arriving
 from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.oxts import parse_oxts
+from tests.fuzz import video_files as videos
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_device_rigs as device_rigs
@@ -349,6 +350,15 @@ READERS: dict[str, Reader] = {
     **{name.replace(" ", "_"): Reader(write_drive(name), read_whole_drive) for name in formats.WRITERS},
     "kitti_arriving": Reader(write_drive("kitti"), read_arriving),
     "plain_arriving": Reader(write_drive("plain"), read_arriving),
+    **{
+        f"video_{suffix}": Reader(videos.write_video(suffix, small_rig(), 6), videos.read_video_drive)
+        for suffix in videos.CODECS
+    },
+    "video_listed_times": Reader(
+        videos.write_video("mp4", small_rig(), 6, "images: {{timestamps: times.txt, right_timestamps: times.txt}}\n"),
+        videos.read_video_drive,
+    ),
+    "video_search": Reader(videos.write_video("mp4", small_rig(), 40, "images: {{}}\n"), videos.search_times),
     "oxts": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/data/0000000000.txt", f)), read_oxts),
     "timestamps": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/timestamps.txt", f)), read_stamps),
     "velodyne": Reader(write_scans, read_scans),

@@ -15,10 +15,14 @@ from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderEr
 from conetl.model.records import utc_from_ns
 from conetl.readers.drives import find_format
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
-from conetl.readers.drives.proposal import Proposal, propose
-from conetl.readers.drives.video import NAME, Timing, read_timing
+from conetl.readers.drives.proposal import Proposal, Question, propose
+from conetl.readers.drives.video import NAME, Timing, UnknownTimeError, read_timing
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
 
+_TIME_QUESTIONS = {
+    "start": "When was the first frame of the left camera taken (UTC, like 2026-03-02 10:00:00.250)",
+    "right-offset": "By how many seconds does the right file begin after the left one",
+}
 _COMMENTS = {
     "images": "the videos or folders of images",
     "trajectory": "the GNSS/INS log",
@@ -78,34 +82,63 @@ def init(
     if (root / DRIVE_YAML).exists() and not force:
         raise InputError(f"{root / DRIVE_YAML} exists: edit it, or replace it with --force")
     given = {
-        "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset,
-        "trajectory": trajectory, "date": date, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
+        "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory,
+        "date": date, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
     }  # fmt: skip
     answers = {key: value for key, value in given.items() if value is not None}
     asks = sys.stdin.isatty() and not yes and not as_json
-    proposal = _complete(root, answers, asks=asks, as_json=as_json)
-    if proposal.rig is not None:
-        write_rig_yaml(proposal.rig, root / RIG_YAML)
-    settings = proposal.settings
-    _write(root, settings)
-    try:
-        with spinner("finding when the images were taken"):
-            timing = read_timing(root)
-    except ConetlError as error:
-        say(f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:")
-        say(str(error))
-        raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
+    settings, timing = _settled(root, answers, asks=asks, as_json=as_json)
     _add_timing(settings, timing)
     _write(root, settings)
     pairs = sum(left is not None and right is not None for left, right in timing.couples)
     _finish(folder, f"{root / DRIVE_YAML} is written: {pairs:,} frame pairs.", settings, as_json)
 
 
-def _complete(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool) -> Proposal:
-    """The proposal once nothing is missing. Raises InputError where something is and nobody can be asked."""
+def _settled(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool) -> tuple[dict[str, Any], Timing]:
+    """Settings that are written, and the times that the drive has by them. Raises InputError where an answer is missing."""
+    path = root / DRIVE_YAML
+    before = path.read_bytes() if path.exists() else None
+    asked = None
+    while True:
+        proposal = _complete(root, answers, asked, asks=asks, as_json=as_json)
+        if proposal.rig is not None:
+            write_rig_yaml(proposal.rig, root / RIG_YAML)
+        _write(root, proposal.settings)
+        try:
+            with spinner("finding when the images were taken"):
+                return proposal.settings, read_timing(root)
+        except UnknownTimeError as error:
+            if not asks:
+                path.unlink() if before is None else path.write_bytes(before)
+                raise InputError(f"{error}; or answer with --{error.key}: {_TIME_QUESTIONS[error.key]}") from error
+            say(str(error))
+            asked = Question(error.key, _TIME_QUESTIONS[error.key])
+            answers[asked.key] = _answer(asked)
+        except ConetlError as error:
+            say(f"{path} is written, but the drive cannot be read yet:")
+            say(str(error))
+            raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
+
+
+def _answer(question: Question) -> str:
+    return str(typer.prompt(question.text, default=question.default))
+
+
+def _complete(root: Path, answers: dict[str, str], asked: Question | None, *, asks: bool, as_json: bool) -> Proposal:
+    """The proposal once nothing is missing. asked: the question that was answered last; a wrong answer is asked again.
+
+    Raises InputError where something is missing and nobody can be asked.
+    """
     shown = 0
     while True:
-        proposal = propose(root, answers)
+        try:
+            proposal = propose(root, answers)
+        except ConetlError as error:
+            if asked is None:
+                raise
+            say(str(error))
+            answers[asked.key] = _answer(asked)
+            continue
         if not as_json:
             for line in proposal.found[shown:]:
                 say(f"  {line}")
@@ -115,8 +148,8 @@ def _complete(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool)
         if not asks:
             missing = "\n".join(f"  --{question.key}: {question.text}" for question in proposal.questions)
             raise InputError(f"{root}: something is missing; answer it with these options:\n{missing}")
-        question = proposal.questions[0]
-        answers[question.key] = typer.prompt(question.text, default=question.default)
+        asked = proposal.questions[0]
+        answers[asked.key] = _answer(asked)
 
 
 def _add_timing(settings: dict[str, Any], timing: Timing) -> None:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from conetl.files.storage import as_path, fetch, recall
 from conetl.geometry.rectification import raw_from_rectified, stored_camera
 from conetl.geometry.rig import camera_of
-from conetl.model.records import FramePair, Rig, Side
-from conetl.perception.images import decode_image, read_hashed_bytes, read_image
+from conetl.model.records import Camera, FramePair, Rig, Side
+from conetl.model.rejections import RejectionReason
+from conetl.perception.images import ImageFileError, decode_image, read_hashed_bytes, read_image
 from conetl.perception.video import frame_of, read_frame
 
 #: Bicubic: bilinear resampling blurs by how far a pixel falls between its neighbours, and area-based matching sees that as shift.
@@ -32,7 +33,8 @@ def read_rig_image(path: Path, rig: Rig, side: Side) -> NDArray[np.uint8]:
     """
     stored = stored_camera(rig, side)
     frame = frame_of(path)
-    image = read_image(path, (stored.width_px, stored.height_px)) if frame is None else read_frame(frame)
+    size = stored.width_px, stored.height_px
+    image = read_image(path, size) if frame is None else _sized(read_frame(frame), path, stored)
     return image if rig.rectified_from is None else rectify_image(image, rig, side)
 
 
@@ -45,11 +47,21 @@ def read_pair_image(pair: FramePair, side: Side, rig: Rig, *, grey: bool = False
     path, sha256 = pair.image(side)
     stored = stored_camera(rig, side)
     if (frame := frame_of(path)) is not None:
-        image = read_frame(frame, sha256, grey=grey)
+        image = _sized(read_frame(frame, sha256, grey=grey), path, stored)
     else:
         data = read_hashed_bytes(as_path(path), sha256)
         image = decode_image(data, Path(path).name, (stored.width_px, stored.height_px), grey=grey)
     return image if rig.rectified_from is None else rectify_image(image, rig, side)
+
+
+def _sized(image: NDArray[np.uint8], path: str | Path, stored: Camera) -> NDArray[np.uint8]:
+    """The image of a frame. Raises ImageFileError where it has another size than its camera: a video may change it."""
+    if image.shape[:2] == (stored.height_px, stored.width_px):
+        return image
+    raise ImageFileError(
+        RejectionReason.IMAGE_WRONG_SIZE,
+        f"{path}: {image.shape[1]} x {image.shape[0]} pixels, but the calibration is for {stored.width_px} x {stored.height_px}",
+    )
 
 
 def fetch_pairs(pairs: Sequence[FramePair]) -> None:

@@ -12,7 +12,7 @@ import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
@@ -21,8 +21,10 @@ from typing import Any, Literal, NamedTuple, get_args
 import av
 import numpy as np
 from av.container import InputContainer
+from av.stream import Disposition
 from av.video.frame import VideoFrame
 from av.video.reformatter import Interpolation, VideoReformatter
+from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError, StorageError
@@ -122,7 +124,7 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
     usable time stamps.
     """
     with _opened(path) as container:
-        stream = container.streams.video[0]
+        stream = _stream(container)
         found: dict[int, bytes] = {}
         try:
             for packet in container.demux(stream):
@@ -136,8 +138,7 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
             raise InputError(
                 f"{path}: the video cannot be read to its end ({error.strerror}): copy it again"
             ) from error
-        context, base = stream.codec_context, stream.time_base
-        width, height = int(context.width), int(context.height)
+        codec, base, (width, height) = _codec_name(stream), stream.time_base, _size(stream)
         created = container.metadata.get("creation_time")
     if not found or base is None:
         raise InputError(f"{path}: the video has no frames with time stamps; record it into MP4 or MKV")
@@ -145,7 +146,7 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
         raise InputError(f"{path}: frames of {width} x {height} pixels are not supported")
     order = sorted(found)
     sha256s = tuple(found[pts] for pts in order) if hashed else ()
-    return VideoIndex(path, context.name, width, height, Fraction(base), tuple(order), sha256s, _created(created))
+    return VideoIndex(path, codec, width, height, Fraction(base), tuple(order), sha256s, _created(created))
 
 
 class VideoFacts(NamedTuple):
@@ -160,10 +161,10 @@ class VideoFacts(NamedTuple):
 def video_facts(path: Path) -> VideoFacts:
     """Number of frames, duration and size by the header alone. Raises InputError."""
     with _opened(path) as container:
-        stream = container.streams.video[0]
-        duration_s = float((container.duration or 0) / av.time_base)
+        stream = _stream(container)
+        duration_s = max(float((container.duration or 0) / av.time_base), 0.0)
         frames = stream.frames or round(duration_s * float(stream.average_rate or 0))
-        return VideoFacts(int(frames), duration_s, int(stream.codec_context.width), int(stream.codec_context.height))
+        return VideoFacts(int(frames), duration_s, *_size(stream))
 
 
 def read_frame(frame: Frame, sha256: str = "", *, grey: bool = False) -> Image:
@@ -195,6 +196,10 @@ def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = Fa
                 break
             if pts >= first_pts:
                 yield pts, _pixels(frame, grey)
+    except av.FFmpegError as error:
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{path}: cannot be decoded ({error.strerror}): copy the video again"
+        ) from error
     finally:
         decoder.close()
 
@@ -234,8 +239,12 @@ class _Decoder:
             self._container = _open(file.path)
         except InputError as error:
             raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
-        self._stream = self._container.streams.video[0]
+        self._stream = _stream(self._container)
         self._stream.codec_context.thread_count = 1  # workers keep all cores busy
+        self._stream.codec_context.options = {
+            "max_pixels": str(MAX_IMAGE_PIXELS),
+            "err_detect": "explode",
+        }  # of later frames, too
         self._packets: dict[int, bytes] = {}
         self._frames = self.decoded()
         self.at: int | None = None
@@ -244,13 +253,24 @@ class _Decoder:
         """The last one that used it."""
 
     def decoded(self) -> Iterator[tuple[int, VideoFrame]]:
-        """Frames and their time stamps from here on; damaged packets are skipped."""
+        """Frames and their time stamps from here on, without damaged ones.
+
+        The decoder fills what is damaged from the frames before it, and all frames up to the next key frame build on that.
+        """
+        damaged = False
         for packet in self._container.demux(self._stream):
             pts = packet.pts if packet.pts is not None else packet.dts
             if pts is not None and packet.size:
                 self._packets[pts] = _packet_sha256(packet, pts)
-            with suppress(av.FFmpegError):
-                yield from ((frame.pts, frame) for frame in packet.decode() if frame.pts is not None)
+            try:
+                frames = packet.decode()
+            except av.FFmpegError:
+                damaged = True
+                continue
+            for frame in frames:
+                damaged = frame.is_corrupt or (damaged and not frame.key_frame)
+                if not damaged and frame.pts is not None:
+                    yield frame.pts, frame
 
     def seek(self, pts: int) -> None:
         """Go to the last key frame that is not after a time stamp."""
@@ -373,17 +393,45 @@ def _opened(path: Path) -> Iterator[InputContainer]:
 
 def _open(path: Path) -> InputContainer:
     """An open video file. Raises InputError."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: this is no file")  # a pipe would wait for its other end
     try:
-        container = av.open(str(path), options=_OPTIONS)
+        container = av.open(str(path), options=_OPTIONS, metadata_errors="replace")
     except (av.FFmpegError, OSError) as error:
         raise InputError(
             f"{path}: the video cannot be opened ({error.strerror or error}). A recording that was cut off before its index was "
             "written (MP4: 'moov atom not found') needs the recorder's repair tool; record MKV to avoid that"
         ) from error
-    if not container.streams.video:
-        container.close()
+    streams = _images_in_time(container)
+    if len(streams) == 1 and streams[0].codec_context is not None:
+        return container
+    container.close()
+    if not streams:
         raise InputError(f"{path}: the file has no video stream")
-    return container
+    if len(streams) > 1:
+        raise InputError(
+            f"{path}: the file has {len(streams)} video streams, expected one: write each to a file of its own ('ffmpeg -i "
+            f"{path.name} -map 0:v:0 -c copy left.mp4', and 0:v:1 for the other)"
+        )
+    raise InputError(f"{path}: the codec of the video is unknown: convert it to H.264 or Motion JPEG")
+
+
+def _images_in_time(container: InputContainer) -> list[VideoStream]:
+    """The video streams that are no cover art."""
+    return [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+
+
+def _stream(container: InputContainer) -> VideoStream:
+    return _images_in_time(container)[0]
+
+
+def _codec_name(stream: VideoStream) -> str:
+    return str(stream.codec_context.name)
+
+
+def _size(stream: VideoStream) -> tuple[int, int]:
+    """Width and height in pixels."""
+    return int(stream.codec_context.width), int(stream.codec_context.height)
 
 
 def _packet_sha256(packet: av.Packet[Any], pts: int) -> bytes:
@@ -397,6 +445,6 @@ def _packet_sha256(packet: av.Packet[Any], pts: int) -> bytes:
 def _created(text: str | None) -> datetime | None:
     try:
         created = datetime.fromisoformat(text or "")
-    except ValueError:
+        return created.astimezone(UTC) if created.tzinfo else created.replace(tzinfo=UTC)
+    except (ValueError, OverflowError):
         return None
-    return created if created.tzinfo else created.replace(tzinfo=UTC)

@@ -22,6 +22,8 @@ _WINDOWS, _WINDOW_S, SEARCH_S = 6, 7.5, 5.0
 _WIDTH_PX, _SLOW = 160, 15
 #: A correlation that tells a shift, and by how much it must be better than at any other shift.
 _LEAST, _LEAST_LEAD = 0.5, 0.1
+#: Of 500 Hz; time stamps of a damaged file may be a nanosecond apart, and a correlation has a value for each.
+_SHORTEST_PERIOD_S = 0.002
 
 
 class VideoLag(NamedTuple):
@@ -48,6 +50,8 @@ def find_video_lag(left: VideoIndex, right: VideoIndex) -> VideoLag | None:
     if min(len(left_s), len(right_s)) < 2 * _SLOW:
         return None
     period_s = float(np.median(np.diff(left_s)))
+    if period_s < _SHORTEST_PERIOD_S:
+        return None
     span_s = min(left_s[-1], right_s[-1])
     count = int(np.clip(np.ceil(span_s / _WINDOW_S), 1, _WINDOWS))
     curves, windows = [], []
@@ -69,9 +73,9 @@ def _motion(video: VideoIndex, times_s: Floats, from_s: float, to_s: float) -> t
     if len(inside) < 2:
         return np.empty(0), np.empty((0, 2))
     time_of = dict(zip(video.pts, times_s, strict=True))
+    height = max(round(video.height_px * _WIDTH_PX / video.width_px), 2)  # of all, though a stream may change its size
     at_s, shifts, before = [], [], None
     for pts, image in frames_between(video.path, video.pts[inside[0]], video.pts[inside[-1]], grey=True):
-        height = round(image.shape[0] * _WIDTH_PX / image.shape[1])
         small = cv2.resize(image, (_WIDTH_PX, height), interpolation=cv2.INTER_AREA).astype(np.float32)
         if before is not None and pts in time_of:
             at_s.append((before[0] + time_of[pts]) / 2)
@@ -91,6 +95,8 @@ def _correlations(left: tuple[Floats, Floats], right: tuple[Floats, Floats], per
     grid_s = np.arange(first_s, last_s + period_s / 2, period_s)
     ours, theirs = (_on_grid(series, grid_s) for series in (left, right))
     for k, shift in enumerate(range(-most, most + 1)):
+        if abs(shift) >= len(grid_s):
+            continue
         moved = np.full_like(theirs, np.nan)
         moved[max(shift, 0) : len(grid_s) + min(shift, 0)] = theirs[max(-shift, 0) : len(grid_s) - max(shift, 0)]
         both = np.isfinite(ours[:, 0]) & np.isfinite(moved[:, 0])

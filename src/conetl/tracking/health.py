@@ -58,11 +58,11 @@ def check_trajectory(
     log, measured = read_log(frame_pairs, rig, params), measured_motions(frame_pairs, motions, params)
     none = np.zeros(0, dtype=bool)
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
+    residual = motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
     return [
         _measured(frame_pairs, rig, len(measured.start)),
-        _agreement(
-            frame_pairs, rig, measured, good, motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
-        ),
+        _agreement(frame_pairs, rig, measured, good, residual),
+        *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
         _jumps(frame_pairs, rig, measured, good),
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
@@ -181,6 +181,18 @@ def _agreement(
     return HealthCheck(
         name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
         limit=_MAX_REFUSED_SHARE, detail=detail,
+    )  # fmt: skip
+
+
+def _not_adjusted(measured: MeasuredMotions, residual: Floats) -> HealthCheck:
+    """Of poses that no adjustment fits to the images: each motion may agree with an inaccurate log that all contradict."""
+    observed = measured.next_SE3_first[:, :3, 3]
+    images_m, log_m = (float(np.linalg.norm(part, axis=1).sum()) for part in (observed, observed - residual[:, 3:]))
+    return HealthCheck(
+        name="adjustment of the poses", verdict=Verdict.HOLD, value=None,
+        detail=f"No poses fit both images and GNSS/INS: the images show a path of {images_m:.0f} m, GNSS/INS one of "
+        f"{log_m:.0f} m. Check the rate and the beginning of the images' time stamps (videos may state another rate than that of "
+        "the recording), the log, and the calibration.",
     )  # fmt: skip
 
 

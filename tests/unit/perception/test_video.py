@@ -171,3 +171,41 @@ def test_the_shift_of_two_files_and_frames_that_one_lost(tmp_path: Path) -> None
     assert lost is not None and not lost.is_constant
     still = index_video(write_video(tmp_path / "still.mp4", images[:1] * 200))
     assert find_video_lag(left, still) is None
+
+
+def test_frames_that_build_on_a_damaged_one_are_refused(tmp_path: Path) -> None:
+    """Decoders fill a lost slice from the frame before: pixels of an earlier image."""
+    path = write_video(tmp_path / "a.mp4", shaken(30, 1), "libx264", {"crf": "20", "g": "10", "bf": "0"})
+    good, data = index_video(path), bytearray(path.read_bytes())
+    with av.open(str(path)) as container:
+        at, size = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size][13]
+    data[at + 6 : at + size - 2] = b"\xff" * (size - 8)
+    bad = path.with_name("b.mp4")
+    bad.write_bytes(data)
+    for n, pts in enumerate(good.pts):
+        if 13 <= n < 20:
+            with pytest.raises(ImageFileError, match="damaged or missing"):
+                read_frame(Frame(bad, pts))
+        else:
+            assert np.array_equal(read_frame(Frame(bad, pts)), read_frame(Frame(path, pts)))
+
+
+def test_short_recordings_and_time_stamps_without_distance(tmp_path: Path) -> None:
+    short = index_video(write_video(tmp_path / "a.mp4", shaken(32, 1)))
+    lag = find_video_lag(short, short)
+    assert lag is None or abs(lag.offset_s) < 0.01
+    assert find_video_lag(short._replace(time_base=short.time_base / 10**9), short) is None
+
+
+def test_one_stream_of_images_is_expected(tmp_path: Path) -> None:
+    path = tmp_path / "two.mkv"
+    with av.open(str(path), "w") as container:
+        streams = [container.add_stream("libx264", rate=10) for _ in range(2)]
+        for stream in streams:
+            stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        for stream in streams:
+            image = av.VideoFrame.from_ndarray(np.zeros((64, 96, 3), np.uint8), format="bgr24")
+            for packet in (*stream.encode(image), *stream.encode(None)):
+                container.mux(packet)
+    with pytest.raises(InputError, match="2 video streams, expected one"):
+        index_video(path)

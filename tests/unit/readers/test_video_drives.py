@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,15 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.geometry import rig as rigs
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Drive, Rig
 from conetl.perception.rectified_image import read_pair_image
+from conetl.perception.video import video_facts
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import drive_format, read_drive
 from conetl.readers.drives.header import read_header
+from conetl.readers.drives.pairs import Image, pair_by_stamp
 from conetl.readers.rigs import read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
 from tests.unit.readers.drive_formats import SAMPLE
@@ -210,3 +213,47 @@ def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path
     assert made.exit_code != 0
     assert all(f"--{option}: " in str(made.exception) for option in ("left", "trajectory", "rig"))
     assert not (copy / "drive.yaml").exists()
+
+
+def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(
+    folder: Path, tmp_path: Path
+) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    (copy / "drive.yaml").unlink()
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
+    assert made.exit_code != 0 and "--start: When was the first frame" in str(made.exception)
+    assert not (copy / "drive.yaml").exists()
+    rows = (copy / "poses.csv").read_text().splitlines()
+    (copy / "poses.csv").unlink()
+    (copy / "poses.csv").write_text("\n".join([*rows, rows[-1].replace(" 09:", " 19:", 1)]))
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
+    assert "hours with the video) to search" in str(made.exception)
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", "noon"])
+    assert "--start: expected a time stamp" in str(made.exception)
+
+
+# --------------------------------------------------------------------------- files that a stranger may have made
+
+
+def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:
+    copy = with_settings(folder, tmp_path, "images: {start: '2026-03-02 10:00:00Z', right_offset_s: 0}")
+    (copy / "left.mp4").unlink()
+    (copy / "left.mp4").symlink_to(folder / "left.mp4")
+    with pytest.raises(DriveFolderError, match="outside the drive folder"):
+        read_drive(copy)
+    (copy / "left.mp4").unlink()
+    os.mkfifo(copy / "left.mp4")
+    with pytest.raises(DriveFolderError, match="the left camera's images are not clear"):
+        read_drive(copy)
+    with pytest.raises(InputError, match="this is no file"):
+        video_facts(copy / "left.mp4")
+
+
+def test_cameras_that_never_agree_take_no_time() -> None:
+    left, right = (
+        [Image(10**18 + n * 33_000_000 + off, Path(str(n))) for n in range(50_000)] for off in (0, 16_000_000)
+    )
+    couples = pair_by_stamp(left, right, 5_000_000)
+    assert len(couples) == 100_000 and all((a is None) != (b is None) for a, b in couples)
+    stamps = [image.stamp for couple in couples for image in couple if image]
+    assert stamps == sorted(stamps)

@@ -19,6 +19,8 @@ from conetl.readers.trajectories.settings import TrajectoryFile
 DRIVE_YAML = "drive.yaml"
 #: Poses recorded often are not interpolated over longer gaps.
 MAX_POSE_GAP_S = 0.5
+#: A clock is not searched over more than two hours on either side.
+MAX_SEARCH_S = 7200.0
 
 
 class Cameras(Record):
@@ -79,8 +81,8 @@ class Images(Record):
     """What to add to the right file's times to have the left one's. Default: found from the motion in the images."""
     every: int = Field(default=1, ge=1)
     """Use every n-th pair."""
-    from_s: float = Field(default=0.0, ge=0)
-    to_s: float | None = Field(default=None, gt=0)
+    from_s: float = Field(default=0.0, ge=0, le=1e7)
+    to_s: float | None = Field(default=None, gt=0, le=1e7)
     """Part of the left file that is used."""
 
 
@@ -105,7 +107,7 @@ class Clock(Record):
     """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and speeds."""
     sigma_s: float | None = Field(default=None, gt=0, le=10)
     """Of the stated offset; without it 0.01 s."""
-    search_s: float = Field(default=30.0, gt=0, le=7200)
+    search_s: float = Field(default=30.0, gt=0, le=MAX_SEARCH_S)
     """The offset is searched between minus and plus this."""
 
 
@@ -190,7 +192,11 @@ def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     or a link leads outside.
     """
     root = folder.resolve()
-    path = (root / beside / name).resolve()
+    try:
+        path = (root / beside / name).resolve()
+        path.exists()
+    except (OSError, ValueError) as error:  # longer than a file system allows, or with a zero byte
+        raise DriveFolderError(f"{source}: {shown(name)} cannot be the name of a file") from error
     if not path.is_relative_to(root):
         raise DriveFolderError(f"{source}: {shown(name)} is outside the drive folder {folder}; name a path inside it")
     return path

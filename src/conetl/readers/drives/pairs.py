@@ -7,6 +7,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -257,12 +258,13 @@ def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: i
             used.add(last + 1)
         last = last if (partner := partners[i]) is None else partner
     couples: list[Couple] = [(p, None if i is None else right[i]) for p, i in zip(left, partners, strict=True)]
-    # A right image that is alone is inserted before the first later one.
+    # A right image that is alone comes before the first later one. Of cameras that never agree all are alone: no nested loops.
+    latest = list(accumulate((-1 if (t := _stamp(c)) is None else t for c in couples), max))
+    alone: dict[int, list[Couple]] = {}
     for time in right_times:
         if number[time] not in used:
-            index = next((i for i, c in enumerate(couples) if (t := _stamp(c)) is not None and t > time), len(couples))
-            couples.insert(index, (None, right[number[time]]))
-    return couples
+            alone.setdefault(bisect_right(latest, time), []).append((None, right[number[time]]))
+    return [c for i in range(len(couples) + 1) for c in (*alone.get(i, ()), *couples[i : i + 1])]
 
 
 def _nearest_index(times_ns: list[int], time_ns: int) -> int:

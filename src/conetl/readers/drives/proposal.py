@@ -22,6 +22,7 @@ from conetl.readers.trajectories import (
     read_trajectory,
     trajectory_format,
 )
+from conetl.readers.trajectories.times import parse_timestamp
 
 _RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})
 _LARGEST_RIG_BYTES = 4_000_000
@@ -66,6 +67,8 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     images: dict[str, Any] = {key: answers[key] for key in ("left", "right", "layout", "start") if key in answers}
     if "right-offset" in answers:
         images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
+    if "start" in images:
+        _check_time(images["start"])
     proposal.settings["images"] = images
     sources = videos or folders
     if not sources:
@@ -84,7 +87,7 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     if len(sources) == 1 or "layout" in images:
         images.setdefault("left", sources[0].name)
         if "layout" not in images:
-            text = "How do left and right lie in each frame (left-right, right-left, top-bottom, bottom-top)?"
+            text = "How do left and right lie in each frame: left-right, right-left, top-bottom or bottom-top?"
             proposal.questions.append(Question("layout", text, "left-right"))
     else:
         for side in ("left", "right"):
@@ -152,7 +155,14 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         path = root / answers["rig"]
         rig, kind = read_rig_and_format(path)
     else:
-        found = _rigs(root, size)
+        found = _rigs(root)
+        for path, rig, _ in found:
+            if size not in (None, (rig.left.width_px, rig.left.height_px)):
+                proposal.found.append(
+                    f"calibration {path.name}: for images of {rig.left.width_px} x {rig.left.height_px}, not of these; 'conetl "
+                    "rig convert --scale-to' fits one to images that were scaled"
+                )
+        found = [item for item in found if size in (None, (item[1].left.width_px, item[1].left.height_px))]
         if len(found) != 1:
             names = ", ".join(path.name for path, _, _ in found) or "none was recognised"
             text = f"Which file is the calibration of the cameras ({names})? 'conetl calibrate' makes one from images of a board."
@@ -169,15 +179,15 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         proposal.settings["mount"] = dict(zip(keys, values, strict=False))
     elif rigs.body_is_left_camera(rig):
         text = (
-            "Where is the left camera as seen from the antenna or IMU of the trajectory: forward, left, up in metres, then its "
-            "pitch in degrees (positive: looks down), like 1.2,0.3,-0.2,3?"
+            "Where is the left camera, seen from the antenna or IMU of the trajectory? Forward, left, up in metres, and "
+            "its pitch in degrees (positive: looks down), like 1.2,0.3,-0.2,3"
         )
         proposal.questions.append(Question("mount", text))
     return None if path == root / RIG_YAML else rig
 
 
-def _rigs(root: Path, size: tuple[int, int] | None) -> list[tuple[Path, Rig, Any]]:
-    """Calibrations in the folder: rig.yaml if it is there, else those of other tools that are for the images."""
+def _rigs(root: Path) -> list[tuple[Path, Rig, Any]]:
+    """Calibrations in the folder: rig.yaml if it is there, else those of other tools."""
     if (root / RIG_YAML).is_file():
         return [(root / RIG_YAML, *read_rig_and_format(root / RIG_YAML))]
     found = []
@@ -187,9 +197,16 @@ def _rigs(root: Path, size: tuple[int, int] | None) -> list[tuple[Path, Rig, Any
                 rig, kind = read_rig_and_format(root / name)
             except CalibrationError:
                 continue
-            if size is None or size == (rig.left.width_px, rig.left.height_px):
-                found.append((root / name, rig, kind))
+            found.append((root / name, rig, kind))
     return found
+
+
+def _check_time(text: str) -> None:
+    """Raises InputError where a text is no time stamp."""
+    try:
+        parse_timestamp(text)
+    except ValueError as error:
+        raise InputError(f"--start: {error}") from error
 
 
 def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
@@ -200,6 +217,8 @@ def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
         values = []
     if not least <= len(values) <= most or not np.isfinite(values).all():
         raise InputError(
-            f"--{key} '{text[:60]}': expected {least}{f' to {most}' if most > least else ''} numbers with commas between"
+            f"--{key} '{text[:60]}': expected {least} to {most} numbers with commas between"
+            if most > least
+            else f"--{key} '{text[:60]}': expected a number"
         )
     return values

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import read_bytes
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import CAMERA_R_BODY
@@ -27,6 +28,7 @@ from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Drive, Rig, Side
 from conetl.model.rejections import Rejection
+from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.video import (
     VIDEO_SUFFIXES,
@@ -39,7 +41,16 @@ from conetl.perception.video import (
     video_facts,
 )
 from conetl.perception.video_sync import find_video_lag
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, Clock, DriveYaml, Images, Mount, inside, read_drive_yaml
+from conetl.readers.drives.drive_yaml import (
+    DRIVE_YAML,
+    MAX_SEARCH_S,
+    Clock,
+    DriveYaml,
+    Images,
+    Mount,
+    inside,
+    read_drive_yaml,
+)
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, names_in, rig_on_body
 from conetl.readers.drives.image_clock import image_clock
 from conetl.readers.drives.pairs import (
@@ -65,6 +76,8 @@ READS_OBJECTS = False
 _WHOLE = 0.25
 #: Seconds of the trajectory before and after the images that help to smooth it.
 _MARGIN_S = 20.0
+#: A file of time stamps of `MAX_FRAMES` lines.
+_MOST_TIME_BYTES = 128_000_000
 _log = logging.getLogger(__name__)
 
 
@@ -90,6 +103,14 @@ class Timing(NamedTuple):
     """What to add to the right file's times to have those of the left one."""
     clock: ImageClock
     """What was added to the times as stated, and its sigma."""
+
+
+class UnknownTimeError(DriveFolderError):
+    """The images do not show when they were taken. key: name of the option of `conetl init` that states it."""
+
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(message)
+        self.key = key
 
 
 def matches(path: Path) -> bool:
@@ -225,11 +246,11 @@ def _sources(root: Path, settings: Images) -> list[Path]:
         if named is not None:
             found[side] = inside(root, named, DRIVE_YAML)
         elif settings.layout is not None and len(videos) == 1:
-            found[side] = videos[0]
+            found[side] = inside(root, videos[0].name, str(root))
         else:
             candidates = [video for video in videos if side in video.stem.lower()]
-            found[side] = candidates[0] if len(candidates) == 1 else None
-    missing = [side for side, source in found.items() if source is None or not source.exists()]
+            found[side] = inside(root, candidates[0].name, str(root)) if len(candidates) == 1 else None
+    missing = [side for side, source in found.items() if source is None or not (source.is_dir() or source.is_file())]
     if missing:
         raise DriveFolderError(
             f"{root}: the {missing[0]} camera's images are not clear (videos: {', '.join(v.name for v in videos) or 'none'}). "
@@ -276,6 +297,7 @@ def _timed(
 ) -> Timing:
     """The couples of images with their times. Raises DriveFolderError."""
     images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
+    search_s = None
     if images.timestamps is not None or left.video is None:
         names = (images.timestamps, images.right_timestamps or images.timestamps)
         ours, theirs = (
@@ -283,6 +305,12 @@ def _timed(
         )
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
+        if search_s is not None and search_s > MAX_SEARCH_S:
+            raise UnknownTimeError(
+                "start",
+                f"{root}: {track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} "
+                f"was recorded. State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'",
+            )
         if search_s is not None:
             clock = Clock(search_s=search_s)
         if left.video is not right.video:
@@ -303,11 +331,13 @@ def _timed(
     try:
         found = image_clock(clock, track, [t for t, _ in pairs], rig, read_image, from_course=from_course)
     except DriveFolderError as error:
-        if start_ns is None or images.start is not None:
+        if search_s is None:
             raise
-        raise DriveFolderError(
-            f"{root}: when the first frame was taken is unknown, and turns and speeds do not show it. Put "
-            f"'images: {{start: 2026-03-02 10:00:00.250}}' into {DRIVE_YAML}"
+        raise UnknownTimeError(
+            "start",
+            f"{root}: turns and changes of speed do not show when {left.name} was recorded: there are too few of them in images "
+            f"and {track.name}, or both are not of the same time. State the time of its first frame in {DRIVE_YAML}: 'images: "
+            "{start: 2026-03-02 10:00:00.250Z}'",
         ) from error
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
@@ -333,9 +363,9 @@ def _listed(camera: _Camera, name: str | None, settings: DriveYaml, root: Path, 
         return [Image(_stamp(path.stem, settings), path) for path in camera.paths]
     file = inside(root, name, DRIVE_YAML)
     try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise DriveFolderError(f"{file}: the time stamps cannot be read: {error.strerror}") from error
+        data = read_bytes(file, _MOST_TIME_BYTES)
+    except InputError as error:
+        raise DriveFolderError(f"{name}: the time stamps: {error}") from error
     content.add(name, data)
     lines = [
         line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
@@ -365,7 +395,7 @@ def _parsed(text: str, settings: DriveYaml, path: Path) -> int:
 
 
 def _needed(cameras: Sequence[_Camera], settings: DriveYaml, root: Path) -> tuple[int, int] | None:
-    """First and last time (UTC ns) that are needed of a trajectory, which may be of a whole day; None where that is unknown."""
+    """First and last time (UTC ns) of the trajectory, which may be of a whole day, that are needed; None if unknown."""
     left = cameras[0]
     if left.video is None or settings.images.start is None:
         return None
@@ -400,12 +430,16 @@ def _right_offset_s(left: _Camera, right: _Camera, settings: Images) -> float:
     if settings.right_offset_s is not None:
         return settings.right_offset_s
     assert left.video is not None and right.video is not None
-    lag = find_video_lag(left.video, right.video)
+    try:
+        lag = find_video_lag(left.video, right.video)
+    except ImageFileError as error:
+        raise DriveFolderError(str(error)) from error
     if lag is None:
-        raise DriveFolderError(
+        raise UnknownTimeError(
+            "right-offset",
             f"{left.video.path.parent}: the images do not show how {right.name} and {left.name} are shifted in time. Put "
             f"'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "
-            "right file's times"
+            "right file's times",
         )
     if not lag.is_constant:
         found = "; ".join(f"{offset_s:+.2f} s at {at_s:.0f} s" for at_s, offset_s in lag.windows)
@@ -456,7 +490,7 @@ def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
     named = settings.trajectory.file
     if named is not None:
         path = inside(root, named, DRIVE_YAML)
-        if not path.exists():
+        if not (path.is_file() or path.is_dir()):
             raise DriveFolderError(f"{path}: the trajectory is missing")
         return path
     found = find_trajectories(root)
