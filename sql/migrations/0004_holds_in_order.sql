@@ -36,6 +36,7 @@ where d.rig is not null and other.rig is not null;
 comment on view conetl.newer_delivery is
     'Later analyses and deliveries of the recording of a changeset; a recording is known by its content, or by id and instants.';
 
+-- Written out, and not by newer_delivery: where few drives are asked for, each is looked up by an index.
 create or replace view conetl.active_drive as
 select d.*, c.changeset_id, c.changeset_no, c.idempotency_key
 from conetl.changeset c
@@ -43,9 +44,19 @@ join conetl.drive d using (drive_uuid)
 where not exists (select from conetl.discounted r where r.changeset_id = c.changeset_id)
 and not exists (
     select
-    from conetl.newer_delivery n
-    where n.changeset_id = c.changeset_id
-    and not exists (select from conetl.discounted r where r.changeset_id = n.newer_id)
+    from conetl.drive other
+    join conetl.changeset newer on newer.drive_uuid = other.drive_uuid
+    where other.map_id = d.map_id and other.content_sha256 = d.content_sha256 and newer.changeset_no > c.changeset_no
+    and not exists (select from conetl.discounted r where r.changeset_id = newer.changeset_id)
+)
+and not exists (
+    select
+    from conetl.drive other
+    join conetl.changeset newer on newer.drive_uuid = other.drive_uuid
+    where d.rig is not null and other.rig is not null and other.map_id = d.map_id and other.drive_id = d.drive_id
+    and (other.captured_from_ns = d.captured_from_ns or other.captured_to_ns = d.captured_to_ns)
+    and newer.changeset_no > c.changeset_no
+    and not exists (select from conetl.discounted r where r.changeset_id = newer.changeset_id)
 );
 comment on view conetl.active_drive is
     'The drives that make the map: not reverted, and of each recording the analysis and delivery that was ingested last.';

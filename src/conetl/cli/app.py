@@ -60,6 +60,7 @@ _GROUPS = {
             "licence": "map.exchange:licence",
             "qgis": "map.exchange:qgis",
             "check-layout": "map.work_zones:check_layout_command",
+            "check-points": "map.check_points:check_points",
             "suppress": "map.decisions:suppress",
             "pin": "map.decisions:pin",
             "revert": "map.decisions:revert",

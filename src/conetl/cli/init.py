@@ -78,8 +78,8 @@ def init(
     if (root / DRIVE_YAML).exists() and not force:
         raise InputError(f"{root / DRIVE_YAML} exists: edit it, or replace it with --force")
     given = {
-        "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory, "date": date,
-        "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
+        "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset,
+        "trajectory": trajectory, "date": date, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
     }  # fmt: skip
     answers = {key: value for key, value in given.items() if value is not None}
     asks = sys.stdin.isatty() and not yes and not as_json
@@ -142,7 +142,7 @@ def _write(root: Path, settings: dict[str, Any]) -> None:
 
 
 def _finish(folder: Path, text: str, settings: dict[str, Any], as_json: bool) -> None:
-    commands = [f"conetl inspect {folder}", f"conetl ingest {folder}"]
+    commands = [f"conetl inspect {folder} --page inspection.html", f"conetl ingest {folder}"]
     if as_json:
         print_json({"settings": settings, "next": commands})
         return

@@ -45,6 +45,9 @@ def inspect(
             "--picture", "--image", help="PNG to write: drive path with gaps and quality, and one image pair."
         ),
     ] = None,
+    page: Annotated[
+        Path | None, typer.Option(help="HTML page to write: all of it, with the image and the checks.")
+    ] = None,
     map_srid: MapSridOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -59,21 +62,28 @@ def inspect(
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)
     checks = [] if kind == "bag" else check_stereo(found)[1]  # nothing of a bag is unpacked
-    if picture is not None:
-        from conetl.reports.inspection_images import draw_drive  # matplotlib takes half a second to load
+    facts = _facts(kind, summary, seconds, settings.workers)
+    if picture is not None or page is not None:
+        from conetl.reports import figures, inspection_images  # matplotlib takes half a second to load
 
-        draw_drive(picture, found, summary)
+        figure = inspection_images.draw_drive(found, summary)
+        if picture is not None:
+            figures.save_figure(figure, picture)
+        if page is not None:
+            inspection_images.write_inspection_page(page, facts, summary, checks, figure)
     if as_json:
-        facts = {"format": kind, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
-        facts["health"] = [check.model_dump(mode="json") for check in checks]
-        print_json({**facts, "picture": None if picture is None else str(picture)})
+        values = {"format": kind, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
+        values["health"] = [check.model_dump(mode="json") for check in checks]
+        print_json({**values, "picture": picture and str(picture), "page": page and str(page)})
     else:
-        _print(drive, kind, summary, seconds, settings.workers)
+        _print(drive, facts, summary)
         print_all_checks(checks)
         if kind == "bag":
             say("Health checks: none, because the images of a bag are not unpacked here; `conetl ingest` makes them.")
         if picture is not None:
             say(f"Image: {picture}")
+        if page is not None:
+            say(f"Page: {page}")
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs
     doubtful = lost > IngestParams().max_rejected_fraction or summary.poses.jumps or hold_reason(checks)
     raise typer.Exit(EXIT_NEEDS_ATTENTION if doubtful else EXIT_DONE)
@@ -85,14 +95,15 @@ def estimated_seconds(summary: DriveSummary, workers: int) -> float:
     return START_CPU_S + CPU_S_PER_MEGAPIXEL * megapixels / workers
 
 
-def _print(drive: Path, kind: str, summary: DriveSummary, seconds: float, workers: int) -> None:
+def _facts(kind: str, summary: DriveSummary, seconds: float, workers: int) -> list[tuple[str, object]]:
+    """Properties of a drive and their values, as a person reads them."""
     rig, poses, extent = summary.rig, summary.poses, summary.extent
     (west, east), (south, north), (low, high) = extent.lon_deg, extent.lat_deg, extent.height_m
     how_read = "rectified"
     if rig.rectified_on_reading:
         how_read = f"lens {rig.lens}, resampled to {rig.width_px} x {rig.height_px} when read"
     rate = f"{summary.rate_hz:.2f} Hz" if summary.rate_hz else "one pair only"
-    values = {
+    values: dict[str, object] = {
         "format": FORMAT_NAMES[kind],
         "drive": summary.drive_id,
         "rig": f"{rig.rig_id}: baseline {rig.baseline_m:.4f} m, focal length {rig.focal_px:.1f} px",
@@ -111,7 +122,11 @@ def _print(drive: Path, kind: str, summary: DriveSummary, seconds: float, worker
         "lon, lat": f"{west:.6f}, {south:.6f} to {east:.6f}, {north:.6f}",
         "ingest time": f"about {_duration(seconds)} with {workers} workers and nothing else running",
     }
-    print_table(str(drive), ("property", "value"), list(values.items()), numbers_from=2)
+    return list(values.items())
+
+
+def _print(drive: Path, facts: Sequence[tuple[str, object]], summary: DriveSummary) -> None:
+    print_table(str(drive), ("property", "value"), facts, numbers_from=2)
     _print_first("Lost pairs", {"record": "record", "reason": "reason", "detail": "detail"}, summary.lost)
     gaps: Columns = {
         "from frame": "after_frame",
@@ -124,7 +139,7 @@ def _print(drive: Path, kind: str, summary: DriveSummary, seconds: float, worker
     }
     _print_first("Gaps", gaps, summary.gaps)
     jumps: Columns = {"frame": "frame", "distance from the line (m)": lambda jump: f"{jump.off_m:.2f}"}
-    _print_first("Position jumps", jumps, poses.jumps)
+    _print_first("Position jumps", jumps, summary.poses.jumps)
 
 
 def _print_first(title: str, columns: Mapping[str, Any], records: Sequence[Any]) -> None:

@@ -111,6 +111,14 @@ class TruthLine(Generic[Found]):
         return None if self.difference_m is None else float(np.linalg.norm(self.difference_m))
 
 
+def paired(truth_m: Floats, found_m: Floats, gate_m: float) -> dict[int, int]:
+    """Positions (M, 3) by index, each with at most one of others (N, 3), at the least total distance and at most gate_m apart."""
+    distances = np.linalg.norm(truth_m[:, None] - found_m[None], axis=2)
+    costs = np.where(distances <= gate_m, distances, _FORBIDDEN)
+    rows, columns = linear_sum_assignment(costs)
+    return {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if costs[i, j] < _FORBIDDEN}
+
+
 def compare_with_truth(
     truth: Sequence[TruthCone],
     features: Sequence[Found],
@@ -123,10 +131,11 @@ def compare_with_truth(
     path_m: (F, 2 or 3) path of the left camera. Features or tracks are paired with cones one-to-one at the least total distance,
     at most 0.75 m each. Cones farther than within_m from the path are left out.
     """
-    distances = np.array([[np.linalg.norm(np.subtract(f.xyz_m, cone.xyz_m)) for f in features] for cone in truth])
-    costs = np.where(distances <= _GATE_M, distances, _FORBIDDEN).reshape(len(truth), len(features))
-    rows, columns = linear_sum_assignment(costs)
-    pairs = {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if costs[i, j] < _FORBIDDEN}
+    pairs = paired(
+        np.array([cone.xyz_m for cone in truth]).reshape(-1, 3),
+        np.array([f.xyz_m for f in features]).reshape(-1, 3),
+        _GATE_M,
+    )
     lines = []
     for i, cone in enumerate(truth):
         truth_range_m = _range(cone.xyz_m, path_m)

@@ -8,22 +8,25 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
+from conetl.model.health import HealthCheck
 from conetl.model.records import Drive, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.readers.drives.summary import DriveSummary
-from conetl.reports.figures import ORANGE, add_grid, new_figure, save_figure
+from conetl.reports.figures import ORANGE, add_grid, new_figure, png, save_figure
+from conetl.reports.html import render, write_page
 
 _ROWS = 12
 _SIDES: tuple[Side, Side] = ("left", "right")
 
 
-def draw_drive(path: Path, drive: Drive, summary: DriveSummary) -> Path:
-    """Write the image of a drive as it was read (PNG) and return its path. Raises InputError where it cannot be written."""
+def draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
+    """A drive as it was read: its path, coloured by the sigma of its poses, and one pair of images with rows drawn across."""
     figure = new_figure(14, 7.5, dpi=110)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.25))
     _draw_drive_path(figure.add_subplot(grid[:, 0]), drive, summary)
@@ -44,7 +47,29 @@ def draw_drive(path: Path, drive: Drive, summary: DriveSummary) -> Path:
         f"{summary.drive_id}: {summary.usable_pairs} of {summary.expected_pairs} pairs usable ({lost} lost), {rate}, "
         f"{summary.length_m:.0f} m, baseline {summary.rig.baseline_m:.3f} m, EPSG:{summary.map_srid}"
     )
-    return save_figure(figure, path)
+    return figure
+
+
+def write_inspection_page(
+    path: Path,
+    facts: Sequence[tuple[str, object]],
+    summary: DriveSummary,
+    checks: Sequence[HealthCheck],
+    figure: Figure,
+) -> Path:
+    """Write what `conetl inspect` shows as one page, and return its path. Raises InputError where it cannot be written.
+
+    facts: properties of the drive and their values.
+    """
+    page = render(
+        "inspection.html.j2",
+        title=f"Drive {summary.drive_id}",
+        facts=facts,
+        summary=summary,
+        checks=checks,
+        figure=png(figure),
+    )
+    return write_page(path, page)
 
 
 def draw_coverage(path: Path, bundle: Bundle, views: Sequence[BoardView], title: str) -> Path:

@@ -228,12 +228,12 @@ def _refined(
     where it escapes."""
     there, known = np.isfinite(signal).all(axis=1), np.isfinite(target).all(axis=1)
     curve, own = CubicSpline(grid_s[there], signal[there]), CubicSpline(at_s[known], target[known])
-    inside = CubicSpline(grid_s, there.astype(np.float64))
+    covered: Floats = np.asarray(there, dtype=np.float64)
     prior = np.diag([0.0, _SCALE**-2])
     start_s = offset_s
     for _ in range(_ITERATIONS):
         used = known & (at_s + offset_s >= grid_s[0]) & (at_s + offset_s <= grid_s[-1])
-        used[used] &= inside(at_s[used] + offset_s) > 0.99
+        used[used] &= np.interp(at_s[used] + offset_s, grid_s, covered) > 0.99
         if used.sum() * _STEP_S < _OVERLAP_S:
             return None
         by = np.zeros((int(used.sum()), 2, 2))

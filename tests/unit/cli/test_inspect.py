@@ -47,7 +47,11 @@ def test_inspect_shows_what_is_lost(
     assert found["estimated_seconds"] > 0
     assert image.read_bytes().startswith(b"\x89PNG")
     damaged = changed(changed(damaged, 2, right=None), 3, right=None)
-    code, text, _ = run(["inspect", str(write_kitti(tmp_path / "kitti", damaged, rig))], capsys)
+    page = tmp_path / "page.html"
+    code, text, _ = run(["inspect", str(write_kitti(tmp_path / "kitti", damaged, rig)), "--page", str(page)], capsys)
+    shown = page.read_text()
+    assert "3 of 10 frame pairs are lost" in shown and "there is no right image" in shown
+    assert "rows of the right images" in shown and "data:image/png" in shown
     assert code == 1  # 3 of 10 are more than a tenth
     assert "KITTI raw layout" in text
     assert "7 of 10 usable, 3 lost" in text

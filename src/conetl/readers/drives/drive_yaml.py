@@ -104,7 +104,7 @@ class Clock(Record):
     offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | Literal["estimate"] = "estimate"
     """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and speeds."""
     sigma_s: float | None = Field(default=None, gt=0, le=10)
-    """Of the stated offset; without it `clock_sigma_s` of the parameters is assumed."""
+    """Of the stated offset; without it 0.01 s."""
     search_s: float = Field(default=30.0, gt=0, le=7200)
     """The offset is searched between minus and plus this."""
 

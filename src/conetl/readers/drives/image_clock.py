@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.errors import DriveFolderError
-from conetl.model.params import TrajectoryParams
 from conetl.model.records import Rig, Side
 from conetl.perception.unguided_odometry import measure_motions
 from conetl.readers.drives.drive_yaml import Clock
@@ -17,6 +16,8 @@ from conetl.tracking.clock_search import ImageClock, find_clock_offset, rates_of
 
 #: So many parts of 2.5 minutes of a drive are tried.
 _MOST_PARTS = 4
+#: Of an offset that is stated without one (s), as from a flash of light. The poses tell what is left of it.
+_STATED_SIGMA_S = 0.01
 
 
 def image_clock(
@@ -38,7 +39,7 @@ def image_clock(
     if settings is None:
         return ImageClock(0.0, 0.0)  # the parameters' `clock_sigma_s` covers it
     if settings.offset_s != "estimate":
-        return ImageClock(settings.offset_s, settings.sigma_s or TrajectoryParams().clock_sigma_s)
+        return ImageClock(settings.offset_s, settings.sigma_s or _STATED_SIGMA_S)
     poses, first = track.map_SE3_body, 0
     for _ in range(_MOST_PARTS):
         motions = measure_motions(times_ns, rig, read, first)

@@ -357,7 +357,7 @@ def _parsed(text: str, settings: DriveYaml, path: Path) -> int:
 
 
 def _needed(cameras: Sequence[_Camera], settings: DriveYaml, root: Path) -> tuple[int, int] | None:
-    """First and last time (UTC ns) of the trajectory, which may be of a whole day, that are needed; None where that is unknown."""
+    """First and last time (UTC ns) that are needed of a trajectory, which may be of a whole day; None where that is unknown."""
     left = cameras[0]
     if left.video is None or settings.images.start is None:
         return None
