@@ -70,7 +70,7 @@ def check_trajectory(
         *_directions(frame_pairs, log, measured),
         HealthCheck(
             name="stated sigmas of the poses",
-            verdict=Verdict.HOLD if trajectory.outcome in _unfit(frame_pairs) else Verdict.PASS,
+            verdict=Verdict.HOLD if trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS else Verdict.PASS,
             value=None,
             detail=f"{trajectory.detail[0].upper()}{trajectory.detail[1:]}.",
         ),
@@ -87,12 +87,6 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
     if verdict is Verdict.HOLD:
         detail += " Calibrate the rig anew (conetl calibrate), or see whether the images were cropped or shifted."
     return [HealthCheck(name=CALIBRATION, verdict=verdict, value=None, detail=detail)]
-
-
-def _unfit(frame_pairs: Sequence[FramePair]) -> set[RefinementOutcome]:
-    """Outcomes after which the poses as logged are not good enough: those between sparse records need the images."""
-    sparse = any(pair.pose.interpolated is not None for pair in frame_pairs)
-    return {RefinementOutcome.AGAINST_STATED_SIGMAS} | ({RefinementOutcome.NOT_CONVERGED} if sparse else set())
 
 
 def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: MeasuredMotions) -> list[HealthCheck]:
