@@ -49,6 +49,7 @@ MAX_FRAMES = 2_000_000
 _MAX_DECODERS, _KEPT_BYTES = 8, 256 * 2**20
 #: Without these the library rounds down, by more than one grey level.
 _EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
+_reformatters: list[VideoReformatter] = []
 _FRAGMENT = re.compile(
     r"^(?P<path>.+)#pts=(?P<pts>-?\d{1,18})(?:&xywh=(?P<region>\d{1,5}(?:,\d{1,5}){3}))?$", re.DOTALL
 )
@@ -206,12 +207,15 @@ def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = Fa
 
 def _pixels(frame: VideoFrame, grey: bool) -> Image:
     """(height, width, 3) in blue, green, red order or (height, width), in the range and colour space that the file states."""
-    if not hasattr(_per_thread, "reformatter"):  # the frame's own one is not safe where two threads read the same frame
-        _per_thread.reformatter = VideoReformatter()
-    return np.asarray(
-        _per_thread.reformatter.reformat(frame, format="gray" if grey else "bgr24", interpolation=_EXACT).to_ndarray(),
-        dtype=np.uint8,
-    )
+    # A frame's own reformatter is not safe where two threads read the same frame. One with threads of its own, or one that is
+    # freed with its thread, would hang a process that is forked from this one: they are kept, each used by one thread at a time.
+    try:
+        own = _reformatters.pop()
+    except IndexError:
+        own = VideoReformatter()
+    image = own.reformat(frame, format="gray" if grey else "bgr24", interpolation=_EXACT, threads=1).to_ndarray()
+    _reformatters.append(own)
+    return np.asarray(image, dtype=np.uint8)
 
 
 # --------------------------------------------------------------------------- decoders
@@ -379,7 +383,7 @@ def _bytes_of(frame: VideoFrame) -> int:
     return sum(plane.buffer_size for plane in frame.planes)
 
 
-_decoders, _per_thread = _Decoders(), threading.local()
+_decoders = _Decoders()
 
 
 @contextmanager

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+import subprocess
+import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
@@ -84,6 +86,22 @@ def test_threads_read_the_same_frames_at_once(tmp_path: Path) -> None:
     with ThreadPoolExecutor(6) as pool:
         found = list(pool.map(brightness, numbers))
     assert np.abs(np.array(found) - (5 + 5 * np.array(numbers))).max() < 2.4
+
+
+FORKED = """
+import subprocess, sys
+from concurrent.futures import ThreadPoolExecutor
+from conetl.perception.video import frame_of, read_frame
+with ThreadPoolExecutor(1) as pool:
+    assert pool.submit(read_frame, frame_of(sys.argv[1])).result().shape == (640, 960, 3)
+    assert subprocess.call(["true"], preexec_fn=lambda: None) == 0
+"""
+
+
+def test_a_process_that_is_forked_while_a_thread_has_decoded(tmp_path: Path) -> None:
+    """The child forgets all threads but its own, and frees what was theirs alone, before the command begins."""
+    video = index_video(write_video(tmp_path / "a.mp4", numbered(4, (960, 640))))
+    subprocess.run([sys.executable, "-c", FORKED, str(Frame(video.path, video.pts[0]))], check=True, timeout=60)
 
 
 def test_time_stamps_of_a_variable_rate(tmp_path: Path) -> None:
