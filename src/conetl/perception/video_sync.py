@@ -1,7 +1,8 @@
 """By how much two video files of one rig are shifted against each other, from the motion that both show.
 
-Between successive frames the whole image shifts as the vehicle turns and pitches, in both cameras alike. The shifts are
-measured by phase correlation (Kuglin & Hines 1975) of small images, and both series are correlated with each other.
+Between successive frames the whole image moves up and down as the vehicle pitches, in both cameras alike; sideways it also
+moves as near objects pass, which one camera sees earlier. The shifts are measured by phase correlation (Kuglin & Hines 1975) of
+small images, and both series are correlated with each other.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ Floats = NDArray[np.float64]
 _WINDOWS, _WINDOW_S, SEARCH_S = 6, 7.5, 5.0
 #: Width of the small images, and over how many of them the slow part of the motion is taken away: it is alike at many shifts.
 _WIDTH_PX, _SLOW = 160, 15
-#: A correlation that tells a shift, and by how much it must be better than at any other shift.
-_LEAST, _LEAST_LEAD = 0.5, 0.1
+#: A correlation that tells a shift, by how much it must be better than at any other shift, and better than one frame to either
+#: side: the smooth motion of a good road is alike over some frames.
+_LEAST, _LEAST_LEAD, _LEAST_STEP = 0.5, 0.1, 0.25
 #: Of 500 Hz; time stamps of a damaged file may be a nanosecond apart, and a correlation has a value for each.
 _SHORTEST_PERIOD_S = 0.002
 
@@ -59,19 +61,19 @@ def find_video_lag(left: VideoIndex, right: VideoIndex) -> VideoLag | None:
         ours = _motion(left, left_s, start_s, start_s + _WINDOW_S)
         theirs = _motion(right, right_s, start_s - SEARCH_S, start_s + _WINDOW_S + SEARCH_S)
         curves.append(_correlations(ours, theirs, period_s))
-        if (shift := correlation_peak(curves[-1])) is not None:
+        if (shift := correlation_peak(curves[-1], _LEAST_STEP)) is not None:
             windows.append((start_s, shift * period_s))
-    shift = correlation_peak(np.mean(curves, axis=0))
+    shift = correlation_peak(np.mean(curves, axis=0), _LEAST_STEP)
     if shift is None and len(windows) > 1:  # they contradict each other
         shift = windows[0][1] / period_s
     return None if shift is None else VideoLag(shift * period_s, period_s, tuple(windows))
 
 
 def _motion(video: VideoIndex, times_s: Floats, from_s: float, to_s: float) -> tuple[Floats, Floats]:
-    """Instants (N,) and shifts (N, 2) in px of a small image between the frames of a part of a video."""
+    """Instants (N,) and shifts down (N,) in px of a small image between the frames of a part of a video."""
     inside = np.flatnonzero((times_s >= from_s) & (times_s <= to_s))
     if len(inside) < 2:
-        return np.empty(0), np.empty((0, 2))
+        return np.empty(0), np.empty(0)
     time_of = dict(zip(video.pts, times_s, strict=True))
     height = max(round(video.height_px * _WIDTH_PX / video.width_px), 2)  # of all, though a stream may change its size
     at_s, shifts, before = [], [], None
@@ -80,9 +82,9 @@ def _motion(video: VideoIndex, times_s: Floats, from_s: float, to_s: float) -> t
         if before is not None and pts in time_of:
             at_s.append((before[0] + time_of[pts]) / 2)
             window = cv2.createHanningWindow(small.shape[::-1], cv2.CV_32F)
-            shifts.append(cv2.phaseCorrelate(before[1], small, window)[0])
+            shifts.append(cv2.phaseCorrelate(before[1], small, window)[0][1])
         before = (time_of[pts], small) if pts in time_of else before
-    return np.array(at_s), np.array(shifts).reshape(-1, 2)
+    return np.array(at_s), np.array(shifts)
 
 
 def _correlations(left: tuple[Floats, Floats], right: tuple[Floats, Floats], period_s: float) -> Floats:
@@ -99,26 +101,25 @@ def _correlations(left: tuple[Floats, Floats], right: tuple[Floats, Floats], per
             continue
         moved = np.full_like(theirs, np.nan)
         moved[max(shift, 0) : len(grid_s) + min(shift, 0)] = theirs[max(-shift, 0) : len(grid_s) - max(shift, 0)]
-        both = np.isfinite(ours[:, 0]) & np.isfinite(moved[:, 0])
+        both = np.isfinite(ours) & np.isfinite(moved)
         if both.sum() >= 2 * _SLOW:
-            a, b = ours[both].ravel(), moved[both].ravel()
+            a, b = ours[both], moved[both]
             found[k] = float(a @ b) / max(float(a @ a) * float(b @ b), 1e-18) ** 0.5
     return found
 
 
 def _on_grid(series: tuple[Floats, Floats], grid_s: Floats) -> Floats:
-    """(M, 2) quick part of the motion at the instants of a grid, each column of unit spread; NaN outside of the series."""
+    """(M,) quick part of the motion at the instants of a grid, of unit spread; NaN outside of the series."""
     at_s, shifts = series
-    quick = shifts - median_filter(shifts, size=(_SLOW, 1), mode="nearest")
-    quick = np.clip(quick / np.maximum(1.4826 * np.median(np.abs(quick), axis=0), 1e-3), -5.0, 5.0)
-    columns = [np.interp(grid_s, at_s, column, left=np.nan, right=np.nan) for column in quick.T]
-    return np.column_stack(columns)
+    quick = shifts - median_filter(shifts, size=_SLOW, mode="nearest")
+    quick = np.clip(quick / max(1.4826 * float(np.median(np.abs(quick))), 1e-3), -5.0, 5.0)
+    return np.interp(grid_s, at_s, quick, left=np.nan, right=np.nan)
 
 
-def correlation_peak(curve: Floats) -> float | None:
+def correlation_peak(curve: Floats, least_step: float = 0.0) -> float | None:
     """Shift of the best of correlations at whole shifts around zero, in steps; None where it does not stand out.
 
-    By a parabola through it and its neighbours.
+    By a parabola through it and its neighbours. least_step: by how much it must be better than the lesser of these.
     """
     best = int(np.argmax(curve))
     others = np.delete(curve, range(max(best - 2, 0), min(best + 3, len(curve))))
@@ -127,5 +128,7 @@ def correlation_peak(curve: Floats) -> float | None:
     shift = float(best - len(curve) // 2)
     if 0 < best < len(curve) - 1:
         before, at, after = curve[best - 1 : best + 2]
+        if at - min(before, after) < least_step:
+            return None
         shift += 0.5 * (before - after) / min(before - 2 * at + after, -1e-9)
     return shift

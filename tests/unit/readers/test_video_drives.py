@@ -15,7 +15,8 @@ from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Drive, Rig
 from conetl.perception.rectified_image import read_pair_image
-from conetl.perception.video import video_facts
+from conetl.perception.video import index_video, video_facts
+from conetl.perception.video_sync import find_video_lag
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import drive_format, read_drive
@@ -90,6 +91,9 @@ def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) ->
 
 def test_cones_are_where_those_of_the_images_are(whole: Drive, tmp_path: Path) -> None:
     folder = write_video_drive(tmp_path / "run", whole)
+    # On a smooth road what passes by must not be taken for a shift of the files.
+    lag = find_video_lag(*(index_video(folder / f"{side}.mp4") for side in ("left", "right")))
+    assert lag is None or abs(lag.offset_s) < 0.025
     settings = Settings(home=tmp_path / "home", workers=2)
     found, true = (analyse(drive, settings=settings) for drive in (read_drive(folder)[0], whole))
     assert len(found.tracks) == len(true.tracks)
