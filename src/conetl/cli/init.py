@@ -16,7 +16,8 @@ from conetl.model.records import utc_from_ns
 from conetl.readers.drives import find_format
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.proposal import Proposal, Question, propose
-from conetl.readers.drives.video import NAME, Timing, UnknownTimeError, read_timing
+from conetl.readers.drives.video import NAME, read_timing
+from conetl.readers.drives.video_timing import Timing, UnknownTimeError
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
 
 _TIME_QUESTIONS = {

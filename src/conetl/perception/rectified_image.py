@@ -16,7 +16,8 @@ from conetl.geometry.rig import camera_of
 from conetl.model.records import Camera, FramePair, Rig, Side
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, decode_image, read_hashed_bytes, read_image
-from conetl.perception.video import frame_of, read_frame
+from conetl.perception.video import frame_of
+from conetl.perception.video_frames import read_frame
 
 #: Bicubic: bilinear resampling blurs by how far a pixel falls between its neighbours, and area-based matching sees that as shift.
 _INTERPOLATION = cv2.INTER_CUBIC

@@ -1,17 +1,14 @@
-"""Frames of video files (PyAV): the index of a file without decoding it, and single frames by their time stamp.
+"""Video files (PyAV): what they hold without decoding it, and how their frames are named.
 
 A frame is named like a file: `left.mp4#pts=51200`, with the frame's time stamp in the units of its stream; the half of a
-side-by-side frame by the region of W3C Media Fragments, `&xywh=x,y,width,height` in pixels. Frames are decoded when they are
-read and never written to disk. Rotation tags are not applied: calibrations are for the pixels as stored.
+side-by-side frame by the region of W3C Media Fragments, `&xywh=x,y,width,height` in pixels. `video_frames.py` reads frames.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from fractions import Fraction
@@ -22,17 +19,12 @@ import av
 import numpy as np
 from av.container import InputContainer
 from av.stream import Disposition
-from av.video.frame import VideoFrame
-from av.video.reformatter import Interpolation, VideoReformatter
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from conetl.model.errors import InputError, StorageError
+from conetl.model.errors import InputError
 from conetl.model.records import MAX_IMAGE_PIXELS, Side
-from conetl.model.rejections import RejectionReason
-from conetl.perception.images import ImageFileError
 
-Image = NDArray[np.uint8]
 Region = tuple[int, int, int, int]
 """x, y of the top-left corner, width, height in pixels."""
 Layout = Literal["left-right", "right-left", "top-bottom", "bottom-top"]
@@ -44,12 +36,6 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".ts"})
 _OPTIONS = {"protocol_whitelist": "file", "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts"}
 #: 18 hours at 30 Hz.
 MAX_FRAMES = 2_000_000
-#: Decoders that stay open between two reads, and bytes of decoded frames that stay in memory: searches read the middle of five
-#: pairs first, and odometry and detector read the same pairs at about the same time.
-_MAX_DECODERS, _KEPT_BYTES = 8, 256 * 2**20
-#: Without these the library rounds down, by more than one grey level.
-_EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
-_reformatters: list[VideoReformatter] = []
 _FRAGMENT = re.compile(
     r"^(?P<path>.+)#pts=(?P<pts>-?\d{1,18})(?:&xywh=(?P<region>\d{1,5}(?:,\d{1,5}){3}))?$", re.DOTALL
 )
@@ -125,14 +111,14 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
     usable time stamps.
     """
     with _opened(path) as container:
-        stream = _stream(container)
+        stream = video_stream(container)
         found: dict[int, bytes] = {}
         try:
             for packet in container.demux(stream):
                 pts = packet.pts if packet.pts is not None else packet.dts
                 if pts is None or packet.is_discard or not packet.size:
                     continue
-                found[pts] = _packet_sha256(packet, pts) if hashed else b""
+                found[pts] = packet_sha256(packet, pts) if hashed else b""
                 if len(found) > MAX_FRAMES:
                     raise InputError(f"{path}: more than {MAX_FRAMES:,} frames: cut the recording into several drives")
         except av.FFmpegError as error:
@@ -162,240 +148,22 @@ class VideoFacts(NamedTuple):
 def video_facts(path: Path) -> VideoFacts:
     """Number of frames, duration and size by the header alone. Raises InputError."""
     with _opened(path) as container:
-        stream = _stream(container)
+        stream = video_stream(container)
         duration_s = max(float((container.duration or 0) / av.time_base), 0.0)
         frames = stream.frames or round(duration_s * float(stream.average_rate or 0))
         return VideoFacts(int(frames), duration_s, *_size(stream))
 
 
-def read_frame(frame: Frame, sha256: str = "", *, grey: bool = False) -> Image:
-    """A frame as (height, width, 3) uint8 in blue, green, red order; grey: (height, width) of its brightness.
-
-    sha256: of `VideoIndex.sha256`, when its drive was read; empty: not compared. Raises ImageFileError where the frame is not
-    there or cannot be decoded, StorageError where the file changed since.
-    """
-    found, packet_sha256 = _decoders.read(frame)
-    if sha256 and frame_sha256(packet_sha256, frame.region) != sha256:
-        raise StorageError(
-            f"{frame.path}: the video changed while it was worked on. Run the same command again when nobody writes to the "
-            "drive. Nothing was written."
-        )
-    image = _pixels(found, grey)
-    if frame.region is None:
-        return image
-    x, y, width, height = frame.region
-    return np.ascontiguousarray(image[y : y + height, x : x + width])
-
-
-def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = False) -> Iterator[tuple[int, Image]]:
-    """Frames of a file in the order of their time stamps, from the first to the last of these. Raises ImageFileError."""
-    decoder = _Decoder(_File(path, 0, 0))
-    try:
-        decoder.seek(first_pts)
-        for pts, frame in decoder.decoded():
-            if pts > last_pts:
-                break
-            if pts >= first_pts:
-                yield pts, _pixels(frame, grey)
-    except av.FFmpegError as error:
-        raise ImageFileError(
-            RejectionReason.IMAGE_UNREADABLE, f"{path}: cannot be decoded ({error.strerror}): copy the video again"
-        ) from error
-    finally:
-        decoder.close()
-
-
-def _pixels(frame: VideoFrame, grey: bool) -> Image:
-    """(height, width, 3) in blue, green, red order or (height, width), in the range and colour space that the file states."""
-    # A frame's own reformatter is not safe where two threads read the same frame. One with threads of its own, or one that is
-    # freed with its thread, would hang a process that is forked from this one: they are kept, each used by one thread at a time.
-    try:
-        own = _reformatters.pop()
-    except IndexError:
-        own = VideoReformatter()
-    image = own.reformat(frame, format="gray" if grey else "bgr24", interpolation=_EXACT, threads=1).to_ndarray()
-    _reformatters.append(own)
-    return np.asarray(image, dtype=np.uint8)
-
-
-# --------------------------------------------------------------------------- decoders
-
-
-class _File(NamedTuple):
-    """A file as it is now."""
-
-    path: Path
-    size: int
-    mtime_ns: int
-
-
-class _Decoded(NamedTuple):
-    frame: VideoFrame
-    packet_sha256: bytes
-
-
-class _Decoder:
-    """One open file, decoded from where it stands on."""
-
-    def __init__(self, file: _File) -> None:
-        self.file = file
-        try:
-            self._container = _open(file.path)
-        except InputError as error:
-            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
-        self._stream = _stream(self._container)
-        self._stream.codec_context.thread_count = 1  # workers keep all cores busy
-        self._stream.codec_context.options = {
-            "max_pixels": str(MAX_IMAGE_PIXELS),
-            "err_detect": "explode",
-        }  # of later frames, too
-        self._packets: dict[int, bytes] = {}
-        self._frames = self.decoded()
-        self.at: int | None = None
-        """Time stamp of the last frame that was decoded."""
-        self.thread = threading.current_thread()
-        """The last one that used it."""
-
-    def decoded(self) -> Iterator[tuple[int, VideoFrame]]:
-        """Frames and their time stamps from here on, without damaged ones.
-
-        The decoder fills what is damaged from the frames before it, and all frames up to the next key frame build on that.
-        """
-        damaged = False
-        for packet in self._container.demux(self._stream):
-            pts = packet.pts if packet.pts is not None else packet.dts
-            if pts is not None and packet.size:
-                self._packets[pts] = _packet_sha256(packet, pts)
-            try:
-                frames = packet.decode()
-            except av.FFmpegError:
-                damaged = True
-                continue
-            for frame in frames:
-                damaged = frame.is_corrupt or (damaged and not frame.key_frame)
-                if not damaged and frame.pts is not None:
-                    yield frame.pts, frame
-
-    def seek(self, pts: int) -> None:
-        """Go to the last key frame that is not after a time stamp."""
-        self._container.seek(pts, stream=self._stream, backward=True)
-        self._packets.clear()
-        self._frames, self.at = self.decoded(), None
-
-    def leads_to(self, pts: int) -> bool:
-        """Whether a frame is reached from here without a detour: there is no key frame on the way."""
-        if self.at is None or self.at >= pts:
-            return False
-        entries = self._stream.index_entries
-        k = entries.search_timestamp(pts, backward=True) if len(entries) else -1
-        return k >= 0 and entries[k].timestamp <= self.at
-
-    def forward(self, pts: int, keep: Callable[[int, _Decoded], None]) -> bool:
-        """Decode up to a frame; False where the first one is after it. keep: called for every frame on the way."""
-        if not self.leads_to(pts):
-            self.seek(pts)
-        first_pts = None
-        for at, frame in self._frames:
-            first_pts = at if first_pts is None else first_pts
-            keep(at, _Decoded(frame, self._packets.pop(at, b"")))
-            self.at = at
-            if at >= pts:
-                break
-        return first_pts is None or first_pts <= pts
-
-    def close(self) -> None:
-        self._container.close()
-
-
-class _Decoders:
-    """Open decoders, each of one thread, and the frames that were decoded last, of all threads."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._idle: list[_Decoder] = []
-        self._kept: OrderedDict[tuple[_File, int], _Decoded] = OrderedDict()
-        self._kept_bytes = 0
-
-    def read(self, frame: Frame) -> _Decoded:
-        """A decoded frame. Raises ImageFileError."""
-        try:
-            found = frame.path.stat()
-        except OSError as error:
-            raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{frame.path}: {error.strerror}") from error
-        file = _File(frame.path, found.st_size, found.st_mtime_ns)
-        key = file, frame.pts
-        if (kept := self._recall(key)) is not None:
-            return kept
-        decoder = self._take(file, frame.pts) or _Decoder(file)
-
-        def keep(pts: int, decoded: _Decoded) -> None:
-            self._keep((file, pts), decoded)
-
-        try:
-            if not decoder.forward(frame.pts, keep):
-                decoder.seek(0)  # frames that are shown before their key frame need the one before it
-                decoder.forward(frame.pts, keep)
-        except av.FFmpegError as error:
-            decoder.close()
-            raise ImageFileError(
-                RejectionReason.IMAGE_UNREADABLE, f"{frame}: cannot be decoded ({error.strerror}): copy the video again"
-            ) from error
-        self._give_back(decoder)
-        if (kept := self._recall(key)) is None:
-            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{frame}: the frame is damaged or missing")
-        return kept
-
-    def _recall(self, key: tuple[_File, int]) -> _Decoded | None:
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-            return self._kept.get(key)
-
-    def _keep(self, key: tuple[_File, int], decoded: _Decoded) -> None:
-        with self._lock:
-            if key not in self._kept:
-                self._kept[key] = decoded
-                self._kept_bytes += _bytes_of(decoded.frame)
-            while self._kept_bytes > _KEPT_BYTES and len(self._kept) > 1:
-                self._kept_bytes -= _bytes_of(self._kept.popitem(last=False)[1].frame)
-
-    def _take(self, file: _File, pts: int) -> _Decoder | None:
-        """The decoder of this thread (or of one that ended) that is nearest before a frame, else any other of the file."""
-        with self._lock:
-            me = threading.current_thread()
-            own = [d for d in self._idle if d.file == file and (d.thread is me or not d.thread.is_alive())]
-            before = [d for d in own if d.leads_to(pts)]
-            found = max(before, key=lambda d: d.at or 0) if before else own[0] if own else None
-            if found is not None:
-                self._idle.remove(found)
-                found.thread = me
-            return found
-
-    def _give_back(self, decoder: _Decoder) -> None:
-        with self._lock:
-            self._idle.append(decoder)
-            old = self._idle.pop(0) if len(self._idle) > _MAX_DECODERS else None
-        if old is not None:
-            old.close()
-
-
-def _bytes_of(frame: VideoFrame) -> int:
-    return sum(plane.buffer_size for plane in frame.planes)
-
-
-_decoders = _Decoders()
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[InputContainer]:
-    container = _open(path)
+    container = open_video(path)
     try:
         yield container
     finally:
         container.close()
 
 
-def _open(path: Path) -> InputContainer:
+def open_video(path: Path) -> InputContainer:
     """An open video file. Raises InputError."""
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: this is no file")  # a pipe would wait for its other end
@@ -425,7 +193,8 @@ def _images_in_time(container: InputContainer) -> list[VideoStream]:
     return [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
 
 
-def _stream(container: InputContainer) -> VideoStream:
+def video_stream(container: InputContainer) -> VideoStream:
+    """The stream of an open file."""
     return _images_in_time(container)[0]
 
 
@@ -438,7 +207,7 @@ def _size(stream: VideoStream) -> tuple[int, int]:
     return int(stream.codec_context.width), int(stream.codec_context.height)
 
 
-def _packet_sha256(packet: av.Packet[Any], pts: int) -> bytes:
+def packet_sha256(packet: av.Packet[Any], pts: int) -> bytes:
     """Hash of one frame's packet. Equal key frames are equal images; other packets refer to the frames before them."""
     data = hashlib.sha256(memoryview(packet))
     if not packet.is_keyframe:

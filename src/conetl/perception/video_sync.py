@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from conetl.perception.video import VideoIndex, frames_between
+from conetl.perception.video import VideoIndex
+from conetl.perception.video_frames import frames_between
 
 Floats = NDArray[np.float64]
 #: Windows along the recording, and by how much the files may be shifted.

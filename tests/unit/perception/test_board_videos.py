@@ -15,7 +15,8 @@ from conetl.model.errors import CalibrationError, ConetlError, InputError
 from conetl.perception.boards.boards import parse_board
 from conetl.perception.boards.images import ImagePair, find_boards
 from conetl.perception.boards.videos import Layout, find_videos, open_videos, pairs_in_videos, region_of
-from conetl.perception.video import frame_of, index_video, read_frame
+from conetl.perception.video import frame_of, index_video
+from conetl.perception.video_frames import read_frame
 from tests.unit.perception.test_boards import QUAD, _seen
 from tests.unit.perception.test_video import write_video
 

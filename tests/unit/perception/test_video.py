@@ -17,7 +17,8 @@ import pytest
 
 from conetl.model.errors import InputError, StorageError
 from conetl.perception.images import ImageFileError
-from conetl.perception.video import Frame, frame_of, frames_between, index_video, read_frame, video_facts
+from conetl.perception.video import Frame, frame_of, index_video, video_facts
+from conetl.perception.video_frames import frames_between, read_frame
 from conetl.perception.video_sync import find_video_lag
 
 CODECS = {
@@ -91,7 +92,8 @@ def test_threads_read_the_same_frames_at_once(tmp_path: Path) -> None:
 FORKED = """
 import subprocess, sys
 from concurrent.futures import ThreadPoolExecutor
-from conetl.perception.video import frame_of, read_frame
+from conetl.perception.video import frame_of
+from conetl.perception.video_frames import read_frame
 with ThreadPoolExecutor(1) as pool:
     assert pool.submit(read_frame, frame_of(sys.argv[1])).result().shape == (640, 960, 3)
     assert subprocess.call(["true"], preexec_fn=lambda: None) == 0

@@ -19,7 +19,14 @@ from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.readers.drives.poses import placed
 from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.times import SECOND_NS, Clock, decimal_ns, gps_to_utc, parse_timestamp, time_reader
+from conetl.readers.trajectories.times import (
+    SECOND_NS,
+    TimeFormat,
+    decimal_ns,
+    gps_to_utc,
+    parse_timestamp,
+    time_reader,
+)
 from tests.unit.readers import trajectory_files as files
 from tests.unit.readers.test_kitti_real_drive import FOLDER as KITTI
 
@@ -127,10 +134,10 @@ def test_texts_of_times_are_exact(moment: datetime, ns: int) -> None:
 
 
 def test_a_week_ends_and_one_wild_time_does_not_end_it() -> None:
-    read = time_reader(Clock("UTC", "week", week=2300))
+    read = time_reader(TimeFormat("UTC", "week", week=2300))
     times, wrong = read(["604799.5", "604799.9", "0.3", "0.7"], None)
     assert wrong == {} and np.diff(times).tolist() == [4 * 10**8] * 3
-    times, _ = time_reader(Clock("UTC", "week", week=2300))(["100.0", "603000", "100.2"], None)
+    times, _ = time_reader(TimeFormat("UTC", "week", week=2300))(["100.0", "603000", "100.2"], None)
     assert times[2] - times[0] == 2 * 10**8
 
 

@@ -23,7 +23,8 @@ from conetl.model.records import Camera, Lens, Side
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.perception.boards.boards import Board, Found, NotFound, find_board, matched_orientation
 from conetl.perception.images import ImageFileError, read_image
-from conetl.perception.video import frame_of, read_frame
+from conetl.perception.video import frame_of
+from conetl.perception.video_frames import read_frame
 
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
 SIDES: tuple[Side, Side] = ("left", "right")

@@ -18,16 +18,8 @@ from numpy.typing import NDArray
 from conetl.model.errors import CalibrationError, InputError
 from conetl.model.records import Side
 from conetl.perception.boards.images import SIDES, ImagePair
-from conetl.perception.video import (
-    LAYOUTS,
-    VIDEO_SUFFIXES,
-    Frame,
-    Layout,
-    VideoIndex,
-    frames_between,
-    index_video,
-    region_of,
-)
+from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, Frame, Layout, VideoIndex, index_video, region_of
+from conetl.perception.video_frames import frames_between
 from conetl.perception.video_sync import SEARCH_S, correlation_peak
 
 Array = NDArray[np.float64]

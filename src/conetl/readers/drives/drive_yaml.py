@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Literal
-from zoneinfo import ZoneInfo
 
 from pydantic import Field, field_validator
 
@@ -14,7 +13,7 @@ from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import GeodeticPosition, Positive, Record
 from conetl.perception.video import Layout
-from conetl.readers.trajectories.settings import TrajectoryFile
+from conetl.readers.trajectories.settings import TrajectoryFile, known_zone
 
 DRIVE_YAML = "drive.yaml"
 #: Poses recorded often are not interpolated over longer gaps.
@@ -154,13 +153,7 @@ class DriveYaml(Record):
     @field_validator("timestamps_timezone")
     @classmethod
     def _known_zone(cls, value: str) -> str:
-        try:
-            ZoneInfo(value)
-        except (KeyError, ValueError, OSError) as error:
-            raise ValueError(
-                f"{shown(value)} is not a time zone; expected a name such as UTC or Europe/Berlin"
-            ) from error
-        return value
+        return known_zone(value)
 
 
 def is_bare_bag(source: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -121,7 +122,7 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
     proposal.settings["trajectory"] = settings
     path = root / settings["file"]
     try:
-        recorded = read_trajectory(path, TrajectoryFile.model_validate(settings))
+        recorded = _recorded(path, TrajectoryFile.model_validate(settings).model_dump_json())
     except DriveFolderError as error:
         if "date" in answers or "date" not in str(error):
             raise
@@ -133,6 +134,12 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
     elif not np.isfinite(recorded.sigma[:, :2]).any():
         text = "How accurate are its positions, horizontally, in metres (RTK 0.02, corrected 0.5, single 3)?"
         proposal.questions.append(Question("sigma", text))
+
+
+@lru_cache(maxsize=1)
+def _recorded(path: Path, settings: str) -> RecordedTrajectory:
+    """The trajectory, read once for all answers. settings: `TrajectoryFile` as JSON."""
+    return read_trajectory(path, TrajectoryFile.model_validate_json(settings))
 
 
 def _described(recorded: RecordedTrajectory, kind: str) -> str:

@@ -20,7 +20,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.earth import is_geocentric
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.tables import ANGLES, POSITIONS, ROLES, Column, Layout, require, table_records
+from conetl.readers.trajectories.tables import ANGLES, POSITIONS, ROLES, Column, TableLayout, require, table_records
 from conetl.readers.trajectories.text import head_lines, split_line
 
 _ALIASES = {
@@ -107,7 +107,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
         and any("," in row[first] for row in data if len(row) > first)
     )
     words = _time_words(columns["time"], data, found.delimiter, columns)
-    layout = Layout(
+    layout = TableLayout(
         _shifted(columns, words), axes, found.line + 2, found.delimiter, comma, scale=_scale_of(columns["time"].name),
         time_words=words,
     )  # fmt: skip

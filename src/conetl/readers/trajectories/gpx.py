@@ -18,7 +18,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import head_bytes
-from conetl.readers.trajectories.times import Clock, TimeReader, time_reader
+from conetl.readers.trajectories.times import TimeFormat, TimeReader, time_reader
 
 _BLOCK = 1 << 20
 _PIECE = 50_000
@@ -83,7 +83,7 @@ def _number(text: str) -> float:
 
 def _records(path: Path, settings: TrajectoryFile, unstated: bool) -> Iterator[Records]:
     points = _Points()
-    read_times = time_reader(Clock(settings.scale("UTC"), "stamp"))
+    read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
     try:
         with path.open("rb") as file:
             while block := file.read(_BLOCK):

@@ -16,7 +16,7 @@ from typing import Literal
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Reading
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.tables import ANGLES, Column, Layout, require, table_records
+from conetl.readers.trajectories.tables import ANGLES, Column, TableLayout, require, table_records
 from conetl.readers.trajectories.text import head_lines
 
 _ROLES = {
@@ -67,7 +67,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     columns, order = _columns(path, names, units)
     axes = require(columns, path, names)
     scale = "UTC" if columns["time"].name.lower() == "utctime" else "gps"
-    layout = Layout(columns, axes, at + 3, delimiter, scale=scale, order=order)
+    layout = TableLayout(columns, axes, at + 3, delimiter, scale=scale, order=order)
     heights: Literal["sea level", "ellipsoidal"] = (
         "sea level" if columns["height"].name.lower() == "h-msl" else "ellipsoidal"
     )

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from conetl.readers.trajectories.recorded import Reading
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.tables import Column, Layout, table_records
+from conetl.readers.trajectories.tables import Column, TableLayout, table_records
 from conetl.readers.trajectories.text import floats
-from conetl.readers.trajectories.times import Clock
+from conetl.readers.trajectories.times import TimeFormat
 
 _EUROC = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _TUM = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -38,11 +38,14 @@ def read_euroc(path: Path, settings: TrajectoryFile) -> Reading:
     """The poses of a data.csv."""
     columns = {"time": Column(0, "timestamp")} | {name: Column(i, name) for i, name in enumerate(_EUROC, 1)}
     return Reading(
-        table_records(path, Layout(columns, "local", 1, ",", clock=Clock("UTC", "unix", 0)), settings), "local"
+        table_records(path, TableLayout(columns, "local", 1, ",", clock=TimeFormat("UTC", "unix", 0)), settings),
+        "local",
     )
 
 
 def read_tum(path: Path, settings: TrajectoryFile) -> Reading:
     """The poses of a TUM file."""
     columns = {"time": Column(0, "timestamp")} | {name: Column(i, name) for i, name in enumerate(_TUM, 1)}
-    return Reading(table_records(path, Layout(columns, "local", 1, clock=Clock("UTC", "unix")), settings), "local")
+    return Reading(
+        table_records(path, TableLayout(columns, "local", 1, clock=TimeFormat("UTC", "unix")), settings), "local"
+    )

@@ -19,7 +19,7 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Reading, Records, check_fix
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.times import Clock, time_reader
+from conetl.readers.trajectories.times import TimeFormat, time_reader
 
 FIELD_COUNT = 30
 MAX_POS_ACCURACY_M = 100.0
@@ -103,7 +103,9 @@ def _records(folder: Path, settings: TrajectoryFile) -> Iterator[Records]:
             }
         lines = _text(folder / "timestamps.txt", _MAX_STAMPS_BYTES).splitlines()
         numbers = [number for number in sorted(files) if number < len(lines)]
-        times, wrong = time_reader(Clock(settings.scale("UTC"), "stamp"))([lines[number] for number in numbers], None)
+        times, wrong = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))(
+            [lines[number] for number in numbers], None
+        )
         values = np.full((len(numbers), len(OxtsRecord._fields)), np.nan)
         for i, number in enumerate(numbers):
             try:

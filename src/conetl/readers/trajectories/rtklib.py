@@ -20,7 +20,7 @@ from conetl.geometry.geodesy import ecef_R_enu
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Floats, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.tables import Column, Layout, table_records
+from conetl.readers.trajectories.tables import Column, TableLayout, table_records
 from conetl.readers.trajectories.text import head_lines
 
 _SCALES = {"GPST": "gps", "UTC": "UTC", "JST": "Asia/Tokyo"}
@@ -69,7 +69,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     return Reading(table_records(path, layout, settings, _by_quality), "geodetic", heights)  # type: ignore[arg-type]
 
 
-def _layout(header: str, data: str, first_line: int, path: Path) -> Layout:
+def _layout(header: str, data: str, first_line: int, path: Path) -> TableLayout:
     """Where the columns are, which depends on the delimiter and on whether the time is a date."""
     system = re.match(r"%\s*(GPST|UTC|JST)", header)
     scale = _SCALES[system[1] if system else "GPST"]
@@ -88,7 +88,7 @@ def _layout(header: str, data: str, first_line: int, path: Path) -> Layout:
     axes = "geocentric" if {"x", "y", "z"} <= columns.keys() else "geodetic"
     if axes == "geodetic" and not {"lat", "lon", "height"} <= columns.keys():
         raise DriveFolderError(f"{path}: expected latitude, longitude and height, or x, y, z-ecef in {header[:200]!r}")
-    return Layout(columns, axes, first_line, delimiter, scale=scale, time_words=time_words)  # type: ignore[arg-type]
+    return TableLayout(columns, axes, first_line, delimiter, scale=scale, time_words=time_words)  # type: ignore[arg-type]
 
 
 def _by_quality(values: Mapping[str, Floats], found: Records) -> Records:

@@ -14,6 +14,15 @@ from conetl.model.records import Record
 FormatName = Literal["rtklib", "sbet", "inertial_explorer", "nmea", "gpx", "oxts", "euroc", "tum", "table"]
 
 
+def known_zone(name: str, what: str = "a time zone; expected a name such as UTC or Europe/Berlin") -> str:
+    """The same name. Raises ValueError, saying that it is not `what`, where it is no time zone's."""
+    try:
+        ZoneInfo(name)
+    except (KeyError, ValueError, OSError) as error:
+        raise ValueError(f"{shown(name)} is not {what}") from error
+    return name
+
+
 class TrajectoryFile(Record):
     """How to read a trajectory file; every key is optional."""
 
@@ -41,13 +50,7 @@ class TrajectoryFile(Record):
     def _known_time(cls, value: str | None) -> str | None:
         if value is None or value.lower() in {"utc", "gps"}:
             return value.lower() if value else None
-        try:
-            ZoneInfo(value)
-        except (KeyError, ValueError, OSError) as error:
-            raise ValueError(
-                f"{shown(value)} is not a time system; expected utc, gps or a zone like Europe/Berlin"
-            ) from error
-        return value
+        return known_zone(value, "a time system; expected utc, gps or a zone like Europe/Berlin")
 
     def scale(self, default: str) -> str:
         """`gps` or the name of a time zone: that of the settings, else the default."""

@@ -1,4 +1,4 @@
-"""Records of text files with columns, whatever their format: a `Layout` says which column is what.
+"""Records of text files with columns, whatever their format: a `TableLayout` says which column is what.
 
 The columns have our own names: `time` (with `date` and `week` where they are separate), a position, and what else the file has.
 Angles are those of surveying (heading clockwise from true north, pitch with the front up, roll with the right side down) if there
@@ -18,7 +18,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Axes, Floats, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, line_blocks, split_line
-from conetl.readers.trajectories.times import Clock, TimeReader, common_clock, time_reader
+from conetl.readers.trajectories.times import TimeFormat, TimeReader, common_clock, time_reader
 
 TIMES = ("time", "date", "week")
 POSITIONS: dict[Axes, tuple[str, str, str]] = {
@@ -52,7 +52,7 @@ class Column(NamedTuple):
     """Degrees, minutes and seconds: three values."""
 
 
-class Layout(NamedTuple):
+class TableLayout(NamedTuple):
     """Where the records of a file are, and what they consist of."""
 
     columns: Mapping[str, Column]
@@ -70,13 +70,13 @@ class Layout(NamedTuple):
     but dates and times since 1970 need the settings, as the column's name speaks of GPS."""
     time_words: int = 1
     """Values that make up a time: 2 for `2024/02/07 12:00:00.000` where any white space is a delimiter."""
-    clock: Clock | None = None
+    clock: TimeFormat | None = None
     """None: to be found from the first values of the time."""
     order: Literal["dmy", "mdy"] | None = None
     """`mdy` or `dmy`, where the file says so."""
 
 
-def rows_of(path: Path, layout: Layout) -> Iterator[tuple[list[int], list[list[str]]]]:
+def rows_of(path: Path, layout: TableLayout) -> Iterator[tuple[list[int], list[list[str]]]]:
     """Line numbers and values of consecutive pieces of a file, without comments and empty lines."""
     for first, lines in line_blocks(path):
         numbers: list[int] = []
@@ -91,7 +91,7 @@ def rows_of(path: Path, layout: Layout) -> Iterator[tuple[list[int], list[list[s
 
 
 def table_records(
-    path: Path, layout: Layout, settings: TrajectoryFile,
+    path: Path, layout: TableLayout, settings: TrajectoryFile,
     adjust: Callable[[Mapping[str, Floats], Records], Records] | None = None,
 ) -> Iterator[Records]:  # fmt: skip
     """The records of a file. Raises DriveFolderError where its times cannot be understood.
@@ -125,7 +125,9 @@ def table_records(
         yield adjust(values, found) if adjust else found
 
 
-def _clock(words: Sequence[str], short: Container[int], layout: Layout, settings: TrajectoryFile, path: Path) -> Clock:
+def _clock(
+    words: Sequence[str], short: Container[int], layout: TableLayout, settings: TrajectoryFile, path: Path
+) -> TimeFormat:
     column = layout.columns["time"]
     by_kind = layout.scale in {"", "?"}
     clock = common_clock(
@@ -144,7 +146,7 @@ def _clock(words: Sequence[str], short: Container[int], layout: Layout, settings
     return clock._replace(order=layout.order)
 
 
-def _time_words(rows: Sequence[list[str]], layout: Layout) -> list[str]:
+def _time_words(rows: Sequence[list[str]], layout: TableLayout) -> list[str]:
     """The times as texts; a date of its own column is before them."""
     at = layout.columns["time"].at
     two = layout.time_words == 2

@@ -134,7 +134,7 @@ def decimal_ns(text: str, digits: int = 9) -> int:
     return ns
 
 
-class Clock(NamedTuple):
+class TimeFormat(NamedTuple):
     """How the times of a file are counted."""
 
     scale: str
@@ -149,9 +149,9 @@ class Clock(NamedTuple):
     order: Literal["dmy", "mdy"] | None = None
 
 
-def common_clock(words: Iterable[str], name: str, path: object, **known: Any) -> Clock:
+def common_clock(words: Iterable[str], name: str, path: object, **known: Any) -> TimeFormat:
     """The clock of most of the first values of a column: one of them may be damaged. Raises DriveFolderError."""
-    found: Counter[Clock] = Counter()
+    found: Counter[TimeFormat] = Counter()
     problem = DriveFolderError(f"{path}: column {name!r} has no values")
     for word in islice(words, _VOTES):
         try:
@@ -173,7 +173,7 @@ def clock_of(
     week: int | None,
     day: date | None,
     path: object,
-) -> Clock:
+) -> TimeFormat:
     """The clock of a column from one of its values. Raises DriveFolderError where it cannot be known.
 
     unit: s, ms, us or ns where the column's name states it; name: of the column, for messages.
@@ -181,14 +181,14 @@ def clock_of(
     try:
         number = float(first)
     except ValueError:
-        return Clock(scale, "stamp")
+        return TimeFormat(scale, "stamp")
     units = {"s": 9, "ms": 6, "us": 3, "ns": 0}
     for digits in [units[unit]] if unit else units.values():
         seconds = number / 10.0 ** (9 - digits)
         if 0 <= seconds < 2 * 604_800 and (has_week or digits == 9 or unit):
             return _clock_of_week(seconds, name, scale, digits, has_week, week, day, path)
         if not has_week and 6e8 < seconds < 4.2e9:
-            return Clock(scale, "gps seconds" if scale == "gps" else "unix", digits)
+            return TimeFormat(scale, "gps seconds" if scale == "gps" else "unix", digits)
     raise DriveFolderError(
         f"{path}: column {name!r}: {first[:40]!r} is neither a date and time nor seconds (or ms, us, ns) since 1970, of a GPS "
         "week or of a day"
@@ -197,10 +197,10 @@ def clock_of(
 
 def _clock_of_week(
     seconds: float, name: str, scale: str, digits: int, has_week: bool, week: int | None, day: date | None, path: object
-) -> Clock:
+) -> TimeFormat:
     """The clock of seconds of a GPS week, or of the day that the settings name."""
     if has_week or (week is not None and day is None):
-        return Clock(scale, "week", digits, week)
+        return TimeFormat(scale, "week", digits, week)
     if day is None:
         raise DriveFolderError(
             f"{path}: column {name!r}: {seconds:.3f} is a time of a week or of a day, and the file does not say of which: put "
@@ -208,9 +208,9 @@ def _clock_of_week(
         )
     weekday = (day.weekday() + 1) % 7  # from Sunday, as GPS weeks
     if int(seconds // 86_400) == weekday:
-        return Clock(scale, "week", digits, gps_week_of(day))
+        return TimeFormat(scale, "week", digits, gps_week_of(day))
     if seconds < 86_400 + 3600:
-        return Clock(scale, "day", digits, day=day)
+        return TimeFormat(scale, "day", digits, day=day)
     found = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[int(seconds // 86_400) % 7]
     raise DriveFolderError(
         f"{path}: column {name!r}: {seconds:.3f} s of a GPS week are on a {found}; 'date' of drive.yaml, {day}, is not"
@@ -220,7 +220,7 @@ def _clock_of_week(
 TimeReader = Callable[[Sequence[str], Sequence[str] | None], tuple[Times, dict[int, str]]]
 
 
-def time_reader(clock: Clock) -> TimeReader:
+def time_reader(clock: TimeFormat) -> TimeReader:
     """A function of the texts of consecutive times and of their GPS weeks: UTC ns (N,), and what is wrong by index.
 
     Times of a week or a day without one of their own that begin anew belong to the next one: if two times were in the last 14th

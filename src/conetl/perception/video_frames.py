@@ -1,0 +1,254 @@
+"""Frames of video files, decoded when they are read and never written to disk.
+
+Rotation tags are not applied: calibrations are for the pixels as stored.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import av
+import numpy as np
+from av.video.frame import VideoFrame
+from av.video.reformatter import Interpolation, VideoReformatter
+from numpy.typing import NDArray
+
+from conetl.model.errors import InputError, StorageError
+from conetl.model.records import MAX_IMAGE_PIXELS
+from conetl.model.rejections import RejectionReason
+from conetl.perception.images import ImageFileError
+from conetl.perception.video import Frame, frame_sha256, open_video, packet_sha256, video_stream
+
+Image = NDArray[np.uint8]
+#: Decoders that stay open between two reads, and bytes of decoded frames that stay in memory: searches read the middle of five
+#: pairs first, and odometry and detector read the same pairs at about the same time.
+_MAX_DECODERS, _KEPT_BYTES = 8, 256 * 2**20
+#: Without these the library rounds down, by more than one grey level.
+_EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
+_reformatters: list[VideoReformatter] = []
+
+
+def read_frame(frame: Frame, sha256: str = "", *, grey: bool = False) -> Image:
+    """A frame as (height, width, 3) uint8 in blue, green, red order; grey: (height, width) of its brightness.
+
+    sha256: of `VideoIndex.sha256`, when its drive was read; empty: not compared. Raises ImageFileError where the frame is not
+    there or cannot be decoded, StorageError where the file changed since.
+    """
+    decoded = _decoders.read(frame)
+    if sha256 and frame_sha256(decoded.packet_sha256, frame.region) != sha256:
+        raise StorageError(
+            f"{frame.path}: the video changed while it was worked on. Run the same command again when nobody writes to the "
+            "drive. Nothing was written."
+        )
+    image = _pixels(decoded.frame, grey)
+    if frame.region is None:
+        return image
+    x, y, width, height = frame.region
+    return np.ascontiguousarray(image[y : y + height, x : x + width])
+
+
+def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = False) -> Iterator[tuple[int, Image]]:
+    """Frames of a file in the order of their time stamps, from the first to the last of these. Raises ImageFileError."""
+    decoder = _Decoder(_File(path, 0, 0))
+    try:
+        decoder.seek(first_pts)
+        for pts, frame in decoder.decoded():
+            if pts > last_pts:
+                break
+            if pts >= first_pts:
+                yield pts, _pixels(frame, grey)
+    except av.FFmpegError as error:
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{path}: cannot be decoded ({error.strerror}): copy the video again"
+        ) from error
+    finally:
+        decoder.close()
+
+
+def _pixels(frame: VideoFrame, grey: bool) -> Image:
+    """(height, width, 3) in blue, green, red order or (height, width), in the range and colour space that the file states."""
+    # A frame's own reformatter is not safe where two threads read the same frame. One with threads of its own, or one that is
+    # freed with its thread, would hang a process that is forked from this one: they are kept, each used by one thread at a time.
+    try:
+        own = _reformatters.pop()
+    except IndexError:
+        own = VideoReformatter()
+    image = own.reformat(frame, format="gray" if grey else "bgr24", interpolation=_EXACT, threads=1).to_ndarray()
+    _reformatters.append(own)
+    return np.asarray(image, dtype=np.uint8)
+
+
+# --------------------------------------------------------------------------- decoders
+
+
+class _File(NamedTuple):
+    """A file as it is now."""
+
+    path: Path
+    size: int
+    mtime_ns: int
+
+
+class _Decoded(NamedTuple):
+    frame: VideoFrame
+    packet_sha256: bytes
+
+
+class _Decoder:
+    """One open file, decoded from where it stands on."""
+
+    def __init__(self, file: _File) -> None:
+        self.file = file
+        try:
+            self._container = open_video(file.path)
+        except InputError as error:
+            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
+        self._stream = video_stream(self._container)
+        self._stream.codec_context.thread_count = 1  # workers keep all cores busy
+        self._stream.codec_context.options = {
+            "max_pixels": str(MAX_IMAGE_PIXELS),
+            "err_detect": "explode",
+        }  # of later frames, too
+        self._packets: dict[int, bytes] = {}
+        self._frames = self.decoded()
+        self.at: int | None = None
+        """Time stamp of the last frame that was decoded."""
+        self.thread = threading.current_thread()
+        """The last one that used it."""
+
+    def decoded(self) -> Iterator[tuple[int, VideoFrame]]:
+        """Frames and their time stamps from here on, without damaged ones.
+
+        The decoder fills what is damaged from the frames before it, and all frames up to the next key frame build on that.
+        """
+        damaged = False
+        for packet in self._container.demux(self._stream):
+            pts = packet.pts if packet.pts is not None else packet.dts
+            if pts is not None and packet.size:
+                self._packets[pts] = packet_sha256(packet, pts)
+            try:
+                frames = packet.decode()
+            except av.FFmpegError:
+                damaged = True
+                continue
+            for frame in frames:
+                damaged = frame.is_corrupt or (damaged and not frame.key_frame)
+                if not damaged and frame.pts is not None:
+                    yield frame.pts, frame
+
+    def seek(self, pts: int) -> None:
+        """Go to the last key frame that is not after a time stamp."""
+        self._container.seek(pts, stream=self._stream, backward=True)
+        self._packets.clear()
+        self._frames, self.at = self.decoded(), None
+
+    def leads_to(self, pts: int) -> bool:
+        """Whether a frame is reached from here without a detour: there is no key frame on the way."""
+        if self.at is None or self.at >= pts:
+            return False
+        entries = self._stream.index_entries
+        k = entries.search_timestamp(pts, backward=True) if len(entries) else -1
+        return k >= 0 and entries[k].timestamp <= self.at
+
+    def forward(self, pts: int, keep: Callable[[int, _Decoded], None]) -> bool:
+        """Decode up to a frame; False where the first one is after it. keep: called for every frame on the way."""
+        if not self.leads_to(pts):
+            self.seek(pts)
+        first_pts = None
+        for at, frame in self._frames:
+            first_pts = at if first_pts is None else first_pts
+            keep(at, _Decoded(frame, self._packets.pop(at, b"")))
+            self.at = at
+            if at >= pts:
+                break
+        return first_pts is None or first_pts <= pts
+
+    def close(self) -> None:
+        self._container.close()
+
+
+class _Decoders:
+    """Open decoders, each of one thread, and the frames that were decoded last, of all threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._idle: list[_Decoder] = []
+        self._kept: OrderedDict[tuple[_File, int], _Decoded] = OrderedDict()
+        self._kept_bytes = 0
+
+    def read(self, frame: Frame) -> _Decoded:
+        """A decoded frame. Raises ImageFileError."""
+        try:
+            found = frame.path.stat()
+        except OSError as error:
+            raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{frame.path}: {error.strerror}") from error
+        file = _File(frame.path, found.st_size, found.st_mtime_ns)
+        key = file, frame.pts
+        if (kept := self._recall(key)) is not None:
+            return kept
+        decoder = self._take(file, frame.pts) or _Decoder(file)
+
+        wanted: list[_Decoded] = []
+
+        def keep(pts: int, decoded: _Decoded) -> None:
+            self._keep((file, pts), decoded)
+            if pts == frame.pts:  # what is kept may be dropped again while other threads read large frames
+                wanted.append(decoded)
+
+        try:
+            if not decoder.forward(frame.pts, keep):
+                decoder.seek(0)  # frames that are shown before their key frame need the one before it
+                decoder.forward(frame.pts, keep)
+        except av.FFmpegError as error:
+            decoder.close()
+            raise ImageFileError(
+                RejectionReason.IMAGE_UNREADABLE, f"{frame}: cannot be decoded ({error.strerror}): copy the video again"
+            ) from error
+        self._give_back(decoder)
+        if not wanted:
+            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{frame}: the frame is damaged or missing")
+        return wanted[-1]
+
+    def _recall(self, key: tuple[_File, int]) -> _Decoded | None:
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+            return self._kept.get(key)
+
+    def _keep(self, key: tuple[_File, int], decoded: _Decoded) -> None:
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = decoded
+                self._kept_bytes += _bytes_of(decoded.frame)
+            while self._kept_bytes > _KEPT_BYTES and len(self._kept) > 1:
+                self._kept_bytes -= _bytes_of(self._kept.popitem(last=False)[1].frame)
+
+    def _take(self, file: _File, pts: int) -> _Decoder | None:
+        """The decoder of this thread (or of one that ended) that is nearest before a frame, else any other of the file."""
+        with self._lock:
+            me = threading.current_thread()
+            own = [d for d in self._idle if d.file == file and (d.thread is me or not d.thread.is_alive())]
+            before = [d for d in own if d.leads_to(pts)]
+            found = max(before, key=lambda d: d.at or 0) if before else own[0] if own else None
+            if found is not None:
+                self._idle.remove(found)
+                found.thread = me
+            return found
+
+    def _give_back(self, decoder: _Decoder) -> None:
+        with self._lock:
+            self._idle.append(decoder)
+            old = self._idle.pop(0) if len(self._idle) > _MAX_DECODERS else None
+        if old is not None:
+            old.close()
+
+
+def _bytes_of(frame: VideoFrame) -> int:
+    return sum(plane.buffer_size for plane in frame.planes)
+
+
+_decoders = _Decoders()

@@ -1,0 +1,267 @@
+"""When the images of videos and image folders were taken, by the clock of their trajectory.
+
+Times come from drive.yaml or from files of time stamps; what neither states is found from the images: by how much the right
+file is shifted against the left one, and when the left one begins.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.files.documents import read_bytes
+from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.records import Rig, Side
+from conetl.perception.images import ImageFileError
+from conetl.perception.rectified_image import read_rig_image
+from conetl.perception.video import Region, VideoIndex
+from conetl.perception.video_sync import find_video_lag
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images, inside
+from conetl.readers.drives.image_clock import image_clock
+from conetl.readers.drives.pairs import ContentHash, Couple, Image, pair_by_stamp
+from conetl.readers.drives.poses import Samples
+from conetl.readers.trajectories.times import decimal_ns, parse_timestamp
+from conetl.tracking.clock_search import ImageClock
+
+Floats = NDArray[np.float64]
+
+#: Cameras whose shift is farther than this from a whole number of frames were not triggered together.
+_WHOLE = 0.25
+#: Seconds of the trajectory before and after the images that help to smooth it.
+_MARGIN_S = 20.0
+#: A file of time stamps of `MAX_FRAMES` lines.
+_MOST_TIME_BYTES = 128_000_000
+_log = logging.getLogger(__name__)
+
+
+class CameraImages(NamedTuple):
+    """The images of one camera and their times from the first one on."""
+
+    name: str
+    """Of the file or folder, for messages."""
+    paths: list[Path]
+    times_s: Floats
+    video: VideoIndex | None
+    region: Region | None
+
+
+class Timing(NamedTuple):
+    """What ties the images to the clock of the trajectory."""
+
+    couples: list[Couple]
+    """With times by the trajectory's clock."""
+    start_ns: int | None
+    """UTC of the first left frame by that clock; None where every image has a time of its own."""
+    right_offset_s: float
+    """What to add to the right file's times to have those of the left one."""
+    clock: ImageClock
+    """What was added to the times as stated, and its sigma."""
+
+
+class UnknownTimeError(DriveFolderError):
+    """The images do not show when they were taken. key: name of the option of `conetl init` that states it."""
+
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
+def timed(
+    cameras: Sequence[CameraImages],
+    track: Samples,
+    rig: Rig,
+    settings: DriveYaml,
+    root: Path,
+    content: ContentHash,
+    *,
+    from_course: bool,
+) -> Timing:
+    """The couples of images with their times. Raises DriveFolderError."""
+    images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
+    search_s = None
+    if images.timestamps is not None or left.video is None:
+        names = (images.timestamps, images.right_timestamps or images.timestamps)
+        ours, theirs = (
+            _listed(camera, name, settings, root, content) for camera, name in zip(cameras, names, strict=True)
+        )
+    else:
+        start_ns, search_s = _start_ns(left, track, settings, root)
+        if search_s is not None and search_s > MAX_SEARCH_S:
+            raise UnknownTimeError(
+                "start",
+                f"{root}: {track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} "
+                f"was recorded. State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'",
+            )
+        if search_s is not None:
+            clock = Clock(search_s=search_s)
+        if left.video is not right.video:
+            shift_s = _right_offset_s(left, right, images)
+        ours, theirs = _at(left, start_ns), _at(right, start_ns + round(shift_s * 1e9))
+    couples = _chosen(pair_by_stamp(ours, theirs, settings.pair_tolerance_ns), images)
+    if not couples:
+        raise DriveFolderError(
+            f"{root}: no left image has a right one within {settings.pair_tolerance_ms:g} ms (pair_tolerance_ms in {DRIVE_YAML})"
+        )
+    pairs = [
+        (t, {"left": a.path, "right": b.path}) for a, b in couples if a and b and (t := time_of((a, b))) is not None
+    ]
+
+    def read_image(number: int, side: Side) -> NDArray[np.uint8]:
+        return read_rig_image(pairs[number][1][side], rig, side)
+
+    try:
+        found = image_clock(clock, track, [t for t, _ in pairs], rig, read_image, from_course=from_course)
+    except DriveFolderError as error:
+        if search_s is None:
+            raise
+        raise UnknownTimeError(
+            "start",
+            f"{root}: turns and changes of speed do not show when {left.name} was recorded: there are too few of them in images "
+            f"and {track.name}, or both are not of the same time. State the time of its first frame in {DRIVE_YAML}: 'images: "
+            "{start: 2026-03-02 10:00:00.250Z}'",
+        ) from error
+    offset_ns = round(found.offset_s * 1e9)
+    moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
+    return Timing(moved, None if start_ns is None else start_ns + offset_ns, shift_s, found)
+
+
+def _later(image: Image | None, offset_ns: int) -> Image | None:
+    if image is None or not isinstance(image.stamp, int):
+        return image
+    return image._replace(stamp=image.stamp + offset_ns)
+
+
+def _at(camera: CameraImages, start_ns: int) -> list[Image]:
+    return [
+        Image(start_ns + round(time_s * 1e9), path)
+        for time_s, path in zip(camera.times_s.tolist(), camera.paths, strict=True)
+    ]
+
+
+def _listed(
+    camera: CameraImages, name: str | None, settings: DriveYaml, root: Path, content: ContentHash
+) -> list[Image]:
+    """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError."""
+    if name is None:
+        return [Image(_stamp(path.stem, settings), path) for path in camera.paths]
+    file = inside(root, name, DRIVE_YAML)
+    try:
+        data = read_bytes(file, _MOST_TIME_BYTES)
+    except InputError as error:
+        raise DriveFolderError(f"{name}: the time stamps: {error}") from error
+    content.add(name, data)
+    lines = [
+        line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
+    ]
+    if len(lines) != len(camera.paths):
+        raise DriveFolderError(f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}")
+    return [Image(_stamp(line, settings), path) for line, path in zip(lines, camera.paths, strict=True)]
+
+
+def _stamp(text: str, settings: DriveYaml) -> int | str:
+    """UTC nanoseconds of a time stamp, or of seconds or (16 digits and more) nanoseconds since 1970; else what is wrong."""
+    word = text.strip()
+    try:
+        if word.replace(".", "", 1).isdecimal():
+            return decimal_ns(word, 0 if len(word.partition(".")[0]) > 15 else 9)
+        return parse_timestamp(word, settings.timestamps_timezone)
+    except ValueError as error:
+        return str(error)
+
+
+def stated_start(settings: DriveYaml, root: Path) -> int | None:
+    """Time of the first left frame (UTC ns) by drive.yaml; None where it has none. Raises DriveFolderError."""
+    if settings.images.start is None:
+        return None
+    stamp = _stamp(settings.images.start, settings)
+    if isinstance(stamp, str):
+        raise DriveFolderError(f"{root / DRIVE_YAML}: images.start: {stamp}")
+    return stamp
+
+
+def needed_span(cameras: Sequence[CameraImages], settings: DriveYaml, root: Path) -> tuple[int, int] | None:
+    """First and last time (UTC ns) of the trajectory, which may be of a whole day, that are needed; None if unknown."""
+    left, start_ns = cameras[0], stated_start(settings, root)
+    if left.video is None or start_ns is None:
+        return None
+    clock = settings.clock or Clock(offset_s=0.0)
+    offset_s, reach_s = (0.0, clock.search_s) if clock.offset_s == "estimate" else (clock.offset_s, 0.0)
+    first_ns = start_ns + round(offset_s * 1e9)
+    margin_ns = round((reach_s + _MARGIN_S) * 1e9)
+    return first_ns - margin_ns, first_ns + round(float(left.times_s[-1]) * 1e9) + margin_ns
+
+
+def _start_ns(left: CameraImages, track: Samples, settings: DriveYaml, root: Path) -> tuple[int, float | None]:
+    """Time of the first left frame, and within how many seconds of that it has to be searched; None where it is stated."""
+    if (stated_ns := stated_start(settings, root)) is not None:
+        return stated_ns, None
+    if settings.clock is not None and settings.clock.offset_s != "estimate":
+        raise DriveFolderError(f"{root / DRIVE_YAML}: clock.offset_s counts from images.start, which is missing")
+    search_s = Clock().search_s if settings.clock is None else settings.clock.search_s
+    first_ns, last_ns, length_ns = track.times_ns[0], track.times_ns[-1], round(float(left.times_s[-1]) * 1e9)
+    created = left.video.created_at if left.video is not None else None
+    if created is not None:
+        created_ns = round(created.timestamp()) * 10**9
+        # The container's clock may be set, and tell the beginning of the recording or its end.
+        for start_ns in (created_ns, created_ns - length_ns):
+            if first_ns - search_s * 1e9 < start_ns < last_ns:
+                return start_ns, search_s
+    # The middle of both together, and all other ways in which they overlap.
+    return (first_ns + last_ns - length_ns) // 2, (last_ns - first_ns + length_ns) / 2e9
+
+
+def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -> float:
+    """What to add to the right file's times, as drive.yaml states it or as the images show it. Raises DriveFolderError."""
+    if settings.right_offset_s is not None:
+        return settings.right_offset_s
+    assert left.video is not None and right.video is not None
+    try:
+        lag = find_video_lag(left.video, right.video)
+    except ImageFileError as error:
+        raise DriveFolderError(str(error)) from error
+    if lag is None:
+        raise UnknownTimeError(
+            "right-offset",
+            f"{left.video.path.parent}: the images do not show how {right.name} and {left.name} are shifted in time. Put "
+            f"'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "
+            "right file's times",
+        )
+    if not lag.is_constant:
+        found = "; ".join(f"{offset_s:+.2f} s at {at_s:.0f} s" for at_s, offset_s in lag.windows)
+        raise DriveFolderError(
+            f"{right.video.path}: its frames are shifted against {left.name} by a changing time ({found}): one of the files lost "
+            "frames that its time stamps do not tell. Name the true times of all frames (images.timestamps, "
+            "images.right_timestamps)"
+        )
+    frames = lag.offset_s / lag.period_s
+    if abs(frames - round(frames)) > _WHOLE:
+        raise DriveFolderError(
+            f"{right.video.path}: its frames were taken {frames:+.2f} frame periods from those of {left.name}: the cameras were "
+            "not triggered together, and what moves cannot be located. Record with a common trigger, or state "
+            "images.right_offset_s"
+        )
+    offset_s = round(frames) * lag.period_s
+    _log.info("%s begins %.3f s after %s, by the motion that both show", right.name, offset_s, left.name)
+    return offset_s
+
+
+def _chosen(couples: Sequence[Couple], settings: Images) -> list[Couple]:
+    """Couples of the wanted part, while both cameras recorded; every n-th."""
+    both = [n for n, (left, right) in enumerate(couples) if left is not None and right is not None]
+    if not both:
+        return []
+    inside = couples[both[0] : both[-1] + 1]
+    first_ns = min((t for couple in inside if (t := time_of(couple)) is not None), default=0)
+    from_ns = first_ns + round(settings.from_s * 1e9)
+    to_ns = 2**63 if settings.to_s is None else first_ns + round(settings.to_s * 1e9)
+    return [c for c in inside if (t := time_of(c)) is None or from_ns <= t <= to_ns][:: settings.every]
+
+
+def time_of(couple: Couple) -> int | None:
+    stamp = next(image.stamp for image in couple if image is not None)
+    return stamp if isinstance(stamp, int) else None
