@@ -35,6 +35,8 @@ _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
 #: A fit is distinct if no other one, so many gates apart, fits this share as many; else some of the map's cones must be absent.
 _APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
+#: Two zones set up by people are not equal to this root mean square distance of their cones.
+_SAME_ZONE_M = 0.05
 #: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
 _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
 _MAX_NEAR, _MAX_TRIED = 150, 300
@@ -85,7 +87,8 @@ def _displaced(
     if fit is None or fit.agreeing < least:
         return None
     absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
-    if not (fit.beside and fit.distinct) and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
+    same_zone = fit.distinct and (fit.beside or fit.residual_m <= _SAME_ZONE_M)
+    if not same_zone and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
         return None  # the map's row may go on, or have a second one beside it, where the drive sees it
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     sigma_m = _horizontal_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
@@ -152,6 +155,8 @@ class _Fit(NamedTuple):
     """A displacement of a whole drive after which its cones fit the map's."""
 
     agreeing: int
+    residual_m: float
+    """Root mean square distance of the tracks that fit to their features, after the displacement."""
     middle_m: float
     """Median and largest displacement of the tracks."""
     largest_m: float
@@ -198,7 +203,9 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
     rivals = (other for other in tried if other[0] >= _RIVAL_SHARE * agreeing)
     distinct = not any(float(np.hypot(*(other[2] - mean))) > _APART_GATES * gate_m for other in rivals)
     beside = abs(float(np.median(moved @ along))) <= extent_m / 2
-    return _Fit(agreeing, float(np.median(moved_m)), float(moved_m.max()), turn, beside, distinct)
+    left_m = np.asarray(tree.query(t + moved)[0])
+    residual_m = float(np.sqrt(np.mean(left_m[left_m <= gate_m] ** 2)))
+    return _Fit(agreeing, residual_m, float(np.median(moved_m)), float(moved_m.max()), turn, beside, distinct)
 
 
 def _scattered(kinds: Counter[DeltaKind]) -> HealthCheck | None:

@@ -21,6 +21,7 @@ from conetl.tracking.trajectory import (
     measured_motions,
     plausible_motions,
     read_log,
+    scale_is_doubtful,
 )
 
 Floats = NDArray[np.float64]
@@ -236,15 +237,17 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
 def _scale(scale: float, sigma: float, prior: float) -> HealthCheck:
     """Whether images and GNSS/INS show the same distances."""
     limit = _MAX_SCALE_SIGMAS * prior
-    held = abs(scale) > max(limit, _MAX_SCALE_SIGMAS * sigma)
+    held, doubtful = abs(scale) > max(limit, _MAX_SCALE_SIGMAS * sigma), scale_is_doubtful(scale, prior)
     detail = "Images and GNSS/INS show the same distances."
-    if held:
+    if held or doubtful:
         detail = (
             f"The images show distances {100 * scale:+.1f} +- {100 * sigma:.1f} % longer than GNSS/INS: the calibration's "
             "baseline or focal length is wrong, or GNSS/INS drifts. Calibrate the rig (conetl calibrate) or process its log anew."
         )
+        detail += "" if held else " The stated sigmas of all positions cover a drift."
     return HealthCheck(
-        name="distances by images and by GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=100 * scale,
+        name="distances by images and by GNSS/INS",
+        verdict=Verdict.HOLD if held else Verdict.CORRECTED if doubtful else Verdict.PASS, value=100 * scale,
         sigma=100 * sigma, limit=100 * limit, unit="%", detail=detail,
     )  # fmt: skip
 

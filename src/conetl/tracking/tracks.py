@@ -161,12 +161,13 @@ def fuse_group(
         return _reject(RejectionReason.EXISTENCE_UNLIKELY, group, detail)
     own_cov = foot.cov_m2 + outline_cov(group, foot.shares, data.map_SE3_left, rig)
     log = data.params.trajectory if data.motion is None else None
+    drift_m = data.motion.drift_m.get(nearest.frame_index, np.zeros(3)) if data.motion else np.zeros(3)
     first, last = (data.frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
         xyz_m=vec3(foot.xyz_m),
         cov_m2=cov3(own_cov + common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)),
-        relative_cov_m2=cov3(own_cov),
+        relative_cov_m2=cov3(own_cov + np.outer(drift_m, drift_m)),
         centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,
         cone_height_sigma_m=height_sigma_m,

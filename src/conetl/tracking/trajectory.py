@@ -47,6 +47,8 @@ _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
 _MOTIONS_KEPT = 256
 _LONE_SIGMAS = 4.5
+#: Differences of distances beyond so many prior sigmas of the calibration's scale may be a drift of the log.
+_DOUBTFUL_SIGMAS = 2.0
 #: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
 _CHANGING = 4.0
 #: Neighbouring observations of a cone are correlated (background, sun, calibration): so many count as one.
@@ -82,6 +84,8 @@ class RefinedTrajectory:
     """By what share the images show longer distances than GNSS/INS, with its sigma; None unless refined."""
     clock: ClockOffset | None = None
     """Between cameras and GNSS/INS; None where the drive does not show it."""
+    drift_m: Floats | None = None
+    """(K, 3) one sigma of a drift of GNSS/INS, about the middle of the drive; None where none is suspected."""
     logged: tuple[FramePair, ...] = ()
     """Poses as logged, at the instants of the images where the clock was corrected."""
 
@@ -200,7 +204,9 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
     position_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
     lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
     return MotionError(
-        carried_cov_m2, most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2)
+        carried_cov_m2,
+        most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2),
+        drift_m={} if trajectory.drift_m is None else dict(zip(rank, trajectory.drift_m, strict=True)),
     )
 
 
@@ -366,9 +372,15 @@ def refine_with_cones(
     return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory)
 
 
+def scale_is_doubtful(scale: float, prior_sigma: float) -> bool:
+    """Whether an error of the calibration is an unlikely reason why images and log show different distances (by this share)."""
+    return abs(scale) > _DOUBTFUL_SIGMAS * prior_sigma
+
+
 def _with_common_errors(refined: RefinedTrajectory, params: TrajectoryParams) -> RefinedTrajectory:
     """The trajectory with the errors of clock and lever arm, and of GNSS/INS as its best record states it, which move all poses
-    together: however many records there are, their common error is not averaged out."""
+    together: however many records there are, their common error is not averaged out. Where images and log show different
+    distances, the log may drift by the difference."""
     assert refined.covariance is not None
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
@@ -377,18 +389,23 @@ def _with_common_errors(refined: RefinedTrajectory, params: TrajectoryParams) ->
     best = np.min([pair.pose.sigma_enu_m for pair in refined.logged], axis=0)
     known = np.diagonal(refined.covariance.cov, axis1=1, axis2=2)[:, :3].min(axis=0)
     systematic = np.sqrt(np.maximum(best**2 - known, 0.0))
-    reach = np.zeros((len(poses), STATE, 7))
+    reach = np.zeros((len(poses), STATE, 9))
     reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
-    reach[:, :3, 1:4], reach[:, :3, 4:] = poses[:, :3, :3], np.eye(3)
+    reach[:, :3, 1:4], reach[:, :3, 4:7] = poses[:, :3, :3], np.eye(3)
+    # Where images and log show different distances the log may have drifted, from the first or to the last of its positions.
+    doubtful = refined.scale is not None and scale_is_doubtful(refined.scale[0], params.scale_sigma)
+    drift = refined.scale[0] if refined.scale is not None and doubtful else 0.0
+    ends = poses[[0, -1], :3, 3]
+    reach[:, :3, 7], reach[:, :3, 8] = drift * (ends[1] - ends[0]) / 2, drift * (poses[:, :3, 3] - ends.mean(axis=0))
     clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
     cov = chain_solver.with_common_errors(
-        refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic])
+        refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic, 1.0, 1.0])
     )
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
     pairs = tuple(
         _with_sigmas(pair, vec3(own[:3]), vec3(own[3:])) for pair, own in zip(refined.frame_pairs, sigma, strict=True)
     )
-    return replace(refined, frame_pairs=pairs, covariance=cov)
+    return replace(refined, frame_pairs=pairs, covariance=cov, drift_m=reach[:, :3, 8] if doubtful else None)
 
 
 def _refine_with_cones(

@@ -159,6 +159,20 @@ def test_a_second_row_beside_the_first_one_is_none() -> None:
         assert contradiction(tracks, known, deltas, PARAMS) is None
 
 
+def test_the_same_zone_farther_along_the_road_is_told_from_one_like_it() -> None:
+    """The first one is not in view. People who set up a zone twice place its cones at least 0.1 m differently."""
+    rng = np.random.default_rng(9)
+    for _ in range(20):
+        zone = np.column_stack([np.cumsum(rng.uniform(3.0, 9.0, 5)), rng.normal(3.0, 1.0, 5), np.zeros(5)])
+        farther = zone + np.array((50.0, 0, 0))
+        for places, same in ((farther, True), (farther + rng.normal(0, 0.1, (5, 3)) * (1, 1, 0), False)):
+            tracks, known = tracks_at(places), features_at(zone)
+            deltas = reconcile(tracks, known, lambda *_: None, PARAMS, founding_key="d")
+            found = contradiction(tracks, known, deltas, PARAMS)
+            assert (found is not None) == same
+            assert found is None or "50.0 m from those of the map" in found.detail
+
+
 def test_a_blind_drive_is_found_on_maps_of_any_size() -> None:
     for removed, confirmed in ((9, 0), (50, 10), (5000, 1000)):
         kinds = Counter({DeltaKind.REMOVED: removed, DeltaKind.CONFIRMED: confirmed})
