@@ -14,6 +14,7 @@ import { createStage, type Stage } from "./scene";
 import { createSidebar } from "./sidebar";
 import { formatState, parseState, type State } from "./state";
 import "./style.css";
+import "./table.css";
 import { createTimeline } from "./timeline";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
@@ -119,6 +120,10 @@ function writeChoice(): void {
   choiceAt = now;
 }
 
+layout.listPane.onChange((list) => {
+  state.list = list;
+  writeAddress();
+});
 stage.onCamera((camera) => {
   state.camera = camera;
   writeAtRest();
@@ -311,6 +316,7 @@ function visible(): Cone[] {
 function draw(): void {
   const shown = visible();
   cones.show(shown);
+  layout.listPane.open(state.list);
   base.apply(state);
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length);
@@ -481,6 +487,7 @@ function handleKey(event: KeyboardEvent): boolean {
     case "p": case "P": if (chosen) showSighting(chosen.sightingIndex - 1); return true;
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
+    case "l": case "L": layout.listPane.toggle(); return true;
     case "/": sidebar.focusSearch(); return true;
     case "?": layout.openHelp(); return true;
     default: return false;

@@ -30,6 +30,8 @@ export interface State {
   lines: boolean;
   /** Base layers in colour-blind safe colours. */
   safeColours: boolean;
+  /** Opened tab of the list; null is closed. */
+  list: string | null;
   camera: CameraPose | null;
 }
 
@@ -37,7 +39,7 @@ export function initialState(): State {
   return {
     map: "", mode: "drive", changeset: null, side: "changes", from: 0, to: null, valid: null, known: null,
     hidden: new Set(), minProbability: 0, feature: null, sighting: null, trajectory: true,
-    points: true, lines: true, safeColours: false, camera: null,
+    points: true, lines: true, safeColours: false, list: null, camera: null,
   };
 }
 
@@ -71,6 +73,8 @@ export function parseState(hash: string): State {
   state.sighting = natural(p.get("sighting"));
   for (const [name, field] of SWITCHES) state[field] = p.get(name) !== "0";
   state.safeColours = p.get("colours") === "safe";
+  const list = p.get("list");
+  state.list = list !== null && /^[a-z]{1,20}$/.test(list) ? list : null;
   const camera = (p.get("cam") ?? "").split(",").map(Number);
   if (camera.length === 6 && camera.every(Number.isFinite) && (camera[5] ?? 0) > 0) state.camera = camera as CameraPose;
   return state;
@@ -97,6 +101,7 @@ export function formatState(state: State): string {
   if (state.feature && state.sighting !== null) p.set("sighting", String(state.sighting));
   for (const [name, field] of SWITCHES) if (!state[field]) p.set(name, "0");
   if (state.safeColours) p.set("colours", "safe");
+  if (state.list !== null) p.set("list", state.list);
   if (state.camera) p.set("cam", state.camera.map((v) => v.toFixed(3).replace(/\.?0+$/, "")).join(","));
   return p.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
 }
