@@ -237,16 +237,25 @@ def scroll(playwright: Any, address: str, folder: Path | None) -> dict[str, floa
     there_s = time.monotonic() - started
     tab.wait_for_timeout(3000)
     rows = int(tab.get_attribute("#list-cones .table", "aria-rowcount")) - 1
+    start_s = processor_s(os.getpid(), name="chrom")
     found = tab.evaluate(SCROLL)
+    used_ms = 1000 * (processor_s(os.getpid(), name="chrom") - start_s) / found["frames"]
     per_s = 1000 * found["frames"] / found["ms"]
     print(
         f"list of {rows:,} cones: there after {there_s:.1f} s; scrolled through at {per_s:.0f} frames/s, "
+        f"{used_ms:.1f} ms of Chromium's processor time per frame, "
         f"{found['gaps']} of {found['frames'] // 2} positions with a gap; load {load()}"
     )
     if folder:
         tab.screenshot(path=folder / "list.png")
     browser.close()
-    return {"list_rows": rows, "list_s": there_s, "list_frames_per_s": per_s, "list_gaps": found["gaps"]}
+    return {
+        "list_rows": rows,
+        "list_s": there_s,
+        "list_frames_per_s": per_s,
+        "list_frame_cpu_ms": used_ms,
+        "list_gaps": found["gaps"],
+    }
 
 
 if __name__ == "__main__":

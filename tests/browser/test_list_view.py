@@ -133,7 +133,7 @@ def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, fea
         wait_for_rows(page, 4)
     page.click(".kind-chips .chip[data-kind=removed]", click_count=2)
     wait_for_rows(page, 1)
-    assert "show=removed" in page.url
+    page.wait_for_url("**show=removed**")
 
 
 def test_only_in_view_follows_the_camera(page, address, features):
