@@ -1,6 +1,7 @@
 // The frame of the page: header, side panels, cards for empty maps, loading and errors.
 import { el, fill, plural, shortId } from "./dom";
 import { icon, STYLES, type Cone } from "./kinds";
+import { createListPane } from "./list_pane";
 import type { LiveStatus } from "./live";
 
 interface CardOptions {
@@ -19,15 +20,22 @@ const SHORTCUTS: [string, string][] = [
   ["B, C", "before / after, changes"],
   ["1, 2", "LiDAR points, lane boundaries on or off"],
   ["P, N", "previous, next sighting"],
-  ["/", "find a cone"],
+  ["/", "search"],
+  ["L", "list of cones and changes"],
+  ["[  ] or K, J", "previous, next cone of the list"],
   ["Esc", "close the panel"],
 ];
 const STATUS_TEXT: Record<LiveStatus, string> = { live: "live", waiting: "no connection", trouble: "database error" };
 
 export function createLayout(app: HTMLElement) {
   const view = el("main", { class: "view" });
-  const sidebar = el("aside", { class: "sidebar", id: "sidebar", aria: { label: "Map, search and legend" } });
+  const sidebar = el("aside", { class: "sidebar", id: "sidebar", aria: { label: "Map and legend" } });
   const panel = el("aside", { class: "panel", hidden: true, aria: { label: "Selected cone" } });
+  const list = el("section", { class: "list", hidden: true, aria: { label: "Lists" } });
+  const listButton = el("button", { type: "button", class: "link", aria: { expanded: "false" } }, "List ", el("kbd", { textContent: "L" }));
+  const listPane = createListPane(list, listButton);
+  /** Parts of the header that other modules fill. */
+  const tools = { search: el("div", { class: "tool-search" }), download: el("div", {}) };
   const timeline = el("footer", { class: "timeline" });
   const brand = el("div", { class: "brand" });
   const dot = el("span", { class: "status", role: "status" }, el("i"), el("span", { textContent: "connecting" }));
@@ -46,15 +54,15 @@ export function createLayout(app: HTMLElement) {
     const open = app.classList.toggle("menu-open");
     menu.setAttribute("aria-expanded", String(open));
   });
-  const helpButton = el("button", { type: "button", class: "link", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
+  const helpButton = el("button", { type: "button", class: "link help-button", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
   app.append(
-    el("header", { class: "top" }, menu, brand, el("span", { class: "space" }), dot, helpButton),
-    progress, sidebar, view, panel, timeline, toasts, help,
+    el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), dot, tools.download, listButton, helpButton),
+    progress, sidebar, view, panel, list, timeline, toasts, help,
   ); // prettier-ignore
   view.append(cardHost, noticeHost, tip);
 
   return {
-    view, sidebar, panel, timeline, brand,
+    view, sidebar, panel, timeline, brand, listPane, tools,
     busy: (on: boolean) => void (progress.hidden = !on),
     empty: (on: boolean) => void app.classList.toggle("is-empty", on),
     panelOpen: (on: boolean) => void app.classList.toggle("panel-open", on),

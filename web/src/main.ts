@@ -4,22 +4,28 @@ import { createBase } from "./base";
 import { createCones } from "./cones";
 import { aboutFeature, createDecisionList } from "./decisions";
 import { el, fill, messageOf, plural } from "./dom";
-import type { Cone } from "./kinds";
+import { isGone, type Cone } from "./kinds";
+import { createDownloads, pictureOf } from "./downloads";
+import { acceptedBy, onlyKind } from "./filters";
 import { createLayout } from "./layout";
+import { createLists } from "./lists";
 import { listen } from "./live";
 import { createOverlays, ellipse95, niceFactor } from "./overlays";
 import { createPanel, stateAt, until, type Chosen } from "./panel";
-import { changesetOf, drivesShown, readCones } from "./query";
+import { changesetOf, drivesShown, readCones, shownInstant, unknownChangeset } from "./query";
 import { createStage, type Stage } from "./scene";
+import { createMarker, createSearch } from "./search";
 import { createSidebar } from "./sidebar";
+import { createSites, nearTo } from "./sites";
 import { formatState, parseState, type State } from "./state";
 import "./style.css";
+import "./table.css";
 import { createTimeline } from "./timeline";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
 // The requests go out first: setting up WebGL keeps this thread for as long as they take.
 layout.card("Loading the map …", "", { busy: true });
-let state: State = parseState(location.hash);
+let state: State = readAddress();
 try {
   const answer = await api.maps();
   const name = state.map || nameOf(answer);
@@ -56,12 +62,38 @@ const sidebar = createSidebar(layout.sidebar, {
     void openMap();
   },
   change,
-  find: (beginning) => api.find(state.map, beginning),
-  select: (id) => void select(id, true),
   fit: () => fit(),
+});
+const showSites = createSites(sidebar.sites, (points) => stage.fit(points));
+const search = createSearch(layout.tools.search, {
+  search: (text) => api.search(state.map, text),
+  select: (id) => void select(id, true),
+  showChangeset: (no) => change({ mode: "drive", changeset: no === timeline?.changesets.at(-1)?.changeset_no ? null : no }),
+  flyTo: ({ xy_m: [x, y] }) => {
+    state.mark = [x, y];
+    writeAddress();
+    stage.lookAt([x, y, groundAt(x, y)], 40);
+    drawMark();
+  },
+});
+const showMarker = createMarker(stage, layout.view, () => {
+  state.mark = null;
+  writeAddress();
+  drawMark();
+});
+const lists = createLists(layout.listPane, { change, select: (id, centre) => void select(id, centre), inView });
+createDownloads(layout.tools.download, {
+  shown: () => timeline?.changesets.length && unknownChangeset(state, timeline.changesets) === null ? { map: state.map, drive: state.mode === "drive" ? changeset(state.changeset) ?? null : null, coneCount: all.filter((c) => !isGone(c.kind)).length, box: boxInView(), ...shownInstant(state, timeline.changesets) } : null,
+  picture: () => new Promise((done, fail) => {
+    stage.draw();
+    // In the same frame, after it was drawn: later the canvas is empty.
+    requestAnimationFrame(() => void pictureOf(stage.canvas, layout.view, `${state.map}, ${shownInstant(state, timeline?.changesets ?? []).title}`).then(done, fail));
+  }),
+  failed: (message) => layout.toast(message, null),
 });
 const showTimeline = createTimeline(layout.timeline, {
   change,
+  showChanges: (kind) => change({ mode: "drive", side: "changes", hidden: onlyKind({ ...state, hidden: state.list === "changes" ? state.hidden : new Set() }, kind), list: "changes" }),
   writableMap: () => (decisions?.writable ? state.map : null),
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
@@ -98,6 +130,7 @@ function change(values: Partial<State>, refetch = true): void {
 const REST_MS = 120;
 let addressTimer = 0;
 let choiceAt = -Infinity;
+let movedTimer = 0;
 
 /** At once: a reload right after a click shows what was clicked. */
 function writeAddress(): void {
@@ -119,12 +152,18 @@ function writeChoice(): void {
   choiceAt = now;
 }
 
+layout.listPane.onChange((list) => {
+  state.list = list;
+  writeAddress();
+});
 stage.onCamera((camera) => {
   state.camera = camera;
   writeAtRest();
+  window.clearTimeout(movedTimer);
+  movedTimer = window.setTimeout(() => lists.moved(), REST_MS);
 });
 window.addEventListener("hashchange", () => {
-  const next = parseState(location.hash);
+  const next = readAddress();
   const other = next.map !== state.map;
   state = next;
   if (other) void openMap();
@@ -136,6 +175,14 @@ window.addEventListener("hashchange", () => {
 });
 
 const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [], no);
+
+/** The address says what is shown; what is not understood is reported. */
+function readAddress(): State {
+  const problems: string[] = [];
+  const found = parseState(location.hash, problems);
+  if (problems.length) layout.toast(`Left out of this address: ${problems.join("; ")}.`, { text: "OK", run: () => undefined });
+  return found;
+}
 
 // --- loading
 
@@ -263,6 +310,14 @@ async function refresh(): Promise<void> {
     return;
   }
   layout.empty(false);
+  const unknown = unknownChangeset(state, timeline.changesets);
+  if (unknown !== null) {
+    const numbers = timeline.changesets.map((t) => t.changeset_no);
+    const there = numbers.length === 1 ? `It has one changeset, number ${numbers[0]}.` : `It has ${numbers.length} changesets, numbers ${numbers.length > 8 ? `${numbers[0]} to ${numbers.at(-1)}` : numbers.join(", ")}.`;
+    show([], []);
+    layout.card(`The map “${state.map}” has no changeset ${unknown}`, there, { action: { text: "Show the latest", run: () => change({ changeset: null, from: 0, to: null, known: null }) } });
+    return;
+  }
   layout.busy(true);
   showTimeline(state, timeline.changesets); // the controls react at once, the scene when the data is there
   try {
@@ -305,12 +360,43 @@ function show(next: Cone[], drives: Trajectory[]): void {
 }
 
 function visible(): Cone[] {
-  return all.filter((c) => !state.hidden.has(c.kind) && c.probability >= state.minProbability);
+  return all.filter(acceptedBy(state));
+}
+
+function inView(point: Vec3): boolean {
+  const pixel = stage.project(point);
+  return pixel !== null && pixel[0] >= 0 && pixel[1] >= 0 && pixel[0] <= stage.canvas.clientWidth && pixel[1] <= stage.canvas.clientHeight;
+}
+
+/** Around the cones in the view, in the map's CRS; null without any. */
+function boxInView(): [number, number, number, number] | null {
+  const [east, north] = timeline?.origin_m ?? [0, 0];
+  const box = all.filter((c) => inView(c.xyz)).reduce(([w, s, e, n], { xyz: [x, y] }) => [Math.min(w, x), Math.min(s, y), Math.max(e, x), Math.max(n, y)] as const, [Infinity, Infinity, -Infinity, -Infinity] as const);
+  const [w, s, e, n] = box;
+  return Number.isFinite(w) ? [w + east - 0.5, s + north - 0.5, e + east + 0.5, n + north + 0.5] : null;
+}
+
+/** Height of the nearest cone. */
+function groundAt(x: number, y: number): number {
+  let [best, height] = [Infinity, 0];
+  for (const { xyz } of all) {
+    const distance = Math.hypot(xyz[0] - x, xyz[1] - y);
+    if (distance < best) [best, height] = [distance, xyz[2]];
+  }
+  return height;
+}
+
+function drawMark(): void {
+  showMarker(state.mark ? [...state.mark, groundAt(...state.mark)] : null);
 }
 
 function draw(): void {
   const shown = visible();
   cones.show(shown);
+  layout.listPane.open(state.list);
+  lists.show(state, all, timeline);
+  showSites(all);
+  drawMark();
   base.apply(state);
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length);
@@ -323,7 +409,7 @@ function draw(): void {
 function fit(): void {
   const path = [...paths.values()].at(-1)?.xyz_m ?? [];
   const points: Vec3[] = all.flatMap((c) => [c.xyz, ...(c.old ? [c.old] : [])]);
-  const near = path.filter((p) => points.some((q) => Math.hypot(p[0] - q[0], p[1] - q[1]) < 7));
+  const near = path.filter(nearTo(points, 7));
   const [a, b] = [path[0], path.at(-1)];
   if (a && b && state.camera === null) {
     const heading = Math.atan2(b[1] - a[1], b[0] - a[0]);
@@ -349,6 +435,7 @@ async function select(id: string | null, centre = false): Promise<void> {
   state.feature = id;
   writeAddress();
   overlays.showLabels(visible(), id);
+  lists.choose(id);
   layout.panelOpen(id !== null);
   if (id === null) {
     chosen = null;
@@ -481,7 +568,13 @@ function handleKey(event: KeyboardEvent): boolean {
     case "p": case "P": if (chosen) showSighting(chosen.sightingIndex - 1); return true;
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
-    case "/": sidebar.focusSearch(); return true;
+    case "l": case "L": layout.listPane.toggle(); return true;
+    case "]": case "j": case "J": case "[": case "k": case "K": {
+      const cone = lists.next(event.key === "]" || event.key.toLowerCase() === "j" ? 1 : -1);
+      if (cone) void select(cone.id, true);
+      return true;
+    }
+    case "/": search.focus(); return true;
     case "?": layout.openHelp(); return true;
     default: return false;
   }
