@@ -17,7 +17,7 @@ from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
 from conetl.reports.camera_images import ImageMissingError
-from conetl.web import decisions, images, layers, live, maps
+from conetl.web import decisions, frames, images, layers, live, maps, review
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.ogc.collections import warm
@@ -61,7 +61,7 @@ def create_app(
     app.state.writer = writer
     app.state.whole_images = whole_images
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
-    for routes in (maps, images, layers, decisions, live):
+    for routes in (maps, images, frames, layers, decisions, review, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))

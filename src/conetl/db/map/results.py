@@ -143,6 +143,12 @@ class FeatureLogEntry:
     log_likelihood_ratio: float | None
     frames_seen: int | None
     frames_empty: int | None
+    drive_uuid: UUID
+    drive_kind: str
+    """drive or import."""
+    cov_xx: float
+    cov_yy: float
+    """m^2, of the position after it."""
 
 
 @dataclass(frozen=True)
