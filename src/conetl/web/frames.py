@@ -47,7 +47,7 @@ def passes(map_name: MapName, feature_id: UUID, conn: Reader, version: Version =
 
 
 @router.get("/drives/{drive_uuid}/frames/{frame_index}")
-def frame(map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader) -> m.Frame:
+def frame(map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader, request: Request) -> m.Frame:
     """The cameras and detections of one frame pair, and whether its images are still there."""
     origin = origin_of(conn, map_name)
     row = _frame(conn, map_name, drive_uuid, frame_index)
@@ -59,6 +59,7 @@ def frame(map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader)
         frame_index=frame_index,
         captured_at=utc_from_ns(row["captured_at_ns"]),
         origin_m=origin,
+        pixelated=not request.app.state.whole_images,
         left=left,
         right=right,
     )

@@ -259,6 +259,8 @@ class Frame(Answer):
     frame_index: int
     captured_at: datetime
     origin_m: Vec3
+    pixelated: bool
+    """Images are pixelated away from detections."""
     left: FrameView
     right: FrameView
 
