@@ -23,7 +23,8 @@ where m.map_name = %(map_name)s;
 -- Feature versions of a map for other programs: the map of an instant, or its whole history.
 -- Parameters: map_id; every_version (false: only what stood on the road at valid_at); valid_at (timestamptz; 'infinity'
 -- = latest); known_at (timestamptz; 'infinity' = current versions; null: also superseded ones); with_change: what made
--- each version (else change and shift_m are null); spatial_order (Hilbert curve, PostGIS's order of geometries),
+-- each version (else change and shift_m are null); west_m, south_m, east_m, north_m (map CRS; all null: everywhere) and
+-- srid; spatial_order (Hilbert curve, PostGIS's order of geometries),
 -- time_order (both false: by feature_id).
 -- Columns: the exported names (metres, m^2, probabilities, UTC) in the order of every file. seen_count, missed_count:
 -- drives that saw and that missed the feature until valid_at (of a version: until it ended), and existence_probability
@@ -101,6 +102,10 @@ left join doubts_of_versions vb on vb.version_row_id = v.version_row_id
 where v.map_id = %(map_id)s
 and (%(every_version)s or (v.present and v.valid_period @> %(valid_at)s::timestamptz))
 and (%(known_at)s::timestamptz is null or v.system_period @> %(known_at)s::timestamptz)
+and (
+    %(west_m)s::float8 is null
+    or v.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+)
 order by
     case when %(spatial_order)s then v.geom end,
     case when %(time_order)s then lower(v.valid_period) end,

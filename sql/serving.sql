@@ -43,12 +43,42 @@ where m.map_name = %(map_name)s
 order by c.changeset_no
 limit 1;
 
+-- name: features
+-- The features that stood on a map at one instant on the road, as the database knew it at another instant, with what a
+-- list of them shows: map.features_as_of has the rest, and takes ten times as long.
+-- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); max_rows.
+-- Columns: sigma_m: along the major axis of the horizontal error ellipse; existence_probability: after the last drive to
+-- which the feature was visible; changeset_no: of the changeset that wrote this version.
+with doubts as (
+    select distinct on (x.feature_id, x.old_version) x.feature_id, x.old_version as version, x.existence_after
+    from conetl.changeset c
+    join conetl.map m using (map_id)
+    join conetl.delta x using (changeset_id)
+    join conetl.drive d using (drive_uuid)
+    where m.map_name = %(map_name)s and x.kind = 'missed'
+    and x.changed_at <= %(valid_at)s::timestamptz and x.system_period @> %(known_at)s::timestamptz
+    order by
+        x.feature_id, x.old_version,
+        d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
+)
+select
+    v.feature_id, v.version, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
+    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
+    v.cone_height_m, coalesce(b.existence_after, v.existence_probability) as existence_probability,
+    v.observation_count, v.last_seen_ns, c.changeset_no
+from conetl.map_as_of(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) v
+join conetl.changeset c using (changeset_id)
+left join doubts b using (feature_id, version)
+order by v.feature_id
+limit %(max_rows)s;
+
 -- name: changes_between
 -- How the map of one instant differs from that of another, each as the database knew it at its own instant.
 -- Parameters: map_name; from_valid_at, from_known_at, to_valid_at, to_known_at (timestamptz; 'infinity' = latest);
 -- moved_from_m: horizontal distance (m) from which a feature counts as moved; max_rows.
 -- Columns: as history.changes_of_changeset; changed_at is the beginning of the later state (null for removed); kind
--- 'confirmed' means the same position with other values, 'unchanged' the same version.
+-- 'confirmed' means the same position with other values, 'unchanged' the same version; changeset_no: of the changeset
+-- that wrote the version which is shown.
 with before as (
     select * from conetl.map_as_of(%(map_name)s, %(from_valid_at)s::timestamptz, %(from_known_at)s::timestamptz)
 ),
@@ -68,12 +98,19 @@ select
     ST_X(b.geom) as old_easting_m, ST_Y(b.geom) as old_northing_m, ST_Z(b.geom) as old_height_m,
     ST_X(coalesce(a.geom, b.geom)) as easting_m, ST_Y(coalesce(a.geom, b.geom)) as northing_m,
     ST_Z(coalesce(a.geom, b.geom)) as height_m,
-    coalesce(a.cov_xx, b.cov_xx) as cov_xx, coalesce(a.cov_xy, b.cov_xy) as cov_xy, coalesce(a.cov_yy, b.cov_yy) as cov_yy,
-    coalesce(a.cone_height_m, b.cone_height_m) as cone_height_m,
-    coalesce(a.existence_probability, b.existence_probability) as existence_probability,
-    coalesce(a.observation_count, b.observation_count) as observation_count, coalesce(a.version, b.version) as version
+    sqrt((s.cov_xx + s.cov_yy) / 2 + sqrt(((s.cov_xx - s.cov_yy) / 2) ^ 2 + s.cov_xy ^ 2)) as sigma_m,
+    s.cone_height_m, s.existence_probability, s.observation_count, s.version, s.last_seen_ns, c.changeset_no
 from before b
 full outer join after a using (feature_id)
+cross join lateral (
+    select
+        coalesce(a.cov_xx, b.cov_xx) as cov_xx, coalesce(a.cov_xy, b.cov_xy) as cov_xy, coalesce(a.cov_yy, b.cov_yy) as cov_yy,
+        coalesce(a.cone_height_m, b.cone_height_m) as cone_height_m,
+        coalesce(a.existence_probability, b.existence_probability) as existence_probability,
+        coalesce(a.observation_count, b.observation_count) as observation_count, coalesce(a.version, b.version) as version,
+        coalesce(a.last_seen_ns, b.last_seen_ns) as last_seen_ns, coalesce(a.changeset_id, b.changeset_id) as changeset_id
+) s
+join conetl.changeset c on c.changeset_id = s.changeset_id
 order by 1
 limit %(max_rows)s;
 

@@ -16,8 +16,11 @@ from fastapi.testclient import TestClient
 
 from conetl.db.connection import connect, execute
 from conetl.db.reader_pool import ReaderPool, open_reader
+from conetl.geometry.geodesy import to_geodetic
+from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import utc_from_ns
+from conetl.readers.maps.gazetteer import read_gazetteer
 from conetl.web.app import create_app
 from conetl.web.live import MAX_STREAMS, HeadWatcher
 from tests.view_map import commit, cone, missed, two_drives
@@ -237,7 +240,7 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
     [
         "features?valid_at=yesterday", "features?valid_at=2026", "features?known_at=1772352000", "changes?to_valid_at=20260302",
         "changes?moved_from_m=nan", "changes?moved_from_m=-1", "changes/0", "changes/99999999999999999999999",
-        "features/not-an-id", "find?beginning=%25", "find?beginning=' or 1=1 --", "x';drop table conetl.map--/features",
+        "features/not-an-id", "search?text=", "downloads/exe", "downloads/csv?box=1,2,3", "x';drop table conetl.map--/features",
         f"drives/{NOBODY}/pictures/-1/0/left.jpg", f"drives/{NOBODY}/pictures/0/0/left.jpg?context=1e9",
         f"drives/{NOBODY}/pictures/0/0/both.jpg",
     ],
@@ -257,10 +260,80 @@ def test_unknown_things_are_not_found(client, path):
     assert client.get(path).status_code == 404
 
 
-def test_find_by_the_beginning_of_an_id(client, features):
+def test_the_search_knows_ids_drives_days_coordinates_and_places(
+    module_database_url, client, features, samples, tmp_path
+):
     wanted = str(features["stays"].feature_id)
-    assert get(client, f"{MAP}/find", beginning=wanted[:10].upper())["feature_ids"] == [wanted]
-    assert get(client, f"{MAP}/find", beginning="0123456789")["feature_ids"] == []
+
+    def found(text, by=client):
+        return get(by, f"{MAP}/search", text=text)
+
+    assert found(wanted[:10].upper())["feature_ids"] == [wanted]
+    assert found("0123456789")["feature_ids"] == []
+    assert [d["drive_id"] for d in found("DRIVE_")["drives"]] == ["drive_2", "drive_1"]
+    day = utc_from_ns(samples.START_NS + samples.DAY_NS).date().isoformat()
+    assert [d["drive_id"] for d in found(day)["drives"]] == ["drive_2"]
+    lat, lon = to_geodetic(samples.SRID, (458_004.0, 5_428_010.0, 0.0))[:2]
+    # lon, lat and N E too, where only they are near the map
+    for text in (
+        f"{lat:.7f}, {lon:.7f}", f"{lat:.7f} {lon:.7f}", f"{lon:.7f};{lat:.7f}", "458004 5428010.0", "458004 E, 5428010 N",
+        "5428010,458004",
+    ):  # fmt: skip
+        [position] = found(text)["positions"]
+        assert position["xy_m"] == pytest.approx([4.0, 10.0], abs=0.02), text
+        assert position["lat_lon_deg"] == pytest.approx([lat, lon], abs=1e-6)
+    for text in ("here", "1 2 3", "2026-03-02", "95, 400"):
+        assert [p for p in found(text)["positions"] if abs(p["xy_m"][0]) < 1e5] == [], text
+    path = tmp_path / "places.csv"
+    path.write_text(f"name;lon;lat\nDurlacher Tor;{lon};{lat}\nAm Tor;{lon};{lat}\n")
+    app = create_app(module_database_url, "default", gazetteer=read_gazetteer(path))
+    with TestClient(app, base_url="http://127.0.0.1") as with_places:
+        places = found("TOR", with_places)["places"]
+    assert [p["label"] for p in places] == ["Am Tor", "Durlacher Tor"]
+    assert places[0]["xy_m"] == pytest.approx([4.0, 10.0], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        ("name,lon,lat\nA,8,49\nB,8,149\n", "row 2: lat is 149, expected -90 to 90: are the columns swapped?"),
+        ("name,lon,lat\n,8,49\n", "row 1: name is .*expected a text"),
+        ("name,lon,lat\nA,east,49\n", "row 1: lon_deg is .*not a number"),
+        ("place,lon,lat\nA,8,49\n", "no column `name`, found: place"),
+        ("name,easting,northing\nA,8,49\n", "columns lon and lat"),
+    ],
+)
+def test_a_broken_gazetteer_names_file_row_and_cause(tmp_path, text, cause):
+    path = tmp_path / "places.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"places.csv.*{cause}"):
+        read_gazetteer(path)
+
+
+def test_downloads_are_the_state_that_is_shown(client, features, samples):
+    early, late = (utc_from_ns(samples.START_NS) + DAY * days for days in (0.5, 2))
+    path = f"{MAP}/downloads"
+
+    def ids(**parameters):
+        answer = client.get(f"{path}/geojson", params=parameters)
+        assert answer.status_code == 200, answer.text
+        return {f["properties"]["feature_id"] for f in answer.json()["features"]}, answer.headers
+
+    at_late, headers = ids(valid_at=late.isoformat())
+    assert at_late == {str(features[name].feature_id) for name in ("stays", "wanders", "comes")}
+    assert f"default_{late:%Y-%m-%dT%H-%M-%SZ}.geojson" in headers["content-disposition"]
+    assert int(headers["content-length"]) > 500
+    assert len(ids(valid_at=early.isoformat())[0]) == 3
+    box = "458000,5428000,458002,5428020"
+    assert ids(valid_at=late.isoformat(), box=box)[0] == {str(features["stays"].feature_id)}
+    table = client.get(f"{path}/csv", params={"valid_at": late.isoformat(), "from_valid_at": early.isoformat()}).text
+    assert sorted(line.split(",").count("moved") for line in table.splitlines()).count(1) == 1
+    assert client.get(f"{path}/gpkg").content.startswith(b"SQLite format 3")
+    assert "publisher" in get(client, f"{path}/wzdx", 422)["detail"]
+    feed = get(client, f"{path}/wzdx", publisher="City", road_name="L 605")
+    assert feed["feed_info"]["publisher"] == "City"
+    assert "leave out the box" in get(client, f"{path}/csv", 422, from_valid_at=early.isoformat(), box=box)["detail"]
+    get(client, "/api/maps/elsewhere/downloads/csv", 404)
 
 
 def test_the_view_cannot_write(module_database_url):

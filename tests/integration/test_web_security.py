@@ -115,7 +115,8 @@ PARAMETERS = {
     "/ogc/collections/default.features/tiles/WebMercatorQuad/0/0/0": ["ids", "sortby", "properties", "category", "limit"],
     f"{MAP}/features": ["valid_at", "known_at"],
     f"{MAP}/changes": ["from_valid_at", "to_known_at", "moved_from_m"],
-    f"{MAP}/find": ["beginning"],
+    f"{MAP}/search": ["text"],
+    f"{MAP}/downloads/csv": ["valid_at", "box"],
 }  # fmt: skip
 
 
@@ -191,7 +192,7 @@ def test_extreme_requests(server):
 def test_headers_of_every_answer(server):
     for path in (
         "/", "/api/maps", "/api/no-such", "/ogc", "/ogc/", ITEMS, f"{ITEMS}?limit=0", "/ogc/no-such",
-        f"{MAP}/find?beginning=x", "/x" * 5000,
+        f"{MAP}/search?text=x", "/x" * 5000,
     ):  # fmt: skip
         _, headers, _ = ask(server, path)
         policy = headers["content-security-policy"]

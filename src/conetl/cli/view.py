@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 import uvicorn
@@ -21,6 +21,9 @@ from conetl.pipeline.settings import Settings, read_settings
 from conetl.services.http_protocol import BoundedProtocol
 from conetl.web.app import STATIC, create_app
 from conetl.web.decisions import Writer
+
+if TYPE_CHECKING:
+    from conetl.readers.maps.gazetteer import Gazetteer
 
 #: Requests served at the same time; further ones are answered 503.
 _MAX_CONNECTIONS = 256
@@ -44,12 +47,17 @@ def view(
         bool,
         typer.Option("--login/--no-login", help="Require the view token; --no-login: a proxy has a login of its own."),
     ] = True,
+    gazetteer: Annotated[
+        Path | None,
+        typer.Option(help="Places for the search: CSV with name, lon, lat, or GeoJSON points with a name."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the map in a browser: before and after every drive, live, with the images of each cone."""
     settings = read_settings()
     if not (STATIC / "index.html").is_file():
         raise InputError(f"the front end is missing in {STATIC}: build it with `make web`, or install conetl again")
+    places = _read_places(gazetteer)
     url = database_url(settings)
     with closing(connect(url)) as conn:
         migrate_once(conn)
@@ -60,7 +68,7 @@ def view(
         server: uvicorn.Server | None = None
         app = create_app(
             url, map_name or settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
-            reader_token=token, whole_images=settings.images == "full",
+            reader_token=token, whole_images=settings.images == "full", gazetteer=places,
         )  # fmt: skip
         config = uvicorn.Config(
             app, log_level="error", http=BoundedProtocol, access_log=False, limit_concurrency=_MAX_CONNECTIONS,
@@ -71,6 +79,14 @@ def view(
         facts = {"url": address, "map": map_name or settings.map_name, "decisions": writer is not None}
         answer(as_json, facts, f"Map: {address} (this machine only; press Ctrl-C to stop)")
         server.run(sockets=[listener])
+
+
+def _read_places(path: Path | None) -> Gazetteer | None:
+    if path is None:
+        return None
+    from conetl.readers.maps.gazetteer import read_gazetteer  # GDAL takes seconds to load
+
+    return read_gazetteer(path)
 
 
 def view_token(home: Path) -> SecretStr:

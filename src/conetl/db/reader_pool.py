@@ -7,7 +7,7 @@ import json
 import select
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import asynccontextmanager, closing, contextmanager, suppress
 from urllib.parse import quote, urlencode
 
 import asyncpg
@@ -18,6 +18,8 @@ from conetl.model.errors import DatabaseError
 
 #: The server cancels statements of the web view that take longer.
 STATEMENT_TIMEOUT = "10s"
+#: Of a download: a map of millions of features takes a minute.
+EXPORT_TIMEOUT = "10min"
 WAIT_S = 5.0
 #: Two processors do not answer sooner with more.
 MAX_CONNECTIONS = 6
@@ -40,6 +42,7 @@ class ReaderPool:
         self._url = url
         self._free: list[Connection] = []
         self._slots = threading.BoundedSemaphore(size)
+        self._exports = threading.BoundedSemaphore(1)
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
@@ -65,6 +68,17 @@ class ReaderPool:
                 return conn
             conn.close()
         return None
+
+    @contextmanager
+    def exporting(self) -> Iterator[Connection]:
+        """A read-only connection for a long answer, one at a time. Raises DatabaseError while another one takes longer."""
+        if not self._exports.acquire(timeout=WAIT_S):
+            raise DatabaseError("Another download is being made: try again in a moment.")
+        try:
+            with closing(open_reader(self._url, EXPORT_TIMEOUT)) as conn:
+                yield conn
+        finally:
+            self._exports.release()
 
     def listener(self) -> Connection:
         """One more connection, which receives notifications of changes; the caller closes it. Raises DatabaseError."""
@@ -96,12 +110,12 @@ def _has_input(conn: Connection, timeout_s: float) -> bool:
     return bool(waiting.poll(timeout_s * 1000))
 
 
-def open_reader(url: str) -> Connection:
+def open_reader(url: str, timeout: str = STATEMENT_TIMEOUT) -> Connection:
     """A connection whose transactions only read, as role conetl_reader if the user is a member of it. Raises DatabaseError."""
     conn = connect(url)
     with database_errors("The connection could not be made read-only"):
         conn.autocommit = True
-        execute(conn, load_sql("schema.reader_session"), {"timeout": STATEMENT_TIMEOUT})
+        execute(conn, load_sql("schema.reader_session"), {"timeout": timeout})
         conn.autocommit = False
     return conn
 

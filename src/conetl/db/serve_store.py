@@ -49,9 +49,8 @@ def read_features(
     conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None, max_rows: int
 ) -> list[Row]:
     """Standing features at `valid_at` (None: latest) as known at `known_at` (None: now), by id."""
-    box = dict.fromkeys(("west_m", "south_m", "east_m", "north_m", "srid"))
     instants = {"valid_at": _instant(valid_at), "known_at": _instant(known_at)}
-    return _rows(conn, "map.features_as_of", map_name=map_name, max_rows=max_rows, **instants, **box)
+    return _rows(conn, "serving.features", map_name=map_name, max_rows=max_rows, **instants)
 
 
 def read_changeset_changes(conn: Connection, map_name: str, changeset_no: int) -> list[Row]:

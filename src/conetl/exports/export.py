@@ -62,6 +62,7 @@ def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows
         "believed_at": _text(request.believed_at),
         "from": _text(request.since),
         "to": _text(request.until),
+        "box_m": request.box_m,
         "last_committed_at": _text(source.info.last_committed_at),
         "changesets": facts["changeset_count"],
         "exported_at": iso_utc(datetime.now(UTC)),

@@ -59,6 +59,8 @@ class ExportRequest:
     believed_at: datetime | None = None
     since: datetime | None = None
     until: datetime | None = None
+    box_m: tuple[float, float, float, float] | None = None
+    """West, south, east, north in the map's CRS; None: everywhere."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,8 @@ class Source:
             "to_valid_at": _instant(request.until),
             "moved_from_m": ReconcileParams().min_gate_m,
             "with_change": self._has_change,
+            "srid": self.info.srid,
+            **dict(zip(("west_m", "south_m", "east_m", "north_m"), request.box_m or (None,) * 4, strict=True)),
             "spatial_order": self.order is Order.SPATIAL,
             "time_order": self.order is Order.BY_TIME,
         }
@@ -177,6 +181,8 @@ def _check(request: ExportRequest) -> None:
             raise InputError(f"changes from {request.since} to {request.until}: --to is earlier than --from")
     elif request.since is not None or request.until is not None:
         raise InputError("--from and --to require an export of changes (--what changes)")
+    if request.box_m is not None and request.what is What.CHANGES:
+        raise InputError("an export of changes covers the whole map: leave out the box")
     if request.as_of is not None and request.what is not What.FEATURES:
         raise InputError(f"--as-of requires an export of features: an export of the {request.what} covers all times")
 

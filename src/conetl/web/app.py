@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, RedirectResponse
@@ -17,11 +18,14 @@ from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
 from conetl.reports.camera_images import ImageMissingError
-from conetl.web import decisions, frames, images, layers, live, maps, review
+from conetl.web import decisions, downloads, frames, images, layers, live, maps, review, search
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.ogc.collections import warm
 from conetl.web.security import Guard
+
+if TYPE_CHECKING:
+    from conetl.readers.maps.gazetteer import Gazetteer
 
 STATIC = Path(__file__).parent / "static"
 #: Names by which a browser on this machine may call; any other belongs to a page elsewhere that rebound its name to this machine.
@@ -37,11 +41,13 @@ def create_app(
     writer: decisions.Writer | None = None,
     reader_token: SecretStr | None = None,
     whole_images: bool = False,
+    gazetteer: Gazetteer | None = None,
 ) -> FastAPI:
     """The application over one database. Streams end when `closing` returns True. Without `writer` it is read-only.
 
     reader_token: required for reading; the writer's token serves as well. Without it everybody who reaches the server may read.
     whole_images: show images whole; else what is far from a detection is pixelated.
+    gazetteer: places that the search finds.
     """
     pool = ReaderPool(database_url)
     ogc_pool = AsyncReaderPool(database_url, warm)
@@ -60,8 +66,9 @@ def create_app(
     app.state.map_name = map_name
     app.state.writer = writer
     app.state.whole_images = whole_images
+    app.state.gazetteer = gazetteer
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
-    for routes in (maps, images, frames, layers, decisions, review, live):
+    for routes in (maps, search, images, frames, layers, downloads, decisions, review, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))

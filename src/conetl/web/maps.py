@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 from uuid import UUID
 
-from fastapi import APIRouter, HTTPException, Query, Request
+from fastapi import APIRouter, HTTPException, Query, Request, Response
 
 from conetl.db import serve_store as store
-from conetl.db.map.map_store import find_features, find_map, list_changesets
+from conetl.db.map.map_store import find_map, list_changesets
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Rig, utc_from_ns
 from conetl.reports.drive_passes import reasons_of
@@ -20,7 +20,6 @@ router = APIRouter(tags=["maps"])
 _MAP = "/maps/{map_name}"
 _MAX_SIGHTINGS = 2_000
 _MAX_TRAJECTORY = 50_000
-_MAX_FOUND = 20
 #: The pipeline too treats nearer positions as one.
 _MOVED_FROM_M = ReconcileParams().min_gate_m
 
@@ -42,14 +41,16 @@ def timeline(map_name: MapName, conn: Reader) -> m.Timeline:
     return m.Timeline(map_name=map_name, srid=info.srid, origin_m=origin, changesets=items)
 
 
-@router.get(f"{_MAP}/features")
-def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at: Instant = None) -> m.Features:
+@router.get(f"{_MAP}/features", response_model=m.Features)
+def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at: Instant = None) -> Response:
     """Features on the road at `valid_at`, in the state of the database at `known_at`."""
     origin = origin_of(conn, map_name)
     found, truncated = cut(store.read_features(conn, map_name, valid_at, known_at, MAX_FEATURES + 1), MAX_FEATURES)
-    return m.Features(
+    sent = m.Features(
         origin_m=origin, features=[to.answer(m.Feature, row, origin) for row in found], truncated=truncated
     )
+    # FastAPI would make dictionaries of a hundred thousand features first.
+    return Response(sent.model_dump_json(), media_type="application/json")
 
 
 @router.get(f"{_MAP}/changes/{{changeset_no}}")
@@ -78,16 +79,6 @@ def changes_between(
     )
     found, truncated = cut(rows, MAX_FEATURES)
     return m.Changes(origin_m=origin, changes=[to.answer(m.Change, row, origin) for row in found], truncated=truncated)
-
-
-@router.get(f"{_MAP}/find")
-def find(
-    map_name: MapName, conn: Reader, beginning: Annotated[str, Query(pattern=r"^[0-9a-fA-F-]{1,36}$")]
-) -> m.FoundFeatures:
-    """Features, present or removed, whose id begins with `beginning`."""
-    origin_of(conn, map_name)
-    ids, truncated = cut(find_features(conn, beginning, map_name=map_name, max_rows=_MAX_FOUND + 1), _MAX_FOUND)
-    return m.FoundFeatures(feature_ids=ids, truncated=truncated)
 
 
 @router.get(f"{_MAP}/features/{{feature_id}}")

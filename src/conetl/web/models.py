@@ -84,8 +84,37 @@ class Timeline(Answer):
     """Oldest first."""
 
 
-class _State(Answer):
-    """One version of a feature and the evidence for it up to an instant or a drive."""
+class Feature(Answer):
+    feature_id: UUID
+    version: int
+    xyz_m: Vec3
+    sigma_m: float
+    """Along the major axis of the horizontal error ellipse."""
+    cone_height_m: float
+    existence_probability: float
+    observation_count: int
+    last_seen_at: datetime
+    changeset_no: int
+    """Of the changeset that wrote this version."""
+
+
+class Features(_Listing):
+    features: list[Feature]
+
+
+class Change(Feature):
+    kind: ChangeKind
+    changed_at: datetime | None
+    shift_m: float | None
+    old_xyz_m: Vec3 | None
+
+
+class Changes(_Listing):
+    changes: list[Change]
+
+
+class HistoryItem(Answer):
+    """What one drive did to a feature: the version after it, and the evidence up to it."""
 
     version: int
     category: str
@@ -101,37 +130,6 @@ class _State(Answer):
     """Drives that observed it."""
     missed_count: int
     """Drives that did not observe it although it was visible."""
-
-
-class Feature(_State):
-    feature_id: UUID
-    valid_from: datetime
-    valid_to: datetime | None
-
-
-class Features(_Listing):
-    features: list[Feature]
-
-
-class Change(Answer):
-    feature_id: UUID
-    kind: ChangeKind
-    changed_at: datetime | None
-    shift_m: float | None
-    old_xyz_m: Vec3 | None
-    xyz_m: Vec3
-    cov_m2: Cov2
-    cone_height_m: float
-    existence_probability: float
-    observation_count: int
-    version: int
-
-
-class Changes(_Listing):
-    changes: list[Change]
-
-
-class HistoryItem(_State):
     changeset_no: int
     drive_id: str
     drive_uuid: UUID
@@ -352,9 +350,30 @@ class Decided(Answer):
     """Why a QA report on disk could not be written again; null where nothing failed. The decision is made."""
 
 
-class FoundFeatures(Answer):
+class FoundDrive(Answer):
+    changeset_no: int
+    drive_id: str
+    captured_from: datetime
+
+
+class FoundPosition(Answer):
+    label: str
+    """Name of a place, or how a coordinate pair was read."""
+    xy_m: tuple[float, float]
+    lat_lon_deg: tuple[float, float] | None
+    """None where the map's CRS does not reach."""
+
+
+class Found(Answer):
+    """What a searched text may mean."""
+
     feature_ids: list[UUID]
+    drives: list[FoundDrive]
+    """Newest first."""
+    positions: list[FoundPosition]
+    places: list[FoundPosition]
     truncated: bool
+    """True if there are more cones or drives."""
 
 
 class BaseLayer(Answer):

@@ -17,7 +17,7 @@ from conetl.db.serve_store import read_origin
 from conetl.model.records import Vec3
 
 #: Largest number of features of one answer, which says whether there are more.
-MAX_FEATURES = 20_000
+MAX_FEATURES = 100_000
 T = TypeVar("T")
 
 

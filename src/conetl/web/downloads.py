@@ -1,0 +1,110 @@
+"""Route of downloads: the state of the map that the page shows, as a file of `conetl.exports`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path as FilePath
+from tempfile import TemporaryDirectory
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, HTTPException, Query, Request
+from fastapi.responses import FileResponse
+from starlette.background import BackgroundTask
+
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import find_map
+from conetl.db.reader_pool import ReaderPool
+from conetl.exports import FORMATS
+from conetl.model.errors import InputError
+from conetl.web.parameters import Instant, MapName
+
+router = APIRouter(tags=["downloads"])
+_NUMBERS = ",".join([r"-?\d{1,9}(?:\.\d{1,6})?"] * 4)
+Box = Annotated[
+    str | None,
+    Query(pattern=f"^{_NUMBERS}$", description="West, south, east, north in the map's CRS; everywhere without it."),
+]
+Text = Annotated[str | None, Query(max_length=200)]
+
+
+@router.get(
+    "/maps/{map_name}/downloads/{file_format}",
+    response_class=FileResponse,
+    responses={200: {"content": {"application/octet-stream": {}}}},
+)
+def download(
+    map_name: MapName,
+    file_format: Literal["geojson", "csv", "gpkg", "wzdx"],
+    request: Request,
+    valid_at: Instant = None,
+    known_at: Instant = None,
+    from_valid_at: Instant = None,
+    box: Box = None,
+    publisher: Text = None,
+    road_name: Text = None,
+) -> FileResponse:
+    """The map of an instant as a file; with `from_valid_at` the changes since then; `wzdx`: its work zones.
+
+    WZDx requires the publisher and the name of the road, and describes the whole map as the database knows it now.
+    """
+    from conetl.exports.export import export_map  # here: Arrow takes a second to load
+    from conetl.exports.source import ExportRequest, What
+
+    pool: ReaderPool = request.app.state.pool
+    folder = TemporaryDirectory(prefix="conetl-download-")
+    name = _file_name(map_name, file_format, valid_at, from_valid_at)
+    path = FilePath(folder.name) / name
+    try:
+        with pool.exporting() as conn:
+            if find_map(conn, map_name) is None:
+                raise HTTPException(404, f"There is no map {map_name}.")
+            if file_format == "wzdx":
+                _write_work_zones(conn, path, map_name, valid_at, publisher, road_name)
+            else:
+                asked = ExportRequest(map_name, believed_at=known_at, as_of=valid_at, box_m=_corners(box))
+                if from_valid_at is not None:
+                    asked = replace(asked, what=What.CHANGES, as_of=None, since=from_valid_at, until=valid_at)
+                export_map(conn, path, file_format, asked)
+    except InputError as error:
+        folder.cleanup()
+        raise HTTPException(422, str(error)) from error
+    except BaseException:
+        folder.cleanup()
+        raise
+    # Not compressed on the way: the browser shows how much of the file is there.
+    headers = {"Content-Encoding": "identity", "Cache-Control": "no-store"}
+    return FileResponse(path, filename=name, headers=headers, background=BackgroundTask(folder.cleanup))
+
+
+def _corners(box: str | None) -> tuple[float, float, float, float] | None:
+    if box is None:
+        return None
+    west, south, east, north = map(float, box.split(","))
+    return west, south, east, north
+
+
+def _write_work_zones(
+    conn: Connection,
+    path: FilePath,
+    map_name: str,
+    as_of: datetime | None,
+    publisher: str | None,
+    road_name: str | None,
+) -> None:
+    from conetl.pipeline.maps.work_zones import export_wzdx
+
+    if not (publisher and road_name):
+        raise InputError("A WZDx feed requires the publisher and the name of the road.")
+    export_wzdx(
+        conn, path, devices=False, map_name=map_name, as_of=as_of, feed=None, publisher=publisher, road_names=[road_name],
+        lanes=None,
+    )  # fmt: skip
+
+
+def _file_name(map_name: str, file_format: str, until: datetime | None, since: datetime | None) -> str:
+    """Name with the map and the time, of a state without a time that of the download."""
+    suffix = "_wzdx.geojson" if file_format == "wzdx" else FORMATS[file_format].suffix
+    times = [since, until or datetime.now(UTC)] if since else [until or datetime.now(UTC)]
+    parts = [f"{time.astimezone(UTC):%Y-%m-%dT%H-%M-%SZ}" for time in times if time]
+    return f"{map_name}_{'changes_' if since else ''}{'_'.join(parts)}{suffix}"
