@@ -59,7 +59,7 @@ select
     x.track_index, x.shift_m, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
     v.cone_height_m, coalesce(x.existence_after, v.existence_probability) as existence_probability, v.observation_count, v.suppressed,
     x.other_feature_id, x.log_likelihood_ratio, x.frames_seen, x.frames_empty, d.drive_uuid, d.kind as drive_kind,
-    v.cov_xx, v.cov_yy
+    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.drive d using (drive_uuid)

@@ -25,7 +25,7 @@ export interface Start {
 
 type Sides = Side | "both";
 const SIDES: [Sides, string, string][] = [["left", "Left", "1"], ["right", "Right", "2"], ["both", "Both", "3"]];
-const SWITCHES = [["boxes", "Boxes", "B"], ["cone", "Projected cone, 95 % ellipse", "O"], ["epipolar", "Epipolar line", "E"]] as const;
+const SWITCHES = [["boxes", "Boxes", "B"], ["cone", "Projected cone", "O"], ["epipolar", "Epipolar line", "E"]] as const;
 type Switch = (typeof SWITCHES)[number][0];
 const STATES = { observed: "cone observed", empty: "position visible, no cone observed", occupied: "another detection at the position", hidden: "position hidden" };
 const PAN_PX = 60;

@@ -191,5 +191,4 @@ def _change(row: Row) -> Row:
         "kind": DeltaKind(row["kind"]),
         "old_xy_m": None if row["old_easting_m"] is None else (row["old_easting_m"], row["old_northing_m"]),
         "xyz_m": (row["easting_m"], row["northing_m"], row["height_m"]),
-        "sigma_m": float(np.sqrt((row["cov_xx"] + row["cov_yy"]) / 2)),
     }

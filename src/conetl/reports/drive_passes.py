@@ -166,7 +166,7 @@ def reasons_of(
             frames_empty=row["frames_empty"],
             range_m=range_m,
             shift_m=row["shift_m"],
-            sigma_m=float(np.sqrt((row["cov_xx"] + row["cov_yy"]) / 2)),
+            sigma_m=row["sigma_m"],
             cone_height_m=row["cone_height_m"],
             other_feature_id=row["other_feature_id"],
         )

@@ -146,9 +146,8 @@ class FeatureLogEntry:
     drive_uuid: UUID
     drive_kind: str
     """drive or import."""
-    cov_xx: float
-    cov_yy: float
-    """m^2, of the position after it."""
+    sigma_m: float
+    """Along the major axis of the horizontal error ellipse."""
 
 
 @dataclass(frozen=True)
