@@ -26,7 +26,7 @@ const keyOf = (i: ReviewItem) => `${i.kind} ${i.feature_id ?? i.changeset_id ?? 
 
 export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, actions: ReviewActions) {
   const badge = el("b", { class: "badge", textContent: "0" });
-  const button = el("button", { type: "button", class: "link review-button", title: "What needs a person first", onclick: () => open() }, "Review ", badge);
+  const button = el("button", { type: "button", class: "link review-button", title: "What needs a person first", onclick: () => open() }, el("span", { textContent: "Review " }), badge);
   const list = el("ol", { class: "review-items" });
   const about = el("div", {});
   const buttons = el("div", { class: "review-actions" });

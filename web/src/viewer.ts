@@ -149,7 +149,8 @@ export function createViewer(host: HTMLElement) {
     const outline = first && subject && coneOutline(first.frame[first.side], subject.now.xyz_m, subject.now.cone_height_m);
     if (!outline) return;
     const rows = outline.map(([, v]) => v);
-    setView({ scale: Math.min(Math.max(CONE_PX / (Math.max(...rows) - Math.min(...rows)), 1), 24), offset: [0, 0] });
+    const most = Math.min(CONE_PX, 0.6 * (panes[0]?.node.clientHeight || CONE_PX));
+    setView({ scale: Math.min(Math.max(most / (Math.max(...rows) - Math.min(...rows)), 1), 24), offset: [0, 0] });
   }
 
   function setCompare(value: boolean): void {
