@@ -181,7 +181,7 @@ def test_the_state_of_the_chosen_time_is_everywhere(page, address, changed):
     open_cone(page, address, changed["removed"], "mode=instant")
     page.wait_for_selector(".panel .chip.kind:text('removed')")
     open_cone(page, address, changed["moved"], "changeset=99")
-    page.wait_for_selector(".scene-notice:text('This map has no changeset 99')")
+    page.wait_for_selector(".card:has-text('has no changeset 99')")
 
 
 def fill_form(page: Any, reason: str) -> None:

@@ -53,6 +53,11 @@ export interface Feature {
   cone_height_m: number;
   existence_probability: number;
   observation_count: number;
+  /** Horizontal, along the major axis of the error ellipse. */
+  sigma_m: number;
+  last_seen_at: string;
+  /** Of the changeset that wrote this version. */
+  changeset_no: number;
 }
 
 export interface Change extends Feature {
@@ -61,7 +66,7 @@ export interface Change extends Feature {
   old_xyz_m: Vec3 | null;
 }
 
-export interface HistoryItem extends Omit<Change, "feature_id" | "old_xyz_m"> {
+export interface HistoryItem extends Omit<Change, "feature_id" | "old_xyz_m" | "sigma_m"> {
   changeset_no: number;
   drive_id: string;
   drive_uuid: string;
@@ -129,6 +134,22 @@ export interface BaseLine {
   subtype: string | null;
   /** x, y, z of one vertex after the other. */
   xyz_m: number[];
+}
+
+export interface FoundPosition {
+  label: string;
+  /** Offset from the map's origin. */
+  xy_m: [number, number];
+  lat_lon_deg: [number, number] | null;
+}
+
+/** What a searched text may mean. */
+export interface Found {
+  feature_ids: string[];
+  drives: { changeset_no: number; drive_id: string; captured_from: string }[];
+  positions: FoundPosition[];
+  places: FoundPosition[];
+  truncated: boolean;
 }
 
 /** A decision in effect. */
@@ -250,7 +271,10 @@ export const api = {
   history: (map: string, id: string, known: string | null) => askMap<{ history: HistoryItem[] }>(map, `features/${id}${query({ known_at: known })}`),
   sightings: (map: string, id: string) => askMap<{ sightings: Sighting[]; truncated: boolean }>(map, `features/${id}/sightings`),
   trajectory: (map: string, drive: string) => askMap<Trajectory>(map, `drives/${drive}/trajectory`),
-  find: (map: string, beginning: string) => askMap<{ feature_ids: string[]; truncated: boolean }>(map, `find${query({ beginning })}`),
+  search: (map: string, text: string) => askMap<Found>(map, `search${query({ text })}`),
+  /** Address of a file of the state that is shown; empty values are left out. */
+  download: (map: string, format: string, values: Record<string, string | null>) => `./api/${mapPath(map, `downloads/${format}${query(values)}`)}`,
+  report: (map: string, changesetNo: number) => `./api/${mapPath(map, `changesets/${changesetNo}/report`)}`,
   image: async (map: string, s: Sighting, side: "left" | "right", whole: boolean, signal: AbortSignal): Promise<Blob> => {
     const path = `drives/${s.drive_uuid}/pictures/${s.frame_index}/${s.match_index}/${side}.jpg?context=${whole ? 100 : 3}`;
     return (await ask(mapPath(map, path), { signal })).blob();

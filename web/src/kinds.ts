@@ -13,6 +13,12 @@ export interface Cone {
   height_m: number;
   probability: number;
   observations: number;
+  /** Horizontal, along the major axis of the error ellipse. */
+  sigma_m: number;
+  /** Last observation, milliseconds. */
+  seenAt: number;
+  /** Number of the changeset that wrote this version. */
+  changeset: number;
 }
 
 /** `shape` is the number of the marker in the shader and in `icon`. */

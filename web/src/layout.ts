@@ -22,19 +22,22 @@ const SHORTCUTS: [string, string][] = [
   ["P, N", "previous, next sighting"],
   ["I", "images of the selected cone, in full size"],
   ["A, R, S", "in the review list: accept, reject, skip"],
-  ["/", "find a cone"],
+  ["/", "search"],
   ["L", "list of cones and changes"],
+  ["[  ] or K, J", "previous, next cone of the list"],
   ["Esc", "close the panel"],
 ];
 const STATUS_TEXT: Record<LiveStatus, string> = { live: "live", waiting: "no connection", trouble: "database error" };
 
 export function createLayout(app: HTMLElement) {
   const view = el("main", { class: "view" });
-  const sidebar = el("aside", { class: "sidebar", id: "sidebar", aria: { label: "Map, search and legend" } });
+  const sidebar = el("aside", { class: "sidebar", id: "sidebar", aria: { label: "Map and legend" } });
   const panel = el("aside", { class: "panel", hidden: true, aria: { label: "Selected cone" } });
   const list = el("section", { class: "list", hidden: true, aria: { label: "Lists" } });
   const listButton = el("button", { type: "button", class: "link", aria: { expanded: "false" } }, "List ", el("kbd", { textContent: "L" }));
   const listPane = createListPane(list, listButton);
+  /** Parts of the header that other modules fill. */
+  const tools = { search: el("div", { class: "tool-search" }), download: el("div", {}) };
   const timeline = el("footer", { class: "timeline" });
   const brand = el("div", { class: "brand" });
   const dot = el("span", { class: "status", role: "status" }, el("i"), el("span", { textContent: "connecting" }));
@@ -53,15 +56,15 @@ export function createLayout(app: HTMLElement) {
     const open = app.classList.toggle("menu-open");
     menu.setAttribute("aria-expanded", String(open));
   });
-  const helpButton = el("button", { type: "button", class: "link", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
+  const helpButton = el("button", { type: "button", class: "link help-button", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
   app.append(
-    el("header", { class: "top" }, menu, brand, el("span", { class: "space" }), dot, listButton, helpButton),
+    el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), dot, tools.download, listButton, helpButton),
     progress, sidebar, view, panel, list, timeline, toasts, help,
   ); // prettier-ignore
   view.append(cardHost, noticeHost, tip);
 
   return {
-    view, sidebar, panel, timeline, brand, listPane,
+    view, sidebar, panel, timeline, brand, listPane, tools,
     busy: (on: boolean) => void (progress.hidden = !on),
     empty: (on: boolean) => void app.classList.toggle("is-empty", on),
     panelOpen: (on: boolean) => void app.classList.toggle("panel-open", on),

@@ -5,14 +5,19 @@ import { createCones } from "./cones";
 import { aboutFeature, createDecisionList } from "./decisions";
 import { el, fill, messageOf, plural } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
+import { createDownloads, pictureOf } from "./downloads";
+import { acceptedBy, onlyKind } from "./filters";
 import { createLayout } from "./layout";
+import { createLists } from "./lists";
 import { listen } from "./live";
 import { createOverlays, ellipse95, niceFactor } from "./overlays";
 import { createPanel, stateOf, type Chosen } from "./panel";
-import { changesetOf, drivesShown, readCones, shownState } from "./query";
+import { changesetOf, drivesShown, readCones, shownInstant, shownState, unknownChangeset } from "./query";
 import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
+import { createMarker, createSearch } from "./search";
 import { createSidebar } from "./sidebar";
+import { createSites } from "./sites";
 import { formatState, parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
@@ -22,7 +27,7 @@ import { createViewer, type Start } from "./viewer";
 const layout = createLayout(document.getElementById("app") ?? document.body);
 // The requests go out first: setting up WebGL keeps this thread for as long as they take.
 layout.card("Loading the map …", "", { busy: true });
-let state: State = parseState(location.hash);
+let state: State = readAddress();
 try {
   const answer = await api.maps();
   const name = state.map || nameOf(answer);
@@ -59,12 +64,38 @@ const sidebar = createSidebar(layout.sidebar, {
     void openMap();
   },
   change,
-  find: (beginning) => api.find(state.map, beginning),
-  select: (id) => void select(id, true),
   fit: () => fit(),
+});
+const showSites = createSites(sidebar.sites, (points) => stage.fit(points));
+const search = createSearch(layout.tools.search, {
+  search: (text) => api.search(state.map, text),
+  select: (id) => void select(id, true),
+  showChangeset: (no) => change({ mode: "drive", changeset: no === timeline?.changesets.at(-1)?.changeset_no ? null : no }),
+  flyTo: ({ xy_m: [x, y] }) => {
+    state.mark = [x, y];
+    writeAddress();
+    stage.lookAt([x, y, groundAt(x, y)], 40);
+    drawMark();
+  },
+});
+const showMarker = createMarker(stage, layout.view, () => {
+  state.mark = null;
+  writeAddress();
+  drawMark();
+});
+const lists = createLists(layout.listPane, { change, select: (id, centre) => void select(id, centre), inView });
+createDownloads(layout.tools.download, {
+  shown: () => timeline?.changesets.length && unknownChangeset(state, timeline.changesets) === null ? { map: state.map, drive: state.mode === "drive" ? changeset(state.changeset) ?? null : null, coneCount: all.filter((c) => !isGone(c.kind)).length, box: boxInView(), ...shownInstant(state, timeline.changesets) } : null,
+  picture: () => new Promise((done, fail) => {
+    stage.draw();
+    // In the same frame, after it was drawn: later the canvas is empty.
+    requestAnimationFrame(() => void pictureOf(stage.canvas, layout.view, `${state.map}, ${shownInstant(state, timeline?.changesets ?? []).title}`).then(done, fail));
+  }),
+  failed: (message) => layout.toast(message, null),
 });
 const showTimeline = createTimeline(layout.timeline, {
   change,
+  showChanges: (kind) => change({ mode: "drive", side: "changes", hidden: onlyKind({ ...state, hidden: state.list === "changes" ? state.hidden : new Set() }, kind), list: "changes" }),
   writableMap: () => (decisions?.writable ? state.map : null),
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
@@ -115,6 +146,7 @@ function change(values: Partial<State>, refetch = true): void {
 const REST_MS = 120;
 let addressTimer = 0;
 let choiceAt = -Infinity;
+let movedTimer = 0;
 
 /** At once: a reload right after a click shows what was clicked. */
 function writeAddress(): void {
@@ -143,9 +175,11 @@ layout.listPane.onChange((list) => {
 stage.onCamera((camera) => {
   state.camera = camera;
   writeAtRest();
+  window.clearTimeout(movedTimer);
+  movedTimer = window.setTimeout(() => lists.moved(), REST_MS);
 });
 window.addEventListener("hashchange", () => {
-  const next = parseState(location.hash);
+  const next = readAddress();
   const other = next.map !== state.map;
   state = next;
   if (other) void openMap();
@@ -157,6 +191,14 @@ window.addEventListener("hashchange", () => {
 });
 
 const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [], no);
+
+/** The address says what is shown; what it says in vain is reported. */
+function readAddress(): State {
+  const problems: string[] = [];
+  const found = parseState(location.hash, problems);
+  if (problems.length) layout.toast(`Left out of this address: ${problems.join("; ")}.`, { text: "OK", run: () => undefined });
+  return found;
+}
 
 // --- loading
 
@@ -287,6 +329,14 @@ async function refresh(): Promise<void> {
     return;
   }
   layout.empty(false);
+  const unknown = unknownChangeset(state, timeline.changesets);
+  if (unknown !== null) {
+    const numbers = timeline.changesets.map((t) => t.changeset_no);
+    const there = numbers.length === 1 ? `It has one changeset, number ${numbers[0]}.` : `It has ${numbers.length} changesets, numbers ${numbers.length > 8 ? `${numbers[0]} to ${numbers.at(-1)}` : numbers.join(", ")}.`;
+    show([], []);
+    layout.card(`The map “${state.map}” has no changeset ${unknown}`, there, { action: { text: "Show the latest", run: () => change({ changeset: null, from: 0, to: null, known: null }) } });
+    return;
+  }
   layout.busy(true);
   showTimeline(state, timeline.changesets); // the controls react at once, the scene when the data is there
   try {
@@ -294,20 +344,13 @@ async function refresh(): Promise<void> {
     if (mine !== refreshNo) return;
     layout.card(null);
     if (chosen && chosenKnown !== shownState(state, timeline.changesets).known) void select(chosen.id);
-    layout.notice(unknownDrive(timeline.changesets) ?? (truncated ? `Only the first ${plural(next.length, "cone")} are shown: the map exceeds the limit of one view.` : null));
+    layout.notice(truncated ? `Only the first ${plural(next.length, "cone")} are shown: the map exceeds the limit of one view.` : null);
     show(next, drives);
   } catch (error) {
     if (mine === refreshNo) fail(error, refresh);
   } finally {
     if (mine === refreshNo) layout.busy(false);
   }
-}
-
-/** Says so where the address names a changeset that the map does not have. */
-function unknownDrive(items: TimelineItem[]): string | null {
-  const named = state.mode === "drive" ? [state.changeset] : state.mode === "compare" ? [state.from || null, state.to, state.known] : [state.known];
-  const missing = named.find((no) => no !== null && !items.some((t) => t.changeset_no === no));
-  return missing === undefined ? null : `This map has no changeset ${missing}: the newest one is shown.`;
 }
 
 function readPaths(drives: TimelineItem[]): Promise<Trajectory[]> {
@@ -337,13 +380,43 @@ function show(next: Cone[], drives: Trajectory[]): void {
 }
 
 function visible(): Cone[] {
-  return all.filter((c) => !state.hidden.has(c.kind) && c.probability >= state.minProbability);
+  return all.filter(acceptedBy(state));
+}
+
+function inView(point: Vec3): boolean {
+  const pixel = stage.project(point);
+  return pixel !== null && pixel[0] >= 0 && pixel[1] >= 0 && pixel[0] <= stage.canvas.clientWidth && pixel[1] <= stage.canvas.clientHeight;
+}
+
+/** Around the cones in the view, in the map's CRS; null without any. */
+function boxInView(): [number, number, number, number] | null {
+  const [east, north] = timeline?.origin_m ?? [0, 0];
+  const box = all.filter((c) => inView(c.xyz)).reduce(([w, s, e, n], { xyz: [x, y] }) => [Math.min(w, x), Math.min(s, y), Math.max(e, x), Math.max(n, y)] as const, [Infinity, Infinity, -Infinity, -Infinity] as const);
+  const [w, s, e, n] = box;
+  return Number.isFinite(w) ? [w + east - 0.5, s + north - 0.5, e + east + 0.5, n + north + 0.5] : null;
+}
+
+/** Height of the nearest cone. */
+function groundAt(x: number, y: number): number {
+  let [best, height] = [Infinity, 0];
+  for (const { xyz } of all) {
+    const distance = Math.hypot(xyz[0] - x, xyz[1] - y);
+    if (distance < best) [best, height] = [distance, xyz[2]];
+  }
+  return height;
+}
+
+function drawMark(): void {
+  showMarker(state.mark ? [...state.mark, groundAt(...state.mark)] : null);
 }
 
 function draw(): void {
   const shown = visible();
   cones.show(shown);
   layout.listPane.open(state.list);
+  lists.show(state, all, timeline);
+  showSites(all);
+  drawMark();
   base.apply(state);
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length);
@@ -384,6 +457,7 @@ async function select(id: string | null, centre = false): Promise<void> {
   state.feature = id;
   writeAddress();
   overlays.showLabels(visible(), id);
+  lists.choose(id);
   layout.panelOpen(id !== null);
   if (id === null) {
     chosen = null;
@@ -544,7 +618,12 @@ function handleKey(event: KeyboardEvent): boolean {
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
     case "l": case "L": layout.listPane.toggle(); return true;
-    case "/": sidebar.focusSearch(); return true;
+    case "]": case "j": case "J": case "[": case "k": case "K": {
+      const cone = lists.next(event.key === "]" || event.key.toLowerCase() === "j" ? 1 : -1);
+      if (cone) void select(cone.id, true);
+      return true;
+    }
+    case "/": search.focus(); return true;
     case "?": layout.openHelp(); return true;
     default: return false;
   }

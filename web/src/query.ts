@@ -1,5 +1,6 @@
 // From the state of the page to the cones and drives that show it.
 import { api, type Change, type Feature, type HistoryItem, type Instant, type TimelineItem } from "./api";
+import { utc } from "./dom";
 import { isGone, type Cone } from "./kinds";
 import type { State } from "./state";
 
@@ -10,13 +11,33 @@ export function changesetOf(items: TimelineItem[], no: number | null): TimelineI
 
 const standing = (f: Feature): Cone => ({
   id: f.feature_id, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
-  probability: f.existence_probability, observations: f.observation_count,
+  probability: f.existence_probability, observations: f.observation_count, sigma_m: f.sigma_m, seenAt: Date.parse(f.last_seen_at),
+  changeset: f.changeset_no,
 });
 
-const changed = (c: Change): Cone => ({
-  id: c.feature_id, kind: c.kind, xyz: c.xyz_m, old: c.kind === "moved" ? c.old_xyz_m : null, shift_m: c.shift_m,
-  height_m: c.cone_height_m, probability: c.existence_probability, observations: c.observation_count,
-});
+const changed = (c: Change): Cone => ({ ...standing(c), kind: c.kind, old: c.kind === "moved" ? c.old_xyz_m : null, shift_m: c.shift_m });
+
+/** The first changeset number of the address that the map does not have; null if it has them all. */
+export function unknownChangeset(state: State, items: TimelineItem[]): number | null {
+  const { mode, changeset, from, to, known } = state;
+  const named = mode === "drive" ? [changeset] : mode === "compare" ? [from || null, to, known] : [known];
+  return named.find((no) => no !== null && !items.some((t) => t.changeset_no === no)) ?? null;
+}
+
+/** What `readCones` shows in a state: its times, the earlier time of a comparison, and words for it. */
+export function shownInstant(state: State, items: TimelineItem[]): { at: Instant; since: string | null; title: string } {
+  const known = state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
+  if (state.mode === "instant") return { at: { valid: state.valid, known }, since: null, title: state.valid === null ? "latest state" : `at ${utc(state.valid)} UTC` };
+  if (state.mode === "compare") {
+    const [from, to] = [instantAfter(items, state.from, known), instantAfter(items, state.to, known)];
+    const after = (no: number | null) => (no === 0 ? "before the first drive" : `after ${changesetOf(items, no)?.drive_id ?? ""}`);
+    return { at: to, since: from.valid, title: `${after(state.to)}, compared with ${after(state.from)}` };
+  }
+  const item = changesetOf(items, state.changeset);
+  const before = state.side === "before";
+  const at = { valid: item?.valid_at ?? null, known: (before ? item?.known_before : item?.committed_at) ?? null };
+  return { at, since: null, title: `${before ? "before" : "after"} ${item ? `${item.drive_id} of ${utc(item.captured_from, false)} UTC` : ""}` };
+}
 
 /** The cones to draw for a state, and whether the answer was cut short. */
 export async function readCones(state: State, items: TimelineItem[]): Promise<[Cone[], boolean]> {

@@ -1,4 +1,5 @@
 // The state of the page, kept in the address bar: a link opens the same view.
+import { anyCone, formatFilter, parseFilter, type Filter } from "./filters";
 import { KIND_ORDER, type Kind } from "./kinds";
 
 export type Mode = "drive" | "compare" | "instant";
@@ -21,6 +22,13 @@ export interface State {
   known: number | null;
   hidden: Set<Kind>;
   minProbability: number;
+  filter: Filter;
+  /** Lists show what is in the view only. */
+  inView: boolean;
+  /** Order of the lists: id of a column, with "-" at the end if descending; null is the order of each list. */
+  sort: string | null;
+  /** A found position, offset from the map's origin. */
+  mark: [number, number] | null;
   feature: string | null;
   /** Index of the open sighting; null is the nearest one. */
   sighting: number | null;
@@ -38,7 +46,7 @@ export interface State {
 export function initialState(): State {
   return {
     map: "", mode: "drive", changeset: null, side: "changes", from: 0, to: null, valid: null, known: null,
-    hidden: new Set(), minProbability: 0, feature: null, sighting: null, trajectory: true,
+    hidden: new Set(), minProbability: 0, filter: anyCone(), inView: false, sort: null, mark: null, feature: null, sighting: null, trajectory: true,
     points: true, lines: true, safeColours: false, list: null, camera: null,
   };
 }
@@ -48,35 +56,56 @@ const SIDES: Side[] = ["before", "changes", "after"];
 /** Names in the address and fields of what is shown unless it is "0". */
 const SWITCHES = [["way", "trajectory"], ["points", "points"], ["lines", "lines"]] as const;
 
-function natural(text: string | null): number | null {
-  return text !== null && /^\d{1,15}$/.test(text) ? Number(text) : null;
+/** Parameters that remember which names were asked for. */
+class Parameters extends URLSearchParams {
+  readonly asked = new Set<string>();
+  override get(name: string): string | null {
+    this.asked.add(name);
+    return super.get(name);
+  }
 }
 
-/** State from the part of an address after "#"; invalid values get their defaults. */
-export function parseState(hash: string): State {
+/** State from the part of an address after "#". What is not understood gets its default, and a sentence in `problems`. */
+export function parseState(hash: string, problems: string[] = []): State {
   const state = initialState();
-  const p = new URLSearchParams(hash.replace(/^#/, ""));
+  const p = new Parameters(hash.replace(/^#/, ""));
+  const wrong = (name: string, expected: string) => void problems.push(`${name}=${p.get(name) ?? ""} is not ${expected}`);
+  /** The value that `read` makes of a text; undefined is a problem. */
+  function value<T>(name: string, fallback: T, expected: string, read: (text: string) => T | undefined): T {
+    const text = p.get(name);
+    const found = text === null ? fallback : read(text);
+    if (found === undefined) wrong(name, expected);
+    return found ?? fallback;
+  }
+  const number = (name: string) => value<number | null>(name, null, "a number", (text) => (/^\d{1,15}$/.test(text) ? Number(text) : undefined));
   state.map = p.get("map") ?? "";
-  state.mode = MODES.find((m) => m === p.get("mode")) ?? "drive";
-  state.side = SIDES.find((s) => s === p.get("side")) ?? "changes";
-  state.changeset = natural(p.get("changeset"));
-  state.from = natural(p.get("from")) ?? 0;
-  state.to = natural(p.get("to"));
-  state.known = natural(p.get("known"));
-  const valid = p.get("valid");
-  state.valid = valid !== null && !Number.isNaN(Date.parse(valid)) ? new Date(valid).toISOString() : null;
-  state.hidden = new Set(KIND_ORDER.filter((kind) => (p.get("hide") ?? "").split(",").includes(kind)));
-  const probability = Number(p.get("p") ?? 0);
-  state.minProbability = probability >= 0 && probability <= 1 ? probability : 0;
-  const feature = p.get("feature");
-  state.feature = feature !== null && /^[0-9a-f-]{36}$/.test(feature) ? feature : null;
-  state.sighting = natural(p.get("sighting"));
+  state.mode = value("mode", "drive", `one of ${MODES.join(", ")}`, (text) => MODES.find((m) => m === text));
+  state.side = value("side", "changes", `one of ${SIDES.join(", ")}`, (text) => SIDES.find((s) => s === text));
+  state.changeset = number("changeset");
+  state.from = number("from") ?? 0;
+  state.to = number("to");
+  state.known = number("known");
+  state.valid = value<string | null>("valid", null, "a time such as 2026-03-02T12:00:00Z", (text) => (Number.isNaN(Date.parse(text)) ? undefined : new Date(text).toISOString()));
+  const kinds = (name: string) => p.get(name)?.split(",") ?? null;
+  const [hide, show] = [kinds("hide"), kinds("show")];
+  state.hidden = new Set(KIND_ORDER.filter((kind) => (show ? !show.includes(kind) : hide?.includes(kind))));
+  state.minProbability = value("p", 0, "a probability", (text) => (Number(text) >= 0 && Number(text) <= 1 ? Number(text) : undefined));
+  state.filter = parseFilter(p, wrong);
+  state.inView = p.get("inview") === "1";
+  state.sort = value<string | null>("sort", null, "a column", (text) => (/^[a-z]{1,20}-?$/.test(text) ? text : undefined));
+  state.list = value<string | null>("list", null, "a list", (text) => (/^[a-z]{1,20}$/.test(text) ? text : undefined));
+  state.feature = value<string | null>("feature", null, "the id of a cone, 36 characters", (text) => (/^[0-9a-f-]{36}$/.test(text) ? text : undefined));
+  state.sighting = number("sighting");
   for (const [name, field] of SWITCHES) state[field] = p.get(name) !== "0";
   state.safeColours = p.get("colours") === "safe";
-  const list = p.get("list");
-  state.list = list !== null && /^[a-z]{1,20}$/.test(list) ? list : null;
-  const camera = (p.get("cam") ?? "").split(",").map(Number);
-  if (camera.length === 6 && camera.every(Number.isFinite) && (camera[5] ?? 0) > 0) state.camera = camera as CameraPose;
+  const numbers = (count: number) => (text: string) => {
+    const found = text.split(",").map(Number);
+    return found.length === count && found.every(Number.isFinite) ? found : undefined;
+  };
+  state.mark = value<number[] | null>("mark", null, "a position", numbers(2)) as State["mark"];
+  const camera = value<number[] | null>("cam", null, "a camera", numbers(6));
+  if (camera && (camera[5] ?? 0) > 0) state.camera = camera as CameraPose;
+  for (const name of new Set(p.keys())) if (!p.asked.has(name)) problems.push(`${name} is not known to this page`);
   return state;
 }
 
@@ -95,8 +124,14 @@ export function formatState(state: State): string {
   }
   if (state.mode === "instant" && state.valid !== null) p.set("valid", state.valid);
   if (state.mode !== "drive" && state.known !== null) p.set("known", String(state.known));
-  if (state.hidden.size) p.set("hide", [...state.hidden].join(","));
+  const shown = KIND_ORDER.filter((kind) => !state.hidden.has(kind));
+  if (shown.length < state.hidden.size) p.set("show", shown.join(","));
+  else if (state.hidden.size) p.set("hide", [...state.hidden].join(","));
   if (state.minProbability > 0) p.set("p", String(state.minProbability));
+  formatFilter(state.filter, p);
+  if (state.inView) p.set("inview", "1");
+  if (state.sort !== null) p.set("sort", state.sort);
+  if (state.mark) p.set("mark", state.mark.map((v) => v.toFixed(2)).join(","));
   if (state.feature) p.set("feature", state.feature);
   if (state.feature && state.sighting !== null) p.set("sighting", String(state.sighting));
   for (const [name, field] of SWITCHES) if (!state[field]) p.set(name, "0");

@@ -2,11 +2,14 @@
 import type { Decision, TimelineItem } from "./api";
 import { createDecider, revertChoice, withdrawChoice, type Choice } from "./decisions";
 import { el, fill, plural, utc } from "./dom";
-import { icon, STYLES, type Kind } from "./kinds";
+import { STYLES, type Kind } from "./kinds";
+import { changeChip } from "./lists";
 import type { Mode, Side, State } from "./state";
 
 export interface TimelineActions {
   change(values: Partial<State>): void;
+  /** Open the list of what the drive changed, of one kind. */
+  showChanges(kind: Kind): void;
   /** Map whose drives may be reverted here; null where this server is read-only. */
   writableMap(): string | null;
   decided(): void;
@@ -100,6 +103,7 @@ function driveView(actions: TimelineActions) {
         drawColumns();
       }
       const found = items.findIndex((t) => t.changeset_no === state.changeset);
+      const unknown = found < 0 && state.changeset !== null;
       index = found < 0 ? items.length - 1 : found;
       slider.max = String(Math.max(items.length - 1, 0));
       slider.value = String(index);
@@ -107,9 +111,11 @@ function driveView(actions: TimelineActions) {
       previous.disabled = index <= 0;
       next.disabled = index >= items.length - 1;
       sides.set(state.side);
-      [...columns.children].forEach((column, i) => column.classList.toggle("chosen", i === index));
+      [...columns.children].forEach((column, i) => column.classList.toggle("chosen", i === index && !unknown));
       columns.children[index]?.scrollIntoView?.({ block: "nearest", inline: "nearest" });
       const t = items[index];
+      deciderHost.hidden = unknown;
+      if (unknown) return fill(text, el("strong", { textContent: `No changeset ${state.changeset}` }));
       if (!t) return fill(text);
       const map = actions.writableMap();
       const about = actions.decisions().filter((d) => d.changeset_id === t.changeset_id);
@@ -122,7 +128,7 @@ function driveView(actions: TimelineActions) {
         text,
         el("strong", { textContent: t.drive_id }),
         el("span", { textContent: `drive ${index + 1} of ${items.length} · recorded ${utc(t.captured_from)} UTC · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
-        el("span", { class: "chips" }, ...changesOf(t).map((c) => el("span", { class: "chip" }, icon(c.kind), c.text)),
+        el("span", { class: "chips" }, ...changesOf(t).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(kind))),
           !t.counts && notCounted(about, t.hold),
           t.hold !== null && el("span", { class: "hold-reason", title: t.hold, textContent: t.hold })),
       ); // prettier-ignore
