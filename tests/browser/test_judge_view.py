@@ -218,6 +218,10 @@ def test_the_queue_is_worked_off_by_keys(page, address, conn, settings, module_d
     count = int(page.inner_text(".badge"))
     page.click(".review-button")
     page.wait_for_selector(".review-detail .why")
+    page.keyboard.press("i")  # the drive's images
+    page.wait_for_selector(f".viewer[data-frame='{held.drive_id} 0']")
+    page.keyboard.press("Escape")
+    page.wait_for_selector(".viewer", state="hidden")
     page.click(".review-items li:has-text('existence') button >> nth=0")
     page.wait_for_selector(".panel .why")
     page.keyboard.press("s")

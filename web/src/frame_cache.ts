@@ -27,7 +27,7 @@ export function createFrameCache() {
     return loaded;
   }
 
-  async function load(map: string, frame: Frame, side: Side, feature: string): Promise<LoadedImage> {
+  async function load(map: string, frame: Frame, side: Side, feature: string | null): Promise<LoadedImage> {
     if (frame[side].problem !== null) return { url: null, problem: frame[side].problem };
     try {
       const url = URL.createObjectURL(await judging.image(map, frame.drive_uuid, frame.frame_index, side, feature));
@@ -42,8 +42,8 @@ export function createFrameCache() {
     frame: (map: string, drive: string, index: number) =>
       keep(frames, `${map} ${drive} ${index}`, () => judging.frame(map, drive, index), () => undefined),
     /** The image, decoded, or the reason why there is none. */
-    image: (map: string, frame: Frame, side: Side, feature: string) =>
-      keep(images, `${map} ${frame.drive_uuid} ${frame.frame_index} ${side} ${feature}`, () => load(map, frame, side, feature),
+    image: (map: string, frame: Frame, side: Side, feature: string | null) =>
+      keep(images, `${map} ${frame.drive_uuid} ${frame.frame_index} ${side} ${feature ?? ""}`, () => load(map, frame, side, feature),
         ({ url }) => url && URL.revokeObjectURL(url)), // prettier-ignore
   };
 }

@@ -79,7 +79,7 @@ export const judging = {
   passes: (map: string, id: string, version: number) =>
     askMap<{ passes: DrivePass[] }>(map, `features/${id}/passes${query({ version: String(version) })}`),
   frame: (map: string, drive: string, index: number) => askMap<Frame>(map, `drives/${drive}/frames/${index}`),
-  image: async (map: string, drive: string, index: number, side: Side, feature: string): Promise<Blob> =>
+  image: async (map: string, drive: string, index: number, side: Side, feature: string | null): Promise<Blob> =>
     (await ask(mapPath(map, `drives/${drive}/frames/${index}/${side}.jpg${query({ feature_id: feature })}`))).blob(),
   review: (map: string, offset: number, limit: number) =>
     askMap<{ counts: Record<ReviewKind, number>; items: ReviewItem[] }>(map, `review${query({ offset: String(offset), limit: String(limit) })}`),

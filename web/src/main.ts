@@ -3,7 +3,7 @@ import { api, requestEarly, type Decisions, type MapItem, type Sighting, type Ti
 import { createBase } from "./base";
 import { createCones } from "./cones";
 import { aboutFeature, createDecisionList } from "./decisions";
-import { el, fill, messageOf, plural } from "./dom";
+import { el, fill, messageOf, plural, shortId } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
 import { createDownloads, pictureOf } from "./downloads";
 import { acceptedBy, onlyKind } from "./filters";
@@ -120,7 +120,11 @@ const review = createReview((render) => layout.listPane.addTab("Review", render)
     change({ mode: "drive", side: "changes", changeset: item.changeset_no === timeline?.changesets.at(-1)?.changeset_no ? null : item.changeset_no });
     void select(item.feature_id, true);
   },
-  openImages: () => openImages(null),
+  openImages: (item) => {
+    const drive = timeline?.changesets.find((t) => t.changeset_no === item.changeset_no);
+    if (item.feature_id !== null) openImages(null);
+    else if (drive) void viewer.open({ map: state.map, id: null, title: item.drive_id, why: item.why, now: null, before: null, sightings: [] }, { drive_uuid: drive.drive_uuid, frame_index: 0 });
+  },
   decided: () => void newDecision(),
   said: (text) => layout.toast(text, null),
 });
@@ -550,7 +554,7 @@ function openImages(start: Start | null): void {
   const before = now.kind === "moved" ? chosen.history[chosen.history.indexOf(now) - 1] ?? null : null;
   const absent = now.kind === "removed" || now.kind === "missed";
   const sighting = absent ? undefined : sightingsShown(chosen)[chosen.sightingIndex];
-  void viewer.open({ map: chosen.map, id: chosen.id, now, before, sightings: chosen.sightings ?? [] }, start ?? sighting ?? null);
+  void viewer.open({ map: chosen.map, id: chosen.id, title: shortId(chosen.id), why: now.why, now, before, sightings: chosen.sightings ?? [] }, start ?? sighting ?? null);
 }
 
 function centreChosen(): void {

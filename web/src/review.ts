@@ -10,7 +10,7 @@ export interface ReviewActions {
   writable(): boolean;
   /** Show a cone after the drive that changed it, or a drive on hold. */
   show(item: ReviewItem): void;
-  openImages(): void;
+  openImages(item: ReviewItem): void;
   decided(): void;
   said(text: string): void;
 }
@@ -32,7 +32,7 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
   const buttons = el("div", { class: "review-actions" });
   const skip = el("button", { type: "button", textContent: "Skip (S)", title: "Leave it to others; only this browser remembers", onclick: () => putAside() });
   const agree = el("button", { type: "button", textContent: "Accept (A)", onclick: () => putAside() });
-  const images = el("button", { type: "button", textContent: "Images (I)", onclick: () => actions.openImages() });
+  const images = el("button", { type: "button", textContent: "Images (I)", onclick: () => openImages() });
   const deciderHost = el("div", {});
   const decider = createDecider(deciderHost);
   buttons.append(agree, deciderHost, skip, images);
@@ -109,10 +109,15 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
     fill(about, el("p", { class: "why", textContent: item.why }), figures.length > 0 && el("table", {}, ...figures),
       el("p", { class: "hint", textContent: meaning(item) })); // prettier-ignore
     agree.hidden = !(item.kind === "removal" || item.kind === "move");
-    images.hidden = item.feature_id === null;
     const context: DecideContext = { map: actions.map(), changed: () => (actions.decided(), void load()), wrote: (text) => (next(), actions.said(text)) };
     decider.show(`${keyOf(item).replaceAll(" ", "_")} ${String(item.version)} ${String(actions.writable())}`, actions.writable() ? choices(item) : [], context);
     if (!actions.writable()) about.append(el("p", { class: "hint", textContent: "This server is read-only: start conetl view --decisions to decide." }));
+  }
+
+  function openImages(): boolean {
+    const item = chosen();
+    if (item) actions.openImages(item);
+    return item !== undefined;
   }
 
   function open(): void {
@@ -167,6 +172,7 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
         case "a": press("accept"); return true;
         case "r": press("reject"); return true;
         case "s": putAside(); return true;
+        case "i": return chosen()?.kind === "held" && openImages();
         case "arrowdown": case "arrowup":
           if (!list.contains(document.activeElement) || !to) return false;
           choose(to);

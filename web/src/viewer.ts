@@ -1,7 +1,7 @@
 // The image viewer: whole images of a frame pair, zoomed and panned, with boxes, the projected cone and epipolar lines; played along
 // the drive, and beside the drive before.
 import { api, type HistoryItem, type Sighting, type Trajectory } from "./api";
-import { el, fill, messageOf, plural, shortId, utc } from "./dom";
+import { el, fill, messageOf, plural, utc } from "./dom";
 import { createFrameCache, type LoadedImage } from "./frame_cache";
 import { createPane, type Pane, type Picture, type Shape, type View } from "./image_pane";
 import { bestFrame, judging, type DrivePass, type Frame, type PassFrame, type Side } from "./judging";
@@ -9,11 +9,14 @@ import { isGone, STYLES } from "./kinds";
 import { coneOutline, ellipseOutline, epipolarLine, project, type Point } from "./projection";
 import "./viewer.css";
 
+/** A cone, or with null a whole drive. */
 export interface Subject {
   map: string;
-  id: string;
+  id: string | null;
+  title: string;
+  why: string;
   /** The state whose position is projected, and the one before a move. */
-  now: HistoryItem;
+  now: HistoryItem | null;
   before: HistoryItem | null;
   sightings: Sighting[];
 }
@@ -146,7 +149,7 @@ export function createViewer(host: HTMLElement) {
 
   function zoomToCone(): void {
     const first = shown[0];
-    const outline = first && subject && coneOutline(first.frame[first.side], subject.now.xyz_m, subject.now.cone_height_m);
+    const outline = first && subject?.now && coneOutline(first.frame[first.side], subject.now.xyz_m, subject.now.cone_height_m);
     if (!outline) return;
     const rows = outline.map(([, v]) => v);
     const most = Math.min(CONE_PX, 0.6 * (panes[0]?.node.clientHeight || CONE_PX));
@@ -203,7 +206,7 @@ export function createViewer(host: HTMLElement) {
     if (subject?.id !== id || drive !== uuid) return;
     path = found;
     const pass = passOf(uuid);
-    const best = frameIndex ?? (pass && bestFrame(pass)?.frame_index) ?? 0;
+    const best = frameIndex ?? (pass && bestFrame(pass)?.frame_index) ?? -1;
     at = Math.max(path.frame_index.indexOf(best), 0);
     slider.max = String(Math.max(path.frame_index.length - 1, 0));
     const span = Math.max(path.frame_index.length - 1, 1);
@@ -294,7 +297,7 @@ export function createViewer(host: HTMLElement) {
     const seen = passFrame(own.drive_uuid, own.frame_index);
     dialog.dataset["frame"] = `${own.drive_id} ${own.frame_index}`;
     fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${utc(own.captured_at)} UTC · `,
-      seen ? `${seen.range_m.toFixed(1)} m away, ${STATES[seen.state]}` : "position not in view",
+      !subject.now ? "" : seen ? `${seen.range_m.toFixed(1)} m away, ${STATES[seen.state]}` : "position not in view",
       own.pixelated && el("small", { textContent: " · pixelated away from detections (CONETL_IMAGES=full shows all)" })); // prettier-ignore
   }
 
@@ -317,7 +320,7 @@ export function createViewer(host: HTMLElement) {
   function pictureOf({ frame, side, image, title: name }: Shown): Picture {
     const { now } = subject as Subject;
     const own = frame[side];
-    const tip = project(own, [now.xyz_m[0], now.xyz_m[1], now.xyz_m[2] + now.cone_height_m / 2]);
+    const tip = now && project(own, [now.xyz_m[0], now.xyz_m[1], now.xyz_m[2] + now.cone_height_m / 2]);
     const anchor: Point = tip ? [Math.min(Math.max(tip[0], 0), own.width_px), Math.min(Math.max(tip[1], 0), own.height_px)] : [own.width_px / 2, own.height_px / 2];
     return {
       ...image, anchor, size: [own.width_px, own.height_px],
@@ -338,7 +341,7 @@ export function createViewer(host: HTMLElement) {
         const mine = b.match_index !== null && matches.has(b.match_index);
         shapes.push({ points: [[b.x_px, b.y_px], [x1, b.y_px], [x1, y1], [b.x_px, y1]], style: mine ? "box chosen" : "box", text: b.score.toFixed(2) }); // prettier-ignore
       }
-    if (on("cone")) {
+    if (now && on("cone")) {
       const style = matches.size ? "cone" : "cone dashed";
       const add = (points: Point[] | null, name: string, label?: string) => points && shapes.push({ points, style: name, ...(label ? { text: label } : {}) });
       add(coneOutline(own, now.xyz_m, now.cone_height_m), style, matches.size ? undefined : isGone(now.kind) ? "removed" : "expected");
@@ -353,7 +356,8 @@ export function createViewer(host: HTMLElement) {
   function epipolar(frame: Frame, side: Side): Shape[] {
     const mine = picked && picked.drive === frame.drive_uuid && picked.index === frame.frame_index ? picked : null;
     const from: Side = mine?.side ?? "left";
-    const point = mine?.point ?? project(frame[from], (subject as Subject).now.xyz_m);
+    const { now } = subject as Subject;
+    const point = mine?.point ?? (now && project(frame[from], now.xyz_m));
     if (!point) return [];
     if (side === from) {
       const [u, v] = point;
@@ -372,13 +376,18 @@ export function createViewer(host: HTMLElement) {
       subject = next;
       picked = null;
       if (!again) [passes, path, shown] = [[], null, []];
-      fill(title, el("span", { class: "mono", textContent: shortId(next.id) }));
-      why.textContent = next.now.why;
-      why.title = next.now.why;
+      fill(title, next.title);
+      why.textContent = why.title = next.why;
       setView({ scale: null, offset: [0, 0] });
       if (!dialog.open) dialog.showModal();
       text.textContent = "Loading …";
       try {
+        if (next.id === null || next.now === null) {
+          passes = [];
+          fill(drives, el("option", { value: start?.drive_uuid ?? "", textContent: next.title }));
+          if (start) await openDrive(start.drive_uuid, null);
+          return play.focus();
+        }
         const found = await judging.passes(next.map, next.id, next.now.version);
         if (subject !== next) return;
         passes = found.passes;

@@ -26,7 +26,7 @@ from conetl.tracking.apparent_boxes import apparent_boxes
 #: Farther from a cone no detector sees it.
 _WITHIN_M = 60.0
 _NEIGHBOUR_M = 6.0
-#: Drives whose sentence says from which distance the position was visible; of longer histories the latest.
+#: Sentences that say from which distance the position was visible: of removals, then of the latest misses.
 _MAX_ABSENCES = 40
 FrameState = Literal["observed", "empty", "occupied", "hidden"]
 
@@ -150,12 +150,14 @@ def reasons_of(
     """
     tracks = [(row["drive_uuid"], row["track_index"]) for row in rows if row["track_index"] is not None]
     ranges = store.track_ranges(conn, list(dict.fromkeys(tracks)))
-    absences = [row for row in rows if row["kind"] in (DeltaKind.REMOVED, DeltaKind.MISSED)][-_MAX_ABSENCES:]
+    absences = [row for row in reversed(rows) if row["kind"] in (DeltaKind.REMOVED, DeltaKind.MISSED)]
+    absences = sorted(absences, key=lambda row: row["kind"] == DeltaKind.MISSED)[:_MAX_ABSENCES]
+    with_range = {id(row) for row in absences}
     sentences = []
     for row in rows:
         near_m, far_m, frames = ranges.get((row["drive_uuid"], row["track_index"]), (None, None, None))
         range_m = (near_m, far_m) if near_m is not None and far_m is not None else None
-        if any(row is absence for absence in absences):
+        if id(row) in with_range:
             range_m = _range_of_absence(conn, map_name, feature_id or row["feature_id"], row)
         facts = ChangeFacts(
             kind=DeltaKind(row["kind"]),
