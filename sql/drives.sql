@@ -65,27 +65,32 @@ where p.drive_uuid = %(drive_uuid)s
 order by p.frame_index;
 
 -- name: frame_pairs
--- The frame pairs of a drive. Parameters: drive_uuid. Columns: as FramePair and its Pose.
+-- The frame pairs of a drive. Parameters: drive_uuid; easting_m, northing_m, within_m: only those in a square around a position
+-- (map CRS; all null: everywhere). Columns: as FramePair and its Pose.
 select
     p.frame_index, p.left_path, p.right_path, p.captured_at_ns, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom),
     p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad, p.detail
 from conetl.frame_pair p
-where p.drive_uuid = %(drive_uuid)s
+where p.drive_uuid = %(drive_uuid)s and (
+    %(within_m)s::float8 is null
+    or abs(ST_X(p.geom) - %(easting_m)s) <= %(within_m)s and abs(ST_Y(p.geom) - %(northing_m)s) <= %(within_m)s
+)
 order by p.frame_index;
 
 -- name: detections
--- The detections of a drive. Parameters: drive_uuid. Columns: as Detection (pixels of the original image).
+-- The detections of a drive. Parameters: drive_uuid; frames (integer[], null: all frame pairs).
+-- Columns: as Detection (pixels of the original image).
 select d.frame_index, d.side, d.detection_index, d.category, d.x_px, d.y_px, d.w_px, d.h_px, d.score
 from conetl.detection d
-where d.drive_uuid = %(drive_uuid)s
+where d.drive_uuid = %(drive_uuid)s and (%(frames)s::integer[] is null or d.frame_index = any(%(frames)s::integer[]))
 order by d.frame_index, d.side, d.detection_index;
 
 -- name: positions
 -- The positions of a drive, frame by frame.
--- Parameters: drive_uuid. Columns: frame_index, easting, northing, height (metres).
+-- Parameters: drive_uuid; frames (integer[], null: all). Columns: frame_index, easting, northing, height (metres).
 select p.frame_index, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom)
 from conetl.position p
-where p.drive_uuid = %(drive_uuid)s
+where p.drive_uuid = %(drive_uuid)s and (%(frames)s::integer[] is null or p.frame_index = any(%(frames)s::integer[]))
 order by p.frame_index, p.match_index;
 
 -- name: tracks

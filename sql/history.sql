@@ -25,7 +25,7 @@ order by c.changeset_no desc;
 -- added; position, sigma_m (along the major axis of the horizontal error ellipse) and values after the change, of a
 -- removed feature the last ones.
 select
-    x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty,
+    x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id,
     ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
     ST_X(n.geom) as easting_m, ST_Y(n.geom) as northing_m, ST_Z(n.geom) as height_m,
     sqrt((n.cov_xx + n.cov_yy) / 2 + sqrt(((n.cov_xx - n.cov_yy) / 2) ^ 2 + n.cov_xy ^ 2)) as sigma_m, n.cone_height_m,
@@ -58,7 +58,8 @@ select
     upper(x.system_period) as believed_until, x.old_version, x.new_version,
     x.track_index, x.shift_m, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
     v.cone_height_m, coalesce(x.existence_after, v.existence_probability) as existence_probability, v.observation_count, v.suppressed,
-    x.other_feature_id, x.log_likelihood_ratio, x.frames_seen, x.frames_empty
+    x.other_feature_id, x.log_likelihood_ratio, x.frames_seen, x.frames_empty, d.drive_uuid, d.kind as drive_kind,
+    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.drive d using (drive_uuid)

@@ -116,17 +116,18 @@ limit %(max_rows)s;
 
 -- name: feature_history
 -- What every drive did to one feature of a map, in the order of the drives on the road.
--- Parameters: map_name; feature_id.
+-- Parameters: map_name; feature_id; known_at (timestamptz; 'infinity' = latest): as the database knew it then.
 -- Columns: kind 'missed': visible but not observed, still standing; other_feature_id: of a split the common origin, of a
 -- merger the feature that is left; frames_empty: frame pairs in which it was visible but not observed; position, covariance
 -- (m^2) and values after the drive, of a removed feature the last ones, existence_probability with this drive's evidence;
 -- sighting_count: frame pairs of this drive that it is based on; seen_count, missed_count: drives (not imported maps) that
 -- saw and that missed the feature, up to and including this one.
 select
-    c.changeset_no, d.drive_id, d.drive_uuid, d.captured_from_ns, x.kind, x.changed_at, c.committed_at,
-    x.new_version as version, x.shift_m, x.other_feature_id, x.frames_empty, v.category,
+    c.changeset_no, d.drive_id, d.drive_uuid, d.kind as drive_kind, d.captured_from_ns, x.kind, x.changed_at, c.committed_at,
+    x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty, v.category,
     ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
+    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
     v.cone_height_m, v.cone_height_sigma_m,
     coalesce(x.existence_after, v.existence_probability) as existence_probability,
     v.observation_count, v.first_seen_ns, v.last_seen_ns,
@@ -143,11 +144,11 @@ join conetl.map m on m.map_id = c.map_id
 join lateral (
     select * from conetl.feature_version v
     where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
-    order by upper_inf(v.system_period) desc, v.version_row_id desc  -- the current one
+    order by v.system_period @> %(known_at)s::timestamptz desc, v.version_row_id desc  -- the one of then
     limit 1
 ) v on true
 where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s
-and upper_inf(x.system_period)
+and x.system_period @> %(known_at)s::timestamptz
 window on_the_road as (
     order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C"
     rows unbounded preceding

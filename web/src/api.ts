@@ -69,6 +69,7 @@ export interface Change extends Feature {
 export interface HistoryItem extends Omit<Change, "feature_id" | "old_xyz_m" | "sigma_m"> {
   changeset_no: number;
   drive_id: string;
+  drive_uuid: string;
   captured_from: string;
   changed_at: string;
   other_feature_id: string | null;
@@ -82,6 +83,8 @@ export interface HistoryItem extends Omit<Change, "feature_id" | "old_xyz_m" | "
   /** Drives that observed it, and that did not although it was visible, up to this one. */
   seen_count: number;
   missed_count: number;
+  /** What happened, in one sentence with numbers. */
+  why: string;
 }
 
 export interface Sighting {
@@ -104,6 +107,8 @@ export interface Sighting {
 export interface Trajectory {
   drive_id: string;
   drive_uuid: string;
+  frame_index: number[];
+  captured_at: string[];
   xyz_m: Vec3[];
 }
 
@@ -174,6 +179,8 @@ export interface Decided {
   replayed: number;
   /** Drives that went on hold, or are on hold no longer, a sentence each. */
   hold_changes: string[];
+  /** Why a report on disk could not be written again. */
+  report_problem: string | null;
 }
 
 export type DecisionRequest = { decided_by: string; reason: string } & (
@@ -194,7 +201,7 @@ export class ApiError extends Error {
   }
 }
 
-async function ask(path: string, init: RequestInit = {}): Promise<Response> {
+export async function ask(path: string, init: RequestInit = {}): Promise<Response> {
   let response: Response;
   try {
     response = await fetch(`./api/${path}`, init);
@@ -226,10 +233,10 @@ async function askJson<T>(path: string, init: RequestInit = {}): Promise<T> {
   return (await (await ask(path, init)).json()) as T;
 }
 
-const mapPath = (map: string, path: string) => `maps/${encodeURIComponent(map)}/${path}`;
-const askMap = <T>(map: string, path: string, init?: RequestInit) => askJson<T>(mapPath(map, path), init);
+export const mapPath = (map: string, path: string) => `maps/${encodeURIComponent(map)}/${path}`;
+export const askMap = <T>(map: string, path: string, init?: RequestInit) => askJson<T>(mapPath(map, path), init);
 
-function query(values: Record<string, string | null>): string {
+export function query(values: Record<string, string | null>): string {
   const given = Object.entries(values).filter((entry): entry is [string, string] => entry[1] !== null);
   return given.length ? `?${new URLSearchParams(given).toString()}` : "";
 }
@@ -261,7 +268,7 @@ export const api = {
     const instants = { from_valid_at: from.valid, from_known_at: from.known, to_valid_at: to.valid, to_known_at: to.known };
     return askMap<{ changes: Change[]; truncated: boolean }>(map, `changes${query(instants)}`);
   },
-  history: (map: string, id: string) => askMap<{ history: HistoryItem[] }>(map, `features/${id}`),
+  history: (map: string, id: string, known: string | null) => askMap<{ history: HistoryItem[] }>(map, `features/${id}${query({ known_at: known })}`),
   sightings: (map: string, id: string) => askMap<{ sightings: Sighting[]; truncated: boolean }>(map, `features/${id}/sightings`),
   trajectory: (map: string, drive: string) => askMap<Trajectory>(map, `drives/${drive}/trajectory`),
   search: (map: string, text: string) => askMap<Found>(map, `search${query({ text })}`),

@@ -10,6 +10,8 @@ export interface DecideContext {
   map: string;
   /** Something was written, or changed meanwhile: read it again. */
   changed(): void;
+  /** What was written, for a page that goes on to the next thing. */
+  wrote?(text: string): void;
 }
 
 export interface Choice {
@@ -170,7 +172,9 @@ export function createDecider(host: HTMLElement) {
         const done = await api.decide(context.map, choice.request(by), secret);
         remember();
         cancel();
-        report([`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, ...done.hold_changes].join(" "), false); // prettier-ignore
+        const said = [`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, ...done.hold_changes, done.report_problem].filter(Boolean).join(" "); // prettier-ignore
+        report(said, done.report_problem !== null);
+        context.wrote?.(said);
         context.changed();
       } catch (error) {
         refused(error);

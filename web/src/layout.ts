@@ -20,6 +20,8 @@ const SHORTCUTS: [string, string][] = [
   ["B, C", "before / after, changes"],
   ["1, 2", "LiDAR points, lane boundaries on or off"],
   ["P, N", "previous, next sighting"],
+  ["I", "images of the selected cone, in full size"],
+  ["A, R, S", "in the review list: accept, reject, skip"],
   ["/", "search"],
   ["L", "list of cones and changes"],
   ["[  ] or K, J", "previous, next cone of the list"],

@@ -1,18 +1,19 @@
 // State of the page -> requests -> drawing.
-import { api, requestEarly, type Decisions, type HistoryItem, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, requestEarly, type Decisions, type MapItem, type Sighting, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createBase } from "./base";
 import { createCones } from "./cones";
 import { aboutFeature, createDecisionList } from "./decisions";
-import { el, fill, messageOf, plural } from "./dom";
-import { isGone, type Cone } from "./kinds";
+import { el, fill, messageOf, plural, shortId } from "./dom";
+import { isGone, type Cone, type Kind } from "./kinds";
 import { createDownloads, pictureOf } from "./downloads";
 import { acceptedBy, onlyKind } from "./filters";
 import { createLayout } from "./layout";
 import { createLists } from "./lists";
 import { listen } from "./live";
 import { createOverlays, ellipse95, niceFactor } from "./overlays";
-import { createPanel, stateAt, until, type Chosen } from "./panel";
-import { changesetOf, drivesShown, readCones, shownInstant, unknownChangeset } from "./query";
+import { createPanel, stateOf, type Chosen } from "./panel";
+import { changesetOf, drivesShown, readCones, shownInstant, shownState, unknownChangeset } from "./query";
+import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
 import { createMarker, createSearch } from "./search";
 import { createSidebar } from "./sidebar";
@@ -21,6 +22,7 @@ import { formatState, parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
 import { createTimeline } from "./timeline";
+import { createViewer, type Start } from "./viewer";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
 // The requests go out first: setting up WebGL keeps this thread for as long as they take.
@@ -108,7 +110,25 @@ const panel = createPanel(layout.panel, {
   },
   centre: () => centreChosen(),
   decided: () => void newDecision(),
+  openImages,
 });
+const viewer = createViewer(document.body);
+const review = createReview((render) => layout.listPane.addTab("Review", render), {
+  map: () => state.map,
+  writable: () => decisions?.writable ?? false,
+  show: (item) => {
+    change({ mode: "drive", side: "changes", changeset: item.changeset_no === timeline?.changesets.at(-1)?.changeset_no ? null : item.changeset_no });
+    void select(item.feature_id, true);
+  },
+  openImages: (item) => {
+    const drive = timeline?.changesets.find((t) => t.changeset_no === item.changeset_no);
+    if (item.feature_id !== null) openImages(null);
+    else if (drive) void viewer.open({ map: state.map, id: null, title: item.drive_id, why: item.why, now: null, before: null, sightings: [] }, { drive_uuid: drive.drive_uuid, frame_index: 0 });
+  },
+  decided: () => void newDecision(),
+  said: (text) => layout.toast(text, null),
+});
+layout.brand.after(review.button);
 const decisionSection = el("section", { class: "decisions", hidden: true });
 layout.sidebar.append(decisionSection);
 const showDecisionList = createDecisionList(decisionSection, (d) => {
@@ -218,6 +238,7 @@ async function openMap(): Promise<void> {
     if (state.camera) stage.setPose(state.camera);
     await refresh();
     if (state.feature) await select(state.feature);
+    if (timeline) review.load();
   } catch (error) {
     fail(error, openMap);
   }
@@ -258,6 +279,7 @@ async function newChangeset(no: number): Promise<void> {
   if (no <= known) return;
   try {
     await Promise.all([readTimeline(), readDecisions()]); // it may be on hold
+    review.load();
     const item = timeline?.changesets.at(-1);
     if (!item) return;
     void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
@@ -290,6 +312,7 @@ async function readDecisions(): Promise<void> {
 async function newDecision(): Promise<void> {
   try {
     await Promise.all([readTimeline(), readDecisions()]);
+    review.load();
     await refresh();
     if (chosen) await select(chosen.id);
   } catch (error) {
@@ -324,6 +347,7 @@ async function refresh(): Promise<void> {
     const [[next, truncated], drives] = await Promise.all([readCones(state, timeline.changesets), readPaths(drivesShown(state, timeline.changesets))]);
     if (mine !== refreshNo) return;
     layout.card(null);
+    if (chosen && chosenKnown !== shownState(state, timeline.changesets).known) void select(chosen.id);
     layout.notice(truncated ? `Only the first ${plural(next.length, "cone")} are shown: the map exceeds the limit of one view.` : null);
     show(next, drives);
   } catch (error) {
@@ -429,6 +453,8 @@ function fail(error: unknown, again: () => unknown): void {
 // --- the selected cone
 
 let selecting = 0;
+/** Instant of the database of the history that is shown; null is now. */
+let chosenKnown: string | null = null;
 async function select(id: string | null, centre = false): Promise<void> {
   const mine = ++selecting;
   if (id !== state.feature) state.sighting = null;
@@ -450,9 +476,12 @@ async function select(id: string | null, centre = false): Promise<void> {
     drawChosen();
   }
   try {
-    const { history } = await api.history(map, id);
+    const { reached, known } = shownState(state, timeline?.changesets ?? []);
+    const { history } = await api.history(map, id, known);
     if (mine !== selecting) return;
-    chosen = { id, map, srid: timeline?.srid ?? 0, history, sightings: null, truncated: false, sightingIndex: 0, upTo: upTo(), factor: chosen?.factor ?? null, decisions };
+    chosenKnown = known;
+    // The images of before stay until there are others.
+    chosen = { id, map, srid: timeline?.srid ?? 0, history, sightings: chosen?.sightings ?? null, truncated: chosen?.truncated ?? false, sightingIndex: 0, reached, kind: null, factor: chosen?.factor ?? null, decisions };
     drawChosen();
     if (centre) centreChosen();
     const { sightings, truncated } = await api.sightings(map, id);
@@ -466,15 +495,10 @@ async function select(id: string | null, centre = false): Promise<void> {
 
 function showSighting(index: number): void {
   if (!chosen?.sightings) return;
-  const sightingIndex = Math.max(0, Math.min(index, chosen.sightings.length - 1));
+  const sightingIndex = Math.max(0, Math.min(index, sightingsShown(chosen).length - 1));
   state.sighting = sightingIndex;
   writeChoice();
   drawChosen();
-}
-
-function upTo(): number {
-  const item = state.mode === "drive" ? changeset(state.changeset) : undefined;
-  return item ? Date.parse(item.captured_from) : Infinity;
 }
 
 function drawChosen(): void {
@@ -483,22 +507,39 @@ function drawChosen(): void {
     overlays.showFrustum(null);
     return;
   }
-  chosen = { ...chosen, upTo: upTo() };
-  chosen.sightingIndex = sightingToShow(chosen);
-  const now: HistoryItem | undefined = stateAt(chosen.history, chosen.upTo);
-  if (now) {
-    const ellipse = ellipse95(now.cov_m2);
-    overlays.showSelection(now.xyz_m, ellipse, chosen.factor ?? niceFactor(ellipse));
-  }
-  overlays.showFrustum(chosen.sightings?.[chosen.sightingIndex] ?? null);
-  panel.show(chosen);
+  const { reached } = shownState(state, timeline?.changesets ?? []);
+  chosen = { ...chosen, reached };
+  const shown: Chosen = { ...chosen, kind: kindShown(chosen), sightings: chosen.sightings && sightingsShown(chosen) };
+  shown.sightingIndex = chosen.sightingIndex = sightingToShow(shown);
+  const now = stateOf(shown);
+  const ellipse = now && ellipse95(now.cov_m2);
+  overlays.showSelection(now?.xyz_m ?? null, ellipse ?? null, ellipse ? chosen.factor ?? niceFactor(ellipse) : 1);
+  overlays.showFrustum(shown.sightings?.[shown.sightingIndex] ?? null);
+  panel.show(shown);
+}
+
+/** As the scene draws it, or would. */
+function kindShown(c: Chosen): Kind | null {
+  const drawn = all.find((cone) => cone.id === c.id)?.kind;
+  const now = stateOf(c);
+  if (drawn || !now) return drawn ?? null;
+  const about = aboutFeature(decisions?.decisions ?? [], c.id, c.history.at(-1)?.xyz_m);
+  if (about.some((d) => d.kind === "suppress")) return "suppressed";
+  return state.mode !== "drive" && !isGone(now.kind) ? "standing" : now.kind;
+}
+
+/** Of the drives until the chosen instant; drive by drive of all drives. */
+function sightingsShown({ sightings, history, reached }: Chosen): Sighting[] {
+  if (!sightings || state.mode === "drive") return sightings ?? [];
+  const until = new Set(history.filter(reached).map((h) => h.changeset_no));
+  return sightings.filter((s) => until.has(s.changeset_no));
 }
 
 /** The selected one, else the nearest one of the drive that is shown. */
-function sightingToShow({ sightings, history, upTo }: Chosen): number {
+function sightingToShow({ sightings, history, reached }: Chosen): number {
   if (!sightings?.length) return 0;
   if (state.sighting !== null) return Math.min(state.sighting, sightings.length - 1);
-  const no = history.filter((h) => until(h, upTo) && h.sighting_count > 0).at(-1)?.changeset_no;
+  const no = history.filter((h) => reached(h) && h.sighting_count > 0).at(-1)?.changeset_no;
   let best = -1;
   sightings.forEach((s, i) => {
     if ((s.changeset_no === no || no === undefined) && (best < 0 || s.range_m < (sightings[best]?.range_m ?? 0))) best = i;
@@ -506,8 +547,18 @@ function sightingToShow({ sightings, history, upTo }: Chosen): number {
   return Math.max(best, 0);
 }
 
+function openImages(start: Start | null): void {
+  if (!chosen) return;
+  const now = stateOf(chosen) ?? chosen.history[0];
+  if (!now) return;
+  const before = now.kind === "moved" ? chosen.history[chosen.history.indexOf(now) - 1] ?? null : null;
+  const absent = now.kind === "removed" || now.kind === "missed";
+  const sighting = absent ? undefined : sightingsShown(chosen)[chosen.sightingIndex];
+  void viewer.open({ map: chosen.map, id: chosen.id, title: shortId(chosen.id), why: now.why, now, before, sightings: chosen.sightings ?? [] }, start ?? sighting ?? null);
+}
+
 function centreChosen(): void {
-  const now = chosen && stateAt(chosen.history, chosen.upTo);
+  const now = chosen && (stateOf(chosen) ?? chosen.history[0]);
   if (now) stage.lookAt(now.xyz_m, 9);
 }
 
@@ -552,6 +603,7 @@ window.addEventListener("keydown", (event) => {
 });
 
 function handleKey(event: KeyboardEvent): boolean {
+  if (review.key(event)) return true;
   const items = timeline?.changesets ?? [];
   const at = items.findIndex((t) => t === changeset(state.changeset));
   const step = (by: number) => {
@@ -566,6 +618,7 @@ function handleKey(event: KeyboardEvent): boolean {
     case "c": case "C": change({ mode: "drive", side: "changes" }); return true;
     case "n": case "N": if (chosen) showSighting(chosen.sightingIndex + 1); return true;
     case "p": case "P": if (chosen) showSighting(chosen.sightingIndex - 1); return true;
+    case "i": case "I": openImages(null); return true;
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
     case "l": case "L": layout.listPane.toggle(); return true;

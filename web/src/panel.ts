@@ -2,8 +2,10 @@
 import { api, ApiError, type Decisions, type HistoryItem, type Sighting } from "./api";
 import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
 import { el, fill, messageOf, plural, shortId, utc } from "./dom";
-import { icon, isGone, STYLES } from "./kinds";
+import { createEmptyPosition, sentenceOf } from "./explain";
+import { icon, isGone, STYLES, type Kind } from "./kinds";
 import { ellipse95, niceFactor } from "./overlays";
+import type { Start } from "./viewer";
 
 export interface PanelActions {
   close(): void;
@@ -12,6 +14,8 @@ export interface PanelActions {
   setFactor(factor: number | null): void;
   centre(): void;
   decided(): void;
+  /** Open the image viewer, at this frame pair or at the one that shows most. */
+  openImages(start: Start | null): void;
 }
 
 export interface Chosen {
@@ -23,8 +27,10 @@ export interface Chosen {
   sightings: Sighting[] | null;
   truncated: boolean;
   sightingIndex: number;
-  /** Begin of the drive that is shown (milliseconds); Infinity for all drives. */
-  upTo: number;
+  /** Whether a change had happened in the state that is shown. */
+  reached: (h: HistoryItem) => boolean;
+  /** As the scene draws it; null where it shows no cone. */
+  kind: Kind | null;
   /** Enlargement of the ellipse; null chooses one. */
   factor: number | null;
   /** null while they are being fetched. */
@@ -33,12 +39,8 @@ export interface Chosen {
 
 const cm = (variance: number) => `${(Math.sqrt(variance) * 100).toFixed(1)} cm`;
 
-export const until = (h: HistoryItem, upTo: number): boolean => Date.parse(h.captured_from) <= upTo;
-
-/** The state after the drive that began at `upTo`; the first one if the history begins later. */
-export function stateAt(history: HistoryItem[], upTo: number): HistoryItem | undefined {
-  return history.filter((h) => until(h, upTo)).at(-1) ?? history[0];
-}
+/** The state that is shown; undefined before the cone was on the map. */
+export const stateOf = ({ history, reached }: Chosen): HistoryItem | undefined => history.filter(reached).at(-1);
 
 export function createPanel(host: HTMLElement, actions: PanelActions) {
   let whole = false;
@@ -53,17 +55,20 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   const decider = createDecider(deciderHost);
   const story = el("section", {});
   const seen = el("section", { class: "sightings" });
-  const scroll = el("div", { class: "panel-scroll" }, facts, decide, seen, story);
+  const emptyHost = el("section", { class: "empty-position", hidden: true });
+  const showEmpty = createEmptyPosition(emptyHost, (start) => actions.openImages(start));
+  const reason = el("div", {});
+  const scroll = el("div", { class: "panel-scroll" }, reason, emptyHost, seen, facts, decide, story);
   host.append(head, scroll);
 
-  function setHead(id: string, chip: Node | null): void {
+  function setHead(id: string, ...chips: Node[]): void {
     const copy = el("button", { type: "button", class: "link", textContent: "copy id" });
     copy.addEventListener("click", () => {
       void navigator.clipboard.writeText(id).then(() => (copy.textContent = "copied"), () => (copy.textContent = "copying is not allowed")); // prettier-ignore
     });
     fill(
       head,
-      el("div", { class: "panel-title" }, chip, el("h2", { class: "mono", textContent: shortId(id), title: id }), copy,
+      el("div", { class: "panel-title" }, ...chips, el("h2", { class: "mono", textContent: shortId(id), title: id }), copy,
         el("button", { type: "button", class: "link", textContent: "centre", onclick: () => actions.centre() })),
       el("button", { type: "button", class: "close", textContent: "×", title: "Close (Esc)", aria: { label: "Close" }, onclick: () => actions.close() }),
     ); // prettier-ignore
@@ -72,20 +77,29 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   /** A message in place of the details. */
   function message(id: string, text: string, style: string): void {
     host.hidden = false;
-    setHead(id, null);
+    setHead(id);
     shownImage = "";
-    decide.hidden = true;
-    fill(facts, el("p", { class: `hint ${style}`, textContent: text }));
+    decide.hidden = emptyHost.hidden = true;
+    fill(facts);
+    fill(reason, el("p", { class: `hint ${style}`, textContent: text }));
     fill(story);
     fill(seen);
   }
 
   function show(chosen: Chosen): void {
     host.hidden = false;
-    const now = stateAt(chosen.history, chosen.upTo);
-    if (!now) return;
-    setHead(chosen.id, el("span", { class: "chip" }, icon(now.kind), STYLES[now.kind].label));
-    showFacts(chosen, now);
+    const first = chosen.history[0];
+    if (!first) return;
+    const now = stateOf(chosen);
+    const kind = chosen.kind ?? now?.kind;
+    const about = aboutFeature(chosen.decisions?.decisions ?? [], chosen.id, chosen.history.at(-1)?.xyz_m);
+    setHead(chosen.id, kind ? el("span", { class: "chip kind" }, icon(kind), STYLES[kind].label) : el("span", { class: "chip kind", textContent: "not yet on the map" }),
+      ...(about.some((d) => d.kind === "pin") ? [el("span", { class: "chip pinned", textContent: "pinned" })] : [])); // prettier-ignore
+    fill(reason, now && sentenceOf(now));
+    fill(facts);
+    if (now) showFacts(chosen, now);
+    else fill(reason, el("p", { class: "notice", textContent: `Not on the map at this time: it was added by ${first.drive_id}, recorded ${utc(first.captured_from)} UTC.` }));
+    void showEmpty(chosen.map, chosen.id, now);
     showDecisions(chosen);
     showStory(chosen, now);
     showSightings(chosen);
@@ -103,8 +117,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     const [easting, northing, height] = now.map_xyz_m.map((v) => v.toFixed(3));
     fill(
       facts,
-      isGone(now.kind) && el("p", { class: "notice", textContent: `${whyGone(now)} These are its last values.` }),
-      now.kind === "missed" && el("p", { class: "notice", textContent: `${now.drive_id} did not observe it${frames(now)} although it was visible; the evidence is too weak to remove it.` }),
+      isGone(now.kind) && el("p", { class: "hint", textContent: "The values below are its last ones." }),
       el(
         "dl", {},
         ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
@@ -136,13 +149,13 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     ], context); // prettier-ignore
   }
 
-  function showStory(chosen: Chosen, now: HistoryItem): void {
+  function showStory(chosen: Chosen, now: HistoryItem | undefined): void {
     fill(
       story,
       el("h3", { textContent: "History" }),
       el("ol", { class: "history" }, ...chosen.history.map((h) =>
         el("li", { class: h === now ? "chosen" : "" },
-          el("button", { type: "button", title: "Show this drive", onclick: () => actions.showChangeset(h.changeset_no) },
+          el("button", { type: "button", title: h.why, onclick: () => actions.showChangeset(h.changeset_no) },
             icon(h.kind),
             el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.kind === "moved" && h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, other(h), h.kind === "missed" ? frames(h) : ` · version ${h.version}`,
               el("small", { textContent: `${utc(h.changed_at)} UTC · ${h.drive_id}` }),
@@ -155,7 +168,8 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     const { sightings } = chosen;
     const s = sightings?.[chosen.sightingIndex];
     if (!sightings || !s) {
-      const text = sightings ? "The database has no sighting of this cone." : "Loading sightings …";
+      const text = sightings ? "No sighting of this cone until this time." : "Loading sightings …";
+      shownImage = "";
       return fill(seen, el("h3", { textContent: "Images" }), el("p", { class: sightings ? "hint" : "hint loading", textContent: text }));
     }
     const i = chosen.sightingIndex;
@@ -208,7 +222,9 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
       const url = URL.createObjectURL(await api.image(map, s, side, whole, signal));
       const image = el("img", { src: url, alt: `${side} image of frame pair ${s.frame_index} with the box of the detection` });
       await image.decode().catch(() => undefined);
-      return { node: el("figure", {}, image, caption), url };
+      const start = { drive_uuid: s.drive_uuid, frame_index: s.frame_index };
+      const larger = el("button", { type: "button", class: "crop", title: "Open the images (I)", aria: { label: `Open the ${side} image` }, onclick: () => actions.openImages(start) }, image);
+      return { node: el("figure", {}, larger, caption), url };
     } catch (error) {
       const text = error instanceof ApiError ? error.message : "The image cannot be shown.";
       return { node: el("figure", { class: "missing" }, el("p", { textContent: text }), caption), url: null };
@@ -243,9 +259,4 @@ const frames = (h: HistoryItem): string => (h.frames_empty ? ` in ${plural(h.fra
 function other(h: HistoryItem): string {
   if (h.other_feature_id === null) return "";
   return ` ${h.kind === "merged" ? "into" : "from"} ${shortId(h.other_feature_id)}`;
-}
-
-function whyGone(h: HistoryItem): string {
-  if (h.kind === "merged") return `Merged: ${h.drive_id} found one cone where the map had two; ${shortId(h.other_feature_id ?? "")} remains.`;
-  return `Removed: ${h.drive_id} did not observe it${frames(h)} although it was visible.`;
 }

@@ -1,5 +1,5 @@
 // From the state of the page to the cones and drives that show it.
-import { api, type Change, type Feature, type Instant, type TimelineItem } from "./api";
+import { api, type Change, type Feature, type HistoryItem, type Instant, type TimelineItem } from "./api";
 import { utc } from "./dom";
 import { isGone, type Cone } from "./kinds";
 import type { State } from "./state";
@@ -67,6 +67,19 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
   const rest = features.features.filter((f) => !changes.has(f.feature_id)).map((f): Cone => ({ ...standing(f), kind: "unchanged" }));
   const after = [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, shift_m: null }));
   return [[...(state.side === "changes" ? changes.values() : after), ...rest], features.truncated];
+}
+
+/** Whether a change had happened in the state that is shown; `known` is the instant of the database, null now. */
+export function shownState(state: State, items: TimelineItem[]): { reached: (h: HistoryItem) => boolean; known: string | null } {
+  const known = state.mode === "drive" || state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
+  if (state.mode === "drive") {
+    const from = changesetOf(items, state.changeset)?.captured_from;
+    const [at, before] = [from === undefined ? Infinity : Date.parse(from), state.side === "before"];
+    return { reached: (h) => (before ? Date.parse(h.captured_from) < at : Date.parse(h.captured_from) <= at), known };
+  }
+  const valid = state.mode === "instant" ? state.valid : instantAfter(items, state.to, known).valid;
+  const at = valid === null ? Infinity : Date.parse(valid);
+  return { reached: (h) => Date.parse(h.changed_at) <= at, known };
 }
 
 function instantAfter(items: TimelineItem[], no: number | null, known: string | null): Instant {

@@ -110,7 +110,7 @@ def decision_writer(settings: Settings, url: str, *, on_request: bool, token_fil
         token = checked_secret(settings.writer_token, "CONETL_WRITER_TOKEN")
     else:
         return None
-    return Writer(token, url)
+    return Writer(token, url, settings)
 
 
 def _listen(port: int) -> socket.socket:

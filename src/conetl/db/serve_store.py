@@ -79,9 +79,14 @@ def read_changes_between(
     )
 
 
-def read_feature_history(conn: Connection, map_name: str, feature_id: UUID) -> list[Row]:
-    """Every delta of a feature with the state after it, in the order of the drives; [] if the map has no such feature."""
-    return _rows(conn, "serving.feature_history", map_name=map_name, feature_id=feature_id)
+def read_feature_history(
+    conn: Connection, map_name: str, feature_id: UUID, known_at: datetime | None = None
+) -> list[Row]:
+    """Every delta of a feature with the state after it, as known at `known_at` (None: now), in the order of the drives.
+
+    [] if the map has no such feature.
+    """
+    return _rows(conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=_instant(known_at))
 
 
 def read_sightings(conn: Connection, map_name: str, feature_id: UUID, max_rows: int) -> list[Row]:

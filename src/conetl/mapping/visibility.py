@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,20 @@ class NotObserved:
     """ln P(no cone observed in these | it exists) / P(no cone observed | it does not)."""
     occupied: int = 0
     """Frame pairs in which a cone was observed all the same, fewer than the empty ones."""
+
+
+class VisiblePair(NamedTuple):
+    """A frame pair in which the location of a feature was visible."""
+
+    row: int
+    """In the drive's arrays."""
+    occupied: bool
+    """Whether a cone was observed there."""
+    heights_px: tuple[float, float]
+    """Of a cone at the location, left and right."""
+    hidden: tuple[float, float]
+    """Share of it behind nearer detections, 0 to 1."""
+    boxes: tuple[Box, Box]
 
 
 @dataclass(frozen=True)
@@ -95,38 +110,52 @@ def check_visibility(
     is nearer to one of them is that cone. Frame pairs recorded before the feature was last observed are ignored.
     """
     foot_m = np.array(feature.xyz_m) + offset_m
-    numbers, heights_px, boxes = pairs_in_view(foot_m, feature.cone_height_m, drive, params)
-    near_m = others_m[np.hypot(*(others_m - foot_m)[:, :2].T) <= _NEIGHBOUR_M]
-    visible: list[tuple[int, bool, float, float]] = []
-    for row, number in enumerate(numbers):
-        if drive.captured_at_ns[number] <= feature.last_seen_ns:
-            continue
-        frame = drive.frames[number]
-        found = drive.detections.get(frame, ())
-        is_found = _is_detected(boxes[row], number, found, near_m, feature.cone_height_m, drive) or _is_occupied(
-            foot_m, drive.positions_m.get(frame), near_m, params.min_gate_m
-        )
-        left, right = (
-            hidden_share(box, [d for d in found if d.side == side])
-            for side, box in zip(("left", "right"), boxes[row], strict=True)
-        )
-        if is_found or (drive.shows_absence[number] and max(left, right) <= drive.figures.evidence.hidden_most):
-            visible.append((row, is_found, left, right))
-    if not visible:
+    seen = [
+        pair
+        for pair in visible_pairs(foot_m, feature.cone_height_m, others_m, drive, params)
+        if drive.captured_at_ns[pair.row] > feature.last_seen_ns
+    ]
+    if not seen:
         return None
-    rows, occupied, *hidden = (np.array(column) for column in zip(*visible, strict=True))
+    occupied = np.array([pair.occupied for pair in seen])
     if occupied.sum() >= (~occupied).sum():
         return None
     ratio = absence_log_ratio(
         drive.figures,
-        heights_px[rows],
-        np.column_stack(hidden),
+        np.array([pair.heights_px for pair in seen]),
+        np.array([pair.hidden for pair in seen]),
         occupied,
         stray_probability=params.stray_probability,
         unseen_occluder_probability=params.unseen_occluder_probability,
     )
-    first_ns = int(drive.captured_at_ns[numbers[rows[~occupied]]].min())
+    first_ns = min(int(drive.captured_at_ns[pair.row]) for pair in seen if not pair.occupied)
     return NotObserved(int((~occupied).sum()), first_ns, ratio, int(occupied.sum()))
+
+
+def visible_pairs(
+    foot_m: Floats, cone_height_m: float, others_m: Floats, drive: DriveObservations, params: ReconcileParams
+) -> list[VisiblePair]:
+    """The frame pairs that show whether a cone stands at `foot_m` (3,) in the drive's map frame, in order.
+
+    others_m (M, 3): other cones in the same frame; what is nearer to one of them is that cone.
+    """
+    rows, heights_px, boxes = pairs_in_view(foot_m, cone_height_m, drive, params)
+    near_m = others_m[np.hypot(*(others_m - foot_m)[:, :2].T) <= _NEIGHBOUR_M]
+    visible = []
+    for k, row in enumerate(rows.tolist()):
+        frame = drive.frames[row]
+        found = drive.detections.get(frame, ())
+        occupied = _is_detected(boxes[k], row, found, near_m, cone_height_m, drive) or _is_occupied(
+            foot_m, drive.positions_m.get(frame), near_m, params.min_gate_m
+        )
+        left, right = (
+            hidden_share(box, [d for d in found if d.side == side])
+            for side, box in zip(("left", "right"), boxes[k], strict=True)
+        )
+        if occupied or (drive.shows_absence[row] and max(left, right) <= drive.figures.evidence.hidden_most):
+            heights = float(heights_px[k, 0]), float(heights_px[k, 1])
+            visible.append(VisiblePair(row, occupied, heights, (left, right), boxes[k]))
+    return visible
 
 
 def pairs_in_view(

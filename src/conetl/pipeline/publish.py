@@ -33,9 +33,11 @@ from conetl.db.run_store import (
 from conetl.exports.geojson import export_geojson
 from conetl.files.home import make_home
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.errors import ConetlError
 from conetl.model.ingest_report import IngestReport
 from conetl.pipeline.commit import CommittedDrive, report_of
 from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.maps.decisions import DecisionOutcome
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
 from conetl.reports.figures import draw_plan_view
@@ -95,6 +97,23 @@ def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Set
     known = [one for one in list_changesets(conn, map_name=settings.map_name) if one.changeset_id in changeset_ids]
     written = [one for one in known if settings.drive_report_path(one.drive_id, one.changeset_no).is_file()]
     return [_write_page(conn, one, settings) for one in written]
+
+
+def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Settings) -> str | None:
+    """Write the QA reports of the drives again whose state a decision changed; why one could not be written, else None.
+
+    The decision is made in either case.
+    """
+    about = {change.changeset_id for change in decided.hold_changes}
+    if decided.changeset_id is not None:
+        about.add(decided.changeset_id)
+    try:
+        renew_pages(conn, about, settings)
+    except ConetlError as error:
+        return (
+            f"The decision is made, but a report could not be written: {error} `conetl report drive` writes it again."
+        )
+    return None
 
 
 def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:

@@ -70,6 +70,14 @@ def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float, who
     return _jpeg(shown, 88)
 
 
+def frame_jpeg(path: Path, rig: Rig, side: Side, boxes: Iterable[Box], *, whole: bool = False) -> bytes:
+    """JPEG of a whole rectified image in its own size. What is farther from the boxes than `SURROUNDINGS` is pixelated unless
+    `whole`. Raises ImageFileError where the image cannot be decoded.
+    """
+    image = read_rig_image(path, rig, side)
+    return _jpeg(image if whole else pixelated(image, boxes), 92)
+
+
 def pixelated(image: Image, boxes: Iterable[Box]) -> Image:
     """A copy of an image (H, W, 3) in which only the boxes and their surroundings can be recognised.
 

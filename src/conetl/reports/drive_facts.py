@@ -22,11 +22,14 @@ from conetl.model.errors import InputError
 from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import FramePair, Rig, Track
+from conetl.reports.drive_passes import reasons_of
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
 #: Features within this distance of the path are drawn on the plan.
 _AROUND_M = 30.0
+#: Changes with a sentence on one page; as many have images.
+_MAX_REASONS = 120
 #: Kinds that a person should review come first.
 _ORDER = (
     DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.ADDED, DeltaKind.SPLIT, DeltaKind.MERGED, DeltaKind.HEIGHT_CHANGED,
@@ -55,6 +58,8 @@ class DriveChange:
     cone_height_m: float
     existence_probability: float
     observation_count: int
+    why: str
+    """One sentence with numbers; empty of confirmations, and of what is beyond `_MAX_REASONS`."""
 
     @property
     def is_confirmation(self) -> bool:
@@ -136,7 +141,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         header = execute(conn, load_sql("reports.changeset"), parameters)[0]
         if header["rig"] is None:
             raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
-        rows = [_change(row) for row in read_changeset_changes(conn, map_name, changeset.changeset_no)]
+        rows = read_changeset_changes(conn, map_name, changeset.changeset_no)
         rejections = execute(conn, load_sql("reports.rejections"), parameters)
         residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
         events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
@@ -146,7 +151,12 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     if checks and not against_map and not accepted and not holding(checks):
         against_map = (AGREES,)
     rig = Rig.model_validate(header["rig"])
-    rows.sort(key=lambda row: (_ORDER.index(row["kind"]), row["changed_at"], str(row["feature_id"])))
+    rows.sort(key=lambda row: (_ORDER.index(DeltaKind(row["kind"])), row["changed_at"], str(row["feature_id"])))
+    drive = {"drive_id": changeset.drive_id, "drive_uuid": changeset.drive_uuid, "drive_kind": "drive"}
+    explained = [row | drive for row in rows if row["kind"] != DeltaKind.CONFIRMED][:_MAX_REASONS]
+    reasons = {
+        row["feature_id"]: why for row, why in zip(explained, reasons_of(conn, map_name, None, explained), strict=True)
+    }
     frame_pairs = read_frame_pairs(conn, changeset.drive_uuid)
     path_m = np.array([map_SE3_left(pair.pose, rig)[:2, 3] for pair in frame_pairs])
     (west, south), (east, north) = path_m.min(axis=0) - _AROUND_M, path_m.max(axis=0) + _AROUND_M
@@ -161,7 +171,10 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         rig=rig,
         frame_pairs=frame_pairs,
         tracks=load_stored_drive(conn, changeset.drive_uuid).tracks,
-        changes=tuple(DriveChange(number=number, **row) for number, row in enumerate(rows, start=1)),
+        changes=tuple(
+            DriveChange(number=number, why=reasons.get(row["feature_id"], ""), **_change(row))
+            for number, row in enumerate(rows, start=1)
+        ),
         checks=(*checks, *against_map),
         hold_events=tuple(events),
         rejections=rejections,

@@ -18,7 +18,7 @@ from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
 from conetl.reports.camera_images import ImageMissingError
-from conetl.web import decisions, downloads, images, layers, live, maps, search
+from conetl.web import decisions, downloads, frames, images, layers, live, maps, review, search
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.ogc.collections import warm
@@ -68,7 +68,7 @@ def create_app(
     app.state.whole_images = whole_images
     app.state.gazetteer = gazetteer
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
-    for routes in (maps, search, images, layers, downloads, decisions, live):
+    for routes in (maps, search, images, frames, layers, downloads, decisions, review, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))

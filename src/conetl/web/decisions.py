@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 from uuid import UUID
 
@@ -16,6 +16,8 @@ from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import read_decisions, read_feature_history
 from conetl.model.errors import ConflictError, InputError
 from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
+from conetl.pipeline.settings import Settings, read_settings
+from conetl.reports.drive_passes import reasons_of
 from conetl.web import rows as to
 from conetl.web.models import ActiveDecisions, Conflict, Decided, Problem
 from conetl.web.parameters import MapName, Reader, cut, origin_of
@@ -79,10 +81,14 @@ class Writer:
 
     token: SecretStr
     database_url: str
+    settings: Settings = field(default_factory=read_settings)
+    """Folders of the QA reports that decisions change."""
 
     def decide(self, map_name: str, wish: DecisionRequest) -> Decided:
         """Write a decision as `conetl map suppress|pin|revert` and `conetl drive accept` do. Raises InputError, ConflictError,
         DatabaseError."""
+        from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load
+
         common: dict[str, Any] = {
             "map_name": map_name, "note": wish.reason, "decided_by": wish.decided_by, "lock_timeout_s": _LOCK_TIMEOUT_S,
         }  # fmt: skip
@@ -97,9 +103,11 @@ class Writer:
             else:
                 what = wish.changeset_id if isinstance(wish, DriveRequest) else wish.decision_id
                 done = revert(conn, str(what), **common)
+            problem = publish_decision(conn, done, self.settings.model_copy(update={"map_name": map_name}))
         computed = {
             "also_changed": [conflict.feature_id for conflict in done.conflicts],
             "hold_changes": [change.sentence for change in done.hold_changes],
+            "report_problem": problem,
         }
         return Decided(
             **{name: getattr(done, name) for name in Decided.model_fields if name not in computed}, **computed
@@ -137,8 +145,9 @@ def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -
     if not isinstance(decision, PlaceRequest):
         return None
     with pool.reading() as conn:
-        history = read_feature_history(conn, map_name, decision.feature_id)
-        return to.history_item(history[-1], origin_of(conn, map_name)) if history else None
+        last = read_feature_history(conn, map_name, decision.feature_id)[-1:]
+        reasons = reasons_of(conn, map_name, decision.feature_id, last)
+        return to.history(last, reasons, origin_of(conn, map_name))[0] if last else None
 
 
 def _sentence(error: Exception) -> str:

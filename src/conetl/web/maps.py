@@ -11,6 +11,7 @@ from conetl.db import serve_store as store
 from conetl.db.map.map_store import find_map, list_changesets
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Rig, utc_from_ns
+from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.parameters import MAX_FEATURES, ChangesetNo, Instant, MapName, Reader, cut, origin_of
@@ -81,10 +82,11 @@ def changes_between(
 
 
 @router.get(f"{_MAP}/features/{{feature_id}}")
-def feature_history(map_name: MapName, feature_id: UUID, conn: Reader) -> m.FeatureHistory:
-    """The history of one feature."""
+def feature_history(map_name: MapName, feature_id: UUID, conn: Reader, known_at: Instant = None) -> m.FeatureHistory:
+    """The history of one feature, in the state of the database at `known_at`."""
     origin = origin_of(conn, map_name)
-    history = [to.history_item(row, origin) for row in store.read_feature_history(conn, map_name, feature_id)]
+    rows = store.read_feature_history(conn, map_name, feature_id, known_at)
+    history = to.history(rows, reasons_of(conn, map_name, feature_id, rows), origin)
     if not history:
         raise HTTPException(404, f"The map {map_name} has no feature {feature_id}.")
     return m.FeatureHistory(feature_id=feature_id, origin_m=origin, history=history)

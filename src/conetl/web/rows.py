@@ -9,9 +9,21 @@ from typing import Any, TypeVar
 import numpy as np
 
 from conetl.db.map.results import CommittedChangeset
-from conetl.geometry.rig import map_SE3_left
-from conetl.model.records import Pose, Rig, Vec3, utc_from_ns
-from conetl.web.models import Answer, Box, Decision, HistoryItem, Sighting, TimelineItem
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
+from conetl.model.records import Pose, Rig, Side, Vec3, utc_from_ns
+from conetl.reports import drive_passes as reports
+from conetl.web.models import (
+    Answer,
+    Box,
+    Decision,
+    DrivePass,
+    FrameBox,
+    FrameView,
+    HistoryItem,
+    PassFrame,
+    Sighting,
+    TimelineItem,
+)
 
 Row = Mapping[str, Any]
 A = TypeVar("A", bound=Answer)
@@ -50,9 +62,12 @@ def timeline_item(c: CommittedChangeset) -> TimelineItem:
     return answer(TimelineItem, vars(c), (0.0, 0.0, 0.0), **known)
 
 
-def history_item(row: Row, origin_m: Vec3) -> HistoryItem:
-    """One line of a feature's history."""
-    return answer(HistoryItem, row, origin_m, map_xyz_m=_position(row))
+def history(rows: Sequence[Row], reasons: Sequence[str], origin_m: Vec3) -> list[HistoryItem]:
+    """A feature's history; reasons: the sentence of each row."""
+    return [
+        answer(HistoryItem, row, origin_m, map_xyz_m=_position(row), why=why)
+        for row, why in zip(rows, reasons, strict=True)
+    ]
 
 
 def decision(row: Row, origin_m: Vec3) -> Decision:
@@ -65,7 +80,7 @@ def decision(row: Row, origin_m: Vec3) -> Decision:
 
 def sighting(row: Row, rig: Rig, origin_m: Vec3) -> Sighting:
     """One sighting with the left camera's pose."""
-    camera = map_SE3_left(_pose(row, "body_"), rig)
+    camera = map_SE3_left(pose_of(row, "body_"), rig)
     return answer(
         Sighting,
         row,
@@ -80,14 +95,45 @@ def sighting(row: Row, rig: Rig, origin_m: Vec3) -> Sighting:
 
 def camera_position(row: Row, rig: Rig, origin_m: Vec3) -> Vec3:
     """Projection centre of the left camera for a row of the trajectory."""
-    return offset(map_SE3_left(_pose(row, ""), rig)[:3, 3].tolist(), origin_m)
+    return offset(map_SE3_left(pose_of(row), rig)[:3, 3].tolist(), origin_m)
 
 
 def _position(row: Row, prefix: str = "") -> Vec3:
     return row[f"{prefix}easting_m"], row[f"{prefix}northing_m"], row[f"{prefix}height_m"]
 
 
-def _pose(row: Row, prefix: str) -> Pose:
+def frame_view(row: Row, side: Side, boxes: Sequence[Row], problem: str | None, origin_m: Vec3) -> FrameView:
+    """One image of a frame pair of `judging.frame`, with its boxes; problem: why there is no image."""
+    rig = Rig.model_validate(row["rig"])
+    lens = camera_of(rig, side)
+    camera = map_SE3_camera(pose_of(row), rig, side)
+    sizes = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
+    return FrameView(
+        **{name: getattr(lens, name) for name in sizes},
+        xyz_m=offset(camera[:3, 3].tolist(), origin_m),
+        map_R_camera=camera[:3, :3].tolist(),
+        boxes=[FrameBox(**box) for box in boxes],
+        problem=problem,
+    )
+
+
+def drive_pass(found: reports.DrivePass, origin_m: Vec3) -> DrivePass:
+    """One drive past a feature."""
+    frames = [
+        PassFrame(
+            frame_index=frame.frame_index,
+            captured_at=utc_from_ns(frame.captured_at_ns),
+            range_m=round(frame.range_m, 3),
+            state=frame.state,
+            camera_xyz_m=offset(frame.camera_m.tolist(), origin_m),
+        )
+        for frame in found.frames
+    ]
+    own = found._asdict() | {"captured_from": utc_from_ns(found.captured_from_ns), "frames": frames}
+    return DrivePass(**{name: own[name] for name in DrivePass.model_fields})
+
+
+def pose_of(row: Row, prefix: str = "") -> Pose:
     rotation = np.reshape(row["map_r_body"], (3, 3)).tolist()
     zeros = (0.0, 0.0, 0.0)  # the position of the camera does not depend on sigmas
     return Pose(map_R_body=rotation, map_t_body_m=_position(row, prefix), sigma_enu_m=zeros, sigma_rpy_rad=zeros)

@@ -14,7 +14,7 @@ from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import list_changesets
-from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.map_records import FeatureVersion
 from conetl.pipeline.settings import Settings, read_settings
 
@@ -134,20 +134,12 @@ def finish(conn: Connection, decided: DecisionOutcome, settings: Settings, as_js
             say(f"The drive does not count: a later delivery of it does (changeset {decided.replaced_by}).")
         for change in decided.hold_changes:
             say(change.sentence)
-    about = {change.changeset_id for change in decided.hold_changes}
-    if decided.changeset_id is not None:
-        about.add(decided.changeset_id)
-    if not about:
-        return
-    from conetl.pipeline.publish import renew_pages  # matplotlib takes half a second to load
+    from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load
 
-    try:
-        renew_pages(conn, about, settings)
-    except ConetlError as error:
-        complain(
-            f"The decision is made, but a report could not be written: {error} `conetl report drive` writes it again."
-        )
-        raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
+    problem = publish_decision(conn, decided, settings)
+    if problem is not None:
+        complain(problem)
+        raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
 def _state_text(version: FeatureVersion | None, nothing: str) -> str:

@@ -79,6 +79,8 @@ def log(
 ) -> None:
     """Show the history of the map, or of one feature."""
     settings = read_settings()
+    from conetl.reports.drive_passes import reasons_of  # OpenCV takes a while to load
+
     with open_map(settings) as conn:
         if feature is None:
             changesets = list_changesets(conn, map_name=settings.map_name)
@@ -90,10 +92,11 @@ def log(
             if len(found) > 1:
                 raise InputError(f"{feature!r} is ambiguous: give more characters of the id")
             entries = feature_log(conn, found[0])
+            reasons = reasons_of(conn, settings.map_name, found[0], [vars(entry) for entry in entries])
     if as_json and feature is None:
         print_json([vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets])
     elif as_json:
-        print_json(entries)
+        print_json([vars(entry) | {"why": reason} for entry, reason in zip(entries, reasons, strict=True)])
     elif feature is None:
         # Newest first; what happened at the instant of a commit comes after it.
         rows: list[CommittedChangeset | HoldEvent] = [*reversed(changesets), *events]
@@ -101,6 +104,9 @@ def log(
         print_records("", _LOG, rows[::-1], numbers_from=3)
     else:
         print_records("", _HISTORY, entries, numbers_from=3)
+        for entry, reason in zip(entries, reasons, strict=True):
+            if entry.believed_until is None:
+                say(reason)
 
 
 def _others(changeset: CommittedChangeset) -> str:

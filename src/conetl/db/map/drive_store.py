@@ -25,6 +25,10 @@ from conetl.model.records import Detection, FramePair, Pose, Rig, Track, Vec3
 _DETECTION = ("frame_index", "side", "detection_index", "category", "x_px", "y_px", "w_px", "h_px", "score")
 
 
+#: Easting, northing and half the side of a square, in metres of the map's CRS.
+Square = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class StoredDrive:
     """The small part of a drive: its header, its path and its tracks."""
@@ -84,12 +88,14 @@ def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
         )
 
 
-def read_view(conn: Connection, drive_uuid: UUID) -> StoredView:
-    """Frame pairs with their poses, detections and positions."""
-    parameters = {"drive_uuid": drive_uuid}
+def read_view(conn: Connection, drive_uuid: UUID, near: Square | None = None) -> StoredView:
+    """Frame pairs with their poses, detections and positions. near: only frame pairs recorded there."""
+    frame_pairs = read_frame_pairs(conn, drive_uuid, near)
+    frames = None if near is None else [pair.frame_index for pair in frame_pairs]
+    parameters = {"drive_uuid": drive_uuid, "frames": frames}
     with database_errors(f"Drive {drive_uuid} cannot be read"):
         return StoredView(
-            frame_pairs=read_frame_pairs(conn, drive_uuid),
+            frame_pairs=frame_pairs,
             detections=[
                 Detection.model_construct(**dict(zip(_DETECTION, row, strict=True)))
                 for row in stream(conn, load_sql("drives.detections"), parameters)
@@ -98,10 +104,12 @@ def read_view(conn: Connection, drive_uuid: UUID) -> StoredView:
         )
 
 
-def read_frame_pairs(conn: Connection, drive_uuid: UUID) -> list[FramePair]:
-    """Frame pairs with their poses, in order."""
+def read_frame_pairs(conn: Connection, drive_uuid: UUID, near: Square | None = None) -> list[FramePair]:
+    """Frame pairs with their poses, in order. near: only those recorded there."""
+    square = dict(zip(("easting_m", "northing_m", "within_m"), near or (None, None, None), strict=True))
     with database_errors(f"Drive {drive_uuid} cannot be read"):
-        return [_frame_pair(row) for row in stream(conn, load_sql("drives.frame_pairs"), {"drive_uuid": drive_uuid})]
+        rows = stream(conn, load_sql("drives.frame_pairs"), {"drive_uuid": drive_uuid} | square)
+        return [_frame_pair(row) for row in rows]
 
 
 def _frame_pair(row: tuple[Any, ...]) -> FramePair:

@@ -143,6 +143,11 @@ class FeatureLogEntry:
     log_likelihood_ratio: float | None
     frames_seen: int | None
     frames_empty: int | None
+    drive_uuid: UUID
+    drive_kind: str
+    """drive or import."""
+    sigma_m: float
+    """Along the major axis of the horizontal error ellipse."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,181 @@
+-- What a person needs to judge changes: the drives that passed a position, their images, and what waits for a decision.
+
+-- name: drives_past
+-- The drives whose area contains a position, the latest first; those on hold and reverted ones too.
+-- Parameters: map_name; easting_m, northing_m (map CRS); drive_uuids (uuid[], null: all); max_rows.
+-- Columns: as below; rig, reconcile, absence_figures: JSON; counts: false where on hold, reverted or superseded.
+select
+    c.changeset_no, d.drive_id, d.drive_uuid, d.captured_from_ns, d.rig, d.reconcile, d.absence_figures,
+    exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id)
+    and not exists (select from conetl.on_hold h where h.changeset_id = c.changeset_id) as counts
+from conetl.map m
+join conetl.drive d on d.map_id = m.map_id
+join lateral (
+    select k.changeset_no, k.changeset_id from conetl.changeset k
+    where k.drive_uuid = d.drive_uuid
+    order by k.changeset_no desc
+    limit 1
+) c on true
+where m.map_name = %(map_name)s and d.kind = 'drive'
+and ST_Intersects(d.area, ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing_m)s::float8), m.srid))
+and (%(drive_uuids)s::uuid[] is null or d.drive_uuid = any(%(drive_uuids)s::uuid[]))
+order by d.captured_from_ns desc, c.changeset_no desc
+limit %(max_rows)s;
+
+-- name: observed_frames
+-- The stereo matches of a feature. Parameters: map_name; feature_id. Columns: drive_uuid, frame_index, kind (of the change by
+-- that drive); frame_index is null where the drive did not observe it.
+select c.drive_uuid, x.kind, t.frame_index
+from conetl.delta x
+join conetl.changeset c using (changeset_id)
+join conetl.map m using (map_id)
+left join conetl.track_member t on t.drive_uuid = c.drive_uuid and t.track_index = x.track_index
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s
+and upper_inf(x.system_period);
+
+-- name: tracks_near
+-- Tracks of a drive near a position, without the one of a feature. Parameters: drive_uuid; easting_m, northing_m; radius_m;
+-- feature_id. Columns: easting, northing, height (metres).
+select ST_X(t.geom), ST_Y(t.geom), ST_Z(t.geom)
+from conetl.track t
+where t.drive_uuid = %(drive_uuid)s
+and abs(ST_X(t.geom) - %(easting_m)s) <= %(radius_m)s and abs(ST_Y(t.geom) - %(northing_m)s) <= %(radius_m)s
+and not exists (
+    select from conetl.delta x
+    join conetl.changeset c using (changeset_id)
+    where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and upper_inf(x.system_period)
+    and c.drive_uuid = t.drive_uuid and x.track_index = t.track_index
+);
+
+-- name: track_ranges
+-- Nearest and farthest distance (m) at which tracks were observed, where their positions are kept.
+-- Parameters: drive_uuids (uuid[]), track_indexes (integer[]), of the same length.
+-- Columns: drive_uuid, track_index, near_m, far_m, frames (frame pairs).
+select n.drive_uuid, n.track_index, min(p.range_m) as near_m, max(p.range_m) as far_m, count(distinct p.frame_index) as frames
+from unnest(%(drive_uuids)s::uuid[], %(track_indexes)s::integer[]) n (drive_uuid, track_index)
+join conetl.track_member t using (drive_uuid, track_index)
+join conetl.position p using (drive_uuid, frame_index, match_index)
+group by n.drive_uuid, n.track_index;
+
+-- name: frame
+-- One frame pair with its rig. Parameters: map_name; drive_uuid; frame_index.
+-- Columns: drive_id, rig (JSON), source_path, then as the frame pairs of drives.frame_pairs, with names.
+select
+    d.drive_id, d.rig, d.source_path, d.pruned_at, f.left_path, f.right_path, f.captured_at_ns,
+    ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m, ST_Z(f.geom) as height_m, f.map_r_body
+from conetl.drive d
+join conetl.map m using (map_id)
+join conetl.frame_pair f using (drive_uuid)
+where m.map_name = %(map_name)s and d.drive_uuid = %(drive_uuid)s and f.frame_index = %(frame_index)s;
+
+-- name: frame_boxes
+-- The detections of one frame pair, in pixels of the rectified images. Parameters: drive_uuid; frame_index.
+-- Columns: side; box and score; match_index (null: without a stereo match), range_m of its position.
+select
+    b.side, b.x_px, b.y_px, b.w_px, b.h_px, b.score, s.match_index, p.range_m
+from conetl.detection b
+left join conetl.stereo_match s
+    on s.drive_uuid = b.drive_uuid and s.frame_index = b.frame_index
+    and b.detection_index = case b.side when 'left' then s.left_detection_index else s.right_detection_index end
+left join conetl.position p
+    on p.drive_uuid = s.drive_uuid and p.frame_index = s.frame_index and p.match_index = s.match_index
+where b.drive_uuid = %(drive_uuid)s and b.frame_index = %(frame_index)s
+order by b.side, b.detection_index;
+
+-- name: review_removals
+-- Cones that the last drive which judged them removed, the latest first, without those about which somebody decided.
+-- Parameters: map_name; max_rows, first_row. Columns: total (of all pages), feature_id (null on an empty page).
+with found as (
+    select v.feature_id, x.changed_at
+    from conetl.map m
+    join conetl.feature_version v using (map_id)
+    join conetl.delta x
+        on x.cell = v.cell and x.feature_id = v.feature_id and x.changeset_id = v.changeset_id and upper_inf(x.system_period)
+    where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period)
+    and not v.present and not v.suppressed and x.kind = 'removed'
+    and not exists (
+        select from conetl.active_decision a
+        where a.map_id = m.map_id and (a.feature_id = v.feature_id or ST_DWithin(a.geom, v.geom, a.radius_m))
+    )
+)
+select n.total, p.feature_id
+from (select count(*) as total from found) n
+left join lateral (
+    select f.feature_id from found f order by f.changed_at desc, f.feature_id limit %(max_rows)s offset %(first_row)s
+) p on true;
+
+-- name: review_moves
+-- Cones that the last drive which judged them moved by moved_from_m or more, the largest moves first, without those about
+-- which somebody decided. Parameters: as above, moved_from_m. Columns: as above.
+with found as (
+    select v.feature_id, x.shift_m
+    from conetl.map m
+    join conetl.feature_version v using (map_id)
+    join conetl.delta x
+        on x.cell = v.cell and x.feature_id = v.feature_id and x.changeset_id = v.changeset_id and upper_inf(x.system_period)
+    where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period)
+    and v.present and not v.suppressed and x.kind = 'moved' and x.shift_m >= %(moved_from_m)s
+    and not exists (
+        select from conetl.active_decision a
+        where a.map_id = m.map_id and (a.feature_id = v.feature_id or ST_DWithin(a.geom, v.geom, a.radius_m))
+    )
+)
+select n.total, p.feature_id
+from (select count(*) as total from found) n
+left join lateral (
+    select f.feature_id from found f order by f.shift_m desc, f.feature_id limit %(max_rows)s offset %(first_row)s
+) p on true;
+
+-- name: review_doubtful
+-- Standing cones whose existence probability, after the last drive that missed them, lies between two values; the least
+-- certain (nearest to 0.5) first, without those about which somebody decided.
+-- Parameters: as above, least, most. Columns: as above.
+with doubted as (
+    select distinct on (x.feature_id) x.feature_id, x.old_version as version, x.existence_after
+    from conetl.map m
+    join conetl.changeset c using (map_id)
+    join conetl.drive d using (drive_uuid)
+    join conetl.delta x using (changeset_id)
+    where m.map_name = %(map_name)s and x.kind = 'missed' and upper_inf(x.system_period)
+    order by x.feature_id, d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
+),
+found as (
+    select v.feature_id, coalesce(d.existence_after, v.existence_probability) as existence
+    from conetl.current_feature v
+    left join doubted d using (feature_id, version)
+    where v.map_name = %(map_name)s and not v.suppressed
+    and coalesce(d.existence_after, v.existence_probability) between %(least)s and %(most)s
+    and not exists (
+        select from conetl.active_decision a
+        where a.map_id = v.map_id and (a.feature_id = v.feature_id or ST_DWithin(a.geom, v.geom, a.radius_m))
+    )
+)
+select n.total, p.feature_id
+from (select count(*) as total from found) n
+left join lateral (
+    select f.feature_id from found f order by abs(f.existence - 0.5), f.feature_id limit %(max_rows)s offset %(first_row)s
+) p on true;
+
+-- name: last_changes
+-- What the last drive that judged each of some features did to it. Parameters: map_name; feature_ids (uuid[]).
+-- Columns: feature_id, then as serving.feature_history.
+select n.feature_id, x.*
+from unnest(%(feature_ids)s::uuid[]) n (feature_id)
+cross join lateral (
+    select
+        c.changeset_no, d.drive_id, d.drive_uuid, d.kind as drive_kind, d.captured_from_ns, x.kind, x.changed_at,
+        x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty,
+        ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m, v.cone_height_m,
+        sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
+        coalesce(x.existence_after, v.existence_probability) as existence_probability
+    from conetl.delta x
+    join conetl.changeset c using (changeset_id)
+    join conetl.drive d using (drive_uuid)
+    join conetl.map m on m.map_id = c.map_id
+    join conetl.feature_version v on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
+        and upper_inf(v.system_period)
+    where x.cell = conetl.cell_of(n.feature_id) and x.feature_id = n.feature_id and m.map_name = %(map_name)s
+    and upper_inf(x.system_period)
+    order by d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
+    limit 1
+) x;

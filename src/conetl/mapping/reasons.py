@@ -1,0 +1,103 @@
+"""Why a drive changed a feature or not, in one sentence with numbers: the same in the view, reports and `conetl map log`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+from uuid import UUID
+
+from conetl.model.map_records import DeltaKind
+
+#: Beginning of the sentence.
+_HEADS = {
+    DeltaKind.ADDED: "Added",
+    DeltaKind.CONFIRMED: "Confirmed",
+    DeltaKind.MOVED: "Moved",
+    DeltaKind.REMOVED: "Removed",
+    DeltaKind.MISSED: "Not observed",
+    DeltaKind.HEIGHT_CHANGED: "Height changed",
+    DeltaKind.SPLIT: "Split",
+    DeltaKind.MERGED: "Merged",
+}
+
+
+class ChangeFacts(NamedTuple):
+    """What the database holds about one change of a feature by a drive, or an imported map."""
+
+    kind: DeltaKind
+    drive_id: str
+    """Of an imported map, its name."""
+    existence_probability: float
+    """After the change."""
+    is_import: bool = False
+    frames_seen: int | None = None
+    """Frame pairs in which a cone was observed there; None where that was not stored."""
+    frames_empty: int | None = None
+    """Frame pairs in which the position was visible and empty."""
+    range_m: tuple[float, float] | None = None
+    """Nearest and farthest distance from the camera in these frame pairs."""
+    shift_m: float | None = None
+    sigma_m: float | None = None
+    """Horizontal, after the change."""
+    cone_height_m: float | None = None
+    """After the change."""
+    other_feature_id: UUID | None = None
+    """Of a split, the feature that was both; of a merger, the one that remains."""
+
+
+def why(facts: ChangeFacts) -> str:
+    """One sentence: what happened, by which drive, what it observed from where, and how surely the cone exists after it."""
+    if facts.is_import:
+        observed = f"the imported map {facts.drive_id} states it"
+    elif facts.kind in (DeltaKind.REMOVED, DeltaKind.MISSED):
+        observed = _absence(facts)
+    elif facts.kind is DeltaKind.MERGED:
+        observed = f"drive {facts.drive_id} observed one cone where the map had two{_other(facts, '; {} remains')}"
+    else:
+        observed = (
+            f"drive {facts.drive_id} observed it{_frames(facts.frames_seen)}{_range(facts)}{_what_changed(facts)}"
+        )
+    end = f"existence {_probability(facts.existence_probability)}"
+    if facts.sigma_m is not None and not (facts.kind.ends or facts.kind is DeltaKind.MISSED):
+        end += f", horizontal sigma {facts.sigma_m:.3f} m"
+    if facts.kind is DeltaKind.MISSED:
+        end += ", it stays on the map"
+    return f"{_HEADS[facts.kind]}: {observed}; {end}."
+
+
+def _absence(facts: ChangeFacts) -> str:
+    seen, empty = facts.frames_seen or 0, facts.frames_empty
+    passed = f"drive {facts.drive_id} passed{_range(facts)}, "
+    if not empty:
+        return f"{passed}the position was visible, no cone was observed"
+    shown = "none showed a cone" if not seen else f"{seen} of them showed a cone"
+    return f"{passed}the position was visible{_frames(seen + empty)}, {shown}"
+
+
+def _what_changed(facts: ChangeFacts) -> str:
+    if facts.kind is DeltaKind.MOVED and facts.shift_m is not None:
+        return f", {facts.shift_m:.2f} m from its earlier position"
+    if facts.kind is DeltaKind.HEIGHT_CHANGED and facts.cone_height_m is not None:
+        return f", as a cone {facts.cone_height_m:.2f} m high"
+    if facts.kind is DeltaKind.SPLIT:
+        return _other(facts, ", as a second cone beside {}")
+    return ""
+
+
+def _other(facts: ChangeFacts, text: str) -> str:
+    return "" if facts.other_feature_id is None else text.format(str(facts.other_feature_id)[:8])
+
+
+def _frames(count: int | None) -> str:
+    return "" if not count else f" in {count} frame pair{'' if count == 1 else 's'}"
+
+
+def _range(facts: ChangeFacts) -> str:
+    if facts.range_m is None:
+        return ""
+    near, far = (f"{metres:.0f}" for metres in facts.range_m)
+    return f" at {near} m" if near == far else f" at {near}\u2013{far} m"
+
+
+def _probability(value: float) -> str:
+    """Two decimals, more where these would say certainty."""
+    return f"{value:.2f}" if 0.005 <= value < 0.995 else f"{value:.4f}"

@@ -1,0 +1,191 @@
+"""The drives that passed a feature, and what their frame pairs show at its position; and the sentence for each of its changes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.db import judging_store as store
+from conetl.db.connection import Connection
+from conetl.db.map.drive_store import read_view
+from conetl.geometry import pose as se3
+from conetl.geometry.rig import camera_of, map_SE3_camera
+from conetl.mapping.reasons import ChangeFacts, why
+from conetl.mapping.visibility import observations_of_drive, pairs_in_view, visible_pairs
+from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
+from conetl.model.map_records import DeltaKind
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Pose, Rig, Side, Vec3
+from conetl.reports.camera_images import Box
+from conetl.tracking.apparent_boxes import apparent_boxes
+
+#: Farther from a cone no detector sees it.
+_WITHIN_M = 60.0
+_NEIGHBOUR_M = 6.0
+#: Sentences that say from which distance the position was visible: of removals, then of the latest misses.
+_MAX_ABSENCES = 40
+FrameState = Literal["observed", "empty", "occupied", "hidden"]
+
+
+class FrameInView(NamedTuple):
+    """A frame pair of a drive that contains the position of a feature, or an observation of it."""
+
+    frame_index: int
+    captured_at_ns: int
+    range_m: float
+    """From the left camera to the foot."""
+    state: FrameState
+    """observed: belongs to the feature's track; empty: visible, and no cone was observed; occupied: another detection is there;
+    hidden: behind a nearer detection, or the image shows too little."""
+    camera_m: NDArray[np.float64]
+    """(3,) left camera in the map."""
+
+
+class DrivePass(NamedTuple):
+    """One drive past a feature."""
+
+    changeset_no: int
+    drive_id: str
+    drive_uuid: UUID
+    captured_from_ns: int
+    counts: bool
+    kind: DeltaKind | None
+    """What the drive did to the feature; None where it judged nothing."""
+    frames: tuple[FrameInView, ...]
+    """In the order of the recording."""
+
+
+def passes_of(
+    conn: Connection,
+    map_name: str,
+    feature_id: UUID,
+    xyz_m: Vec3,
+    cone_height_m: float,
+    *,
+    drive_uuids: Collection[UUID] | None = None,
+    max_drives: int,
+) -> list[DrivePass]:
+    """The drives that have the position of a feature in view, the latest first. drive_uuids: only these.
+
+    As `check_visibility` decided, but for the drive's common offset, which is not stored: a count may differ by a frame pair.
+    """
+    observed = store.observed_frames(conn, map_name, feature_id)
+    rows = store.drives_past(conn, map_name, xyz_m[:2], drive_uuids=drive_uuids, max_rows=max_drives)
+    found = []
+    for row in rows:
+        kind, frames = observed.get(row["drive_uuid"]) or (None, set[int]())
+        in_view = _frames_in_view(conn, row, feature_id, np.array(xyz_m), cone_height_m, frames)
+        if in_view:
+            found.append(
+                DrivePass(
+                    changeset_no=row["changeset_no"],
+                    drive_id=row["drive_id"],
+                    drive_uuid=row["drive_uuid"],
+                    captured_from_ns=row["captured_from_ns"],
+                    counts=row["counts"],
+                    kind=DeltaKind(kind) if kind else None,
+                    frames=in_view,
+                )
+            )
+    return found
+
+
+def _frames_in_view(
+    conn: Connection,
+    header: Mapping[str, Any],
+    feature_id: UUID,
+    foot_m: NDArray[np.float64],
+    height_m: float,
+    observed: Collection[int],
+) -> tuple[FrameInView, ...]:
+    rig, params = Rig.model_validate(header["rig"]), ReconcileParams.model_validate(header["reconcile"])
+    figures = header["absence_figures"]
+    easting_m, northing_m = float(foot_m[0]), float(foot_m[1])
+    view = read_view(conn, header["drive_uuid"], (easting_m, northing_m, _WITHIN_M))
+    if not view.frame_pairs:
+        return ()
+    drive = observations_of_drive(
+        rig, view.frame_pairs, view.detections, view.spots,
+        AbsenceFigures.model_validate(figures) if figures else UNMEASURED_ABSENCE,
+    )  # fmt: skip
+    others_m = store.tracks_near(conn, header["drive_uuid"], (easting_m, northing_m), _NEIGHBOUR_M, feature_id)
+    visible = {pair.row: pair.occupied for pair in visible_pairs(foot_m, height_m, others_m, drive, params)}
+    states: dict[int, FrameState] = {}
+    for row in pairs_in_view(foot_m, height_m, drive, params)[0].tolist():
+        states[row] = "hidden" if row not in visible else "occupied" if visible[row] else "empty"
+    states |= {row: "observed" for row, frame in enumerate(drive.frames) if frame in observed}
+    cameras_m = drive.map_SE3_left[:, :3, 3]
+    return tuple(
+        FrameInView(
+            frame_index=drive.frames[row],
+            captured_at_ns=int(drive.captured_at_ns[row]),
+            range_m=float(np.linalg.norm(cameras_m[row] - foot_m)),
+            state=states[row],
+            camera_m=cameras_m[row],
+        )
+        for row in sorted(states)
+    )
+
+
+def expected_box(xyz_m: Vec3, cone_height_m: float, pose: Pose, rig: Rig, side: Side) -> Box | None:
+    """x, y, width, height (px, from the image's edge) of a cone at a position; None behind the camera."""
+    camera_SE3_map = se3.invert(map_SE3_camera(pose, rig, side))
+    ends = np.array([xyz_m, (*xyz_m[:2], xyz_m[2] + cone_height_m)])
+    foot, tip = ends @ camera_SE3_map[:3, :3].T + camera_SE3_map[:3, 3]
+    x0, y0, x1, y1 = apparent_boxes(foot[None], tip[None], camera_of(rig, side))[0].tolist()
+    return None if np.isnan(x0) else (x0 + 0.5, y0 + 0.5, x1 - x0, y1 - y0)
+
+
+def reasons_of(
+    conn: Connection, map_name: str, feature_id: UUID | None, rows: Sequence[Mapping[str, Any]]
+) -> list[str]:
+    """The sentence of `mapping.reasons` for each change.
+
+    rows: with the columns of serving.feature_history that `ChangeFacts` needs. feature_id: of all of them; None where each row
+    has its own.
+    """
+    tracks = [(row["drive_uuid"], row["track_index"]) for row in rows if row["track_index"] is not None]
+    ranges = store.track_ranges(conn, list(dict.fromkeys(tracks)))
+    absences = [row for row in reversed(rows) if row["kind"] in (DeltaKind.REMOVED, DeltaKind.MISSED)]
+    absences = sorted(absences, key=lambda row: row["kind"] == DeltaKind.MISSED)[:_MAX_ABSENCES]
+    with_range = {id(row) for row in absences}
+    sentences = []
+    for row in rows:
+        near_m, far_m, frames = ranges.get((row["drive_uuid"], row["track_index"]), (None, None, None))
+        range_m = (near_m, far_m) if near_m is not None and far_m is not None else None
+        if id(row) in with_range:
+            range_m = _range_of_absence(conn, map_name, feature_id or row["feature_id"], row)
+        facts = ChangeFacts(
+            kind=DeltaKind(row["kind"]),
+            drive_id=row["drive_id"],
+            existence_probability=row["existence_probability"],
+            is_import=row["drive_kind"] == "import",
+            frames_seen=frames or row["frames_seen"],
+            frames_empty=row["frames_empty"],
+            range_m=range_m,
+            shift_m=row["shift_m"],
+            sigma_m=row["sigma_m"],
+            cone_height_m=row["cone_height_m"],
+            other_feature_id=row["other_feature_id"],
+        )
+        sentences.append(why(facts))
+    return sentences
+
+
+def _range_of_absence(
+    conn: Connection, map_name: str, feature_id: UUID, row: Mapping[str, Any]
+) -> tuple[float, float] | None:
+    """Nearest and farthest distance from which a drive had the position in view; None where its records were pruned."""
+    xyz_m = (row["easting_m"], row["northing_m"], row["height_m"])
+    found = passes_of(
+        conn, map_name, feature_id, xyz_m, row["cone_height_m"], drive_uuids=[row["drive_uuid"]], max_drives=1
+    )
+    if not found:
+        return None
+    frames = found[0].frames
+    shown = [frame.range_m for frame in frames if frame.state in ("empty", "occupied")] or [f.range_m for f in frames]
+    return min(shown), max(shown)

@@ -1,0 +1,148 @@
+"""What a person judges by: the frame pairs that show a position, the sentence for each change, and what waits for a decision."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+
+import pytest
+from fastapi.testclient import TestClient
+from pydantic import SecretStr
+
+from conetl.db.connection import connect
+from conetl.db.map.map_store import list_changesets
+from conetl.pipeline.settings import Settings
+from conetl.reports.drive_page import write_drive_page
+from conetl.web.app import create_app
+from conetl.web.decisions import Writer
+from tests.integration.conftest import command_line
+from tests.integration.drives_of_days import failed_audits, merge, survey
+
+TOKEN = "a-token-that-nobody-guesses"
+MAP = "/api/maps/default"
+BY = {"decided_by": "Ada", "reason": "seen in the images"}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="module")
+def client(module_database_url, home):
+    """Two days of a road, and a drive on hold."""
+    with closing(connect(module_database_url)) as conn:
+        for day in (0, 1):
+            merge(conn, survey(day))
+        merge(conn, survey(2), hold="GNSS/INS jumps by 5.0 m.")
+    writer = Writer(SecretStr(TOKEN), module_database_url, Settings(home=home))
+    app = create_app(module_database_url, "default", writer=writer)
+    with TestClient(app, base_url="http://127.0.0.1") as test_client:
+        yield test_client
+    with closing(connect(module_database_url)) as conn:
+        assert failed_audits(conn) == []
+
+
+def get(client, path):
+    answer = client.get(f"{MAP}/{path}")
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def decide(client, request):
+    headers = {"Authorization": f"Bearer {TOKEN}", "Origin": "http://127.0.0.1"}
+    answer = client.post(f"{MAP}/decisions", json=request | BY, headers=headers)
+    assert answer.status_code == 201, answer.text
+    return answer.json()
+
+
+def changes(client, kind):
+    return [c for c in get(client, "changes/2")["changes"] if c["kind"] == kind]
+
+
+def test_the_empty_frame_pairs_are_those_that_removed_the_cone(client):
+    [removed] = changes(client, "removed")
+    last = get(client, f"features/{removed['feature_id']}")["history"][-1]
+    found = get(client, f"features/{removed['feature_id']}/passes")["passes"]
+    by_drive = {one["drive_uuid"]: one for one in found}
+    frames = by_drive[last["drive_uuid"]]["frames"]
+    empty = [f for f in frames if f["state"] == "empty"]
+    assert abs(len(empty) - last["frames_empty"]) <= 1  # the drive's offset is not stored
+    near, far = (f"{pick(f['range_m'] for f in empty):.0f}" for pick in (min, max))
+    visible = f"the position was visible in {last['frames_empty']} frame pairs"
+    assert last["why"].startswith(
+        f"Removed: drive {last['drive_id']} passed at {near}–{far} m, {visible}, none showed a cone"
+    )
+    observed = {f["state"] for one in found if one["kind"] == "added" for f in one["frames"]}
+    assert "observed" in observed and "empty" not in observed
+    assert [one["counts"] for one in found if one["kind"] is None] == [
+        False
+    ]  # on hold: its images can be seen all the same
+
+
+def test_the_sentence_is_the_same_everywhere(client, module_database_url, home):
+    [removed] = changes(client, "removed")
+    sentences = [h["why"] for h in get(client, f"features/{removed['feature_id']}")["history"]]
+    conetl = command_line(home, module_database_url)
+    logged = conetl("map", "log", removed["feature_id"])
+    assert [line for line in logged.splitlines() if line in sentences] == sentences
+    assert [entry["why"] for entry in json.loads(conetl("map", "log", removed["feature_id"], "--json"))] == sentences
+    assert sentences[-1] in client.get(f"{MAP}/changesets/2/report").text
+
+
+def test_the_history_is_that_of_an_instant_of_the_database(client):
+    first, second = get(client, "timeline")["changesets"][:2]
+    [moved] = changes(client, "moved")
+    then = get(client, f"features/{moved['feature_id']}?known_at={first['committed_at'].replace('+00:00', 'Z')}")
+    now = get(client, f"features/{moved['feature_id']}")
+    assert [h["kind"] for h in then["history"]] == ["added"]
+    assert [h["kind"] for h in now["history"]] == ["added", "moved"] and second["changeset_no"] == 2
+
+
+def test_a_frame_projects_onto_its_boxes(client):
+    """The cameras of a frame pair put the position of each sighting at the foot of its box."""
+    feature = get(client, "features")["features"][0]
+    for sighting in get(client, f"features/{feature['feature_id']}/sightings")["sightings"][::5]:
+        frame = get(client, f"drives/{sighting['drive_uuid']}/frames/{sighting['frame_index']}")
+        for side in ("left", "right"):
+            view = frame[side]
+            [box] = [b for b in view["boxes"] if b["match_index"] == sighting["match_index"]]
+            d = [a - b for a, b in zip(sighting["xyz_m"], view["xyz_m"], strict=True)]
+            x, y, z = (sum(view["map_R_camera"][i][k] * d[i] for i in range(3)) for k in range(3))
+            u, v = view["cx_px"] + view["fx_px"] * x / z, view["cy_px"] + view["fy_px"] * y / z
+            assert abs(u - box["x_px"] - box["w_px"] / 2) < 5 and abs(v - box["y_px"] - box["h_px"]) < 5
+            assert "is missing" in view["problem"]
+    path = f"drives/{sighting['drive_uuid']}/frames/999999"
+    assert client.get(f"{MAP}/{path}").status_code == client.get(f"{MAP}/{path}/left.jpg").status_code == 404
+
+
+def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_database_url, home):
+    """Last in this file: it decides. An accepted drive's report on disk is written again."""
+    whole = get(client, "review?limit=100")
+    kinds = [item["kind"] for item in whole["items"]]
+    order = ["held", "removal", "move", "doubtful"]
+    assert kinds == sorted(kinds, key=order.index) and kinds[:2] == ["held", "removal"] and "move" in kinds
+    assert {kind: kinds.count(kind) for kind in order} == whole["counts"]
+    pages = [get(client, f"review?limit=1&offset={k}")["items"] for k in range(len(kinds) + 1)]
+    assert [item for page in pages for item in page] == whole["items"] and pages[-1] == []
+    held = whole["items"][0]
+    assert held["checks"] == [
+        {"name": "jumps of the poses", "figures": "5 +- 0.1 m (limit 0.1)", "detail": held["why"]}
+    ]
+
+    settings = Settings(home=home)
+    report = settings.drive_report_path(held["drive_id"], held["changeset_no"])
+    with closing(connect(module_database_url)) as conn:
+        known = {c.changeset_no: c for c in list_changesets(conn)}
+        write_drive_page(conn, known[held["changeset_no"]], report, map_name="default")
+    assert "is on hold" in report.read_text()
+    done = decide(client, {"kind": "accept", "changeset_id": held["changeset_id"]})
+    assert done["report_problem"] is None and f"Released: drive {held['drive_id']}" in done["hold_changes"][0]
+    assert "is on hold" not in report.read_text() and "accepted by Ada" in report.read_text()
+    assert get(client, "review")["counts"]["held"] == 0
+
+    now = next(item for item in get(client, "review")["items"] if item["kind"] == "removal")
+    pin = {"kind": "pin", "feature_id": now["feature_id"], "expected_version": now["version"]}
+    decide(client, pin)
+    assert now["feature_id"] in {f["feature_id"] for f in get(client, "features")["features"]}
+    assert now["feature_id"] not in {item["feature_id"] for item in get(client, "review?limit=100")["items"]}

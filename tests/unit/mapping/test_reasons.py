@@ -1,0 +1,49 @@
+"""The sentence that says why a feature changed."""
+
+from __future__ import annotations
+
+from uuid import UUID
+
+import pytest
+
+from conetl.mapping.reasons import ChangeFacts, why
+from conetl.model.map_records import DeltaKind
+
+OTHER = UUID("0123abcd-0000-0000-0000-000000000000")
+SEEN = {"frames_seen": 12, "range_m": (6.2, 29.6), "sigma_m": 0.0214}
+SEEN_TEXT = "drive x observed it in 12 frame pairs at 6–30 m"
+
+
+@pytest.mark.parametrize(
+    ("kind", "existence", "facts", "sentence"),
+    [
+        ("added", 0.98, SEEN, f"Added: {SEEN_TEXT}; existence 0.98, horizontal sigma 0.021 m."),
+        ("added", 0.5, {}, "Added: drive x observed it; existence 0.50."),
+        ("confirmed", 0.9991, {**SEEN, "frames_seen": 1, "range_m": (9.1, 9.4)},
+         "Confirmed: drive x observed it in 1 frame pair at 9 m; existence 0.9991, horizontal sigma 0.021 m."),
+        ("moved", 0.9, {**SEEN, "shift_m": 1.5},
+         f"Moved: {SEEN_TEXT}, 1.50 m from its earlier position; existence 0.90, horizontal sigma 0.021 m."),
+        ("removed", 0.02, {"frames_seen": 0, "frames_empty": 14, "range_m": (6, 30), "sigma_m": 0.02},
+         "Removed: drive x passed at 6–30 m, the position was visible in 14 frame pairs, none showed a cone; existence 0.02."),
+        ("missed", 0.71, {"frames_seen": 1, "frames_empty": 3},
+         "Not observed: drive x passed, the position was visible in 4 frame pairs, 1 of them showed a cone; existence 0.71, "
+         "it stays on the map."),
+        ("missed", 0.71, {}, "Not observed: drive x passed, the position was visible, no cone was observed; existence 0.71, "
+         "it stays on the map."),
+        ("height_changed", 0.9, {**SEEN, "cone_height_m": 0.51, "sigma_m": None},
+         f"Height changed: {SEEN_TEXT}, as a cone 0.51 m high; existence 0.90."),
+        ("split", 0.9, {**SEEN, "sigma_m": None, "other_feature_id": OTHER},
+         f"Split: {SEEN_TEXT}, as a second cone beside 0123abcd; existence 0.90."),
+        ("merged", 0.001, {"other_feature_id": OTHER},
+         "Merged: drive x observed one cone where the map had two; 0123abcd remains; existence 0.0010."),
+        ("added", 0.9, {"is_import": True, "sigma_m": 0.1},
+         "Added: the imported map x states it; existence 0.90, horizontal sigma 0.100 m."),
+    ],
+)  # fmt: skip
+def test_a_sentence_with_numbers_for_each_kind(kind, existence, facts, sentence):
+    assert why(ChangeFacts(DeltaKind(kind), "x", existence, **facts)) == sentence
+
+
+def test_every_kind_has_a_sentence_without_any_number_stored():
+    for kind in DeltaKind:
+        assert why(ChangeFacts(kind, "x", 0.5)).endswith(".")
