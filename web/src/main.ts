@@ -14,7 +14,9 @@ import { createStage, type Stage } from "./scene";
 import { createSidebar } from "./sidebar";
 import { formatState, parseState, type State } from "./state";
 import "./style.css";
+import { themeSwitch } from "./theme";
 import { createTimeline } from "./timeline";
+import { createTools } from "./tools";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
 // The requests go out first: setting up WebGL keeps this thread for as long as they take.
@@ -37,6 +39,14 @@ try {
 const cones = createCones(stage);
 const overlays = createOverlays(stage, layout.view);
 const base = createBase(stage, (error) => layout.toast(`Base layers: ${messageOf(error)}`, null));
+
+const tools = createTools(stage, layout.view, cones, {
+  state: () => state,
+  change: (values) => change(values, false),
+  cones: () => visible(),
+  trouble: (text) => layout.toast(text, null),
+  redraw: () => draw(),
+});
 
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
@@ -130,6 +140,8 @@ window.addEventListener("hashchange", () => {
   if (other) void openMap();
   else {
     if (state.camera) stage.setPose(state.camera);
+    tools.keepPose();
+    tools.openMeasure();
     void refresh();
     void select(state.feature);
   }
@@ -161,6 +173,7 @@ async function openMap(): Promise<void> {
     const answer = await api.maps();
     maps = answer.maps;
     if (!state.map) state.map = nameOf(answer);
+    tools.basemap(answer.basemap);
     sidebar.showMaps(maps, state.map);
     document.title = `${state.map} · conetl`;
     if (maps.some((m) => m.map_name === state.map && m.changeset_count > 0)) {
@@ -169,7 +182,9 @@ async function openMap(): Promise<void> {
       await Promise.all([readTimeline(), readDecisions()]);
     }
     if (state.camera) stage.setPose(state.camera);
+    tools.keepPose();
     await refresh();
+    tools.openMeasure();
     if (state.feature) await select(state.feature);
   } catch (error) {
     fail(error, openMap);
@@ -197,6 +212,7 @@ async function openBase(map: string): Promise<void> {
     base.apply(state);
     const layers = await base.open(map);
     if (map === state.map) sidebar.showBase(layers);
+    tools.points(layers.some((l) => l.kind === "points"));
   } catch (error) {
     layout.toast(`The base layers cannot be shown: ${messageOf(error)}`, { text: "Try again", run: () => void openBase(map) });
   }
@@ -204,6 +220,7 @@ async function openBase(map: string): Promise<void> {
 
 async function readTimeline(): Promise<void> {
   timeline = await api.timeline(state.map);
+  tools.open(timeline);
 }
 
 async function newChangeset(no: number): Promise<void> {
@@ -312,6 +329,8 @@ function draw(): void {
   const shown = visible();
   cones.show(shown);
   base.apply(state);
+  tools.show(all);
+  tools.apply(state);
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length);
   showTimeline(state, timeline?.changesets ?? []);
@@ -432,7 +451,8 @@ stage.canvas.addEventListener("pointerdown", (event) => {
 });
 stage.canvas.addEventListener("pointerup", (event) => {
   if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
-  const cone = cones.pick(event.offsetX, event.offsetY);
+  if (tools.click(event.offsetX, event.offsetY)) return;
+  const cone = tools.pick(event.offsetX, event.offsetY);
   if (!cone) return;
   layout.tip(null, 0, 0); // the panel moves the scene, and the cone away from the pointer
   void select(cone.id);
@@ -443,7 +463,7 @@ stage.canvas.addEventListener("pointermove", (event) => {
   hovering = true;
   requestAnimationFrame(() => {
     hovering = false;
-    const cone = cones.pick(event.offsetX, event.offsetY);
+    const cone = tools.pick(event.offsetX, event.offsetY);
     stage.canvas.classList.toggle("over", cone !== null);
     layout.tip(cone, event.offsetX, event.offsetY);
   });
@@ -456,12 +476,12 @@ window.addEventListener("keydown", (event) => {
   const typing = target.matches("select, input:not([type=range]):not([type=checkbox])");
   if (event.key === "Escape") {
     if (typing) target.blur();
-    else if (!layout.closeHelp()) void select(null);
+    else if (!layout.closeHelp() && !tools.escape()) void select(null);
     return;
   }
   if (typing) return;
   if (target.matches("input[type=range]") && event.key.startsWith("Arrow")) return;
-  if (handleKey(event) || stage.key(event)) event.preventDefault();
+  if (tools.key(event) || handleKey(event) || stage.key(event)) event.preventDefault();
 });
 
 function handleKey(event: KeyboardEvent): boolean {
@@ -502,9 +522,10 @@ window.conetlProject = (id) => {
 
 window.conetlPickTime = (x, y) => {
   const before = performance.now();
-  cones.pick(x, y);
+  tools.pick(x, y);
   return performance.now() - before;
 };
 
 fill(layout.brand, el("b", { textContent: "conetl" }), " map");
+layout.brand.parentElement?.querySelector(".status")?.after(themeSwitch());
 void openMap();

@@ -8,7 +8,7 @@ export function changesetOf(items: TimelineItem[], no: number | null): TimelineI
   return no === null ? items.at(-1) : items.find((t) => t.changeset_no === no) ?? items.at(-1);
 }
 
-const standing = (f: Feature): Cone => ({
+export const standing = (f: Feature): Cone => ({
   id: f.feature_id, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
   probability: f.existence_probability, observations: f.observation_count,
 });
@@ -27,7 +27,7 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
     return [answer.features.map(standing), answer.truncated];
   }
   if (state.mode === "compare") {
-    const answer = await api.between(map, instantAfter(items, state.from, known), instantAfter(items, state.to, known));
+    const answer = await api.between(map, ...comparedInstants(state, items));
     return [answer.changes.map(changed), answer.truncated];
   }
   const item = changesetOf(items, state.changeset);
@@ -46,6 +46,12 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
   const rest = features.features.filter((f) => !changes.has(f.feature_id)).map((f): Cone => ({ ...standing(f), kind: "unchanged" }));
   const after = [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, shift_m: null }));
   return [[...(state.side === "changes" ? changes.values() : after), ...rest], features.truncated];
+}
+
+/** The two states of "Compare two". */
+export function comparedInstants(state: State, items: TimelineItem[]): [Instant, Instant] {
+  const known = state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
+  return [instantAfter(items, state.from, known), instantAfter(items, state.to, known)];
 }
 
 function instantAfter(items: TimelineItem[], no: number | null, known: string | null): Instant {

@@ -1,5 +1,6 @@
 // The state of the page, kept in the address bar: a link opens the same view.
 import { KIND_ORDER, type Kind } from "./kinds";
+import { formatScene, parseScene, SCENE, type SceneState } from "./scene_state";
 
 export type Mode = "drive" | "compare" | "instant";
 export type Side = "before" | "changes" | "after";
@@ -28,8 +29,7 @@ export interface State {
   /** Base layers. */
   points: boolean;
   lines: boolean;
-  /** Base layers in colour-blind safe colours. */
-  safeColours: boolean;
+  scene: SceneState;
   camera: CameraPose | null;
 }
 
@@ -37,7 +37,7 @@ export function initialState(): State {
   return {
     map: "", mode: "drive", changeset: null, side: "changes", from: 0, to: null, valid: null, known: null,
     hidden: new Set(), minProbability: 0, feature: null, sighting: null, trajectory: true,
-    points: true, lines: true, safeColours: false, camera: null,
+    points: true, lines: true, scene: SCENE, camera: null,
   };
 }
 
@@ -70,7 +70,7 @@ export function parseState(hash: string): State {
   state.feature = feature !== null && /^[0-9a-f-]{36}$/.test(feature) ? feature : null;
   state.sighting = natural(p.get("sighting"));
   for (const [name, field] of SWITCHES) state[field] = p.get(name) !== "0";
-  state.safeColours = p.get("colours") === "safe";
+  state.scene = parseScene(p);
   const camera = (p.get("cam") ?? "").split(",").map(Number);
   if (camera.length === 6 && camera.every(Number.isFinite) && (camera[5] ?? 0) > 0) state.camera = camera as CameraPose;
   return state;
@@ -96,7 +96,7 @@ export function formatState(state: State): string {
   if (state.feature) p.set("feature", state.feature);
   if (state.feature && state.sighting !== null) p.set("sighting", String(state.sighting));
   for (const [name, field] of SWITCHES) if (!state[field]) p.set(name, "0");
-  if (state.safeColours) p.set("colours", "safe");
+  formatScene(p, state.scene, state.mode === "compare");
   if (state.camera) p.set("cam", state.camera.map((v) => v.toFixed(3).replace(/\.?0+$/, "")).join(","));
   return p.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
 }

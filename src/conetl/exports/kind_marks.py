@@ -1,7 +1,7 @@
-"""Colour, marker and legend text of each kind of change in images and exports, the same as in `conetl view`.
+"""Colours of cones and base layers in images, reports and exports, the same as in `conetl view`; marker and text of each kind.
 
 The colours are safe for the colour-blind (no red beside green, no orange), and each kind has a shape of its own. A test
-compares them with web/src/kinds.ts.
+compares them with web/src/kinds.ts and theme.ts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class KindMark(NamedTuple):
 
 #: In the order of drawing: later ones are drawn over earlier ones.
 KIND_MARKS = {
-    DeltaKind.CONFIRMED: KindMark("o", "#7f97b2", "confirmed"),
+    DeltaKind.CONFIRMED: KindMark("o", "#4d6f99", "confirmed"),
     DeltaKind.MISSED: KindMark("$\\circ$", "#5f45b8", "not observed"),
     DeltaKind.HEIGHT_CHANGED: KindMark("s", "#00707c", "height changed"),
     DeltaKind.MERGED: KindMark("v", "#1f2933", "merged"),
@@ -31,3 +31,5 @@ KIND_MARKS = {
     DeltaKind.ADDED: KindMark("P", "#0068b4", "new"),
 }
 STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")
+#: Muted, so that cones come first: LiDAR points of low and of high intensity, lane boundaries, drive paths.
+DARK_POINT, BRIGHT_POINT, LANE, DRIVE_PATH = "#a9a294", "#dcd7cc", "#8a7443", "#4a5560"
