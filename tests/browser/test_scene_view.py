@@ -46,7 +46,7 @@ def under_cursor(page: Any, x: float, y: float) -> np.ndarray:
     """Easting, northing, longitude, latitude that the page shows for a pixel of the canvas."""
     box = page.locator("main.view").bounding_box()
     page.mouse.move(box["x"] + x, box["y"] + y)
-    page.wait_for_function("() => / E /.test(document.querySelector('.cursor').textContent.replace(/\\s+/g, ' '))")
+    page.wait_for_function("() => / E .* N.*, /.test(document.querySelector('.cursor').textContent)")
     page.wait_for_timeout(120)
     return np.array(re.findall(r"-?\d+\.\d+", page.locator(".cursor").inner_text()), float)
 
@@ -63,6 +63,17 @@ def test_the_plan_is_orthographic_and_coordinates_are_those_of_pyproj(page, addr
     assert np.hypot(east - 458_001, north - 5_428_010) < 1.5 / per_m + 0.01
     expected = Transformer.from_crs(32632, 4326, always_xy=True).transform(east, north)
     assert np.abs(np.subtract(expected, (lon, lat))).max() < 1.5e-7  # a centimetre, and the last digit
+    page.click("canvas", position={"x": stays[0], "y": stays[1] + 60})  # it stays, to be copied and sent
+    shown = page.locator(".cursor").inner_text()
+    assert "at=" in page.url
+    page.mouse.move(5, 5)
+    assert page.locator(".cursor").inner_text() == shown
+    page.evaluate("navigator.clipboard.writeText = (text) => { window.copied = text; return Promise.resolve(); }")
+    page.click(".cursor")
+    assert page.evaluate("window.copied").split()[:2] == ["EPSG:32632", shown.split()[0]]
+    page.keyboard.press("Escape")
+    page.wait_for_selector(".cursor", state="hidden")
+    under_cursor(page, *stays)
     line_px = page.locator(".scalebar i").bounding_box()["width"]
     metres = float(page.locator(".scalebar span").inner_text().split()[0])
     assert line_px / metres == pytest.approx(per_m, rel=0.02)

@@ -2,7 +2,7 @@
 import { BufferAttribute, BufferGeometry, Group, Mesh, MeshBasicMaterial, SRGBColorSpace, Texture } from "three";
 import type { BaseMapItem, Projection } from "./api";
 import { el } from "./dom";
-import { toDegrees, toMetres, type Pair, type Projector } from "./projection";
+import { toDegrees, toMetres, type Pair, type Projector } from "./lonlat";
 import type { Stage } from "./scene";
 
 /** Pieces per side of a tile: their corners are where the map's CRS has them. */

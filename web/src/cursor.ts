@@ -2,7 +2,7 @@
 import type { Vec3 } from "./api";
 import { el } from "./dom";
 import { copyText } from "./measure";
-import { toDegrees, type Projector } from "./projection";
+import { toDegrees, type Projector } from "./lonlat";
 import type { Stage } from "./scene";
 
 const EDGE_PX = 70;
@@ -10,34 +10,36 @@ const EDGE_PX = 70;
 export function createCursor(stage: Stage, host: HTMLElement, projector: Projector) {
   const grid = el("span", { class: "mono" });
   const degrees = el("span", { class: "mono" });
-  const box = el("button", { type: "button", class: "cursor", hidden: true, title: "Copy these coordinates (X)" }, grid, degrees);
+  const box = el("button", { type: "button", class: "cursor", hidden: true, disabled: true, title: "Copy these coordinates (X)" }, grid, degrees);
+  const pin = el("i", { class: "pin", hidden: true, aria: { hidden: "true" } });
   const labels = el("div", { class: "grid-labels", hidden: true, aria: { hidden: "true" } });
-  host.append(labels, box);
+  host.append(labels, pin, box);
   let origin: Vec3 = [0, 0, 0];
   let srid = 0;
-  let at: Vec3 | null = null;
-  /** Where the pointer was last, also after it left for the button. */
-  let pointer: [number, number] | null = null;
+  /** Under the cursor, and where the person clicked, which stays. */
+  let hovered: Vec3 | null = null;
+  let pinned: Vec3 | null = null;
   let labelled = false;
 
   function show(): void {
+    const at = pinned ?? hovered;
     box.hidden = at === null;
+    box.disabled = pinned === null;
     if (!at) return;
     grid.textContent = `${(at[0] + origin[0]).toFixed(2)} E  ${(at[1] + origin[1]).toFixed(2)} N`;
     const projection = projector.at([at[0], at[1]]);
     const found = projection && toDegrees(projection, [at[0], at[1]]);
     degrees.textContent = found ? `${found[0].toFixed(7)}, ${found[1].toFixed(7)}` : "";
-    box.setAttribute("aria-label", `Copy the coordinates under the cursor: EPSG:${srid} ${grid.textContent}, longitude and latitude ${degrees.textContent}`);
+    box.setAttribute("aria-label", `Copy the coordinates: EPSG:${srid} ${grid.textContent}, longitude and latitude ${degrees.textContent}`);
   }
 
   function follow(x: number, y: number): void {
-    pointer = [x, y];
-    at = stage.groundAt(x, y);
+    hovered = stage.groundAt(x, y);
     show();
   }
 
   async function copy(): Promise<void> {
-    if (!at) return;
+    if (box.hidden) return;
     await copyText(`EPSG:${srid} ${grid.textContent}\tlon, lat ${degrees.textContent}`);
     box.classList.add("copied");
     window.setTimeout(() => box.classList.remove("copied"), 1200);
@@ -49,12 +51,20 @@ export function createCursor(stage: Stage, host: HTMLElement, projector: Project
     asked = true;
     const [x, y] = [event.offsetX, event.offsetY];
     requestAnimationFrame(() => {
+      if (asked) follow(x, y);
       asked = false;
-      follow(x, y);
     });
+  });
+  stage.canvas.addEventListener("pointerleave", () => {
+    asked = false;
+    hovered = null;
+    show();
   });
   box.addEventListener("click", () => void copy());
   stage.beforeDraw(() => {
+    const pixel = pinned && stage.project(pinned);
+    pin.hidden = !pixel;
+    if (pixel) pin.style.transform = `translate(${pixel[0].toFixed(1)}px, ${pixel[1].toFixed(1)}px)`;
     labels.hidden = !labelled || !stage.plan;
     if (!labels.hidden) placeLabels();
   });
@@ -86,11 +96,16 @@ export function createCursor(stage: Stage, host: HTMLElement, projector: Project
     open(originM: Vec3, mapSrid: number): void {
       origin = originM;
       srid = mapSrid;
-      if (pointer) follow(...pointer);
+      show();
     },
     /** The projection arrived. */
     refresh: () => show(),
     copy: () => void copy(),
+    pin(place: [number, number] | null): void {
+      pinned = place && [...place, stage.ground];
+      show();
+      stage.draw();
+    },
     labels(on: boolean): void {
       labelled = on;
       stage.draw();

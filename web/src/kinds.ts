@@ -18,17 +18,17 @@ export interface Cone {
 /** `shape` is the number of the marker in the shader and in `icon`; the colours are those of reports, images and QGIS
  * (src/conetl/exports/kind_marks.py, compared by a test), and lighter ones of the same hue for a dark page. */
 export const STYLES: Record<Kind, { colour: string; dark: string; shape: number; label: string }> = {
-  added: { colour: "#0068b4", dark: "#5fb4ee", shape: 1, label: "new" },
-  moved: { colour: "#a8327f", dark: "#e37fc0", shape: 2, label: "moved" },
+  added: { colour: "#002e9a", dark: "#afdafb", shape: 1, label: "new" },
+  moved: { colour: "#821773", dark: "#e054d9", shape: 2, label: "moved" },
   removed: { colour: "#1f2933", dark: "#e6ebf0", shape: 3, label: "removed" },
-  split: { colour: "#0068b4", dark: "#5fb4ee", shape: 6, label: "split off" },
+  split: { colour: "#002e9a", dark: "#afdafb", shape: 6, label: "split off" },
   merged: { colour: "#1f2933", dark: "#e6ebf0", shape: 7, label: "merged" },
-  height_changed: { colour: "#00707c", dark: "#3ec0cc", shape: 5, label: "height changed" },
-  missed: { colour: "#5f45b8", dark: "#a995f5", shape: 4, label: "not observed" },
-  confirmed: { colour: "#4d6f99", dark: "#8ba6c4", shape: 0, label: "confirmed" },
+  height_changed: { colour: "#006a54", dark: "#2fedaf", shape: 5, label: "height changed" },
+  missed: { colour: "#8a54e4", dark: "#9b45ff", shape: 4, label: "not observed" },
+  confirmed: { colour: "#7c93a2", dark: "#6b869c", shape: 0, label: "confirmed" },
   unchanged: { colour: "#b4bcc6", dark: "#616c78", shape: 0, label: "not evaluated" },
   suppressed: { colour: "#66717c", dark: "#98a3ae", shape: 3, label: "suppressed" },
-  standing: { colour: "#4d6f99", dark: "#8ba6c4", shape: 0, label: "standing" },
+  standing: { colour: "#7c93a2", dark: "#6b869c", shape: 0, label: "standing" },
 };
 
 export const KIND_ORDER: Kind[] = ["added", "split", "moved", "removed", "merged", "height_changed", "missed", "suppressed", "confirmed", "unchanged", "standing"];

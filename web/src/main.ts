@@ -453,7 +453,7 @@ stage.canvas.addEventListener("pointerup", (event) => {
   if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
   if (tools.click(event.offsetX, event.offsetY)) return;
   const cone = tools.pick(event.offsetX, event.offsetY);
-  if (!cone) return;
+  if (!cone) return tools.clickGround(event.offsetX, event.offsetY);
   layout.tip(null, 0, 0); // the panel moves the scene, and the cone away from the pointer
   void select(cone.id);
 });

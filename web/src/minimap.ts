@@ -2,7 +2,7 @@
 import { el } from "./dom";
 import { footprint } from "./basemap";
 import type { Cone } from "./kinds";
-import type { Pair } from "./projection";
+import type { Pair } from "./lonlat";
 import type { Stage } from "./scene";
 import { colourOf, colours } from "./theme";
 

@@ -17,9 +17,11 @@ export interface SceneState {
   swipe: number | null;
   /** What is measured, as measure.ts writes it; null while nothing is. */
   measure: string | null;
+  /** A place that was clicked, as an offset from the map's origin. */
+  at: [number, number] | null;
 }
 
-export const SCENE: SceneState = { plan: false, colouring: "intensity", size: 1, opacity: 1, basemap: 1, grid: "lines", swipe: null, measure: null };
+export const SCENE: SceneState = { plan: false, colouring: "intensity", size: 1, opacity: 1, basemap: 1, grid: "lines", swipe: null, measure: null, at: null };
 const COLOURINGS: Colouring[] = ["intensity", "height", "one"];
 const GRIDS: Grid[] = ["none", "lines", "labels"];
 
@@ -29,6 +31,8 @@ function within(text: string | null, least: number, most: number, otherwise: num
 }
 
 export function parseScene(p: URLSearchParams): SceneState {
+  p.get("colours"); // of older links: the safe colours are the only ones now
+  const at = (p.get("at") ?? "").split(",").map((v) => (v === "" ? NaN : Number(v)));
   const swipe = within(p.get("swipe"), 0, 1, NaN);
   return {
     plan: p.get("view") === "plan",
@@ -39,6 +43,7 @@ export function parseScene(p: URLSearchParams): SceneState {
     grid: GRIDS.find((g) => g === p.get("grid")) ?? SCENE.grid,
     swipe: Number.isNaN(swipe) ? null : swipe,
     measure: p.get("measure"),
+    at: at.length === 2 && at.every(Number.isFinite) ? (at as [number, number]) : null,
   };
 }
 
@@ -49,5 +54,6 @@ export function formatScene(p: URLSearchParams, scene: SceneState, compares: boo
   for (const name of ["size", "opacity", "basemap"] as const) if (scene[name] !== SCENE[name]) p.set(name, String(scene[name]));
   if (scene.grid !== SCENE.grid) p.set("grid", scene.grid);
   if (compares && scene.swipe !== null) p.set("swipe", scene.swipe.toFixed(3).replace(/\.?0+$/, "") || "0");
+  if (scene.at !== null) p.set("at", scene.at.map((v) => v.toFixed(3)).join(","));
   if (scene.measure !== null) p.set("measure", scene.measure);
 }

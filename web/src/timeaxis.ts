@@ -86,8 +86,10 @@ export function labels({ start, end }: Span, width: number): { time: number; tex
 export interface AxisActions {
   /** A single drive was chosen. */
   choose(index: number): void;
-  /** What an entry of these drives shows. */
-  entry(indices: number[]): { bars: Node[]; title: string };
+  /** How much these drives changed. */
+  weight(indices: number[]): number;
+  /** What an entry of these drives shows; `most` is the largest weight of an entry. */
+  entry(indices: number[], most: number): { bars: Node[]; title: string };
   zoomed?: (() => void) | undefined;
 }
 
@@ -156,9 +158,11 @@ export function createTimeAxis(actions: AxisActions) {
     drawnWidth = width;
     drawn = [];
     if (!width || !times.length) return fill(entries);
-    fill(entries, ...clusters(times, seen, width).map(({ first, last, x }) => {
+    const found = clusters(times, seen, width);
+    const most = found.reduce((m, c) => Math.max(m, actions.weight(order.slice(c.first, c.last + 1))), 1);
+    fill(entries, ...found.map(({ first, last, x }) => {
       const count = last - first + 1;
-      const { bars, title } = actions.entry(order.slice(first, last + 1));
+      const { bars, title } = actions.entry(order.slice(first, last + 1), most);
       const enter = () => {
         const mine = chosen >= first && chosen <= last;
         // As deep as it helps: drives of the same minute stay one entry, and the next one of them is chosen.

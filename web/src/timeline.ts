@@ -52,7 +52,7 @@ function segmented<T extends string>(label: string, choices: [T, string][], choo
   };
 }
 
-/** The changes of some drives: a bar per kind, as high as their number among the largest one. */
+/** The changes of some drives: a bar per kind, as high as its share of `most`. */
 function barsOf(items: TimelineItem[], most: number): { bars: Node[]; title: string } {
   const sums = new Map<Kind, number>();
   for (const t of items) for (const { kind, count } of changesOf(t)) sums.set(kind, (sums.get(kind) ?? 0) + count);
@@ -72,23 +72,14 @@ function barsOf(items: TimelineItem[], most: number): { bars: Node[]; title: str
   return { bars, title: `${counts || "no changes"}${held.length ? `, ${held.length} on hold` : ""}` };
 }
 
-/** Bars of drives on an axis; one high bar must not flatten all others of a cluster, so clusters have a scale of their own. */
 function driveAxis(items: () => TimelineItem[], choose: (index: number) => void, zoomed?: () => void) {
-  const total = (t: TimelineItem) => changesOf(t).reduce((sum, { count }) => sum + count, 0);
-  let of: TimelineItem[] | null = null;
-  let most = 1;
+  const drives = (indices: number[]) => indices.flatMap((i) => items()[i] ?? []);
+  const total = (t: TimelineItem) => CHANGED.reduce((sum, [, count]) => sum + count(t), 0);
   return createTimeAxis({
     choose,
     zoomed,
-    entry(indices) {
-      if (of !== items()) {
-        of = items();
-        most = of.reduce((m, t) => Math.max(m, total(t)), 1);
-      }
-      const drives = indices.flatMap((i) => items()[i] ?? []);
-      const sum = drives.reduce((s, t) => s + total(t), 0);
-      return barsOf(drives, Math.max(most, sum));
-    },
+    weight: (indices) => drives(indices).reduce((sum, t) => sum + total(t), 0),
+    entry: (indices, most) => barsOf(drives(indices), most),
   });
 }
 

@@ -8,7 +8,7 @@ import type { Cone, Kind } from "./kinds";
 import { createLayers } from "./layers";
 import { createMeasure } from "./measure";
 import { createMinimap } from "./minimap";
-import { createProjection } from "./projection";
+import { createProjection } from "./lonlat";
 import { changesetOf, comparedInstants, standing } from "./query";
 import type { Stage } from "./scene";
 import type { SceneState } from "./scene_state";
@@ -82,6 +82,7 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     opening = false;
     stage.showGrid(s.grid !== "none");
     cursor.labels(s.grid === "labels");
+    cursor.pin(s.at);
     basemap.apply(s.basemap);
     if (ground !== stage.ground) {
       ground = stage.ground;
@@ -141,10 +142,16 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     pick: (x: number, y: number) => swipe.pick(x, y),
     /** True if the click was a point of a measurement. */
     click: (x: number, y: number): boolean => measure.active() && measure.click(swipe.pick(x, y), stage.groundAt(x, y)),
+    /** A click beside all cones: its coordinates stay, until the next one. */
+    clickGround(x: number, y: number): void {
+      const place = scene().at === null ? stage.groundAt(x, y) : null;
+      change({ at: place && [Math.round(place[0] * 1000) / 1000, Math.round(place[1] * 1000) / 1000] });
+    },
     /** True if something was ended by Esc. */
     escape(): boolean {
-      if (!measure.active()) return false;
-      measure.end();
+      if (measure.active()) measure.end();
+      else if (scene().at !== null) change({ at: null });
+      else return false;
       return true;
     },
     key(event: KeyboardEvent): boolean {

@@ -21,14 +21,14 @@ class KindMark(NamedTuple):
 
 #: In the order of drawing: later ones are drawn over earlier ones.
 KIND_MARKS = {
-    DeltaKind.CONFIRMED: KindMark("o", "#4d6f99", "confirmed"),
-    DeltaKind.MISSED: KindMark("$\\circ$", "#5f45b8", "not observed"),
-    DeltaKind.HEIGHT_CHANGED: KindMark("s", "#00707c", "height changed"),
+    DeltaKind.CONFIRMED: KindMark("o", "#7c93a2", "confirmed"),
+    DeltaKind.MISSED: KindMark("$\\circ$", "#8a54e4", "not observed"),
+    DeltaKind.HEIGHT_CHANGED: KindMark("s", "#006a54", "height changed"),
     DeltaKind.MERGED: KindMark("v", "#1f2933", "merged"),
     DeltaKind.REMOVED: KindMark("X", "#1f2933", "removed"),
-    DeltaKind.MOVED: KindMark("D", "#a8327f", "moved"),
-    DeltaKind.SPLIT: KindMark("^", "#0068b4", "split off"),
-    DeltaKind.ADDED: KindMark("P", "#0068b4", "new"),
+    DeltaKind.MOVED: KindMark("D", "#821773", "moved"),
+    DeltaKind.SPLIT: KindMark("^", "#002e9a", "split off"),
+    DeltaKind.ADDED: KindMark("P", "#002e9a", "new"),
 }
 STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")
 #: Muted, so that cones come first: LiDAR points of low and of high intensity, lane boundaries, drive paths.

@@ -82,6 +82,6 @@ def _square(values: Floats) -> Floats:
 
 
 def _terms(uv: Floats) -> Floats:
-    """u^i v^j with i + j <= degree, in the order of i, then j: the same as in web/src/projection.ts."""
+    """u^i v^j with i + j <= degree, in the order of i, then j: the same as in web/src/lonlat.ts."""
     u, v = uv.T
     return np.column_stack([u**i * v**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)])

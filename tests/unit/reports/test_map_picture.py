@@ -12,7 +12,7 @@ from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
 from conetl.reports.map_picture import PlanContent, draw_map_picture, plan_extent
 
-ADDED, MOVED, REMOVED, STANDING, LANE = map(bytes.fromhex, ("0068b4", "a8327f", "1f2933", "4d6f99", "8a7443"))
+ADDED, MOVED, REMOVED, STANDING, LANE = map(bytes.fromhex, ("002e9a", "821773", "1f2933", "7c93a2", "8a7443"))
 NO_POINTS = (np.empty((0, 2)), np.empty(0, np.uint8))
 
 

@@ -17,7 +17,7 @@ from tests.pmtiles_file import write_pmtiles
 
 
 def polynomial(coefficients: list[float], degree: int, uv: np.ndarray) -> np.ndarray:
-    """As web/src/projection.ts computes it."""
+    """As web/src/lonlat.ts computes it."""
     terms = [uv[:, 0] ** i * uv[:, 1] ** j for i in range(degree + 1) for j in range(degree + 1 - i)]
     return np.array(coefficients) @ terms
 
