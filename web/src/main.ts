@@ -42,7 +42,12 @@ const base = createBase(stage, (error) => layout.toast(`Base layers: ${messageOf
 
 const tools = createTools(stage, layout.view, cones, {
   state: () => state,
-  change: (values) => change(values, false),
+  change: (scene) => {
+    state = { ...state, scene: { ...state.scene, ...scene } };
+    writeChoice();
+    base.apply(state);
+    tools.apply(state);
+  },
   cones: () => visible(),
   trouble: (text) => layout.toast(text, null),
   redraw: () => draw(),
@@ -139,8 +144,7 @@ window.addEventListener("hashchange", () => {
   state = next;
   if (other) void openMap();
   else {
-    if (state.camera) stage.setPose(state.camera);
-    tools.keepPose();
+    if (state.camera) tools.setPose(state.camera);
     tools.openMeasure();
     void refresh();
     void select(state.feature);
@@ -181,8 +185,7 @@ async function openMap(): Promise<void> {
       stage.warm();
       await Promise.all([readTimeline(), readDecisions()]);
     }
-    if (state.camera) stage.setPose(state.camera);
-    tools.keepPose();
+    if (state.camera) tools.setPose(state.camera);
     await refresh();
     tools.openMeasure();
     if (state.feature) await select(state.feature);
@@ -451,7 +454,7 @@ stage.canvas.addEventListener("pointerdown", (event) => {
 });
 stage.canvas.addEventListener("pointerup", (event) => {
   if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
-  if (tools.click(event.offsetX, event.offsetY)) return;
+  if (tools.click(event.offsetX, event.offsetY)) return layout.tip(null, 0, 0);
   const cone = tools.pick(event.offsetX, event.offsetY);
   if (!cone) return tools.clickGround(event.offsetX, event.offsetY);
   layout.tip(null, 0, 0); // the panel moves the scene, and the cone away from the pointer

@@ -14,7 +14,6 @@ export function createMinimap(stage: Stage, host: HTMLElement) {
   const canvas = el("canvas", { class: "minimap-canvas", width: 2 * WIDTH, height: 2 * HEIGHT });
   const box = el("div", { class: "minimap", hidden: true, title: "The whole map; click to go there", aria: { hidden: "true" } }, canvas);
   host.append(box);
-  const context = canvas.getContext("2d");
   const back = el("canvas", { width: canvas.width, height: canvas.height });
   let cones: Cone[] = [];
   let [left, bottom, right, top] = [0, 0, 0, 0];
@@ -37,10 +36,13 @@ export function createMinimap(stage: Stage, host: HTMLElement) {
   }
 
   stage.beforeDraw(() => {
-    const seen = cones.length > 1 ? footprint(stage) : [];
+    // The middle line of the view is the least that is seen of the ground.
+    const least = stage.canvas.clientWidth / stage.pixelsAtDepth(stage.pose()[5]);
+    const seen = Math.max(right - left, top - bottom) > LARGER * Math.min(least, (least * stage.canvas.clientHeight) / stage.canvas.clientWidth) ? footprint(stage) : [];
     const [wide, high] = [spread(seen.map((p) => p[0])), spread(seen.map((p) => p[1]))];
     box.hidden = seen.length < 3 || (right - left < LARGER * wide && top - bottom < LARGER * high);
-    if (box.hidden || !context) return;
+    const context = box.hidden ? null : canvas.getContext("2d"); // made when it is first needed: that takes a while
+    if (!context) return;
     if (dirty) drawBack();
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, canvas.width, canvas.height);

@@ -7,7 +7,7 @@ import type { HistoryItem, Sighting, Trajectory, Vec3 } from "./api";
 import { el } from "./dom";
 import type { Cone } from "./kinds";
 import type { Stage } from "./scene";
-import { colours, colourVariable } from "./theme";
+import { colours, colourVariable, onTheme } from "./theme";
 
 /** Number of sigmas that contain 95 % of a normal distribution in two dimensions. */
 export const SIGMAS_95 = Math.sqrt(-2 * Math.log(0.05));
@@ -46,6 +46,9 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
   const labels = el("div", { class: "labels", aria: { hidden: "true" } });
   host.append(labels);
   let labelled: { at: Vec3; node: HTMLElement }[] = [];
+  onTheme(() => paths.traverse((part) => {
+    if (part instanceof Line || part instanceof Mesh) (part.material as LineBasicMaterial).color.set(colours().path);
+  })); // prettier-ignore
 
   stage.beforeDraw(() => {
     const taken: [number, number][] = [];

@@ -280,10 +280,12 @@ void main() {
   vec4 farther = projectionMatrix * vec4(seen.xy, seen.z - 0.5, 1.0);
   gl_Position.z = farther.z / farther.w * gl_Position.w;
   gl_PointSize = clamp(perMetre / max(gl_Position.w, 0.01), least, 3.0 * least);
-  float up = clamp(((modelMatrix * vec4(position, 1.0)).z - ground) / 6.0, 0.0, 1.0);
-  vTint = colouring < 0.5 ? mix(dark, bright, shade / 255.0)
-    : colouring > 1.5 ? mix(dark, bright, 0.4)
-    : up < 0.5 ? mix(low, middle, 2.0 * up) : mix(middle, high, 2.0 * up - 1.0);
+  if (colouring < 0.5) vTint = mix(dark, bright, shade / 255.0);
+  else if (colouring > 1.5) vTint = mix(dark, bright, 0.4);
+  else {
+    float up = clamp(((modelMatrix * vec4(position, 1.0)).z - ground) / 6.0, 0.0, 1.0);
+    vTint = up < 0.5 ? mix(low, middle, 2.0 * up) : mix(middle, high, 2.0 * up - 1.0);
+  }
 }`;
 const FRAGMENT = /* glsl */ `
 uniform float opacity;

@@ -68,6 +68,8 @@ export function createStage(host: HTMLElement) {
   const cameraCallbacks: ((pose: CameraPose) => void)[] = [];
   let renderWith: (() => void) | null = null;
   let gridStep = 1;
+  /** While a frame is prepared the cameras are where they are drawn. */
+  let drawing = false;
   let requested = false;
   let started = false;
   let frames = 0;
@@ -79,8 +81,10 @@ export function createStage(host: HTMLElement) {
     requestAnimationFrame(() => {
       requested = false;
       placeCameras();
+      drawing = true;
       updateGrid(camera.position.distanceTo(controls.target));
       for (const callback of befores) callback();
+      drawing = false;
       if (renderWith) renderWith();
       else renderer.render(scene, stage.camera);
       frames += 1;
@@ -114,7 +118,7 @@ export function createStage(host: HTMLElement) {
       gridKey = key;
       setGrid(minor, major, at, step, ground);
     }
-    const perMetre = stage.pixelsAtDepth(camera.position.distanceTo(controls.target));
+    const perMetre = pixelsAtDepth(camera.position.distanceTo(controls.target));
     const metres = niceStep(90 / perMetre);
     scaleLine.style.width = `${metres * perMetre}px`;
     scaleText.textContent = `${metreText(metres)}${minor.visible ? ` · grid ${metreText(step)}` : ""}`;
@@ -229,7 +233,7 @@ export function createStage(host: HTMLElement) {
   const ray = new Vector3();
   /** The point of the ground under a pixel of the canvas; null above the horizon. */
   function groundAt(px: number, py: number): Vec3 | null {
-    placeCameras(); // it may have moved since the last frame
+    if (!drawing) placeCameras(); // it may have moved since the last frame
     ray.set((px / canvas.clientWidth) * 2 - 1, 1 - (py / canvas.clientHeight) * 2, 0.5).unproject(stage.camera);
     if (plan) return [ray.x, ray.y, ground];
     ray.sub(camera.position);

@@ -16,9 +16,7 @@ export function createSwipe(stage: Stage, host: HTMLElement, ofChanges: Cones, m
   let shown: [Cone[], Cone[]] | null = null;
   let at: number | null = null;
 
-  function set(next: number): void {
-    moved(Math.round(Math.min(Math.max(next, 0), 1) * 1000) / 1000);
-  }
+  const set = (next: number) => moved(Math.round(Math.min(Math.max(next, 0), 1) * 1000) / 1000);
   divider.addEventListener("pointerdown", (event) => {
     divider.setPointerCapture(event.pointerId);
     divider.focus();

@@ -12,14 +12,14 @@ import { createProjection } from "./lonlat";
 import { changesetOf, comparedInstants, standing } from "./query";
 import type { Stage } from "./scene";
 import type { SceneState } from "./scene_state";
-import type { State } from "./state";
+import type { CameraPose, State } from "./state";
 import { createSwipe } from "./swipe";
 import { onTheme } from "./theme";
 import "./tools.css";
 
 export interface ToolActions {
   state(): State;
-  change(values: Partial<State>): void;
+  change(values: Partial<SceneState>): void;
   cones(): Cone[];
   trouble(text: string): void;
   /** Draw everything again, in other colours. */
@@ -28,7 +28,7 @@ export interface ToolActions {
 
 export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnType<typeof createCones>, actions: ToolActions) {
   const scene = () => actions.state().scene;
-  const change = (values: Partial<SceneState>) => actions.change({ scene: { ...scene(), ...values } });
+  const { change } = actions;
   const projector = createProjection(() => {
     cursor.refresh();
     stage.draw();
@@ -78,8 +78,7 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
 
   function apply(state: State): void {
     const { scene: s } = state;
-    stage.setPlan(s.plan, state.camera !== null && opening);
-    opening = false;
+    stage.setPlan(s.plan);
     stage.showGrid(s.grid !== "none");
     cursor.labels(s.grid === "labels");
     cursor.pin(s.at);
@@ -115,7 +114,6 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     return shown.cones;
   }
 
-  let opening = true;
   return {
     /** Another map, or a new state of its timeline. */
     open(next: Timeline | null): void {
@@ -131,8 +129,11 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
       layers.offer({ basemap: item !== null });
     },
     points: (there: boolean) => layers.offer({ points: there }),
-    /** A pose from an address is taken as it is. */
-    keepPose: () => void (opening = true),
+    /** A pose from an address, taken as it is. */
+    setPose(pose: CameraPose): void {
+      stage.setPlan(scene().plan, true);
+      stage.setPose(pose);
+    },
     apply,
     show(cones: Cone[]): void {
       minimap.show(cones);
