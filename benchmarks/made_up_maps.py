@@ -320,7 +320,8 @@ def _rig() -> Rig:
     identity = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     right = ((1.0, 0.0, 0.0, 0.54), *identity[1:])
     camera = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=721.5, cx_px=609.6, cy_px=172.9)
-    return Rig(rig_id="bench", left=camera, right=camera, body_SE3_left=identity, body_SE3_right=right)
+    half_a_metre = ((1.0, 0.0, 0.0, 0.5), *identity[1:])
+    return Rig(rig_id="bench", left=camera, right=camera, body_SE3_left=identity, body_SE3_right=half_a_metre)
 
 
 def _position(frame: int, match: int, xyz_m: Vec3) -> Position:

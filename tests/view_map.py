@@ -23,6 +23,7 @@ from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFea
 from conetl.model.records import DriveRecords, utc_from_ns
 from conetl.readers.maps.gazetteer import Gazetteer
 from conetl.web.app import create_app
+from conetl.web.basemap import BaseMap
 from conetl.web.decisions import Writer
 
 #: Box of samples.detections() in both images.
@@ -98,6 +99,7 @@ def serving(
     writer: Writer | None = None,
     reader_token: SecretStr | None = None,
     gazetteer: Gazetteer | None = None,
+    basemap: BaseMap | None = None,
 ) -> Iterator[int]:
     """The server as `conetl view` runs it, in a thread; yields its port."""
     running: uvicorn.Server | None = None
@@ -108,6 +110,7 @@ def serving(
         writer=writer,
         reader_token=reader_token,
         gazetteer=gazetteer,
+        base_map=basemap,
     )
     listener = socket.create_server(("127.0.0.1", 0), backlog=2048)
     config = uvicorn.Config(app, log_level="critical", limit_concurrency=256, timeout_graceful_shutdown=1)

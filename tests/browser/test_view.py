@@ -24,7 +24,7 @@ from tests.view_map import commit, cone, missed
 
 ROOT = Path(__file__).resolve().parents[2]
 #: As in web/src/kinds.ts; red, green, blue.
-ADDED, MOVED, MISSED = (0x00, 0x68, 0xB4), (0xA8, 0x32, 0x7F), (0x5F, 0x45, 0xB8)
+ADDED, MOVED, MISSED = (0x00, 0x2E, 0x9A), (0x82, 0x17, 0x73), (0x8A, 0x54, 0xE4)
 
 
 def _wait_until_up(url: str, server: subprocess.Popen[bytes]) -> None:

@@ -13,6 +13,25 @@ export interface MapItem {
   last_committed_at: string | null;
 }
 
+/** Tiles under the map, in the Web Mercator scheme of XYZ. */
+export interface BaseMapItem {
+  template: string;
+  attribution: string;
+  max_zoom: number;
+}
+
+/** Polynomials between the map's CRS and WGS 84 (src/conetl/web/models.py). */
+export interface Projection {
+  centre_m: [number, number];
+  radius_m: number;
+  lon_deg: number;
+  lat_deg: number;
+  degree: number;
+  unit_per_degree: [number, number];
+  to_degrees: [number[], number[]];
+  to_metres: [number[], number[]];
+}
+
 export interface TimelineItem {
   changeset_no: number;
   changeset_id: string;
@@ -259,7 +278,8 @@ export function requestEarly(map: string, maps: unknown): void {
 }
 
 export const api = {
-  maps: () => askJson<{ maps: MapItem[]; chosen: string }>("maps"),
+  maps: () => askJson<{ maps: MapItem[]; chosen: string; basemap: BaseMapItem | null }>("maps"),
+  projection: (map: string, [x, y]: [number, number]) => askMap<Projection>(map, `projection${query({ x_m: String(x), y_m: String(y) })}`),
   timeline: (map: string) => askMap<Timeline>(map, "timeline"),
   features: (map: string, at: Instant) =>
     askMap<{ features: Feature[]; truncated: boolean }>(map, `features${query({ valid_at: at.valid, known_at: at.known })}`),

@@ -1,24 +1,13 @@
-// Base layers: LiDAR points and lane boundaries under the cones, in the paper's colours or in colour-blind safe ones.
+// Base layers: LiDAR points and lane boundaries under the cones, in muted colours.
 import { Color, Group } from "three";
 import { LineMaterial } from "three/addons/lines/LineMaterial.js";
 import { LineSegments2 } from "three/addons/lines/LineSegments2.js";
 import { LineSegmentsGeometry } from "three/addons/lines/LineSegmentsGeometry.js";
 import { api, type BaseLayer, type BaseLine } from "./api";
 import { createPoints } from "./points";
-import { BACKGROUND, type Stage } from "./scene";
+import type { Stage } from "./scene";
 import type { State } from "./state";
-
-interface Palette {
-  /** Of points of low and of high intensity. */
-  dark: string;
-  bright: string;
-  line: string;
-}
-/** Red points, green lines: as in Lagahit & Tseng. The safe palette is for red-green colour blindness (see docs/explanation/decisions/web.md). */
-export const PALETTES: Record<"paper" | "safe", Palette> = {
-  paper: { dark: "#d34a4c", bright: "#fbc6be", line: "#0b8a3a" },
-  safe: { dark: "#c68c3f", bright: "#e5cba8", line: "#644916" },
-};
+import { colours } from "./theme";
 
 export function createBase(stage: Stage, onTrouble: (error: unknown) => void) {
   const points = createPoints(stage, onTrouble);
@@ -44,9 +33,8 @@ export function createBase(stage: Stage, onTrouble: (error: unknown) => void) {
       lines.show([]);
     },
     apply(state: State): void {
-      const palette = PALETTES[state.safeColours ? "safe" : "paper"];
-      points.setColour(palette.dark, palette.bright);
-      lines.setColour(palette.line);
+      points.setStyle(colours(), state.scene);
+      lines.setColour(colours().line);
       points.setVisible(state.points);
       lines.setVisible(state.lines);
     },
@@ -56,10 +44,10 @@ export function createBase(stage: Stage, onTrouble: (error: unknown) => void) {
 /** Above the road, so that points on it do not hide them. */
 const LIFT_M = 0.05;
 const STYLES = {
-  painted: { width_px: 2.6, dashed: false, faint: 0 },
-  dashed: { width_px: 2.6, dashed: true, faint: 0 },
-  edge: { width_px: 1.6, dashed: false, faint: 0.15 },
-  virtual: { width_px: 1, dashed: false, faint: 0.55 },
+  painted: { width_px: 1.5, dashed: false, faint: 0 },
+  dashed: { width_px: 1.5, dashed: true, faint: 0 },
+  edge: { width_px: 1.2, dashed: false, faint: 0.2 },
+  virtual: { width_px: 1, dashed: false, faint: 0.6 },
 } as const;
 type Style = keyof typeof STYLES;
 
@@ -80,7 +68,7 @@ function createLines(stage: Stage) {
 
   function tint(): void {
     for (const [style, mesh] of meshes) {
-      (mesh.material as LineMaterial).color.copy(colour).lerp(new Color(BACKGROUND), STYLES[style].faint);
+      (mesh.material as LineMaterial).color.copy(colour).lerp(new Color(colours().background), STYLES[style].faint);
     }
     stage.draw();
   }

@@ -7,12 +7,14 @@ import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 import type { Vec3 } from "./api";
 import { isGone, STYLES, type Cone } from "./kinds";
 import type { Stage } from "./scene";
+import { colourOf, colours } from "./theme";
 
 const PICK_PX = 18;
 /** Smaller cones are drawn as their marker alone. */
 const MIN_BODY_PX = 4;
-/** Marker's height above the tip. */
+/** Marker's height above the tip; in the plan it is on the cone. */
 const MARKER_LIFT_PX = 13;
+const lift = (stage: Stage) => (stage.plan ? 0 : MARKER_LIFT_PX);
 
 export function createCones(stage: Stage) {
   const body = coneGeometry();
@@ -20,7 +22,7 @@ export function createCones(stage: Stage) {
   const ghost = shaded(0.3);
   const group = new Group();
   stage.scene.add(group);
-  const markers = markerPoints();
+  const markers = markerPoints(stage);
   stage.scene.add(markers.points);
   let cones: Cone[] = [];
   const seen = new Matrix4();
@@ -38,7 +40,7 @@ export function createCones(stage: Stage) {
 
   function show(next: Cone[]): void {
     cones = next;
-    const colour = (c: Cone) => STYLES[c.kind].colour;
+    const colour = (c: Cone) => colourOf(c.kind);
     standing.set(cones.filter((c) => !isGone(c.kind)).map((c) => ({ at: c.xyz, height: c.height_m, colour: colour(c) })));
     gone.set(
       cones.flatMap((c) => {
@@ -74,7 +76,7 @@ export function createCones(stage: Stage) {
       const tipY = ((1 - at(1, cx, cy, top) / wTip) / 2) * height;
       // Distance to the line from the foot to the marker above the tip, in units of how near a click must be.
       const reach = Math.max(PICK_PX, Math.hypot(tipX - footX, tipY - footY) * 0.35);
-      const score = distanceToSegment(x, y, footX, footY, tipX, tipY - MARKER_LIFT_PX) / reach;
+      const score = distanceToSegment(x, y, footX, footY, tipX, tipY - lift(stage)) / reach;
       if (score < bestScore) {
         bestScore = score;
         best = cone;
@@ -83,7 +85,11 @@ export function createCones(stage: Stage) {
     return best;
   }
 
-  return { show, pick };
+  return {
+    show, pick,
+    /** Whether they are drawn: the comparison by swipe draws two sets, one on each side. */
+    setVisible: (on: boolean) => void (group.visible = markers.points.visible = on),
+  };
 }
 
 interface Body {
@@ -222,6 +228,7 @@ void main() {
   gl_PointSize = shape < 0.5 ? size * 0.72 : size;
 }`;
 const FRAGMENT = /* glsl */ `
+uniform vec3 halo;
 varying vec3 vTint;
 varying float vShape;
 float bar(vec2 p) { return min(max(abs(p.x) - 0.15, abs(p.y) - 0.62), max(abs(p.y) - 0.15, abs(p.x) - 0.62)); }
@@ -239,15 +246,15 @@ void main() {
   else if (vShape > 1.5) d = (abs(p.x) + abs(p.y)) - 0.72;
   else if (vShape > 0.5) d = bar(p);
   if (d > 0.2) discard;
-  gl_FragColor = vec4(d > 0.02 ? vec3(1.0) : vTint, 1.0);
+  gl_FragColor = vec4(d > 0.02 ? halo : vTint, 1.0);
   #include <colorspace_fragment>
 }`;
 
-function markerPoints(): { points: Points; set(cones: Cone[]): void } {
+function markerPoints(stage: Stage): { points: Points; set(cones: Cone[]): void } {
   const material = new ShaderMaterial({
     vertexShader: VERTEX,
     fragmentShader: FRAGMENT,
-    uniforms: { size: { value: 17 }, lift: { value: 0 } },
+    uniforms: { size: { value: 17 }, lift: { value: 0 }, halo: { value: new Color() } },
     depthTest: false,
   });
   const points = new Points(new BufferGeometry(), material);
@@ -256,7 +263,8 @@ function markerPoints(): { points: Points; set(cones: Cone[]): void } {
   points.onBeforeRender = (renderer) => {
     const ratio = renderer.getPixelRatio();
     material.uniforms["size"]!.value = 17 * ratio;
-    material.uniforms["lift"]!.value = (2 * MARKER_LIFT_PX) / Math.max(renderer.domElement.clientHeight, 1);
+    (material.uniforms["halo"]!.value as Color).set(colours().halo);
+    material.uniforms["lift"]!.value = (2 * lift(stage)) / Math.max(renderer.domElement.clientHeight, 1);
     material.uniformsNeedUpdate = true;
   };
   const colour = new Color();
@@ -266,7 +274,7 @@ function markerPoints(): { points: Points; set(cones: Cone[]): void } {
     const [position, tint, shape] = [new Float32Array(order.length * 3), new Float32Array(order.length * 3), new Float32Array(order.length)];
     order.forEach((cone, i) => {
       position.set([cone.xyz[0], cone.xyz[1], cone.xyz[2] + cone.height_m], i * 3);
-      tint.set(colour.set(STYLES[cone.kind].colour).toArray(), i * 3);
+      tint.set(colour.set(colourOf(cone.kind)).toArray(), i * 3);
       shape[i] = STYLES[cone.kind].shape;
     });
     points.geometry.dispose();

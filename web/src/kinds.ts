@@ -21,19 +21,20 @@ export interface Cone {
   changeset: number;
 }
 
-/** `shape` is the number of the marker in the shader and in `icon`. */
-export const STYLES: Record<Kind, { colour: string; shape: number; label: string }> = {
-  added: { colour: "#0068b4", shape: 1, label: "new" },
-  moved: { colour: "#a8327f", shape: 2, label: "moved" },
-  removed: { colour: "#1f2933", shape: 3, label: "removed" },
-  split: { colour: "#0068b4", shape: 6, label: "split off" },
-  merged: { colour: "#1f2933", shape: 7, label: "merged" },
-  height_changed: { colour: "#00707c", shape: 5, label: "height changed" },
-  missed: { colour: "#5f45b8", shape: 4, label: "not observed" },
-  confirmed: { colour: "#7f97b2", shape: 0, label: "confirmed" },
-  unchanged: { colour: "#b4bcc6", shape: 0, label: "not evaluated" },
-  suppressed: { colour: "#66717c", shape: 3, label: "suppressed" },
-  standing: { colour: "#7f97b2", shape: 0, label: "standing" },
+/** `shape` is the number of the marker in the shader and in `icon`; the colours are those of reports, images and QGIS
+ * (src/conetl/exports/kind_marks.py, compared by a test), and lighter ones of the same hue for a dark page. */
+export const STYLES: Record<Kind, { colour: string; dark: string; shape: number; label: string }> = {
+  added: { colour: "#002e9a", dark: "#afdafb", shape: 1, label: "new" },
+  moved: { colour: "#821773", dark: "#e054d9", shape: 2, label: "moved" },
+  removed: { colour: "#1f2933", dark: "#e6ebf0", shape: 3, label: "removed" },
+  split: { colour: "#002e9a", dark: "#afdafb", shape: 6, label: "split off" },
+  merged: { colour: "#1f2933", dark: "#e6ebf0", shape: 7, label: "merged" },
+  height_changed: { colour: "#006a54", dark: "#2fedaf", shape: 5, label: "height changed" },
+  missed: { colour: "#8a54e4", dark: "#9b45ff", shape: 4, label: "not observed" },
+  confirmed: { colour: "#7c93a2", dark: "#6b869c", shape: 0, label: "confirmed" },
+  unchanged: { colour: "#b4bcc6", dark: "#616c78", shape: 0, label: "not evaluated" },
+  suppressed: { colour: "#66717c", dark: "#98a3ae", shape: 3, label: "suppressed" },
+  standing: { colour: "#7c93a2", dark: "#6b869c", shape: 0, label: "standing" },
 };
 
 export const KIND_ORDER: Kind[] = ["added", "split", "moved", "removed", "merged", "height_changed", "missed", "suppressed", "confirmed", "unchanged", "standing"];
@@ -61,7 +62,7 @@ export function icon(kind: Kind): SVGSVGElement {
   svg.setAttribute("aria-hidden", "true");
   const path = document.createElementNS(SVG, "path");
   path.setAttribute("d", PATHS[STYLES[kind].shape] ?? "");
-  path.setAttribute("fill", STYLES[kind].colour);
+  path.style.fill = `var(--kind-${kind})`;
   svg.append(path);
   return svg;
 }

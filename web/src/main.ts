@@ -21,7 +21,9 @@ import { createSites, nearTo } from "./sites";
 import { formatState, parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
+import { themeSwitch } from "./theme";
 import { createTimeline } from "./timeline";
+import { createTools } from "./tools";
 import { createViewer, type Start } from "./viewer";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
@@ -45,6 +47,19 @@ try {
 const cones = createCones(stage);
 const overlays = createOverlays(stage, layout.view);
 const base = createBase(stage, (error) => layout.toast(`Base layers: ${messageOf(error)}`, null));
+
+const tools = createTools(stage, layout.view, cones, {
+  state: () => state,
+  change: (scene) => {
+    state = { ...state, scene: { ...state.scene, ...scene } };
+    writeChoice();
+    base.apply(state);
+    tools.apply(state);
+  },
+  cones: () => visible(),
+  trouble: (text) => layout.toast(text, null),
+  redraw: () => draw(),
+});
 
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
@@ -188,7 +203,8 @@ window.addEventListener("hashchange", () => {
   state = next;
   if (other) void openMap();
   else {
-    if (state.camera) stage.setPose(state.camera);
+    if (state.camera) tools.setPose(state.camera);
+    tools.openMeasure();
     void refresh();
     void select(state.feature);
   }
@@ -228,6 +244,7 @@ async function openMap(): Promise<void> {
     const answer = await api.maps();
     maps = answer.maps;
     if (!state.map) state.map = nameOf(answer);
+    tools.basemap(answer.basemap);
     sidebar.showMaps(maps, state.map);
     document.title = `${state.map} · conetl`;
     if (maps.some((m) => m.map_name === state.map && m.changeset_count > 0)) {
@@ -235,8 +252,9 @@ async function openMap(): Promise<void> {
       stage.warm();
       await Promise.all([readTimeline(), readDecisions()]);
     }
-    if (state.camera) stage.setPose(state.camera);
+    if (state.camera) tools.setPose(state.camera);
     await refresh();
+    tools.openMeasure();
     if (state.feature) await select(state.feature);
     if (timeline) review.load();
   } catch (error) {
@@ -265,6 +283,7 @@ async function openBase(map: string): Promise<void> {
     base.apply(state);
     const layers = await base.open(map);
     if (map === state.map) sidebar.showBase(layers);
+    tools.points(layers.some((l) => l.kind === "points"));
   } catch (error) {
     layout.toast(`The base layers cannot be shown: ${messageOf(error)}`, { text: "Try again", run: () => void openBase(map) });
   }
@@ -272,6 +291,7 @@ async function openBase(map: string): Promise<void> {
 
 async function readTimeline(): Promise<void> {
   timeline = await api.timeline(state.map);
+  tools.open(timeline);
 }
 
 async function newChangeset(no: number): Promise<void> {
@@ -422,6 +442,8 @@ function draw(): void {
   showSites(all);
   drawMark();
   base.apply(state);
+  tools.show(all);
+  tools.apply(state);
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length);
   showTimeline(state, timeline?.changesets ?? []);
@@ -570,8 +592,9 @@ stage.canvas.addEventListener("pointerdown", (event) => {
 });
 stage.canvas.addEventListener("pointerup", (event) => {
   if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
-  const cone = cones.pick(event.offsetX, event.offsetY);
-  if (!cone) return;
+  if (tools.click(event.offsetX, event.offsetY)) return layout.tip(null, 0, 0);
+  const cone = tools.pick(event.offsetX, event.offsetY);
+  if (!cone) return tools.clickGround(event.offsetX, event.offsetY);
   layout.tip(null, 0, 0); // the panel moves the scene, and the cone away from the pointer
   void select(cone.id);
 });
@@ -581,7 +604,7 @@ stage.canvas.addEventListener("pointermove", (event) => {
   hovering = true;
   requestAnimationFrame(() => {
     hovering = false;
-    const cone = cones.pick(event.offsetX, event.offsetY);
+    const cone = tools.pick(event.offsetX, event.offsetY);
     stage.canvas.classList.toggle("over", cone !== null);
     layout.tip(cone, event.offsetX, event.offsetY);
   });
@@ -594,12 +617,12 @@ window.addEventListener("keydown", (event) => {
   const typing = target.matches("select, input:not([type=range]):not([type=checkbox])");
   if (event.key === "Escape") {
     if (typing) target.blur();
-    else if (!layout.closeHelp()) void select(null);
+    else if (!layout.closeHelp() && !tools.escape()) void select(null);
     return;
   }
   if (typing) return;
   if (target.matches("input[type=range]") && event.key.startsWith("Arrow")) return;
-  if (handleKey(event) || stage.key(event)) event.preventDefault();
+  if (tools.key(event) || handleKey(event) || stage.key(event)) event.preventDefault();
 });
 
 function handleKey(event: KeyboardEvent): boolean {
@@ -648,9 +671,10 @@ window.conetlProject = (id) => {
 
 window.conetlPickTime = (x, y) => {
   const before = performance.now();
-  cones.pick(x, y);
+  tools.pick(x, y);
   return performance.now() - before;
 };
 
 fill(layout.brand, el("b", { textContent: "conetl" }), " map");
+layout.brand.parentElement?.querySelector(".status")?.after(themeSwitch());
 void openMap();

@@ -5,8 +5,9 @@ import {
 } from "three";
 import type { HistoryItem, Sighting, Trajectory, Vec3 } from "./api";
 import { el } from "./dom";
-import { STYLES, type Cone } from "./kinds";
+import type { Cone } from "./kinds";
 import type { Stage } from "./scene";
+import { colours, colourVariable, onTheme } from "./theme";
 
 /** Number of sigmas that contain 95 % of a normal distribution in two dimensions. */
 export const SIGMAS_95 = Math.sqrt(-2 * Math.log(0.05));
@@ -15,9 +16,6 @@ const ARROW_EVERY_M = 8;
 const MAX_LABELS = 60;
 /** Width and height reserved for a label. */
 const LABEL_PX = [64, 20] as const;
-const PATH = "#4a5560";
-const CAMERA = "#00795c";
-const ELLIPSE = "#0068b4";
 
 export interface Ellipse {
   /** Semi-axes on the ground that contain 95 %, and the direction of the major one, counter-clockwise from east. */
@@ -48,6 +46,9 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
   const labels = el("div", { class: "labels", aria: { hidden: "true" } });
   host.append(labels);
   let labelled: { at: Vec3; node: HTMLElement }[] = [];
+  onTheme(() => paths.traverse((part) => {
+    if (part instanceof Line || part instanceof Mesh) (part.material as LineBasicMaterial).color.set(colours().path);
+  })); // prettier-ignore
 
   stage.beforeDraw(() => {
     const taken: [number, number][] = [];
@@ -64,7 +65,7 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
     showPaths(drives: Trajectory[]): void {
       empty(paths);
       for (const drive of drives) {
-        const line = new Line(geometry(drive.xyz_m), new LineBasicMaterial({ color: PATH }));
+        const line = new Line(geometry(drive.xyz_m), new LineBasicMaterial({ color: colours().path }));
         paths.add(line, ...chevrons(drive.xyz_m));
       }
       stage.draw();
@@ -75,8 +76,8 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
       if (at && ellipse) {
         const circle = new CircleGeometry(1, 72);
         const points = Array.from({ length: 72 }, (_, i) => new Vector3(Math.cos((i * Math.PI) / 36), Math.sin((i * Math.PI) / 36), 0));
-        const rim = new LineLoop(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: ELLIPSE, depthTest: false }));
-        const fill = new Mesh(circle, new MeshBasicMaterial({ color: ELLIPSE, transparent: true, opacity: 0.22, depthTest: false, side: DoubleSide }));
+        const rim = new LineLoop(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: colours().ellipse, depthTest: false }));
+        const fill = new Mesh(circle, new MeshBasicMaterial({ color: colours().ellipse, transparent: true, opacity: 0.22, depthTest: false, side: DoubleSide }));
         for (const part of [fill, rim]) {
           part.scale.set(ellipse.major_m * factor, ellipse.minor_m * factor, 1);
           part.rotation.z = ellipse.angle_rad;
@@ -100,10 +101,10 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
           const roof = a.clone().lerp(b, 0.5).add(rotate(sighting.map_R_camera, [0, -0.25, 0]));
           points.push(a.clone().lerp(b, 0.35), roof, roof, a.clone().lerp(b, 0.65));
         }
-        const lines = new LineSegments(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: CAMERA }));
+        const lines = new LineSegments(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: colours().camera }));
         const ray = new Line(
           new BufferGeometry().setFromPoints([centre, new Vector3(...sighting.xyz_m)]),
-          new LineBasicMaterial({ color: CAMERA, transparent: true, opacity: 0.55 }),
+          new LineBasicMaterial({ color: colours().camera, transparent: true, opacity: 0.55 }),
         );
         frustum.add(lines, ray);
       }
@@ -118,7 +119,7 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
         const text = [isChosen ? cone.id.slice(0, 8) : "", cone.kind === "moved" && cone.shift_m !== null ? `${cone.shift_m.toFixed(2)} m` : ""]
           .filter(Boolean).join(" · "); // prettier-ignore
         const node = el("span", { class: isChosen ? "label chosen" : "label", textContent: text });
-        node.style.setProperty("--colour", STYLES[cone.kind].colour);
+        node.style.setProperty("--colour", colourVariable(cone.kind));
         return { at: [cone.xyz[0], cone.xyz[1], cone.xyz[2] + cone.height_m] as Vec3, node };
       });
       labels.replaceChildren(...labelled.map(({ node }) => node));
@@ -159,7 +160,7 @@ function chevrons(points: Vec3[]): Object3D[] {
   }
   if (!poses.length) return [];
   const shape = new Shape().moveTo(0.45, 0).lineTo(-0.3, 0.3).lineTo(-0.12, 0).lineTo(-0.3, -0.3).closePath();
-  const mesh = new InstancedMesh(new ShapeGeometry(shape), new MeshBasicMaterial({ color: PATH, side: DoubleSide }), poses.length);
+  const mesh = new InstancedMesh(new ShapeGeometry(shape), new MeshBasicMaterial({ color: colours().path, side: DoubleSide }), poses.length);
   mesh.frustumCulled = false;
   poses.forEach((matrix, i) => mesh.setMatrixAt(i, matrix));
   return [mesh];

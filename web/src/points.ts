@@ -4,6 +4,8 @@ import {
 } from "three";
 import type { BaseTile } from "./api";
 import type { Stage } from "./scene";
+import type { SceneState } from "./scene_state";
+import type { Colours } from "./theme";
 
 /** Largest number of points of a frame at rest. */
 export const MAX_DRAWN = 1_000_000;
@@ -70,6 +72,7 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void) 
 
   stage.beforeDraw(() => {
     group.visible = visible && tiles.length > 0;
+    material.uniforms["ground"]!.value = stage.ground;
     if (!group.visible) {
       stage.canvas.dataset["points"] = "0";
       return;
@@ -94,13 +97,12 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void) 
   function choose(budget: number): void {
     const { camera } = stage;
     frustum.setFromProjectionMatrix(matrix.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse));
-    const scale_px = pixelsAtOneMetre(stage);
     const candidates: [number, Tile][] = [];
     for (const tile of tiles) {
       if (tile.points) tile.points.visible = false;
       if (!frustum.intersectsBox(tile.box)) continue;
       const distance = Math.max(tile.box.clampPoint(camera.position, nearest).distanceTo(camera.position), 0.5);
-      const spacing_px = (tile.coarser_m * scale_px) / distance;
+      const spacing_px = tile.coarser_m * stage.pixelsAtDepth(distance);
       if (spacing_px > SPACING_PX) candidates.push([spacing_px, tile]);
     }
     candidates.sort((a, b) => b[0] - a[0]);
@@ -207,9 +209,13 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void) 
       visible = on;
       stage.draw();
     },
-    setColour(dark: string, bright: string): void {
-      (material.uniforms["dark"]!.value as Color).set(dark);
-      (material.uniforms["bright"]!.value as Color).set(bright);
+    setStyle({ dark, bright, heights }: Colours, { colouring, size, opacity }: SceneState): void {
+      const u = material.uniforms;
+      [dark, bright, ...heights].forEach((css, i) => (u[["dark", "bright", "low", "middle", "high"][i]!]!.value as Color).set(css));
+      u["colouring"]!.value = ["intensity", "height", "one"].indexOf(colouring);
+      u["size"]!.value = size;
+      u["opacity"]!.value = opacity;
+      material.transparent = opacity < 1;
       stage.draw();
     },
   };
@@ -222,8 +228,6 @@ function noPoints(material: ShaderMaterial): Points {
   points.visible = false;
   return points;
 }
-
-const pixelsAtOneMetre = (stage: Stage) => stage.canvas.clientHeight / (2 * Math.tan((stage.camera.fov * Math.PI) / 360));
 
 /** Steps and shade of `encode_points` (src/conetl/readers/base_layers/point_tiles.py): planes of low and high bytes of zigzag differences. */
 export function decodePoints(data: Uint8Array): Uint16Array {
@@ -261,6 +265,11 @@ const VERTEX = /* glsl */ `
 attribute float shade;
 uniform vec3 dark;
 uniform vec3 bright;
+uniform vec3 low;
+uniform vec3 middle;
+uniform vec3 high;
+uniform float colouring;
+uniform float ground;
 uniform float perMetre;
 uniform float least;
 varying vec3 vTint;
@@ -268,16 +277,22 @@ void main() {
   vec4 seen = modelViewMatrix * vec4(position, 1.0);
   gl_Position = projectionMatrix * seen;
   // Half a metre farther in depth: LiDAR points of a cone do not hide the cone.
-  float farther = seen.z - 0.5;
-  gl_Position.z = (projectionMatrix[2][2] * farther + projectionMatrix[3][2]) / -farther * gl_Position.w;
-  gl_PointSize = clamp(perMetre / max(-seen.z, 0.01), least, 3.0 * least);
-  vTint = mix(dark, bright, shade / 255.0);
+  vec4 farther = projectionMatrix * vec4(seen.xy, seen.z - 0.5, 1.0);
+  gl_Position.z = farther.z / farther.w * gl_Position.w;
+  gl_PointSize = clamp(perMetre / max(gl_Position.w, 0.01), least, 3.0 * least);
+  if (colouring < 0.5) vTint = mix(dark, bright, shade / 255.0);
+  else if (colouring > 1.5) vTint = mix(dark, bright, 0.4);
+  else {
+    float up = clamp(((modelMatrix * vec4(position, 1.0)).z - ground) / 6.0, 0.0, 1.0);
+    vTint = up < 0.5 ? mix(low, middle, 2.0 * up) : mix(middle, high, 2.0 * up - 1.0);
+  }
 }`;
 const FRAGMENT = /* glsl */ `
+uniform float opacity;
 varying vec3 vTint;
 void main() {
   if (distance(gl_PointCoord, vec2(0.5)) > 0.5) discard;  // round, also from near
-  gl_FragColor = vec4(vTint, 1.0);
+  gl_FragColor = vec4(vTint, opacity);
   #include <colorspace_fragment>
 }`;
 
@@ -285,14 +300,18 @@ function pointMaterial(): ShaderMaterial {
   const material = new ShaderMaterial({
     vertexShader: VERTEX,
     fragmentShader: FRAGMENT,
-    uniforms: { dark: { value: new Color() }, bright: { value: new Color() }, perMetre: { value: 1 }, least: { value: 1.5 } },
-  });
+    uniforms: {
+      ...Object.fromEntries(["dark", "bright", "low", "middle", "high"].map((name) => [name, { value: new Color() }])),
+      perMetre: { value: 1 }, least: { value: 1.5 }, size: { value: 1 }, opacity: { value: 1 }, colouring: { value: 0 }, ground: { value: 0 },
+    },
+  }); // prettier-ignore
   material.onBeforeRender = (renderer, _scene, camera) => {
     const ratio = renderer.getPixelRatio();
     const height = renderer.domElement.height;
+    const size = material.uniforms["size"]!.value as number;
     const projection = camera.projectionMatrix.elements[5] ?? 1;
-    material.uniforms["perMetre"]!.value = (POINT_M * height * projection) / 2;
-    material.uniforms["least"]!.value = 1.4 * ratio;
+    material.uniforms["perMetre"]!.value = (POINT_M * size * height * projection) / 2;
+    material.uniforms["least"]!.value = 1.4 * ratio * size;
     material.uniformsNeedUpdate = true;
   };
   return material;

@@ -9,7 +9,7 @@ export function changesetOf(items: TimelineItem[], no: number | null): TimelineI
   return no === null ? items.at(-1) : items.find((t) => t.changeset_no === no) ?? items.at(-1);
 }
 
-const standing = (f: Feature): Cone => ({
+export const standing = (f: Feature): Cone => ({
   id: f.feature_id, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
   probability: f.existence_probability, observations: f.observation_count, sigma_m: f.sigma_m, seenAt: Date.parse(f.last_seen_at),
   changeset: f.changeset_no,
@@ -48,7 +48,7 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
     return [answer.features.map(standing), answer.truncated];
   }
   if (state.mode === "compare") {
-    const answer = await api.between(map, instantAfter(items, state.from, known), instantAfter(items, state.to, known));
+    const answer = await api.between(map, ...comparedInstants(state, items));
     return [answer.changes.map(changed), answer.truncated];
   }
   const item = changesetOf(items, state.changeset);
@@ -71,7 +71,7 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
 
 /** Whether a change had happened in the state that is shown; `known` is the instant of the database, null now. */
 export function shownState(state: State, items: TimelineItem[]): { reached: (h: HistoryItem) => boolean; known: string | null } {
-  const known = state.mode === "drive" || state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
+  const known = state.mode === "drive" ? null : knownAt(state, items);
   if (state.mode === "drive") {
     const from = changesetOf(items, state.changeset)?.captured_from;
     const [at, before] = [from === undefined ? Infinity : Date.parse(from), state.side === "before"];
@@ -80,6 +80,17 @@ export function shownState(state: State, items: TimelineItem[]): { reached: (h: 
   const valid = state.mode === "instant" ? state.valid : instantAfter(items, state.to, known).valid;
   const at = valid === null ? Infinity : Date.parse(valid);
   return { reached: (h) => Date.parse(h.changed_at) <= at, known };
+}
+
+/** The state of the database that is shown. */
+function knownAt(state: State, items: TimelineItem[]): string | null {
+  return state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
+}
+
+/** The two states of "Compare two". */
+export function comparedInstants(state: State, items: TimelineItem[]): [Instant, Instant] {
+  const known = knownAt(state, items);
+  return [instantAfter(items, state.from, known), instantAfter(items, state.to, known)];
 }
 
 function instantAfter(items: TimelineItem[], no: number | null, known: string | null): Instant {

@@ -1,15 +1,23 @@
-// The stage: renderer, camera and its keys, ground grid, scale bar. Draws only when something changed.
+// The stage: renderer, the two cameras (perspective, and the orthographic one of the plan) and their keys, ground grid, scale bar.
+// Draws only when something changed.
 import {
-  BufferGeometry, Color, Float32BufferAttribute, LineBasicMaterial, LineSegments, MOUSE,
-  PerspectiveCamera, Scene, Spherical, Vector3, WebGLRenderer,
+  BufferGeometry, Color, Float32BufferAttribute, LineBasicMaterial, LineSegments, MOUSE, OrthographicCamera,
+  PerspectiveCamera, Scene, Spherical, TOUCH, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Vec3 } from "./api";
 import { el } from "./dom";
 import type { CameraPose } from "./state";
+import { colours, onTheme } from "./theme";
 
-export const BACKGROUND = "#eef1f4";
 const FIELD_DEG = 42;
+const TAN = Math.tan((FIELD_DEG * Math.PI) / 360);
+/** Polar angles: of the plan (straight down), and of the view in perspective to begin with. */
+const PLAN_PHI = 0.001;
+const PHI = 0.95;
+/** Of the plan's camera over the ground. */
+const PLAN_HEIGHT_M = 2000;
+const [LEAST_M, MOST_M] = [0.6, 20000];
 const GRID_LINES = 60;
 const PIECE_CELLS = 5;
 /** z is up in the map; three's spherical angles want y up. */
@@ -27,30 +35,41 @@ export function createStage(host: HTMLElement) {
   canvas.setAttribute("aria-label", "Map in three dimensions. Arrow keys move, plus and minus zoom, Home shows everything.");
   const scaleText = el("span");
   const scaleLine = el("i");
-  const north = el("button", { class: "north", type: "button", title: "North up, seen from above (T)", textContent: "N" });
+  const north = el("button", { class: "north", type: "button", title: "Turn north up", aria: { label: "Turn north up" }, textContent: "N" });
   host.append(canvas, el("div", { class: "scalebar" }, scaleLine, scaleText), north);
 
   const scene = new Scene();
-  scene.background = new Color(BACKGROUND);
+  scene.background = new Color(colours().background);
 
   const camera = new PerspectiveCamera(FIELD_DEG, 1, 0.1, 5000);
+  const planCamera = new OrthographicCamera();
+  planCamera.far = 2 * PLAN_HEIGHT_M;
+  let plan = false;
   camera.up.set(0, 0, 1);
   camera.position.set(0, -30, 20);
   const controls = new OrbitControls(camera, canvas);
   controls.enableDamping = false;
   controls.zoomToCursor = true;
-  controls.minDistance = 0.6;
-  controls.maxDistance = 20000;
-  controls.maxPolarAngle = Math.PI / 2 - 0.01;
-  controls.mouseButtons = { LEFT: MOUSE.ROTATE, MIDDLE: MOUSE.DOLLY, RIGHT: MOUSE.PAN };
+  controls.minDistance = LEAST_M;
+  controls.maxDistance = MOST_M;
 
-  const minor = gridLines("#dde2e8");
-  const major = gridLines("#c3cbd4");
+  const minor = gridLines(colours().gridMinor);
+  const major = gridLines(colours().gridMajor);
   scene.add(minor, major);
+  onTheme(() => {
+    (scene.background as Color).set(colours().background);
+    (minor.material as LineBasicMaterial).color.set(colours().gridMinor);
+    (major.material as LineBasicMaterial).color.set(colours().gridMajor);
+    draw();
+  });
   let ground = 0;
   let gridKey = "";
   const befores: (() => void)[] = [];
   const cameraCallbacks: ((pose: CameraPose) => void)[] = [];
+  let renderWith: (() => void) | null = null;
+  let gridStep = 1;
+  /** While a frame is prepared the cameras are where they are drawn. */
+  let drawing = false;
   let requested = false;
   let started = false;
   let frames = 0;
@@ -61,31 +80,48 @@ export function createStage(host: HTMLElement) {
     requested = true;
     requestAnimationFrame(() => {
       requested = false;
-      const distance = camera.position.distanceTo(controls.target);
-      camera.near = Math.max(distance / 500, 0.05);
-      camera.far = distance * 40 + 500;
-      camera.updateProjectionMatrix();
-      camera.updateMatrixWorld();
-      updateGrid(distance);
+      placeCameras();
+      drawing = true;
+      updateGrid(camera.position.distanceTo(controls.target));
       for (const callback of befores) callback();
-      renderer.render(scene, camera);
+      drawing = false;
+      if (renderWith) renderWith();
+      else renderer.render(scene, stage.camera);
       frames += 1;
       canvas.dataset["frames"] = String(frames);
     });
   }
 
+  /** The plan shows at its middle what the camera in perspective would show there, seen straight down. */
+  function placeCameras(): void {
+    const distance = camera.position.distanceTo(controls.target);
+    camera.near = Math.max(distance / 500, 0.05);
+    camera.far = distance * 40 + 500;
+    camera.updateProjectionMatrix();
+    camera.updateMatrixWorld();
+    const half = distance * TAN;
+    [planCamera.top, planCamera.bottom, planCamera.right, planCamera.left] = [half, -half, half * camera.aspect, -half * camera.aspect];
+    const turned = azimuth();
+    planCamera.up.set(-Math.sin(turned), Math.cos(turned), 0);
+    planCamera.position.set(controls.target.x, controls.target.y, ground + PLAN_HEIGHT_M);
+    planCamera.lookAt(controls.target.x, controls.target.y, ground);
+    planCamera.updateProjectionMatrix();
+    planCamera.updateMatrixWorld();
+  }
+
   function updateGrid(distance: number): void {
     const step = niceStep(distance / 12);
+    gridStep = step;
     const at = [controls.target.x, controls.target.y].map((v) => Math.round(v / (step * 10)) * step * 10) as [number, number];
     const key = `${step} ${at.join(" ")} ${ground}`;
     if (key !== gridKey) {
       gridKey = key;
       setGrid(minor, major, at, step, ground);
     }
-    const perMetre = pixelsAtDepth(controls.target.clone().sub(camera.position).dot(camera.getWorldDirection(new Vector3())));
+    const perMetre = pixelsAtDepth(camera.position.distanceTo(controls.target));
     const metres = niceStep(90 / perMetre);
     scaleLine.style.width = `${metres * perMetre}px`;
-    scaleText.textContent = `${metreText(metres)} · grid ${metreText(step)}`;
+    scaleText.textContent = `${metreText(metres)}${minor.visible ? ` · grid ${metreText(step)}` : ""}`;
     north.style.transform = `rotate(${azimuth()}rad)`;
   }
 
@@ -121,7 +157,7 @@ export function createStage(host: HTMLElement) {
     const axes = [side, view.clone().cross(side), view];
     const seen = points.map((p) => axes.map((axis) => new Vector3(...p).dot(axis)));
     const middle = axes.map((_, i) => (least(seen.map((s) => s[i] ?? 0)) + most(seen.map((s) => s[i] ?? 0))) / 2);
-    const tanV = Math.tan((FIELD_DEG * Math.PI) / 360) * 0.8;
+    const tanV = TAN * 0.8;
     const tanH = tanV * camera.aspect;
     const [across = 0, up = 0, towards = 0] = middle;
     const distance = ([a = 0, b = 0, c = 0]: number[]) =>
@@ -131,13 +167,16 @@ export function createStage(host: HTMLElement) {
     setPose([centre.x, centre.y, centre.z, theta, phi, radius]);
   }
 
-  /** Pixels per metre at a depth. */
-  const pixelsAtDepth = (depth_m: number) => canvas.clientHeight / (2 * Math.tan((FIELD_DEG * Math.PI) / 360) * Math.max(depth_m, 0.05));
+  /** Pixels per metre at a depth; in the plan everywhere the same. */
+  function pixelsAtDepth(depth_m: number): number {
+    const depth = plan ? camera.position.distanceTo(controls.target) : Math.max(depth_m, 0.05);
+    return canvas.clientHeight / (2 * TAN * depth);
+  }
 
   const seenAt = new Vector3();
   /** True if something of this height at this position is in view and at least so many pixels tall. */
   function sees([x, y, z]: Vec3, height_m: number, least_px: number): boolean {
-    seenAt.set(x, y, z + height_m / 2).applyMatrix4(camera.matrixWorldInverse);
+    seenAt.set(x, y, z + height_m / 2).applyMatrix4(stage.camera.matrixWorldInverse);
     const depth = -seenAt.z;
     if (depth < -height_m) return false;
     const pixels = pixelsAtDepth(depth);
@@ -156,11 +195,10 @@ export function createStage(host: HTMLElement) {
     switch (event.key) {
       case "ArrowLeft": turn ? setPose([x, y, z, theta - 0.1, phi, radius]) : move(-1, 0); return true;
       case "ArrowRight": turn ? setPose([x, y, z, theta + 0.1, phi, radius]) : move(1, 0); return true;
-      case "ArrowUp": turn ? setPose([x, y, z, theta, Math.max(phi - 0.08, 0.01), radius]) : move(0, 1); return true;
-      case "ArrowDown": turn ? setPose([x, y, z, theta, Math.min(phi + 0.08, 1.55), radius]) : move(0, -1); return true;
-      case "+": case "=": setPose([x, y, z, theta, phi, Math.max(radius / 1.2, 0.6)]); return true;
-      case "-": case "_": setPose([x, y, z, theta, phi, Math.min(radius * 1.2, 20000)]); return true;
-      case "t": case "T": stage.topView(); return true;
+      case "ArrowUp": turn && !plan ? setPose([x, y, z, theta, Math.max(phi - 0.08, 0.01), radius]) : move(0, 1); return true;
+      case "ArrowDown": turn && !plan ? setPose([x, y, z, theta, Math.min(phi + 0.08, 1.55), radius]) : move(0, -1); return true;
+      case "+": case "=": setPose([x, y, z, theta, phi, Math.max(radius / 1.2, LEAST_M)]); return true;
+      case "-": case "_": setPose([x, y, z, theta, phi, Math.min(radius * 1.2, MOST_M)]); return true;
       default: return false;
     }
   }
@@ -173,25 +211,88 @@ export function createStage(host: HTMLElement) {
     draw();
   }
 
+  /** The plan is moved like a paper map: left drag pans, right drag turns, the wheel zooms at the cursor. */
+  function setControls(): void {
+    const [pan, turn] = plan ? [MOUSE.PAN, MOUSE.ROTATE] : [MOUSE.ROTATE, MOUSE.PAN];
+    controls.mouseButtons = { LEFT: pan, MIDDLE: MOUSE.DOLLY, RIGHT: turn };
+    controls.touches = plan ? { ONE: TOUCH.PAN, TWO: TOUCH.DOLLY_ROTATE } : { ONE: TOUCH.ROTATE, TWO: TOUCH.DOLLY_PAN };
+    [controls.minPolarAngle, controls.maxPolarAngle] = plan ? [PLAN_PHI, PLAN_PHI] : [0, Math.PI / 2 - 0.01];
+  }
+
+  canvas.addEventListener("wheel", (event) => {
+    if (!plan) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    const [x, y, z, theta, phi, radius] = current();
+    const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1;
+    const next = Math.min(Math.max(radius * Math.exp(Math.min(Math.max(event.deltaY * lines, -300), 300) * 0.0018), LEAST_M), MOST_M);
+    const at = groundAt(event.offsetX, event.offsetY) ?? [x, y];
+    setPose([at[0] + ((x - at[0]) * next) / radius, at[1] + ((y - at[1]) * next) / radius, z, theta, phi, next]);
+  }, { passive: false, capture: true }); // prettier-ignore
+
+  const ray = new Vector3();
+  /** The point of the ground under a pixel of the canvas; null above the horizon. */
+  function groundAt(px: number, py: number): Vec3 | null {
+    if (!drawing) placeCameras(); // it may have moved since the last frame
+    ray.set((px / canvas.clientWidth) * 2 - 1, 1 - (py / canvas.clientHeight) * 2, 0.5).unproject(stage.camera);
+    if (plan) return [ray.x, ray.y, ground];
+    ray.sub(camera.position);
+    const t = (ground - camera.position.z) / ray.z;
+    return t > 0 && Number.isFinite(t) ? [camera.position.x + t * ray.x, camera.position.y + t * ray.y, ground] : null;
+  }
+
   controls.addEventListener("change", changed);
   new ResizeObserver(resize).observe(host);
   resize();
 
   const stage = {
-    scene, camera, canvas, draw, fit, setPose, key, sees,
+    scene, canvas, renderer, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth,
+    get camera(): PerspectiveCamera | OrthographicCamera {
+      return plan ? planCamera : camera;
+    },
+    get plan(): boolean {
+      return plan;
+    },
+    get ground(): number {
+      return ground;
+    },
+    /** Spacing of the grid lines; every tenth is a major one. */
+    get gridStep(): number {
+      return gridStep;
+    },
+    pose: current,
+    /** Plan (orthographic) or perspective; `keep` leaves the pose as it is, as a link has it. */
+    setPlan(on: boolean, keep = false): void {
+      if (on === plan) return;
+      const [x, y, z, theta, , radius] = current();
+      const at = groundAt(canvas.clientWidth / 2, canvas.clientHeight / 2) ?? [x, y, z];
+      plan = on;
+      setControls();
+      if (keep) draw();
+      else setPose([...at, on ? 0 : theta, on ? PLAN_PHI : PHI, radius] as CameraPose);
+    },
+    showGrid(on: boolean): void {
+      minor.visible = major.visible = on;
+      draw();
+    },
+    /** Draw frames by this function instead of one pass over the scene; null: as usual. */
+    setRender(render: (() => void) | null): void {
+      renderWith = render;
+      draw();
+    },
     /** From now on frames are drawn: before, there is nothing to show, and each frame costs time. */
     start(): void {
       started = true;
       draw();
     },
     /** Compile the shaders of the scene, without waiting. */
-    warm: () => void renderer.compile(scene, camera),
+    warm: () => void renderer.compile(scene, stage.camera),
     /** Called before every frame. */
     beforeDraw: (callback: () => void) => void befores.push(callback),
     onCamera: (callback: (pose: CameraPose) => void) => void cameraCallbacks.push(callback),
-    topView(): void {
-      const [x, y, z, , , radius] = current();
-      setPose([x, y, z, 0, 0.001, radius]);
+    northUp(): void {
+      const [x, y, z, , phi, radius] = current();
+      setPose([x, y, z, 0, phi, radius]);
     },
     lookAt(point: Vec3, distance_m: number): void {
       const [, , , theta, phi] = current();
@@ -203,19 +304,20 @@ export function createStage(host: HTMLElement) {
     },
     /** Pixels from the canvas's top left; null behind the camera. */
     project(point: Vec3): [number, number] | null {
-      const v = new Vector3(...point).project(camera);
+      const v = new Vector3(...point).project(stage.camera);
       if (v.z > 1 || v.z < -1) return null;
       return [((v.x + 1) / 2) * canvas.clientWidth, ((1 - v.y) / 2) * canvas.clientHeight];
     },
   };
-  north.addEventListener("click", () => stage.topView());
+  setControls();
+  north.addEventListener("click", () => stage.northUp());
   return stage;
 }
 
 const least = (values: number[]) => values.reduce((a, b) => Math.min(a, b), Infinity);
 const most = (values: number[]) => values.reduce((a, b) => Math.max(a, b), -Infinity);
 
-function niceStep(atLeast: number): number {
+export function niceStep(atLeast: number): number {
   const power = 10 ** Math.floor(Math.log10(Math.max(atLeast, 1e-3)));
   const rest = atLeast / power;
   return power * (rest >= 5 ? 5 : rest >= 2 ? 2 : 1);

@@ -12,7 +12,7 @@ export interface SidebarActions {
   fit(): void;
 }
 
-type Switch = "trajectory" | "points" | "lines" | "safeColours";
+type Switch = "trajectory" | "points" | "lines";
 
 export function createSidebar(host: HTMLElement, actions: SidebarActions) {
   const maps = el("select", { id: "map", onchange: () => actions.chooseMap(maps.value) });
@@ -30,9 +30,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
   probability.addEventListener("input", () => actions.change({ minProbability: Number(probability.value) }, false));
   const pointsRow = switchRow("points", "points", el("i", { class: "swatch points" }), "LiDAR points ", el("kbd", { textContent: "1" }));
   const linesRow = switchRow("lines", "lines", el("i", { class: "swatch lines" }), "Lane boundaries ", el("kbd", { textContent: "2" }));
-  const safeRow = switchRow("safeColours", "safe-colours", "Colour-blind safe colours");
-  safeRow.title = "Ochre points and brown lines instead of red and green";
-  const baseSection = el("section", { class: "base", hidden: true }, el("h2", { textContent: "Base layers" }), pointsRow, linesRow, safeRow);
+  const baseSection = el("section", { class: "base", hidden: true }, el("h2", { textContent: "Base layers" }), pointsRow, linesRow);
 
   host.append(
     el("section", {}, el("label", { htmlFor: "map", textContent: "Map" }), maps),
@@ -81,7 +79,6 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       if (document.activeElement !== probability) probability.value = String(state.minProbability);
       probabilityText.textContent = state.minProbability.toFixed(2);
       for (const field of Object.keys(boxes) as Switch[]) boxes[field].checked = state[field];
-      baseSection.dataset["colours"] = state.safeColours ? "safe" : "paper";
     },
   };
 }

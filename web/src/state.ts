@@ -1,6 +1,7 @@
 // The state of the page, kept in the address bar: a link opens the same view.
 import { anyCone, formatFilter, parseFilter, type Filter } from "./filters";
 import { KIND_ORDER, type Kind } from "./kinds";
+import { formatScene, parseScene, SCENE, type SceneState } from "./scene_state";
 
 export type Mode = "drive" | "compare" | "instant";
 export type Side = "before" | "changes" | "after";
@@ -36,10 +37,9 @@ export interface State {
   /** Base layers. */
   points: boolean;
   lines: boolean;
-  /** Base layers in colour-blind safe colours. */
-  safeColours: boolean;
   /** Opened tab of the list; null is closed. */
   list: string | null;
+  scene: SceneState;
   camera: CameraPose | null;
 }
 
@@ -47,7 +47,7 @@ export function initialState(): State {
   return {
     map: "", mode: "drive", changeset: null, side: "changes", from: 0, to: null, valid: null, known: null,
     hidden: new Set(), minProbability: 0, filter: anyCone(), inView: false, sort: null, mark: null, feature: null, sighting: null, trajectory: true,
-    points: true, lines: true, safeColours: false, list: null, camera: null,
+    points: true, lines: true, scene: SCENE, list: null, camera: null,
   };
 }
 
@@ -97,7 +97,7 @@ export function parseState(hash: string, problems: string[] = []): State {
   state.feature = value<string | null>("feature", null, "the id of a cone, 36 characters", (text) => (/^[0-9a-f-]{36}$/.test(text) ? text : undefined));
   state.sighting = number("sighting");
   for (const [name, field] of SWITCHES) state[field] = p.get(name) !== "0";
-  state.safeColours = p.get("colours") === "safe";
+  state.scene = parseScene(p);
   const numbers = (count: number) => (text: string) => {
     const found = text.split(",").map(Number);
     return found.length === count && found.every(Number.isFinite) ? found : undefined;
@@ -135,7 +135,7 @@ export function formatState(state: State): string {
   if (state.feature) p.set("feature", state.feature);
   if (state.feature && state.sighting !== null) p.set("sighting", String(state.sighting));
   for (const [name, field] of SWITCHES) if (!state[field]) p.set(name, "0");
-  if (state.safeColours) p.set("colours", "safe");
+  formatScene(p, state.scene, state.mode === "compare");
   if (state.list !== null) p.set("list", state.list);
   if (state.camera) p.set("cam", state.camera.map((v) => v.toFixed(3).replace(/\.?0+$/, "")).join(","));
   return p.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");

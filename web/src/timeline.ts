@@ -5,9 +5,12 @@ import { el, fill, plural, utc } from "./dom";
 import { STYLES, type Kind } from "./kinds";
 import { changeChip } from "./lists";
 import type { Mode, Side, State } from "./state";
+import { colourVariable } from "./theme";
+import { createTimeAxis } from "./timeaxis";
 
 export interface TimelineActions {
-  change(values: Partial<State>): void;
+  /** Without `refetch` only what is loaded is drawn again. */
+  change(values: Partial<State>, refetch?: boolean): void;
   /** Open the list of what the drive changed, of one kind. */
   showChanges(kind: Kind): void;
   /** Map whose drives may be reverted here; null where this server is read-only. */
@@ -52,8 +55,38 @@ function segmented<T extends string>(label: string, choices: [T, string][], choo
   };
 }
 
+/** The changes of some drives: a bar per kind, as high as its share of `most`. */
+function barsOf(items: TimelineItem[], most: number): { bars: Node[]; title: string } {
+  const sums = new Map<Kind, number>();
+  for (const t of items) for (const { kind, count } of changesOf(t)) sums.set(kind, (sums.get(kind) ?? 0) + count);
+  const bars: Node[] = CHANGED.flatMap(([kind]) => {
+    const count = sums.get(kind);
+    if (!count) return [];
+    const bar = el("i", {});
+    bar.style.height = `${Math.max(2, (count / most) * BAR_PX).toFixed(1)}px`;
+    bar.style.background = colourVariable(kind);
+    return [bar];
+  });
+  const held = items.filter((t) => t.hold !== null);
+  if (held.length) bars.push(el("i", { class: "held" }));
+  const counts = CHANGED.flatMap(([kind]) => (sums.get(kind) ? [`${sums.get(kind)} ${STYLES[kind].label}`] : [])).join(", ");
+  const [only] = items;
+  if (items.length === 1 && only) return { bars, title: `${only.drive_id}, ${utc(only.captured_from)} UTC: ${only.hold === null ? counts : `on hold. ${only.hold}`}` };
+  return { bars, title: `${counts || "no changes"}${held.length ? `, ${held.length} on hold` : ""}` };
+}
+
+function driveAxis(items: () => TimelineItem[], choose: (index: number) => void, zoomed?: () => void) {
+  const drives = (indices: number[]) => indices.flatMap((i) => items()[i] ?? []);
+  const total = (t: TimelineItem) => CHANGED.reduce((sum, [, count]) => sum + count(t), 0);
+  return createTimeAxis({
+    choose,
+    zoomed,
+    weight: (indices) => drives(indices).reduce((sum, t) => sum + total(t), 0),
+    entry: (indices, most) => barsOf(drives(indices), most),
+  });
+}
+
 function driveView(actions: TimelineActions) {
-  const columns = el("div", { class: "columns" });
   const slider = el("input", { type: "range", class: "changeset-slider", min: "0", step: "1", aria: { label: "Drive" } });
   const step = (by: number, text: string, label: string, key: string) =>
     el("button", { type: "button", class: "step", title: `${label} (${key})`, textContent: text, aria: { label }, onclick: () => go(index + by) });
@@ -64,44 +97,20 @@ function driveView(actions: TimelineActions) {
   const deciderHost = el("div", { class: "drive-decide" });
   const decider = createDecider(deciderHost);
   let items: TimelineItem[] = [];
-  let drawn: TimelineItem[] | null = null;
   let index = 0;
   const go = (i: number) => {
     const item = items[i];
     if (item) actions.change({ changeset: i === items.length - 1 ? null : item.changeset_no });
   };
   slider.addEventListener("input", () => go(Number(slider.value)));
-
-  function drawColumns(): void {
-    const most = Math.max(1, ...items.map((t) => changesOf(t).reduce((sum, { count }) => sum + count, 0)));
-    fill(columns, ...items.map((t, i) => {
-      const bars = changesOf(t).map(({ kind, count }) => {
-        const bar = el("i", {});
-        bar.style.height = `${Math.max(2, (count / most) * BAR_PX)}px`;
-        bar.style.background = STYLES[kind].colour;
-        return bar;
-      });
-      if (t.hold !== null) bars.push(el("i", { class: "held" }));
-      const title = `${t.drive_id}: ${t.hold === null ? changesOf(t).map((c) => c.text).join(", ") : `on hold. ${t.hold}`}`;
-      return el("button", { type: "button", class: "column", tabIndex: -1, title, onclick: () => go(i), data: { changeset: String(t.changeset_no) } },
-        el("span", { class: "bars" }, ...bars), items.length <= 12 && el("span", { class: "day", textContent: utc(t.captured_from, false).slice(5) })); // prettier-ignore
-    }));
-    const n = Math.max(items.length, 1);
-    slider.style.marginLeft = `calc(${50 / n}% - 8px)`;
-    slider.style.width = `calc(${100 - 100 / n}% + 16px)`;
-    columns.parentElement?.style.setProperty("--least", `${items.length * 7}px`);
-  }
+  const axis = driveAxis(() => items, go);
 
   return {
     node: el("div", { class: "drive-view" },
       el("div", { class: "drive-line" }, text, deciderHost, sides.node),
-      el("div", { class: "drive-track" }, previous, el("div", { class: "track-scroll" }, columns, slider), next)), // prettier-ignore
+      el("div", { class: "drive-track" }, previous, slider, axis.node, next)), // prettier-ignore
     update(state: State, now: TimelineItem[]): void {
       items = now;
-      if (drawn !== items) {
-        drawn = items;
-        drawColumns();
-      }
       const found = items.findIndex((t) => t.changeset_no === state.changeset);
       const unknown = found < 0 && state.changeset !== null;
       index = found < 0 ? items.length - 1 : found;
@@ -111,8 +120,7 @@ function driveView(actions: TimelineActions) {
       previous.disabled = index <= 0;
       next.disabled = index >= items.length - 1;
       sides.set(state.side);
-      [...columns.children].forEach((column, i) => column.classList.toggle("chosen", i === index && !unknown));
-      columns.children[index]?.scrollIntoView?.({ block: "nearest", inline: "nearest" });
+      axis.show(items, unknown ? -1 : index);
       const t = items[index];
       deciderHost.hidden = unknown;
       if (unknown) return fill(text, el("strong", { textContent: `No changeset ${state.changeset}` }));
@@ -143,12 +151,16 @@ function notCounted(about: Decision[], hold: string | null): HTMLElement {
 }
 
 function knownSelect(actions: TimelineActions) {
+  let filled: TimelineItem[] | null = null; // thousands of drives are filled in once
   const select = el("select", { onchange: () => actions.change({ known: select.value === "now" ? null : Number(select.value) }) });
   return {
     node: el("label", {}, "Database state as of ", select),
     update: (state: State, items: TimelineItem[]) => {
-      fill(select, el("option", { value: "now", textContent: "now" }),
-        ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after the commit of ${t.drive_id}` }))); // prettier-ignore
+      if (filled !== items) {
+        filled = items;
+        fill(select, el("option", { value: "now", textContent: "now" }),
+          ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after the commit of ${t.drive_id}` }))); // prettier-ignore
+      }
       select.value = state.known === null ? "now" : String(state.known);
     },
   };
@@ -158,7 +170,11 @@ function compareView(actions: TimelineActions) {
   const [from, to] = [el("select", {}), el("select", {})];
   const known = knownSelect(actions);
   const number = (select: HTMLSelectElement) => (select.value === "latest" ? null : Number(select.value));
+  const swipe = el("input", { type: "checkbox", id: "swipe" });
+  let latest: State | null = null;
+  swipe.addEventListener("change", () => latest && actions.change({ scene: { ...latest.scene, swipe: swipe.checked ? 0.5 : null } }, false));
   let newest = 0;
+  let filled: TimelineItem[] | null = null;
   const choose = () => actions.change({ from: number(from) ?? newest, to: number(to) });
   from.addEventListener("change", choose);
   to.addEventListener("change", choose);
@@ -166,32 +182,43 @@ function compareView(actions: TimelineActions) {
   swap.addEventListener("click", () => actions.change({ from: number(to) ?? newest, to: number(from) ?? newest }));
   return {
     node: el("div", { class: "form-line" }, el("label", {}, "From ", from), swap, el("label", {}, "to ", to), known.node,
+      el("label", { class: "check", title: "The first state left of a divider, the second right of it" }, swipe, "Swipe"),
       el("p", { class: "hint", textContent: "Cones count as moved from 0.5 m, the limit of the pipeline." })), // prettier-ignore
     update(state: State, items: TimelineItem[]): void {
+      latest = state;
       newest = items.at(-1)?.changeset_no ?? 0;
-      const drives = () => items.map((t, i) =>
-        el("option", { value: i === items.length - 1 ? "latest" : String(t.changeset_no), textContent: `${utc(t.captured_from, false)} · after ${t.drive_id}` })); // prettier-ignore
-      fill(from, el("option", { value: "0", textContent: "before the first drive (empty map)" }), ...drives());
-      fill(to, ...drives());
+      if (filled !== items) fillChoices(items);
       from.value = state.from === newest ? "latest" : String(state.from);
       to.value = state.to === null || state.to === newest ? "latest" : String(state.to);
       swap.disabled = state.from === 0;
+      swipe.checked = state.scene.swipe !== null;
       known.update(state, items);
     },
   };
+
+  function fillChoices(items: TimelineItem[]): void {
+    filled = items;
+    const drives = () => items.map((t, i) =>
+      el("option", { value: i === items.length - 1 ? "latest" : String(t.changeset_no), textContent: `${utc(t.captured_from, false)} · after ${t.drive_id}` })); // prettier-ignore
+    fill(from, el("option", { value: "0", textContent: "before the first drive (empty map)" }), ...drives());
+    fill(to, ...drives());
+  }
 }
 
 function instantView(actions: TimelineActions) {
   const slider = el("input", { type: "range", class: "instant-slider", min: "0", max: "1000", step: "1", aria: { label: "Time on the road" } });
-  const ticks = el("div", { class: "ticks" });
   const input = el("input", { type: "text", size: 19, placeholder: "2026-03-02 09:41:07", spellcheck: false, autocomplete: "off" });
   const latest = el("button", { type: "button", textContent: "Latest", onclick: () => actions.change({ valid: null }) });
   const known = knownSelect(actions);
-  let [start, end] = [0, 1];
+  let items: TimelineItem[] = [];
+  let valid: string | null = null;
   const show = (time: number) => actions.change({ valid: new Date(time).toISOString() });
+  /** Just after the drive. */
+  const axis = driveAxis(() => items, (i) => items[i] && show(Date.parse(items[i].valid_at) + 1), () => place());
   slider.addEventListener("input", () => {
     const t = Number(slider.value);
-    if (t >= 1000) actions.change({ valid: null });
+    const { start, end } = axis.span();
+    if (t >= 1000 && end >= axis.whole().end) actions.change({ valid: null });
     else show(start + ((end - start) * t) / 1000);
   });
   input.addEventListener("change", () => {
@@ -200,25 +227,25 @@ function instantView(actions: TimelineActions) {
     input.setCustomValidity(Number.isNaN(time) ? "Enter a time such as 2026-03-02 or 2026-03-02 09:41:07 (UTC)" : "");
     if (input.reportValidity()) show(time);
   });
+
+  const time = () => (valid === null ? axis.whole().end : Date.parse(valid));
+  function place(): void {
+    const { start, end } = axis.span();
+    if (document.activeElement !== slider) slider.value = String(Math.round(((time() - start) / (end - start)) * 1000));
+  }
+
   return {
     node: el("div", { class: "instant-view" },
       el("div", { class: "form-line" }, el("label", {}, "Time on the road (UTC) ", input), latest, known.node),
-      el("div", { class: "instant-track" }, ticks, slider)), // prettier-ignore
-    update(state: State, items: TimelineItem[]): void {
-      if (!items.length) return;
-      const times = items.flatMap((t) => [Date.parse(t.captured_from), Date.parse(t.valid_at)]);
-      const [least, most] = [Math.min(...times), Math.max(...times)];
-      const margin = Math.max((most - least) * 0.03, 1000);
-      [start, end] = [least - margin, most + margin];
-      const at = state.valid === null ? end : Date.parse(state.valid);
-      if (document.activeElement !== slider) slider.value = String(Math.round(((at - start) / (end - start)) * 1000));
-      if (input.validity.valid) input.value = utc(new Date(at).toISOString());
+      el("div", { class: "instant-track" }, axis.node, slider)), // prettier-ignore
+    update(state: State, now: TimelineItem[]): void {
+      if (!now.length) return;
+      items = now;
+      valid = state.valid;
+      axis.show(items, items.findIndex((t) => Date.parse(t.valid_at) + 1 === time()));
+      place();
+      if (input.validity.valid) input.value = utc(new Date(time()).toISOString());
       latest.disabled = state.valid === null;
-      fill(ticks, ...items.map((t) => {
-        const tick = el("button", { type: "button", tabIndex: -1, title: `${t.drive_id} · ${utc(t.captured_to)} UTC`, onclick: () => show(Date.parse(t.valid_at) + 1) });
-        tick.style.left = `calc(8px + (100% - 16px) * ${(Date.parse(t.captured_to) - start) / (end - start)})`;
-        return tick;
-      })); // prettier-ignore
       known.update(state, items);
     },
   };

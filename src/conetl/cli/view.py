@@ -20,6 +20,7 @@ from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.services.http_protocol import BoundedProtocol
 from conetl.web.app import STATIC, create_app
+from conetl.web.basemap import base_map
 from conetl.web.decisions import Writer
 
 if TYPE_CHECKING:
@@ -51,10 +52,25 @@ def view(
         Path | None,
         typer.Option(help="Places for the search: CSV with name, lon, lat, or GeoJSON points with a name."),
     ] = None,
+    basemap: Annotated[
+        str | None,
+        typer.Option(
+            help="Base map under the cones: https://HOST/{z}/{x}/{y}.png, WMTS likewise, or a PMTiles file. The browser then "
+            "contacts HOST, which must allow it (CORS). Default: none.",
+        ),
+    ] = None,
+    basemap_attribution: Annotated[
+        str | None, typer.Option(help="Source and licence of the base map, shown on the map.")
+    ] = None,
+    basemap_zoom: Annotated[
+        int | None,
+        typer.Option(min=0, max=24, help="Largest zoom of the base map's tiles. Default: 19, or the file's."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the map in a browser: before and after every drive, live, with the images of each cone."""
     settings = read_settings()
+    tiles = base_map(basemap, basemap_attribution, basemap_zoom) if basemap else None
     if not (STATIC / "index.html").is_file():
         raise InputError(f"the front end is missing in {STATIC}: build it with `make web`, or install conetl again")
     places = _read_places(gazetteer)
@@ -68,7 +84,7 @@ def view(
         server: uvicorn.Server | None = None
         app = create_app(
             url, map_name or settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
-            reader_token=token, whole_images=settings.images == "full", gazetteer=places,
+            reader_token=token, whole_images=settings.images == "full", gazetteer=places, base_map=tiles,
         )  # fmt: skip
         config = uvicorn.Config(
             app, log_level="error", http=BoundedProtocol, access_log=False, limit_concurrency=_MAX_CONNECTIONS,

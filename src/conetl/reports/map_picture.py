@@ -25,7 +25,7 @@ from conetl.db.connection import Connection
 from conetl.db.map.map_store import list_changesets
 from conetl.db.serve_store import read_base_lines, read_base_tile, read_base_tiles
 from conetl.db.zone_store import read_paths
-from conetl.exports.kind_marks import KIND_MARKS, STANDING, KindMark
+from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, STANDING, KindMark
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 Bbox = tuple[float, float, float, float]
 SUFFIXES = (".png", ".svg", ".pdf")
 
-_DARK_POINT, _BRIGHT_POINT, _LANE, _PATH, _INK = "#d9b27c", "#efdfc8", "#644916", "#4a5560", "#1d2733"
+_INK = "#1d2733"
 _MARGIN = 0.06
 _MIN_SPAN_M = 12.0
 _MAX_ARROW_LABELS = 40
@@ -174,7 +174,7 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     if handles:
         figure.legend(handles=handles, loc="outside right upper", fontsize=8.5, frameon=False, handletextpad=0.6)
     crs = CRS.from_epsg(content.srid)
-    figure.supxlabel(f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=_PATH)
+    figure.supxlabel(f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=DRIVE_PATH)
     return figure
 
 
@@ -182,21 +182,19 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
     """Draw points, lane boundaries and paths; their lines of the legend."""
     handles: list[Line2D] = []
     for path in content.paths_m:
-        axes.plot(path[:, 0], path[:, 1], color=_PATH, linewidth=1.1, zorder=3)
+        axes.plot(path[:, 0], path[:, 1], color=DRIVE_PATH, linewidth=1.1, zorder=3)
         if len(path) > 1:
             before, tip = path[len(path) // 2 - 1], path[len(path) // 2]
             # Only the head: annotations are not clipped at the frame, and a segment may come from far outside of it.
             start = tip - (tip - before) / max(float(np.linalg.norm(tip - before)), 1e-9) * 1e-3
-            draw_arrow(axes, start, tip, _PATH, "-|>", linewidth=1.1, shrinkA=0, shrinkB=0)
+            draw_arrow(axes, start, tip, DRIVE_PATH, "-|>", linewidth=1.1, shrinkA=0, shrinkB=0)
     if content.paths_m:
-        handles.append(Line2D([], [], color=_PATH, linewidth=1.3, label="drive path"))
+        handles.append(Line2D([], [], color=DRIVE_PATH, linewidth=1.3, label="drive path"))
     if content.lines_m:
-        axes.add_collection(
-            LineCollection(list(content.lines_m), colors=_LANE, linewidths=0.9, zorder=2), autolim=False
-        )
-        handles.append(Line2D([], [], color=_LANE, linewidth=1.1, label="lane boundary"))
+        axes.add_collection(LineCollection(list(content.lines_m), colors=LANE, linewidths=0.9, zorder=2), autolim=False)
+        handles.append(Line2D([], [], color=LANE, linewidth=1.1, label="lane boundary"))
     if len(content.points_m):
-        colours = LinearSegmentedColormap.from_list("points", [_DARK_POINT, _BRIGHT_POINT])
+        colours = LinearSegmentedColormap.from_list("points", [DARK_POINT, BRIGHT_POINT])
         shades = content.shades / 255
         axes.scatter(
             content.points_m[:, 0],
@@ -207,7 +205,7 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
             zorder=1,
             rasterized=True,
         )
-        handles.append(Line2D([], [], color=_DARK_POINT, marker=".", linestyle="", label="LiDAR point"))
+        handles.append(Line2D([], [], color=DARK_POINT, marker=".", linestyle="", label="LiDAR point"))
     return handles
 
 
@@ -268,7 +266,7 @@ def _frame(axes: Axes) -> None:
         axis.set_major_formatter(
             FuncFormatter(lambda value, _, side=side: f"{value:,.0f} {side}".replace(",", "\u2009"))
         )
-    axes.tick_params(labelsize=7, colors=_PATH, length=3)
+    axes.tick_params(labelsize=7, colors=DRIVE_PATH, length=3)
     for label in axes.get_yticklabels():
         label.set(rotation=90, va="center")
     axes.grid(color="#e3e7eb", linewidth=0.6)

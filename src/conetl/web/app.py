@@ -18,7 +18,19 @@ from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
 from conetl.reports.camera_images import ImageMissingError
-from conetl.web import decisions, downloads, frames, images, layers, live, maps, review, search
+from conetl.web import (
+    basemap,
+    decisions,
+    downloads,
+    frames,
+    images,
+    layers,
+    live,
+    maps,
+    projection,
+    review,
+    search,
+)
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.ogc.collections import warm
@@ -42,12 +54,14 @@ def create_app(
     reader_token: SecretStr | None = None,
     whole_images: bool = False,
     gazetteer: Gazetteer | None = None,
+    base_map: basemap.BaseMap | None = None,
 ) -> FastAPI:
     """The application over one database. Streams end when `closing` returns True. Without `writer` it is read-only.
 
     reader_token: required for reading; the writer's token serves as well. Without it everybody who reaches the server may read.
     whole_images: show images whole; else what is far from a detection is pixelated.
     gazetteer: places that the search finds.
+    base_map: tiles under the map; the browser may request them from this one other server.
     """
     pool = ReaderPool(database_url)
     ogc_pool = AsyncReaderPool(database_url, warm)
@@ -67,8 +81,11 @@ def create_app(
     app.state.writer = writer
     app.state.whole_images = whole_images
     app.state.gazetteer = gazetteer
+    app.state.basemap = base_map
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
-    for routes in (maps, search, images, frames, layers, downloads, decisions, review, live):
+    for routes in (
+        maps, projection, search, images, frames, layers, basemap, downloads, decisions, review, live,
+    ):  # fmt: skip
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))
@@ -79,7 +96,7 @@ def create_app(
     app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=2)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
     tokens = [reader_token, *([writer.token] if writer else [])] if reader_token else []
-    app.add_middleware(Guard, tokens=tokens)
+    app.add_middleware(Guard, tokens=tokens, image_host=base_map.host if base_map else None)
     return app
 
 

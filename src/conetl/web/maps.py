@@ -27,7 +27,12 @@ _MOVED_FROM_M = ReconcileParams().min_gate_m
 @router.get("/maps")
 def maps(request: Request, conn: Reader) -> m.Maps:
     """All maps of the database."""
-    return m.Maps(maps=[m.MapItem(**row) for row in store.read_maps(conn)], chosen=request.app.state.map_name)
+    state = request.app.state
+    return m.Maps(
+        maps=[m.MapItem(**row) for row in store.read_maps(conn)],
+        chosen=state.map_name,
+        basemap=state.basemap.item if state.basemap else None,
+    )
 
 
 @router.get(f"{_MAP}/timeline")

@@ -37,10 +37,39 @@ class MapItem(Answer):
     last_committed_at: datetime | None
 
 
+class BaseMapItem(Answer):
+    """Tiles under the map, in the Web Mercator scheme of XYZ."""
+
+    template: str
+    """URL with {z}, {x} and {y} ({-y}: counted from the south)."""
+    attribution: str
+    max_zoom: int
+
+
 class Maps(Answer):
     maps: list[MapItem]
     chosen: str
     """The map that `conetl view` was started for."""
+    basemap: BaseMapItem | None
+
+
+class Projection(Answer):
+    """Polynomials between the map's CRS and WGS 84 within a square, exact to 1 cm.
+
+    With u, v = ((x, y) - centre_m) / radius_m, to_degrees gives ((lon, lat) - (lon_deg, lat_deg)) * unit_per_degree; to_metres is
+    its inverse. Coefficients of u^i v^j with i + j <= degree, in the order of i, then j.
+    """
+
+    centre_m: tuple[float, float]
+    """As an offset from the map's origin."""
+    radius_m: float
+    """Half the side of the square."""
+    lon_deg: float
+    lat_deg: float
+    degree: int
+    unit_per_degree: tuple[float, float]
+    to_degrees: tuple[list[float], list[float]]
+    to_metres: tuple[list[float], list[float]]
 
 
 class TimelineItem(Answer):

@@ -26,11 +26,11 @@ _LOG_IN = (
 _REALM = "conetl view, token as password"
 _LOGIN_S = 30 * 86_400
 #: Only this server's own files run or load, and no other page may embed or read them.
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:{images}; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
 _HEADERS = {
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
@@ -47,17 +47,20 @@ class Guard:
     Other pages could not read the answers, but they could keep the server and its streams busy. Streams are not buffered.
     tokens: one of them is required of every request, as a cookie, as the password of Basic authentication, as a Bearer token, or
     once as `?token=` of a page, which sets the cookie; none: everybody who reaches the server may read.
+    image_host: the one other server whose images pages may load, such as https://tiles.example; None for none.
     """
 
-    def __init__(self, app: ASGIApp, tokens: Sequence[SecretStr] = ()) -> None:
+    def __init__(self, app: ASGIApp, tokens: Sequence[SecretStr] = (), image_host: str | None = None) -> None:
         self._app = app
+        policy = _POLICY.format(images=f" {image_host}" if image_host else "")
+        self._headers = _HEADERS | {"Content-Security-Policy": policy}
         self._tokens = [token.get_secret_value() for token in tokens]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in _HEADERS.items():
+                for name, value in self._headers.items():
                     headers.setdefault(name, value)  # a route may set its own policy
             await send(message)
 

@@ -3,24 +3,74 @@
 from __future__ import annotations
 
 import re
+from itertools import combinations
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
 
 from conetl.exports import qgis_project
-from conetl.exports.kind_marks import KIND_MARKS, STANDING
+from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, STANDING
 from conetl.model.map_records import DeltaKind
 
-KINDS_TS = Path(__file__).resolve().parents[3] / "web" / "src" / "kinds.ts"
+WEB = Path(__file__).resolve().parents[3] / "web" / "src"
+KINDS_TS = WEB / "kinds.ts"
 
 
 def test_colours_and_labels_equal_those_of_the_web_view() -> None:
     styles = re.findall(
-        r"^  (\w+): { colour: \"(#[0-9a-f]{6})\", shape: \d, label: \"([^\"]+)\" },$", KINDS_TS.read_text(), re.M
+        r"^  (\w+): { colour: \"(#[0-9a-f]{6})\", dark: \"#[0-9a-f]{6}\", shape: \d, label: \"([^\"]+)\" },$",
+        KINDS_TS.read_text(),
+        re.M,
     )
     shown = {kind: (colour, word) for kind, colour, word in styles}
     assert {kind.value: (mark.colour, mark.label) for kind, mark in KIND_MARKS.items()} == {
         kind.value: shown[kind.value] for kind in DeltaKind
     }
     assert (STANDING.colour, STANDING.label) == shown["standing"]
+
+
+def test_base_layers_have_the_colours_of_the_web_view() -> None:
+    light = re.search(r"^  light: {(.*?)^  },", (WEB / "theme.ts").read_text(), re.M | re.S)
+    shown = dict(re.findall(r"(\w+): \"(#[0-9a-f]{6})\"", light[1] if light else ""))
+    assert [shown[name] for name in ("dark", "bright", "line", "path")] == [DARK_POINT, BRIGHT_POINT, LANE, DRIVE_PATH]
+    swatches = dict(
+        re.findall(r"--(points|lines): (#[0-9a-f]{6})", (WEB / "tools.css").read_text().partition("[data-theme")[0])
+    )
+    assert swatches == {"points": DARK_POINT, "lines": LANE}
+
+
+#: Of normal and of protanopic, deuteranopic and tritanopic sight (Machado et al. 2009), on linear RGB.
+SIGHTS = (
+    np.eye(3),
+    [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+)
+XYZ_OF_RGB = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+
+def luv(colour: str, sight: Any) -> np.ndarray:
+    """CIE 1976 L*u*v* of #rrggbb, as a person sees it."""
+    rgb = np.frombuffer(bytes.fromhex(colour[1:]), np.uint8) / 255
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    x, y, z = XYZ_OF_RGB @ np.clip(np.array(sight) @ linear, 1e-6, 1)
+    lightness = 116 * np.cbrt(y) - 16 if y > 0.008856 else 903.3 * y
+    return lightness * np.array([1, *13 * (np.array([4 * x, 9 * y]) / (x + 15 * y + 3 * z) - (0.19784, 0.46834))])
+
+
+@pytest.mark.parametrize("theme", ["colour", "dark"])
+def test_colours_differ_in_every_kind_of_sight(theme: str) -> None:
+    """A colour difference of 20 is far beyond what is just noticed (1 to 2)."""
+    kinds = "added|moved|removed|height_changed|missed|confirmed"
+    mine = set(re.findall(rf"^  (?:{kinds}): {{.*?{theme}: \"(#[0-9a-f]{{6}})\"", KINDS_TS.read_text(), re.M))
+    assert len(mine) == 6
+    near = {
+        (a, b): min(float(np.linalg.norm(luv(a, sight) - luv(b, sight))) for sight in SIGHTS)
+        for a, b in combinations(sorted(mine), 2)
+    }
+    assert min(near.values()) > 20, sorted(near.items(), key=lambda item: item[1])[:3]
 
 
 def test_every_kind_has_a_marker_and_a_qgis_symbol() -> None:

@@ -12,7 +12,7 @@ from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
 from conetl.reports.map_picture import PlanContent, draw_map_picture, plan_extent
 
-ADDED, MOVED, REMOVED, STANDING, LANE = map(bytes.fromhex, ("0068b4", "a8327f", "1f2933", "7f97b2", "644916"))
+ADDED, MOVED, REMOVED, STANDING, LANE = map(bytes.fromhex, ("002e9a", "821773", "1f2933", "7c93a2", "8a7443"))
 NO_POINTS = (np.empty((0, 2)), np.empty(0, np.uint8))
 
 
@@ -60,7 +60,7 @@ def test_points_are_drawn_below_and_the_outside_is_left_out(samples, tmp_path):
     points = (np.add(rng.uniform(-40, 40, (5_000, 2)), (458_010.0, 5_428_010.0)), np.full(5_000, 0, np.uint8))
     made = content([cone(samples, "a", 0, 0), cone(samples, "far", 5_000, 0)], points=points)
     path = draw(tmp_path / "map.png", made, (457_980.0, 5_427_980.0, 458_040.0, 5_428_030.0))
-    assert len(pixels(path, (0xD9, 0xB2, 0x7C))) > 1_000
+    assert len(pixels(path, bytes.fromhex("a9a294"))) > 1_000
     standing = pixels(path, STANDING)
     assert len(standing) > 60 and np.ptp(standing[:, 0]) < 40  # the far one is not there
 

@@ -1,0 +1,89 @@
+// Light and dark: the system's choice unless the person chose otherwise. It is theirs, so it is kept in this browser, not in links.
+import { el } from "./dom";
+import { KIND_ORDER, STYLES, type Kind } from "./kinds";
+import "./theme.css";
+
+/** What the scene draws with; the rest of the page takes its colours from theme.css. */
+export interface Colours {
+  background: string;
+  gridMinor: string;
+  gridMajor: string;
+  path: string;
+  camera: string;
+  ellipse: string;
+  /** Of LiDAR points with low and with high intensity; muted, so that cones come first. */
+  dark: string;
+  bright: string;
+  /** Of LiDAR points on the ground, half way up, and from 6 m on. */
+  heights: [string, string, string];
+  line: string;
+  /** Around the markers. */
+  halo: string;
+}
+
+export const COLOURS: Record<"light" | "dark", Colours> = {
+  light: {
+    background: "#eef1f4", gridMinor: "#dde2e8", gridMajor: "#c3cbd4", path: "#4a5560", camera: "#00795c", ellipse: "#0068b4",
+    dark: "#a9a294", bright: "#dcd7cc", heights: ["#cfc9bd", "#7fa3b5", "#3b5c8a"], line: "#8a7443", halo: "#ffffff",
+  },
+  dark: {
+    background: "#12181f", gridMinor: "#1d252e", gridMajor: "#2c3742", path: "#9fabb7", camera: "#3fc79f", ellipse: "#5fb4ee",
+    dark: "#393d40", bright: "#76746c", heights: ["#4c4f52", "#4f7f97", "#9cc4ea"], line: "#a58f5c", halo: "#0b0f14",
+  },
+}; // prettier-ignore
+
+const KEY = "conetl-theme";
+const system = window.matchMedia("(prefers-color-scheme: dark)");
+const callbacks: (() => void)[] = [];
+let choice = read();
+
+function read(): string | null {
+  try {
+    return localStorage.getItem(KEY);
+  } catch {
+    return null; // storage is switched off: the system decides
+  }
+}
+
+const isDark = () => (choice === null ? system.matches : choice === "dark");
+
+export const colours = (): Colours => COLOURS[isDark() ? "dark" : "light"];
+export const colourOf = (kind: Kind): string => (isDark() ? STYLES[kind].dark : STYLES[kind].colour);
+/** The colour of a kind for an element's style: it follows the theme. */
+export const colourVariable = (kind: Kind) => `var(--kind-${kind})`;
+
+/** Called after every change of the theme. */
+export const onTheme = (callback: () => void) => void callbacks.push(callback);
+
+function apply(): void {
+  const root = document.documentElement;
+  root.dataset["theme"] = isDark() ? "dark" : "light";
+  for (const kind of KIND_ORDER) root.style.setProperty(`--kind-${kind}`, colourOf(kind));
+  for (const callback of callbacks) callback();
+}
+
+/** Switches to the other one; choosing what the system has follows the system again. */
+export function themeSwitch(): HTMLButtonElement {
+  const button = el("button", { type: "button", class: "link theme", id: "theme" });
+  const show = () => {
+    button.textContent = isDark() ? "Light" : "Dark";
+    button.title = isDark() ? "Light colours" : "Dark colours";
+  };
+  button.addEventListener("click", () => {
+    const next = isDark() ? "light" : "dark";
+    choice = (next === "dark") === system.matches ? null : next;
+    try {
+      if (choice === null) localStorage.removeItem(KEY);
+      else localStorage.setItem(KEY, choice);
+    } catch {
+      // it holds until the page is closed
+    }
+    apply();
+  });
+  onTheme(show);
+  show();
+  return button;
+}
+
+system.addEventListener("change", apply);
+apply();

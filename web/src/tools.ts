@@ -1,0 +1,166 @@
+// The tools around the scene, joined to the page's state: plan, layers, base map, coordinates, measuring, mini map, swipe.
+import { api, type BaseMapItem, type Instant, type Timeline, type Vec3 } from "./api";
+import { createBasemap } from "./basemap";
+import { createCones } from "./cones";
+import { createCursor } from "./cursor";
+import { messageOf, utc } from "./dom";
+import type { Cone, Kind } from "./kinds";
+import { createLayers } from "./layers";
+import { createMeasure } from "./measure";
+import { createMinimap } from "./minimap";
+import { createProjection } from "./lonlat";
+import { changesetOf, comparedInstants, standing } from "./query";
+import type { Stage } from "./scene";
+import type { SceneState } from "./scene_state";
+import type { CameraPose, State } from "./state";
+import { createSwipe } from "./swipe";
+import { onTheme } from "./theme";
+import "./tools.css";
+
+export interface ToolActions {
+  state(): State;
+  change(values: Partial<SceneState>): void;
+  cones(): Cone[];
+  trouble(text: string): void;
+  /** Draw everything again, in other colours. */
+  redraw(): void;
+}
+
+export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnType<typeof createCones>, actions: ToolActions) {
+  const scene = () => actions.state().scene;
+  const { change } = actions;
+  const projector = createProjection(() => {
+    cursor.refresh();
+    stage.draw();
+  });
+  const cursor = createCursor(stage, host, projector);
+  const basemap = createBasemap(stage, host, projector, actions.trouble);
+  const minimap = createMinimap(stage, host);
+  const measure = createMeasure(stage, host, {
+    map: () => actions.state().map,
+    cone: (id) => actions.cones().find((c) => c.id === id),
+    changed: (measured) => change({ measure: measured }),
+  });
+  const swipe = createSwipe(stage, host, ofChanges, () => createCones(stage), (at) => change({ swipe: at }));
+  const layers = createLayers(host, { change, measure: () => measure.toggle() });
+  let timeline: Timeline | null = null;
+  let states: [Cone[], Cone[]] | null = null;
+  let key = "";
+  let ground = stage.ground;
+
+  onTheme(() => {
+    actions.redraw();
+    swipe.redraw();
+  });
+
+  /** Both states, when their map, instants or cones are other ones than before. */
+  async function readStates(state: State): Promise<void> {
+    if (!timeline) return;
+    const instants = comparedInstants(state, timeline.changesets);
+    const next = JSON.stringify([state.map, instants, timeline.changesets.at(-1)?.changeset_no]);
+    if (next === key) return;
+    key = next;
+    states = null;
+    const kinds = new Map(actions.cones().map((c) => [c.id, c.kind]));
+    /** What stood then; marked are those that moved, and on the right the new ones. */
+    const read = async (at: Instant, marked: Kind[]): Promise<Cone[]> =>
+      (await api.features(state.map, at)).features.map(standing).map((c) => ({ ...c, kind: marked.find((k) => k === kinds.get(c.id)) ?? c.kind }));
+    try {
+      const found = await Promise.all([read(instants[0], ["moved"]), read(instants[1], ["moved", "added", "split", "height_changed"])]);
+      if (key !== next) return;
+      states = found;
+      apply(actions.state());
+    } catch (error) {
+      key = "";
+      actions.trouble(`The two states cannot be compared: ${messageOf(error)}`);
+    }
+  }
+
+  function apply(state: State): void {
+    const { scene: s } = state;
+    stage.setPlan(s.plan);
+    stage.showGrid(s.grid !== "none");
+    cursor.labels(s.grid === "labels");
+    cursor.pin(s.at);
+    basemap.apply(s.basemap);
+    if (ground !== stage.ground) {
+      ground = stage.ground;
+      basemap.clear();
+    }
+    layers.show(s);
+    const compares = state.mode === "compare" && s.swipe !== null;
+    if (compares) void readStates(state);
+    else [states, key] = [null, ""];
+    swipe.show(compares ? s.swipe : null, compares ? filtered(state) : null, compares ? sideNames(state) : ["", ""]);
+  }
+
+  function sideNames(state: State): [string, string] {
+    const after = (no: number | null) => {
+      const item = changesetOf(timeline?.changesets ?? [], no);
+      return item ? `after ${utc(item.captured_from, false)}` : "";
+    };
+    return [state.from === 0 ? "before the first drive" : after(state.from), after(state.to)];
+  }
+
+  /** The same array while nothing changed, so that the meshes stay. */
+  let shown: { of: unknown; by: string; cones: [Cone[], Cone[]] } | null = null;
+  function filtered(state: State): [Cone[], Cone[]] | null {
+    if (!states) return null;
+    const by = `${[...state.hidden].join()} ${state.minProbability}`;
+    if (shown?.of !== states || shown.by !== by) {
+      const visible = (c: Cone) => !state.hidden.has(c.kind) && c.probability >= state.minProbability;
+      shown = { of: states, by, cones: [states[0].filter(visible), states[1].filter(visible)] };
+    }
+    return shown.cones;
+  }
+
+  return {
+    /** Another map, or a new state of its timeline. */
+    open(next: Timeline | null): void {
+      timeline = next;
+      if (next) {
+        projector.open(next.map_name);
+        cursor.open(next.origin_m as Vec3, next.srid);
+      }
+      key = "";
+    },
+    basemap(item: BaseMapItem | null): void {
+      basemap.open(item);
+      layers.offer({ basemap: item !== null });
+    },
+    points: (there: boolean) => layers.offer({ points: there }),
+    /** A pose from an address, taken as it is. */
+    setPose(pose: CameraPose): void {
+      stage.setPlan(scene().plan, true);
+      stage.setPose(pose);
+    },
+    apply,
+    show(cones: Cone[]): void {
+      minimap.show(cones);
+    },
+    /** What an address says is measured, once its cones are there. */
+    openMeasure: () => measure.open(scene().measure),
+    pick: (x: number, y: number) => swipe.pick(x, y),
+    /** True if the click was a point of a measurement. */
+    click: (x: number, y: number): boolean => measure.active() && measure.click(swipe.pick(x, y), stage.groundAt(x, y)),
+    /** A click beside all cones: its coordinates stay, until the next one. */
+    clickGround(x: number, y: number): void {
+      const place = scene().at === null ? stage.groundAt(x, y) : null;
+      change({ at: place && [Math.round(place[0] * 1000) / 1000, Math.round(place[1] * 1000) / 1000] });
+    },
+    /** True if something was ended by Esc. */
+    escape(): boolean {
+      if (measure.active()) measure.end();
+      else if (scene().at !== null) change({ at: null });
+      else return false;
+      return true;
+    },
+    key(event: KeyboardEvent): boolean {
+      if (measure.key(event)) return true;
+      if (event.key === "t" || event.key === "T") change({ plan: !scene().plan });
+      else if (event.key === "x" || event.key === "X") cursor.copy();
+      else return false;
+      return true;
+    },
+  };
+}
