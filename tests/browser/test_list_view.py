@@ -71,6 +71,7 @@ def test_the_list_of_changes_has_the_largest_move_first_and_selects_with_the_map
     for key, name in (("]", "comes"), ("j", "goes"), ("[", "comes"), ("k", "wanders")):
         page.keyboard.press(key)
         page.wait_for_selector(f".panel h2:text-is('{features[name][:8]}')")
+    page.wait_for_selector(".panel >> text=moved by 1.500 m")  # it flew there again
     page.evaluate("document.activeElement.blur()")
     page.keyboard.press("Home")
     settle(page)
