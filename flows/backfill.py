@@ -33,12 +33,13 @@ from conetl.pipeline.settings import Settings
 from flows.artifacts import send_events
 from flows.batch_artifacts import BatchBoard, open_board, show_progress, show_summary
 from flows.dispatch import (
+    WORKERS_GONE_S,
     DriveRun,
     Where,
-    WorkerWatch,
     abandon,
     launch,
     mark_crashed,
+    missing_workers,
     online_workers,
     over,
     resolve_where,
@@ -152,7 +153,7 @@ def run_batch(
     write_plan(plan, parallel, settings.home / "plans")
     standing = Standing(plan, parallel, place, time.monotonic(), [], [])
     board = open_board(standing)
-    workers = WorkerWatch()
+    look_at_s = standing.started + WORKERS_GONE_S  # whether workers are there
     with database.connection() as conn:
         held_before = {drive.changeset_id for drive in held_drives(conn, map_name=settings.map_name)}
         known_events = set(hold_events(conn, map_name=settings.map_name))
@@ -178,10 +179,12 @@ def run_batch(
                 standing.ended.append(receipt)
                 standing.pairs_done += run.line.header.frame_pairs
                 _tell(standing, board)
-            if place == "workers" and standing.running and (note := workers.complaint(time.monotonic())):
-                standing.note = note
-                _log.warning(note)
-                _tell(standing, board)
+            if place == "workers" and standing.running and not standing.note and time.monotonic() >= look_at_s:
+                look_at_s = time.monotonic() + WORKERS_GONE_S / 6
+                if note := missing_workers():
+                    standing.note = note
+                    _log.warning(note)
+                    _tell(standing, board)
             if standing.running:
                 time.sleep(_POLL_S)
     finally:

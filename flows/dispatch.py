@@ -5,17 +5,17 @@ Either way it is a sub-flow of the present run, and a drive that kills its proce
 
 from __future__ import annotations
 
-import math
 import multiprocessing.process
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any, Literal
 from uuid import UUID, uuid4
 
 from prefect import Task
 from prefect.client.orchestration import SyncPrefectClient
-from prefect.client.schemas.objects import FlowRun, WorkerStatus
+from prefect.client.schemas.objects import FlowRun, Worker, WorkerStatus
 from prefect.context import FlowRunContext
 from prefect.exceptions import ObjectNotFound
 from prefect.flow_engine import run_flow_in_subprocess
@@ -33,7 +33,6 @@ DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
 DRIVE_QUEUE = "drives"
 #: Workers are restarted, and Prefect takes a minute or two to notice that one is gone.
 WORKERS_GONE_S = 180.0
-_CHECK_EVERY_S = 30.0
 Where = Literal["auto", "workers", "here"]
 
 
@@ -69,36 +68,25 @@ def resolve_where(where: Where) -> Literal["workers", "here"]:
 
 def online_workers() -> int:
     """Number of workers of the pool that ingest drives and are online."""
-    with client() as api:
-        workers = api.read_workers_for_work_pool(POOL)
-    return sum(w.status == WorkerStatus.ONLINE and DRIVE_QUEUE in w.name for w in workers)
+    return sum(worker.status == WorkerStatus.ONLINE for worker in _workers())
 
 
-@dataclass
-class WorkerWatch:
-    """Whether there is a worker for the drives that wait."""
-
-    checked_at: float = -math.inf
-    gone_since: float | None = None
-    reported: bool = False
-
-    def complaint(self, now: float) -> str | None:
-        """A sentence, once, where no worker has been online for WORKERS_GONE_S; now: monotonic seconds."""
-        if self.reported or now - self.checked_at < _CHECK_EVERY_S:
-            return None
-        self.checked_at = now
-        if online_workers():
-            self.gone_since = None
-        elif self.gone_since is None:
-            self.gone_since = now
-        elif now - self.gone_since >= WORKERS_GONE_S:
-            self.reported = True
-            return (
-                f"no worker of the queue '{DRIVE_QUEUE}' has been online for {WORKERS_GONE_S / 60:.0f} minutes, so the drives "
-                "wait: `conetl status` shows what runs, `conetl up` starts what is missing, and `conetl backfill --here` needs "
-                "no workers"
-            )
+def missing_workers() -> str | None:
+    """What to do where no worker that ingests drives has been online for WORKERS_GONE_S, as a sentence."""
+    beats = [worker.last_heartbeat_time for worker in _workers() if worker.last_heartbeat_time]
+    if beats and (datetime.now(UTC) - max(beats)).total_seconds() < WORKERS_GONE_S:
         return None
+    return (
+        f"no worker of the queue '{DRIVE_QUEUE}' has been online for {WORKERS_GONE_S / 60:.0f} minutes, so the drives "
+        "wait: `conetl status` shows what runs, `conetl up` starts what is missing, and `conetl backfill --here` needs "
+        "no workers"
+    )
+
+
+def _workers() -> list[Worker]:
+    """The workers of the pool that ingest drives, online or not."""
+    with client() as api:
+        return [worker for worker in api.read_workers_for_work_pool(POOL) if DRIVE_QUEUE in worker.name]
 
 
 def launch(

@@ -25,7 +25,7 @@ HOMES = Path("/tmp")
 TEMPLATE = "conetl_template"
 #: Files that take the most time, those that wait for servers and those that compute in turn.
 LONGEST = (
-    "integration/test_operations.py", "integration/test_ingest.py", "integration/test_strangers.py",
+    "integration/test_operations.py", "integration/test_ingest.py",
     "integration/test_without_services.py", "mutants/test_cameras.py", "integration/test_cluster.py",
     "integration/test_scale_out.py", "synthetic/test_raw_drive.py", "integration/test_python_api.py",
     "synthetic/test_drives_of_one_rig.py", "integration/test_wheel.py",

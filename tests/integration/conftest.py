@@ -23,9 +23,9 @@ from tests.integration.drives_of_days import Survey, failed_audits, merge, valid
 QUIET = {"PREFECT_SERVER_ANALYTICS_ENABLED": "false", "DO_NOT_TRACK": "1"}
 
 
-def command_line(home: Path, database_url: str) -> Callable[..., str]:
+def command_line(home: Path, database_url: str, map_name: str = "default") -> Callable[..., str]:
     """`conetl(*arguments, code=0)`: what the command prints, or the words of the error that it ends with."""
-    environment = {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
+    environment = {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url, "CONETL_MAP_NAME": map_name}
 
     def run(*arguments: object, code: int = 0) -> str:
         done = CliRunner().invoke(app, list(map(str, arguments)), env=environment)

@@ -1,6 +1,6 @@
 """A desk's day with the real things: `conetl up`, workers, a schedule, a backfill, a killed worker.
 
-And what the desk sees of it: Prefect's own pages in Chromium, where there is one.
+And what the desk sees of it, Prefect's own pages in Chromium where there is one, and what strangers do not see.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import json
 import os
 import shutil
 import signal
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -23,12 +24,24 @@ import pytest
 from conetl.db.cluster.cluster import cluster_remove, cluster_status
 from conetl.db.connection import connect, execute
 from conetl.exports import FORMATS
-from conetl.files.home import PREFECT_LOGIN, make_secret, read_secret
+from conetl.files.home import VIEW_TOKEN
 from conetl.services.processes import TOKEN, read_services
-from tests.chromium import HTML_NAME, chromium, nothing_of_html_happens
+from tests.chromium import CHROMIUM, HTML_NAME, chromium, nothing_of_html_happens
 from tests.command import conetl, free_port
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
+from tests.integration.strangers import (
+    AUTH,
+    WORD,
+    arguments_with,
+    files_with,
+    nobody_reads,
+    pages_of_other_origins_learn_nothing,
+    prefect_refuses_strangers,
+    view_refuses_strangers,
+)
 
+#: Loopback, but none of the addresses that need no password.
+HOST = "127.0.0.2"
 #: Of the drives of a backfill, as a stranger might name them: a picture or a link where a page takes it for HTML or Markdown.
 SMALL = f"_small {HTML_NAME}`](elsewhere)**"
 #: Late, so that it fails once: what failed is tried again when the backfill is taken up.
@@ -62,7 +75,7 @@ class Desk:
         return json.loads(done.stdout) if done.stdout.strip() else None
 
     def up(self) -> Any:
-        return self.run("up", "--workers", 2, "--port", self.port, "--view-port", self.view_port)
+        return self.run("up", "--workers", 2, "--host", HOST, "--port", self.port, "--view-port", self.view_port)
 
     def post(self, path: str, body: Any) -> Any:
         answer = self.api.post(path, json=body)
@@ -127,25 +140,22 @@ class Desk:
                 os.kill(pid, signal.SIGKILL)
 
 
-def login_of(home: Path) -> tuple[str, str]:
-    """User and password of Prefect, of the file that `conetl up` makes unless it is there."""
-    user, _, password = read_secret(make_secret(home / PREFECT_LOGIN, "conetl:")).get_secret_value().partition(":")
-    return user, password
-
-
 @pytest.fixture(scope="module")
-def desk(services_home: Path) -> Iterator[Desk]:
+def desk(services_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
     home, scratch = services_home, services_home / "tmp"
     scratch.mkdir(parents=True)
     environment = {
-        "CONETL_HOME": str(home), "CONETL_DROP_FOLDER": str(home / "arrivals"), "PREFECT_WORKER_QUERY_SECONDS": "2",
+        "CONETL_HOME": str(home), "CONETL_DROP_FOLDER": str(tmp_path_factory.mktemp("arrivals")),
+        "CONETL_DRIVE_ROOTS": tempfile.gettempdir(), "PREFECT_SERVER_API_AUTH_STRING": AUTH, "PREFECT_WORKER_QUERY_SECONDS": "2",
         "TMPDIR": str(scratch),  # a run that is killed leaves its working folder
     }  # fmt: skip
-    port = free_port()
-    api = httpx.Client(base_url=f"http://127.0.0.1:{port}/api", timeout=60, trust_env=False, auth=login_of(home))
+    port = free_port(HOST)
+    api = httpx.Client(
+        base_url=f"http://{HOST}:{port}/api", timeout=60, trust_env=False, auth=httpx.BasicAuth(*AUTH.split(":"))
+    )
     found = Desk(home, environment, port, free_port(), api)
     try:
-        found.up()
+        assert found.up()["deployments_registered"]
         # The real schedule might fire in between, and take the drive or the only place from the test's own run.
         found.pause(DROP_FOLDER)
         yield found
@@ -294,7 +304,7 @@ def test_every_changeset_is_an_event(desk: Desk) -> None:
 
 def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
     images = Path(os.environ.get("CONETL_SCREENSHOTS", tmp_path))
-    address = f"http://127.0.0.1:{desk.port}"
+    address = f"http://{HOST}:{desk.port}"
     runs = desk.post("/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 100})
     backfill = next(run for run in runs if run["deployment_id"] and run["name"].startswith("backfill"))
     on_map = desk.rows(
@@ -308,7 +318,7 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
         page = browser.new_page(viewport={"width": 1400, "height": 1000})
         page.set_default_timeout(120_000)
         page.goto(address)
-        page.locator("input").fill(":".join(login_of(desk.home)))
+        page.locator("input").fill(AUTH)
         page.keyboard.press("Enter")
         page.get_by_text("Flow Runs").first.wait_for()
         for name, path, words in (
@@ -332,3 +342,41 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
                         page.get_by_text(HTML_NAME).first.wait_for()
                         page.screenshot(path=images / f"prefect-{name}-{artifact['key']}.png", full_page=True)
                     assert page.locator("a[href$=elsewhere]").count() == 0
+
+
+def test_who_knows_the_password_gets_in_and_nobody_else(desk: Desk, tmp_path: Path) -> None:
+    """Last, since it stops the services. A given password is written nowhere."""
+    drives = [cut_drive(SAMPLES[n], tmp_path / f"2026-06-0{n + 1}_run", f"2026-06-0{n + 1}") for n in (0, 1)]
+    up = ("up", "--host", HOST, "--port", desk.port, "--view-port", desk.view_port)
+    others = {name: value for name, value in desk.environment.items() if name != "PREFECT_SERVER_API_AUTH_STRING"}
+    assert conetl("status", "--json", **others).returncode == 0
+    guessed = others | {"PREFECT_SERVER_API_AUTH_STRING": "desk:guessed"}
+    for environment, words in (
+        (others, ("ingest", drives[0])),
+        (guessed, ("backfill", tmp_path)),
+        (guessed, up),
+        (others, up),
+    ):
+        refused = conetl(*words, "--json", **environment)
+        assert refused.returncode == 3, (words, refused.stdout, refused.stderr)
+        assert "set PREFECT_SERVER_API_AUTH_STRING" in refused.stderr
+        assert "Traceback" not in refused.stderr
+
+    assert [report["status"] for report in desk.run("ingest", drives[0])] == ["committed"]
+    by_worker = desk.run("backfill", tmp_path)["drives"]  # it has the password from `up`
+    assert [(drive["drive_id"], drive["state"]) for drive in by_worker] == [("2026-06-02_run", "committed")]
+    here = desk.run("backfill", tmp_path, "--here", "--recheck")["drives"]
+    assert [drive["state"] for drive in here] == ["known", "known"]
+
+    api, view = f"http://{HOST}:{desk.port}/api", f"http://127.0.0.1:{desk.view_port}"
+    # Prefect's worker hands a run its environment in a file in TMPDIR, which a worker that is killed leaves there.
+    assert {path.name for path in files_with(desk.home, WORD)} <= {"workspace.json"}
+    assert arguments_with(WORD) == []
+    prefect_refuses_strangers(api)
+    view_refuses_strangers(view, (desk.home / VIEW_TOKEN).read_text().strip())
+    nobody_reads(desk.home)
+    if CHROMIUM:
+        pages_of_other_origins_learn_nothing(f"{api}/deployments/filter", f"{view}/api/maps")
+    desk.run("down")
+    # What was still in memory is on disk now, Prefect's database included.
+    assert {path.name for path in files_with(desk.home, WORD)} <= {"workspace.json"}

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -277,54 +276,32 @@ def test_what_was_is_pending_is_published_without_the_drive(
     assert len(events) == 4
 
 
-def test_a_batch_tells_what_an_earlier_one_could_not(
+def test_what_could_not_be_published_is_said_and_told_by_a_later_run(
     tmp_path: Path, conn: Any, database_url: str, prefect: dict[str, str]
 ) -> None:
     home = tmp_path / "home"
-    cut_drive(SAMPLES[0], tmp_path / "drives" / "2026-05-01_run", "2026-05-01")
+    folder = cut_drive(SAMPLES[0], tmp_path / "drives" / "2026-05-01_run", "2026-05-01")
     in_the_way = home / "exports" / "default.geojson"
     in_the_way.mkdir(parents=True)
-    done = conetl_process(home, database_url, "backfill", tmp_path / "drives", "--here", **prefect)
+    run = partial(conetl_process, home, database_url, **prefect)
+    done = run("backfill", folder.parent, "--here")
     (drive,) = json.loads(done.stdout)["drives"]
     assert drive["state"] == "committed", done.stderr
     assert "default.geojson" in drive["reason"]
     assert done.returncode == 1
-    (changeset,) = list_changesets(conn)
-    assert not is_published(conn, changeset.changeset_id)
-    shutil.rmtree(in_the_way)
-    execute(conn, "update conetl.changeset set committed_at = committed_at - interval '1 hour'")
-    conn.commit()
-    done = conetl_process(home, database_url, "backfill", tmp_path / "drives", "--here", **prefect)
-    assert done.returncode == 0, done.stderr
-    assert is_published(conn, changeset.changeset_id)
-    assert in_the_way.is_file()
-
-
-def test_an_ingest_that_cannot_publish_says_that_it_committed(
-    tmp_path: Path, conn: Any, database_url: str, prefect: dict[str, str]
-) -> None:
-    home = tmp_path / "home"
-    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
-    in_the_way = home / "exports" / "default.geojson"
-    in_the_way.mkdir(parents=True)
-    done = conetl_process(home, database_url, "ingest", drive, **prefect)
-    assert done.returncode == 1, done.stderr
+    done = run("ingest", folder)
+    assert done.returncode == 1, "it is still in the way"
     (said,) = json.loads(done.stdout)
-    assert said["status"] == "committed"
-    assert "default.geojson" in said["unpublished"]
-    assert "run the same command again" in said["unpublished"]
+    assert said["status"] == "no changes"
+    assert "default.geojson" in said["unpublished"] and "run the same command again" in said["unpublished"]
     assert said["unpublished"] in " ".join(done.stderr.split())
     (changeset,) = list_changesets(conn)
     assert not is_published(conn, changeset.changeset_id)
-    conn.rollback()
-
-    again = conetl_process(home, database_url, "ingest", drive, **prefect)
-    assert again.returncode == 1, "it is still in the way"
-    assert json.loads(again.stdout)[0]["status"] == "no changes"
     in_the_way.rmdir()
-    again = conetl_process(home, database_url, "ingest", drive, **prefect)
-    assert again.returncode == 0, again.stderr
-    assert json.loads(again.stdout)[0]["unpublished"] is None
+    execute(conn, "update conetl.changeset set committed_at = committed_at - interval '1 hour'")
+    conn.commit()
+    done = run("backfill", folder.parent, "--here")
+    assert done.returncode == 0, done.stderr
     assert is_published(conn, changeset.changeset_id)
     assert in_the_way.is_file()
     assert list((home / "exports" / "reports").rglob("*.html"))

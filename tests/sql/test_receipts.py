@@ -220,7 +220,7 @@ def test_the_writer_may_add_receipts_and_not_change_them(database_url: str, rece
     writer.close()
 
 
-def test_a_thousand_drives_are_planned_without_opening_a_image(
+def test_drives_are_planned_without_opening_an_image(
     conn: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Real folders of real small files; the images cannot be read at all."""
@@ -235,12 +235,12 @@ def test_a_thousand_drives_are_planned_without_opening_a_image(
     shutil.copy(sample / "oxts" / "data" / f"{0:010d}.txt", template / "oxts" / "data")
     for path in sample.glob("calib*"):
         shutil.copy(path, template)
-    for number in range(1000):
+    for number in range(100):
         drive = tmp_path / "year" / f"{number % 12:02d}" / f"drive_{number:04d}"
         shutil.copytree(template, drive, copy_function=_link)
     made = plan_drives(conn, tmp_path / "year", settings=Settings(), params=IngestParams())
-    assert made.count("ingest") == 1000
-    assert made.frame_pairs == 3000
+    assert made.count("ingest") == 100
+    assert made.frame_pairs == 300
 
 
 def _link(source: str, target: str) -> None:

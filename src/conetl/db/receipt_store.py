@@ -140,7 +140,7 @@ def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
 @contextmanager
 def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
     """Hold a lock in a session that is also used for the work, if it is free; yields whether it was."""
-    with database_errors("A lock could not be taken"):
+    with database_errors("A lock in PostgreSQL could not be taken"):
         conn.rollback()
         taken = bool(execute(conn, load_sql("locks.try_lock"), {"name": name})[0]["taken"])
         conn.commit()

@@ -60,7 +60,7 @@ class _HeldLocks:
     def _take_all(self) -> Connection:
         conn = connect(self._url)
         try:
-            with database_errors("A lock could not be taken"):
+            with database_errors("A lock in PostgreSQL could not be taken"):
                 conn.autocommit = True
                 execute(conn, load_sql("locks.wait_without_limit"))
                 for name in self._names:
@@ -84,7 +84,7 @@ class _HeldLocks:
             if self._conn is None:
                 self._missing = list(self._names)
                 self._conn = connect(self._url)
-            with database_errors("A lock could not be taken"):
+            with database_errors("A lock in PostgreSQL could not be taken"):
                 self._conn.autocommit = True
                 for name in tuple(self._missing):
                     if execute(self._conn, load_sql("locks.try_lock"), {"name": name})[0]["taken"]:

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.camera import intrinsics
+from conetl.model.records import Rig
+
 Floats = NDArray[np.float64]
 _HUBER_SIGMAS = 2.5
 #: Huber weights converge linearly where many observations do not fit.
@@ -31,6 +34,12 @@ class JointFit:
     shares: Floats
     """(F, 3, 3): derivative by each pair's own point; their sum is the identity."""
     iterations: int
+
+
+def image_constants(rig: Rig) -> tuple[Floats, Floats]:
+    """Focal lengths (4,) and principal points (4,) of a rectified rig, px, in the order of u_left, v_left, u_right, v_right."""
+    both = np.stack([intrinsics(rig.left), intrinsics(rig.right)])
+    return both[:, :2].ravel(), both[:, 2:].ravel()
 
 
 def pair_jacobian(

@@ -1,12 +1,8 @@
-"""Differences between two states of a map, as plain values that can be composed and inverted.
-
-With maps A, B, C: compose(diff(A, B), diff(B, C)) == diff(A, C), invert(diff(A, B)) == diff(B, A), and diff(A, A) is empty (the
-laws of koordinates/kart's diff structures).
-"""
+"""Differences between two states of a map, feature by feature."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -22,16 +18,16 @@ def diff(before: Iterable[MapFeature], after: Iterable[MapFeature]) -> list[Feat
     """Features that differ between both maps, by feature id."""
     old = {feature.feature_id: feature for feature in before}
     new = {feature.feature_id: feature for feature in after}
-    return _existing(change(old.get(feature_id), new.get(feature_id)) for feature_id in sorted(old.keys() | new.keys()))
+    return [
+        _change(old.get(feature_id), new.get(feature_id))
+        for feature_id in sorted(old.keys() | new.keys())
+        if old.get(feature_id) != new.get(feature_id)
+    ]
 
 
-def change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange | None:
-    """The difference of one feature; None where both states are equal. Raises ValueError without any state."""
+def _change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange:
     one = new or old
-    if one is None:
-        raise ValueError("a feature that is on neither map cannot differ")
-    if old == new:
-        return None
+    assert one is not None  # it is on one of the maps
     shift_m = None
     if old is None:
         kind = DeltaKind.ADDED
@@ -52,28 +48,3 @@ def _kind_of_change(old: MapFeature, new: MapFeature, shift_m: float) -> DeltaKi
     lower = new.existence_probability < old.existence_probability
     missed = lower and new == old.model_copy(update={"existence_probability": new.existence_probability})
     return DeltaKind.MISSED if missed else DeltaKind.CONFIRMED
-
-
-def invert(changes: Sequence[FeatureChange]) -> list[FeatureChange]:
-    """The changes in the opposite direction."""
-    return _existing(change(one.new, one.old) for one in changes)
-
-
-def compose(first: Sequence[FeatureChange], second: Sequence[FeatureChange]) -> list[FeatureChange]:
-    """One difference for two in succession. Raises ValueError where the second does not start where the first ends."""
-    ends = {one.feature_id: one for one in first}
-    starts = {one.feature_id: one for one in second}
-    together = []
-    for feature_id in sorted(ends.keys() | starts.keys()):
-        a, b = ends.get(feature_id), starts.get(feature_id)
-        if a and b and a.new != b.old:
-            raise ValueError(f"feature {feature_id}: the second difference does not start where the first ends")
-        old = a.old if a else b.old if b else None
-        new = b.new if b else a.new if a else None
-        if old is not None or new is not None:
-            together.append(change(old, new))
-    return _existing(together)
-
-
-def _existing(changes: Iterable[FeatureChange | None]) -> list[FeatureChange]:
-    return [found for found in changes if found is not None]

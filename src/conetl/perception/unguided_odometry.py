@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.motion.stereo_motion import MotionStatus, RelativeMotion, StereoMotion, estimate_motion
-from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
-from conetl.geometry.pose import to_matrix3, to_matrix4
+from conetl.geometry.motion.stereo_motion import MotionStatus, RelativeMotion, estimate_motion
+from conetl.geometry.motion.stereo_tracks import cameras_of, relative_motion
+from conetl.geometry.pose import to_matrix3
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Pose, Rig, Side
 from conetl.perception.visual_odometry import follow_spans
@@ -58,8 +58,7 @@ def measure_motions(
     def image(pair: FramePair, side: Side) -> NDArray[np.uint8]:
         return read(pair.frame_index, side)
 
-    state, failures, before = [0], 0, None
-    tried: list[tuple[StereoTracks, StereoMotion | None]] = []
+    state, failures, tried, before = [0], 0, 0, None
     found: list[RelativeMotion] = []
     for tracks in follow_spans(spans(), pairs, rig, image, params):
         first_px, second_px, sigma_px = tracks.points()
@@ -68,16 +67,16 @@ def measure_motions(
             motion = estimate_motion(
                 cameras, first_px[:, :3], second_px[:, :3], sigma_px, asked[0], params, seed=state[0], guess=before
             )
-        tried.append((tracks, motion))
+        tried += 1
         good = motion is not None and motion.status is MotionStatus.OK
         seconds = (pairs[state[0] + 1].captured_at_ns - pairs[state[0]].captured_at_ns) * 1e-9
-        if not good and before is None and len(tried) < len(_TRIED_M_S) and failures % _TRY_EVERY == 0:
-            asked[0] = _forward(_TRIED_M_S[len(tried)] * seconds)
+        if not good and before is None and tried < len(_TRIED_M_S) and failures % _TRY_EVERY == 0:
+            asked[0] = _forward(_TRIED_M_S[tried] * seconds)
             continue
-        found.append(_result(*tried[-1]))
+        found.append(relative_motion(tracks, motion))
         failures = 0 if good else failures + 1
         before = motion.next_SE3_first if good and motion is not None else None
-        asked[0], tried, state[0] = _forward(0.0) if before is None else before, [], state[0] + 1
+        asked[0], tried, state[0] = _forward(0.0) if before is None else before, 0, state[0] + 1
     return found
 
 
@@ -86,14 +85,3 @@ def _forward(distance_m: float) -> Floats:
     motion = np.eye(4)
     motion[2, 3] = -distance_m
     return motion
-
-
-def _result(tracks: StereoTracks, motion: StereoMotion | None) -> RelativeMotion:
-    known = motion is not None and motion.status is MotionStatus.OK
-    return RelativeMotion(
-        first_frame_index=tracks.first_frame_index, second_frame_index=tracks.second_frame_index,
-        second_SE3_first=to_matrix4(motion.next_SE3_first) if motion is not None and known else None,
-        cov=tuple(motion.cov[np.triu_indices(6)].tolist()) if motion is not None and known else (),
-        inlier_count=0 if motion is None else int(motion.inliers.sum()), point_count=len(tracks.points()[0]),
-        reason=str(tracks.missing if motion is None else motion.status),
-    )  # fmt: skip

@@ -8,7 +8,6 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import datetime
 from functools import lru_cache
 from typing import NamedTuple
 from uuid import UUID
@@ -83,7 +82,6 @@ def merge_drive(
     map_name: str,
     evidence: DetectorEvidence | None = None,
     run: RunInfo | None = None,
-    now: datetime | None = None,
     hold: Sequence[HealthCheck] = (),
 ) -> Merged:
     """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
@@ -99,14 +97,13 @@ def merge_drive(
         drive,
         changeset.idempotency_key,
         map_name=map_name,
-        now=now,
         reconcile=params.reconcile,
         influence_m=influence_m(params),
         figures=figures,
     )
     changeset = with_free_id(conn, changeset, drive_uuid)
     if hold:
-        result = commit_changeset(conn, records, changeset, map_name=map_name, now=now, run=run, hold=hold)
+        result = commit_changeset(conn, records, changeset, map_name=map_name, run=run, hold=hold)
         others = hold_changes(conn, held_before, map_name=map_name, without=changeset.changeset_id)
         return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
     spots = [(p.frame_index, p.xyz_m) for p in records.positions]
@@ -139,7 +136,6 @@ def merge_drive(
         records,
         changeset,
         map_name=map_name,
-        now=now,
         run=run,
         suppressed=extension.suppressed,
         replay=replay,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import jacobian_of
-from conetl.geometry.joint_fit import fit_point
+from conetl.geometry.joint_fit import fit_point, image_constants
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
@@ -125,8 +125,7 @@ def fuse_group(
             np.array(nearest.centre_xyz_m if point == "centre" else nearest.xyz_m),
             left,
             right,
-            np.array([rig.left.fx_px, rig.left.fy_px, rig.right.fx_px, rig.right.fy_px]),
-            np.array([rig.left.cx_px, rig.left.cy_px, rig.right.cx_px, rig.right.cy_px]),
+            *image_constants(rig),
             sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
             sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
             sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),

@@ -249,7 +249,7 @@ def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParam
         new = np.hypot(white, between * np.minimum(_CHANGING / sharing, 1.0))
         white = np.sqrt(sharing) * np.hypot(white, between)
     return LoggedPoses(
-        poses[:, :3, :3], poses[:, :3, 3], sigma_p, sigma_a, white, np.sqrt(np.maximum(1 - share**2, 1e-6)) * own, keep,
+        poses[:, :3, :3], poses[:, :3, 3], sigma_p, white, np.sqrt(np.maximum(1 - share**2, 1e-6)) * own, keep,
         np.array(rig.body_SE3_left), new,
     )  # fmt: skip
 

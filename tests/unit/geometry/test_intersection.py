@@ -144,6 +144,9 @@ def test_a_result_does_not_depend_on_its_neighbours_in_the_batch() -> None:
         assert together.iterations[i] == alone.iterations[0]
 
 
+AHEAD = project(np.array([[0.0, 1.0, 10.0]]), STEREO["map_R_cam"], BASE)[0]
+
+
 def status_of(uv: Array, **changes: object) -> IntersectionResult:
     return intersect(uv[None], **(STEREO | {"sigma_uv_px": 0.5} | changes))  # type: ignore[arg-type]
 
@@ -163,37 +166,29 @@ def test_nearly_parallel_rays_are_refused() -> None:
     assert status_of(uv, min_ray_angle_rad=0.006).ok[0]
 
 
-def test_parallel_rays_are_refused() -> None:
-    assert_refused(status_of(np.array([[600.0, 200.0], [600.0, 200.0]])), IntersectionStatus.RAY_ANGLE_TOO_SMALL)
-
-
-def test_one_camera_twice_is_refused() -> None:
-    uv = np.array([[600.0, 200.0], [600.3, 200.0]])
-    assert_refused(status_of(uv, centre_m=np.zeros((2, 3))), IntersectionStatus.RAY_ANGLE_TOO_SMALL)
-
-
-def test_diverging_rays_meet_behind_the_cameras_and_are_refused() -> None:
-    assert_refused(status_of(np.array([[600.0, 200.0], [650.0, 200.0]])), IntersectionStatus.BEHIND_CAMERA)
-
-
 def test_too_few_iterations_are_no_convergence() -> None:
     uv = project(np.array([[3.0, 1.0, 7.0]]), STEREO["map_R_cam"], BASE)[0] + [[0.0, 20.0], [0.0, -20.0]]
     assert_refused(status_of(uv, max_iterations=1), IntersectionStatus.NOT_CONVERGED)
     assert status_of(uv).iterations[0] > 1
 
 
+INVALID, NARROW = IntersectionStatus.INVALID_INPUT, IntersectionStatus.RAY_ANGLE_TOO_SMALL
+
+
 @pytest.mark.parametrize(
-    "changes",
+    ("uv", "changes", "status"),
     [
-        {"sigma_uv_px": 0.0},
-        {"sigma_uv_px": np.nan},
-        {"centre_m": np.array([[0.0, 0.0, 0.0], [np.inf, 0.0, 0.0]])},
-        {"k_px": np.stack([K, K * [-1, 1, 1, 1]])},
+        ([[600.0, 200.0], [600.0, 200.0]], {}, NARROW),  # parallel
+        ([[600.0, 200.0], [600.3, 200.0]], {"centre_m": np.zeros((2, 3))}, NARROW),  # one camera twice
+        ([[600.0, 200.0], [650.0, 200.0]], {}, IntersectionStatus.BEHIND_CAMERA),  # diverging
+        (AHEAD, {"sigma_uv_px": 0.0}, INVALID),
+        (AHEAD, {"sigma_uv_px": np.nan}, INVALID),
+        (AHEAD, {"centre_m": np.array([[0.0, 0.0, 0.0], [np.inf, 0.0, 0.0]])}, INVALID),
+        (AHEAD, {"k_px": np.stack([K, K * [-1, 1, 1, 1]])}, INVALID),
     ],
 )
-def test_numbers_that_are_none_are_refused(changes: dict[str, object]) -> None:
-    uv = project(np.array([[0.0, 1.0, 10.0]]), STEREO["map_R_cam"], BASE)[0]
-    assert_refused(status_of(uv, **changes), IntersectionStatus.INVALID_INPUT)
+def test_rays_without_a_point_are_refused(uv: Array, changes: dict[str, object], status: IntersectionStatus) -> None:
+    assert_refused(status_of(np.array(uv), **changes), status)
 
 
 def test_one_bad_point_costs_only_itself() -> None:

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry.joint_fit import JointFit, fit_point, pair_jacobian
+from conetl.geometry.joint_fit import JointFit, fit_point, image_constants, pair_jacobian
 from tests.synthetic.world import ORIGIN_M, camera_poses, make_path, make_rig
 
 RIG = make_rig()
-FOCAL = np.array([RIG.left.fx_px, RIG.left.fy_px, RIG.right.fx_px, RIG.right.fy_px])
-PRINCIPAL = np.array([RIG.left.cx_px, RIG.left.cy_px, RIG.right.cx_px, RIG.right.cy_px])
+FOCAL, PRINCIPAL = image_constants(RIG)
 POINT = ORIGIN_M + np.array([20.0, 2.0, 0.1])
 FRAMES = 12
 

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
-import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.mapping.history import replay_drives
-from conetl.mapping.map_diff import compose, diff, invert
+from conetl.mapping.map_diff import diff
 from conetl.model.map_records import DeltaKind, MapFeature
 from tests import records
-from tests.unit.mapping.test_history import random_case
 
 
 def cone(number: int, east_m: float) -> MapFeature:
@@ -42,35 +37,17 @@ def test_a_cone_that_was_looked_for_in_vain_is_not_confirmed() -> None:
     seen = after.model_copy(update={"version": 2, "observation_count": 4})
     assert [change.kind for change in diff([before], [after])] == [DeltaKind.MISSED]
     assert [change.kind for change in diff([before], [seen])] == [DeltaKind.CONFIRMED], "seen, whatever the belief"
-    assert compose(diff([before], [after]), diff([after], [seen])) == diff([before], [seen])
-    assert invert(diff([before], [after])) == diff([after], [before])
 
 
-@given(a=MAPS, b=MAPS, c=MAPS)
-def test_differences_compose_and_invert(a: list[MapFeature], b: list[MapFeature], c: list[MapFeature]) -> None:
-    assert diff(a, a) == []
-    assert invert(diff(a, b)) == diff(b, a)
-    assert invert(invert(diff(a, b))) == diff(a, b)
-    assert compose(diff(a, b), diff(b, c)) == diff(a, c)
-    assert compose(diff(a, b), diff(b, a)) == []
-
-
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_differences_between_the_maps_of_drives_compose_and_invert(seed: int) -> None:
-    """The map before and after each of three drives, with all that happens there: cones founded, moved, removed, known better."""
-    drives = sorted(random_case(seed, 3), key=lambda drive: drive.key)
-    maps = []
-    for count in range(4):
-        chains = replay_drives(drives[:count]).chains.values()
-        maps.append([chain[-1].feature for chain in chains if chain[-1].present])
-    first, second, third = (diff(before, after) for before, after in pairwise(maps))
-    assert compose(compose(first, second), third) == compose(first, compose(second, third)) == diff(maps[0], maps[3])
-    reverted = compose(compose(first, second), invert(second))
-    assert reverted == first
-    assert compose(reverted, invert(invert(second))) == diff(maps[0], maps[2]), "the revert of the revert"
-
-
-def test_differences_that_do_not_follow_each_other_are_refused() -> None:
-    with pytest.raises(ValueError, match="does not start where the first ends"):
-        compose(diff([], [cone(1, 0)]), diff([cone(1, 2)], []))
+@given(before=MAPS, after=MAPS)
+def test_the_difference_leads_from_one_map_to_the_other(before: list[MapFeature], after: list[MapFeature]) -> None:
+    found = diff(before, after)
+    assert diff(before, before) == []
+    assert [(one.feature_id, one.old, one.new) for one in diff(after, before)] == [
+        (one.feature_id, one.new, one.old) for one in found
+    ]
+    features = {feature.feature_id: feature for feature in before}
+    assert all(one.old == features.get(one.feature_id) for one in found)
+    features |= {one.feature_id: one.new for one in found if one.new is not None}
+    gone = {one.feature_id for one in found if one.new is None}
+    assert {key: one for key, one in features.items() if key not in gone} == {one.feature_id: one for one in after}

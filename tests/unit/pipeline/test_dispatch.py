@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,13 +14,13 @@ from prefect.exceptions import ObjectNotFound
 
 from conetl.model.errors import ServiceError
 from flows import dispatch
-from flows.dispatch import WORKERS_GONE_S, WorkerWatch, resolve_where
+from flows.dispatch import WORKERS_GONE_S, missing_workers, resolve_where
 
 
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A server with the deployment and two workers that take drives; `workers` and `deployed` may be changed."""
-    made = SimpleNamespace(deployed=True, workers=["drives-1", "drives-2", "desk"])
+    """A server with the deployment and two workers that take drives; `workers`, `silent_s` and `deployed` may be changed."""
+    made = SimpleNamespace(deployed=True, workers=["drives-1", "drives-2", "desk"], silent_s=0.0)
 
     class Api:
         def read_deployment_by_name(self, name: str) -> None:
@@ -27,7 +28,9 @@ def server(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
                 raise ObjectNotFound(Exception(name))
 
         def read_workers_for_work_pool(self, pool: str) -> list[Any]:
-            return [SimpleNamespace(name=name, status=WorkerStatus.ONLINE) for name in made.workers]
+            beat = datetime.now(UTC) - timedelta(seconds=made.silent_s)
+            alive = {"status": WorkerStatus.ONLINE, "last_heartbeat_time": beat}
+            return [SimpleNamespace(name=name, **alive) for name in made.workers]
 
     @contextmanager
     def client() -> Iterator[Api]:
@@ -49,24 +52,12 @@ def test_drives_go_to_workers_only_where_one_is_online(server: SimpleNamespace) 
         resolve_where("workers")
 
 
-def test_workers_that_are_gone_are_told_once_and_name_what_to_do(server: SimpleNamespace) -> None:
-    watch = WorkerWatch()
-    assert watch.complaint(0.0) is None
-    server.workers = ["desk"]
-    assert watch.complaint(40.0) is None, "they may be starting"
-    assert watch.complaint(30.0 + WORKERS_GONE_S) is None
-    said = watch.complaint(75.0 + WORKERS_GONE_S)
-    assert said is not None
-    assert "conetl status" in said
-    assert watch.complaint(1000.0 + WORKERS_GONE_S) is None, "told once"
-
-
-def test_workers_that_come_back_are_not_missed(server: SimpleNamespace) -> None:
-    watch = WorkerWatch()
-    server.workers = []
-    assert watch.complaint(0.0) is None
-    server.workers = ["drives-1"]
-    assert watch.complaint(40.0) is None
-    server.workers = []
-    assert watch.complaint(80.0) is None
-    assert watch.complaint(75.0 + WORKERS_GONE_S) is None, "since 80, not since 0"
+def test_workers_that_are_gone_are_missed_after_a_while(server: SimpleNamespace) -> None:
+    """They are restarted, and a heartbeat may be late."""
+    assert missing_workers() is None
+    server.silent_s = WORKERS_GONE_S - 10
+    assert missing_workers() is None
+    server.silent_s = WORKERS_GONE_S + 10
+    assert "conetl status" in (missing_workers() or "")
+    server.workers, server.silent_s = ["desk"], 0.0
+    assert "conetl status" in (missing_workers() or "")

@@ -78,7 +78,7 @@ def test_without_left_boxes_or_visible_partners_nothing_is_searched() -> None:
     assert whole[:4] == (0, 0, RIG.right.width_px, RIG.right.height_px)
 
 
-@given(st.integers(1, 200), st.integers(1, 9))
+@given(st.integers(1, 60), st.integers(1, 9))
 def test_blocks_contain_every_pair_once_and_search_often_enough(count: int, least: int) -> None:
     params = PARAMS.model_copy(update={"reconcile": ReconcileParams(removal_min_frames=least)})
     blocks = blocks_of(count, params)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.consistency import Nees
-from conetl.geometry.joint_fit import fit_point, pair_jacobian
+from conetl.geometry.joint_fit import fit_point, image_constants, pair_jacobian
 from conetl.geometry.motion.chain_solver import cross_covariance
 from conetl.geometry.packing import cov_matrix
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import CalibrationCovariance, FramePair, Position, Rig
+from conetl.model.records import CalibrationCovariance, FramePair, Position
 from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_cov, pose_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
 from conetl.tracking.trajectory import log_errors, refine_trajectory
@@ -64,9 +64,9 @@ def test_many_observations_with_a_wrong_calibration_are_within_their_covariance(
     for _ in range(200):
         actual = wrong_rig(RIG, rng.normal(0, SIGMAS))
         right = np.stack(list(camera_poses(pairs, actual, "right").values()))
-        exact, _ = pair_jacobian(truth, nominal[0], right, *constants(actual))
+        exact, _ = pair_jacobian(truth, nominal[0], right, *image_constants(actual))
         observed = exact + rng.normal(0, 0.4, exact.shape)
-        fit = fit_point(observed, truth, *nominal, *constants(RIG), **stated)
+        fit = fit_point(observed, truth, *nominal, *image_constants(RIG), **stated)
         assert fit is not None
         group = [position_at(pair, left[pair.frame_index], fit.xyz_m) for pair in pairs]
         common = common_cov(group, fit.shares, by_index, RIG, left)
@@ -100,7 +100,7 @@ def nees_of_logs(
     left = camera_poses(pairs, exact_rig, "left")
     body = np.stack([se3.map_SE3_body(pair.pose) for pair in pairs])
     sides = [rigs.body_SE3_camera(exact_rig, side) for side in ("left", "right")]
-    exact, _ = pair_jacobian(truth, *(se3.compose(body, side) for side in sides), *constants(exact_rig))
+    exact, _ = pair_jacobian(truth, *(se3.compose(body, side) for side in sides), *image_constants(exact_rig))
     group = [position_at(pair, left[pair.frame_index], truth) for pair in pairs]
     seconds = 0.1 * np.arange(frames)
     rho = np.exp(-np.abs(seconds[:, None] - seconds) / correlation_s)
@@ -118,7 +118,9 @@ def nees_of_logs(
         logged[:, :3, :3] = body[:, :3, :3] @ se3.rotation_from_rpy(*error[:, 3:].T)
         logged[:, :3, 3] += error[:, :3]
         observed = exact + rng.normal(0, [0.3, 0.8, 0.3, 0.8], exact.shape)
-        fit = fit_point(observed, truth, *(se3.compose(logged, s) for s in sides), *constants(exact_rig), **stated)
+        fit = fit_point(
+            observed, truth, *(se3.compose(logged, s) for s in sides), *image_constants(exact_rig), **stated
+        )
         assert fit is not None
         cov = fit.cov_m2 + common_cov(group, fit.shares, by_index, exact_rig, left, assumed)
         off = fit.xyz_m - truth
@@ -166,11 +168,6 @@ def position_at(pair: FramePair, map_SE3_left: Array, xyz_m: Array) -> Position:
     return records.position(
         pair.frame_index, xyz_m=place, centre_xyz_m=place, camera_xyz_m=tuple(in_camera), range_m=in_camera[2]
     )
-
-
-def constants(rig: Rig) -> tuple[Array, Array]:
-    focal = np.array([rig.left.fx_px, rig.left.fy_px, rig.right.fx_px, rig.right.fy_px])
-    return focal, np.array([rig.left.cx_px, rig.left.cy_px, rig.right.cx_px, rig.right.cy_px])
 
 
 def test_outline_errors_remain_from_one_side_and_cancel_from_opposite_ones() -> None:

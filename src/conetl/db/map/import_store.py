@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
 
@@ -88,11 +87,10 @@ def commit_import(
     *,
     map_name: str,
     run: RunInfo,
-    now: datetime | None = None,
 ) -> CommitResult:
     """Write an import's statements and changeset, inside the caller's `map_transaction`. drive_uuid: of `place_import`."""
     info = map_for(conn, map_name, imported.srid, imported.name)
-    committed_at = system_time(conn, info, now)
+    committed_at = system_time(conn, info)
     insert_changeset(conn, info, drive_uuid, changeset, RecordCounts(), run, committed_at)
     copy_columns(conn, "conetl.statement", _statement_columns(drive_uuid, info.srid, imported.statements))
     versions_written = write_replay(conn, info, replay, committed_at)

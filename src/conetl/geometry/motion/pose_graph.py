@@ -37,7 +37,6 @@ class LoggedPoses:
     rotations: Floats
     places: Floats
     sigma_p: Floats
-    sigma_a: Floats
     white: Floats
     """(K, 6): sigma of the error that is new in every record, position and attitude."""
     slow: Floats

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from conetl.geometry.small_arrays import all_stepped, apart, inverse_of_symmetric, median, stepped
+from conetl.geometry.small_arrays import all_stepped, apart, cross_matrix, inverse_of_symmetric, median, stepped
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Matrix4, Record
 
@@ -130,15 +130,8 @@ def project(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, B
 
     Also returns the derivatives (..., 3, 3) px/m and which points lie in front of both cameras.
     """
-    x, y, z, xr, zr, valid = _directions(cameras, points_m)
-    fx, fy, cx, cy = cameras.left_px
-    image = np.stack([fx * x + cx, fy * y + cy, cameras.right_px[0] * xr + cameras.right_px[2]], axis=-1)
-    jacobian = np.zeros((*points_m.shape[:-1], 3, 3))
-    jacobian[..., 0, 0], jacobian[..., 0, 2] = fx / z, -fx * x / z
-    jacobian[..., 1, 1], jacobian[..., 1, 2] = fy / z, -fy * y / z
-    rotation = cameras.right_SE3_left[:3, :3]
-    jacobian[..., 2, :] = (cameras.right_px[0] / zr)[..., None] * (rotation[0] - xr[..., None] * rotation[2])
-    return image, jacobian, valid
+    image, jacobian, valid = _image_of(cameras, np.moveaxis(points_m, -1, 0))
+    return np.moveaxis(image, 0, -1), np.moveaxis(jacobian, (0, 1), (-2, -1)), valid
 
 
 def _directions(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats, Bools]:
@@ -227,7 +220,8 @@ def _hypotheses(cameras: StereoCameras, points: Floats, second_px: Floats, expec
     for _ in range(4):
         moved = np.einsum("hij,hnj->hni", poses[:, :3, :3], points[draws]) + poses[:, None, :3, 3]
         image, jacobian, valid = project(cameras, moved)
-        design = (jacobian @ _point_jacobian(moved - poses[:, None, :3, 3])).reshape(_HYPOTHESES, -1, 6)
+        turned = moved - poses[:, None, :3, 3]
+        design = np.concatenate([-jacobian @ cross_matrix(turned), jacobian], axis=-1).reshape(_HYPOTHESES, -1, 6)
         residual = np.where(valid[..., None], second_px[draws] - image, 0.0).reshape(_HYPOTHESES, -1)
         design *= np.repeat(valid, 3, axis=1)[..., None]
         # Three points in a row or far away leave the normal matrix singular: a little damping keeps them harmless.
@@ -277,7 +271,7 @@ def _refine(
         misfit2 = np.einsum("in,ijn,jn->n", r, information, r) / 3
         factor2 = max(median(misfit2) / 0.7887, 1e-6)  # median of chi-square(3) / 3
         information *= 1 / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2)
-        # By (w, d), as in `_point_jacobian`: the rows' cross products with the turned point, and the rows.
+        # By (w, d): the rows' cross products with the turned point, and the rows.
         design = np.empty((6, 3, turned.shape[1]))
         rows, at_point = jacobian.transpose(1, 0, 2), turned[:, None]
         design[:3] = at_point.take((1, 2, 0), 0) * rows.take((2, 0, 1), 0)
@@ -304,16 +298,16 @@ def _refine(
 
 
 def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Bools]:
-    """As `project`, with the points last: (3, N), (3, 3, N), (N,) of points (3, N)."""
-    x, y, z, xr, zr, valid = _directions(cameras, points_m.T)
+    """As `project`, with the points last: (3, ...), (3, 3, ...), (...) of points (3, ...)."""
+    x, y, z, xr, zr, valid = _directions(cameras, np.moveaxis(points_m, 0, -1))
     fx, fy, cx, cy = cameras.left_px
     rotation, focal = cameras.right_SE3_left[:3, :3], cameras.right_px[0] / zr
-    image, jacobian = np.empty((3, len(z))), np.zeros((3, 3, len(z)))
+    image, jacobian = np.empty((3, *z.shape)), np.zeros((3, 3, *z.shape))
     image[0], image[1], image[2] = fx * x + cx, fy * y + cy, cameras.right_px[0] * xr + cameras.right_px[2]
-    jacobian[0, 0] = fx / z
-    jacobian[1, 1] = fy / z
+    jacobian[0, 0], jacobian[1, 1] = fx / z, fy / z
     jacobian[0, 2], jacobian[1, 2] = -jacobian[0, 0] * x, -jacobian[1, 1] * y
-    jacobian[2] = focal * (rotation[0][:, None] - rotation[2][:, None] * xr)
+    for axis in range(3):
+        jacobian[2, axis] = focal * (rotation[0, axis] - rotation[2, axis] * xr)
     return image, jacobian, valid
 
 
@@ -323,14 +317,3 @@ def _spread_px(cameras: StereoCameras, points: Floats, d_points: Floats, sigma_p
     carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), d_points.transpose(1, 2, 0))
     variance = 1 + (carried * carried).sum(axis=1).max(axis=0)
     return np.asarray(sigma_px * np.sqrt(np.clip(np.nan_to_num(variance, nan=2.0), 2.0, 50.0)))
-
-
-def _point_jacobian(turned: Floats) -> Floats:
-    """Derivative (..., 3, 6) of a moved point by (w, d), `turned` being R p."""
-    x, y, z = turned[..., 0], turned[..., 1], turned[..., 2]
-    jacobian = np.zeros((*turned.shape[:-1], 3, 6))
-    jacobian[..., 0, 1], jacobian[..., 0, 2] = z, -y
-    jacobian[..., 1, 0], jacobian[..., 1, 2] = -z, x
-    jacobian[..., 2, 0], jacobian[..., 2, 1] = y, -x
-    jacobian[..., 0, 3] = jacobian[..., 1, 4] = jacobian[..., 2, 5] = 1.0
-    return jacobian

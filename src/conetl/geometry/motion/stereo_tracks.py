@@ -18,7 +18,13 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics
-from conetl.geometry.motion.stereo_motion import MotionStatus, RelativeMotion, StereoCameras, estimate_motion
+from conetl.geometry.motion.stereo_motion import (
+    MotionStatus,
+    RelativeMotion,
+    StereoCameras,
+    StereoMotion,
+    estimate_motion,
+)
 from conetl.geometry.rig import left_SE3_right, map_SE3_left
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Positive, Record, Rig
@@ -109,18 +115,24 @@ def motions_of(
     before: Floats | None = None
     starts = [None] * (len(frame_pairs) - 1) if earlier is None else [motion.second_SE3_first for motion in earlier]
     for points, expected, start in zip(tracks, expected_motions(frame_pairs, rig), starts, strict=True):
-        reason, pose, cov, inliers = str(points.missing), None, (), 0
-        first_px, second_px, sigma_px = points.points()
+        motion = None
         if points.missing is None:
+            first_px, second_px, sigma_px = points.points()
             motion = estimate_motion(
                 cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, params, seed=points.first_frame_index,
                 start=None if start is None else np.array(start), guess=before,
             )  # fmt: skip
-            reason, inliers = str(motion.status), int(motion.inliers.sum())
             before = motion.next_SE3_first if motion.status is MotionStatus.OK else None
-            if motion.status is MotionStatus.OK:
-                pose, cov = se3.to_matrix4(motion.next_SE3_first), tuple(motion.cov[np.triu_indices(6)].tolist())
-        yield RelativeMotion(
-            first_frame_index=points.first_frame_index, second_frame_index=points.second_frame_index,
-            second_SE3_first=pose, cov=cov, inlier_count=inliers, point_count=len(first_px), reason=reason,
-        )  # fmt: skip
+        yield relative_motion(points, motion)
+
+
+def relative_motion(tracks: StereoTracks, motion: StereoMotion | None) -> RelativeMotion:
+    """The record of a motion between the two frame pairs of `tracks`; motion: None where they have no points."""
+    known = motion is not None and motion.status is MotionStatus.OK
+    return RelativeMotion(
+        first_frame_index=tracks.first_frame_index, second_frame_index=tracks.second_frame_index,
+        second_SE3_first=se3.to_matrix4(motion.next_SE3_first) if motion is not None and known else None,
+        cov=tuple(motion.cov[np.triu_indices(6)].tolist()) if motion is not None and known else (),
+        inlier_count=0 if motion is None else int(motion.inliers.sum()), point_count=len(tracks.points()[0]),
+        reason=str(tracks.missing if motion is None else motion.status),
+    )  # fmt: skip

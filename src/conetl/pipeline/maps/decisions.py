@@ -93,13 +93,12 @@ def decide_place(
     decided_by: str | None = None,
     expected_version: int | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
-    now: datetime | None = None,
 ) -> DecisionOutcome:
     """Suppress or pin the position of a feature. feature: its id, or the beginning of it. Raises InputError, and ConflictError
     where the same was decided already, or the feature's version is not `expected_version`, on which the person decided."""
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"a radius of {radius_m} m is not between 0 and {MAX_RADIUS_M:g} m")
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as at:
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
         state = _feature(conn, map_name, feature)
         before = read_decisions(conn, map_name=map_name)
         if is_within(state, before.suppressed if kind == SUPPRESS else before.pinned):
@@ -123,12 +122,11 @@ def revert(
     note: str = "",
     decided_by: str | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
-    now: datetime | None = None,
 ) -> DecisionOutcome:
     """Revert a changeset (its drive does not count any more) or a decision. what: its id, the beginning of it, or the changeset's
     number. Nothing is lost: reverting the decision brings everything back. Raises InputError, ConflictError where that was done
     already."""
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as at:
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
         target = _target(conn, map_name, what)
         if target.kind == "changeset":
             for known in list_decisions(conn, map_name=map_name):
@@ -162,11 +160,10 @@ def accept_drive(
     note: str = "",
     decided_by: str | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
-    now: datetime | None = None,
 ) -> DecisionOutcome:
     """Let a drive on hold count as it is. drive: its id, or its changeset's number or id. Reverting the decision puts it on hold
     again. Raises ConflictError where no such drive is on hold, or another delivery of it counts."""
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s, now) as at:
+    with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
         found = [
             known
             for known in list_changesets(conn, map_name=map_name)
@@ -194,12 +191,12 @@ def accept_drive(
 
 @contextmanager
 def _deciding(
-    conn: Connection, map_name: str, note: str, decided_by: str | None, lock_timeout_s: float, now: datetime | None
+    conn: Connection, map_name: str, note: str, decided_by: str | None, lock_timeout_s: float
 ) -> Iterator[_Deciding]:
     """The map under its lock, the instant of the decision, `insert_decision` for it, and the drives on hold."""
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         info = require_map(conn, map_name)
-        decided_at = system_time(conn, info, now)
+        decided_at = system_time(conn, info)
         insert = partial(insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by)
         yield _Deciding(info, decided_at, insert, held_drives(conn, map_name=map_name))
 

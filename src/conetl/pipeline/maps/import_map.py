@@ -42,9 +42,7 @@ class ImportResult(NamedTuple):
     """Later drives that were compared with the map again because of it."""
 
 
-def import_map(
-    conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str, now: datetime | None = None
-) -> ImportResult:
+def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str) -> ImportResult:
     """Compare an imported map with this one as the drives recorded before it left it, and commit what follows, or nothing.
 
     The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
@@ -95,7 +93,7 @@ def import_map(
                 "sha256": imported.content_sha256,
             },
         )
-        commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run, now=now)
+        commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run)
     counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
     return ImportResult(changeset.changeset_id, True, counts, len(later))
 
