@@ -34,7 +34,7 @@ def shown(value: object) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
-def read_bytes(path: Path, max_bytes: int) -> bytes:
+def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
     """A small file. Raises InputError where it is larger, or cannot be read."""
     try:
         with path.open("rb") as file:
@@ -46,7 +46,7 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
     return content
 
 
-def read_limited(path: Path, max_bytes: int) -> str:
+def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:
     """Text (UTF-8) of a small file. Raises InputError where it is larger, no text, or cannot be read."""
     try:
         return read_bytes(path, max_bytes).decode("utf-8-sig")
@@ -71,7 +71,7 @@ def parse_yaml(path: Path, text: str) -> Any:
 def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises InputError where it is no JSON, exceeds a limit or cannot be read."""
     try:
-        return json.loads(read_limited(path, MAX_JSON_BYTES))
+        return json.loads(read_limited(path))
     except RecursionError:
         raise InputError(f"{path}: nested too deeply") from None
     except ValueError as error:

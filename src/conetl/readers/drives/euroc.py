@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.files.documents import shown
+from conetl.files.documents import read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Camera, Drive, Rig, Side
@@ -40,7 +40,7 @@ from conetl.readers.drives.pairs import (
 )
 from conetl.readers.drives.poses import Samples, at, placed, to_pose
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import bad, entry, numbers, pinhole_camera, read_yaml, stereo_rig
+from conetl.readers.rigs.common import bad, calibration_errors, entry, numbers, pinhole_camera, stereo_rig
 from conetl.readers.trajectories import read_trajectory
 
 Array = NDArray[np.float64]
@@ -153,6 +153,7 @@ def _stamp(text: str, where: str) -> int | str:
     return f"{where}: '{word[:40]}' is not a time stamp; expected nanoseconds since 1970"
 
 
+@calibration_errors()
 def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Array]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
     given = own_rig(root / RIG_YAML)
@@ -205,7 +206,8 @@ def _trajectory(
     B_SE3_S = np.eye(4)
     if sensor_path.is_file():
         content.add(sensor_path.relative_to(root).as_posix(), sensor_path.read_bytes())
-        B_SE3_S = _T_BS(sensor_path, read_yaml(sensor_path))
+        with calibration_errors():
+            B_SE3_S = _T_BS(sensor_path, read_yaml(sensor_path))
     name = path.relative_to(root).as_posix()
     content.add(name, path.read_bytes())
     recorded = read_trajectory(path, settings.trajectory.model_copy(update={"format": "euroc"}))

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field, model_validator
 
+from conetl.files.documents import read_yaml
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import CalibrationError
 from conetl.model.records import CalibrationCovariance, Camera, Lens, Matrix3, NonNegative, Positive, Record, Rig, Vec3
-from conetl.readers.rigs.common import Array, Pair, choose_pair, first_message, read_yaml, rig_of, write_yaml
+from conetl.readers.rigs.common import Array, Pair, calibration_errors, choose_pair, first_message, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"
 _INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
@@ -198,6 +199,7 @@ def _check_covariance(covariance: CalibrationCovariance, lenses: Mapping[str, Le
         raise ValueError("'calibration_covariance.matrix' is not a covariance: it has a negative eigenvalue")
 
 
+@calibration_errors()
 def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
     """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras; pair: of its `cameras`. Raises CalibrationError."""
     content: Any = read_yaml(path)
