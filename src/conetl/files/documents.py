@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import reprlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import ValidationError
 
 from conetl.model.errors import InputError
 
@@ -34,13 +37,31 @@ def shown(value: object) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
+def first_message(error: ValueError) -> str:
+    """One sentence of a validation error, with its key."""
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN]
+        message = first["msg"].removeprefix("Value error, ")[:MAX_MESSAGE]
+        return f"'{key}': {message}" if key else message
+    return str(error)
+
+
+@contextmanager
+def named(source: object, kind: type[InputError] = InputError) -> Iterator[None]:
+    """OSErrors and ValueErrors of the block as errors of this kind, which name the file or folder that was read."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{source}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise kind(f"{source}: {first_message(error)}") from error
+
+
 def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
     """A small file. Raises InputError where it is larger, or cannot be read."""
-    try:
-        with path.open("rb") as file:
-            content = file.read(max_bytes + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    with named(path), path.open("rb") as file:
+        content = file.read(max_bytes + 1)
     if len(content) > max_bytes:
         raise InputError(f"{path}: expected at most {max_bytes:,} bytes")
     return content

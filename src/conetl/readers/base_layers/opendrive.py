@@ -17,7 +17,7 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN, shown
+from conetl.files.documents import MAX_SHOWN, named, shown
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.base_layers.lines import Line, LineFile, add_line
@@ -185,10 +185,8 @@ def read_opendrive(path: Path) -> LineFile:
         raise InputError(f"{path}: its root is <{root.tag}>, expected <OpenDRIVE>")
     lines: list[Line] = []
     refused: list[str] = []
-    try:
+    with named(path):
         move = _header_offset(root)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
     left = float(MAX_POINTS)
 
     def spend(points: float) -> None:

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import named
 from conetl.files.storage import is_remote
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
@@ -23,7 +24,7 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, small_file
 from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash
 from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
-from conetl.readers.rigs.common import first_message, rectified_rig
+from conetl.readers.rigs.common import rectified_rig
 
 Array = NDArray[np.float64]
 
@@ -138,10 +139,8 @@ def rig_on_body(rig: Rig, sensor_SE3_left: Array, settings: DriveYaml, source: P
     body_SE3_left = se3.compose(se3.se3(turn.T, np.zeros(3)), sensor_SE3_left)
     body_SE3_right = se3.compose(body_SE3_left, rigs.left_SE3_right(rig))
     poses = {"body_SE3_left": se3.to_matrix4(body_SE3_left), "body_SE3_right": se3.to_matrix4(body_SE3_right)}
-    try:
+    with named(source, CalibrationError):
         on_body = Rig.model_validate(dict(rig) | poses | overrides(settings))
-    except ValueError as error:
-        raise CalibrationError(f"{source}: {first_message(error)}") from error
     return rectified_rig(on_body, source), turn
 
 

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from conetl.files.documents import named
 from conetl.files.storage import fetch, is_remote, object_bytes
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import MAX_FRAME_INDEX, Drive, Rig
@@ -247,13 +248,11 @@ def _trajectory(
     start = records[min(records)]
     srid = checked_srid(map_srid or settings.map_srid, start.lat_deg, start.lon_deg, folder)
     times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}
-    try:
+    with named(folder, DriveFolderError):
         track = oxts.trajectory(records, times, srid, settings.sigmas)
         if wild := oxts.wild_records(track):
             kept = {number: record for number, record in records.items() if number not in wild}
             track = oxts.trajectory(kept, times, srid, settings.sigmas)
-    except ValueError as error:
-        raise DriveFolderError(f"{folder}: {error}") from error
     return srid, track, bad | wild
 
 

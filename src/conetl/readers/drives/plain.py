@@ -23,7 +23,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
-from conetl.files.documents import MAX_SHOWN, shown
+from conetl.files.documents import MAX_SHOWN, first_message, named, shown
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
@@ -35,7 +35,7 @@ from conetl.readers.drives.pairs import ContentHash, PairError, UsablePair, chec
 from conetl.readers.drives.poses import checked_srid, to_pose, wild_fixes
 from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import first_message, rectified_rig
+from conetl.readers.rigs.common import rectified_rig
 from conetl.readers.trajectories.times import parse_timestamp
 
 NAME = "plain"
@@ -131,10 +131,8 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
         first = next((str(row) for row in rows.values()), "the file has no rows")
         raise DriveFolderError(f"{path / TRAJECTORY}: not one usable pose: {first}")
     srid = checked_srid(options.map_srid or settings.map_srid, good[0].lat_deg, good[0].lon_deg, path)
-    try:
+    with named(path, DriveFolderError):
         poses = {row.stem: pose_of_row(row, srid) for row in good}
-    except ValueError as error:
-        raise DriveFolderError(f"{path}: {error}") from error
     times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
     rows |= _wild_rows(poses, times)
     # Pairs are ordered by row; a stem without one comes last and only serves to name the rejection.

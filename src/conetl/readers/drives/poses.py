@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from conetl.files.documents import named
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid, local_to_map
@@ -208,10 +209,8 @@ def georeferenced(
             "(ellipsoidal height) and the direction of its x axis, clockwise from true north"
         )
     srid = checked_srid(map_srid or settings.map_srid, origin.lat_deg, origin.lon_deg, source)
-    try:
+    with named(source, DriveFolderError):
         return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, local)
-    except ValueError as error:
-        raise DriveFolderError(f"{source}: {error}") from error
 
 
 def placed(
@@ -230,10 +229,8 @@ def placed(
     else:
         lat, lon, height = positions.T
         srid = checked_srid(map_srid or settings.map_srid, float(lat[0]), float(lon[0]), source)
-        try:
+        with named(source, DriveFolderError):
             poses = se3.se3(enu_to_grid(srid, lat, lon, rotations), geodesy.to_map(srid, lat, lon, height))
-        except ValueError as error:
-            raise DriveFolderError(f"{source}: {error}") from error
     sigma = _sigmas(recorded, settings)
     known = np.isfinite(sigma).all(axis=1)
     bad = recorded.bad | dict.fromkeys(
@@ -284,10 +281,8 @@ def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Array:
 
 def checked_srid(srid: int | None, lat_deg: float, lon_deg: float, source: Path) -> int:
     """EPSG code of the map: the given one, or the UTM zone of the position. Raises DriveFolderError if it is unusable there."""
-    try:
+    with named(source, DriveFolderError):
         srid = srid or geodesy.utm_srid(lat_deg, lon_deg)
         geodesy.check_map_srid(srid)
         geodesy.check_scale(srid, lat_deg, lon_deg)
-    except ValueError as error:
-        raise DriveFolderError(f"{source}: {error}") from error
-    return srid
+        return srid

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import named
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid
@@ -271,10 +272,8 @@ def _trajectory(
     attitude = samples(f"{source}: {imu}", found.records[imu], found.bad[imu])._replace(name=imu)
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
     srid = checked_srid(map_srid or settings.map_srid, float(lat[0]), float(lon[0]), source)
-    try:
+    with named(source, DriveFolderError):
         antenna = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
-    except ValueError as error:
-        raise DriveFolderError(f"{source}: {error}") from error
     track = without_wild_fixes(raw._replace(name=fix, map_SE3_body=antenna))
 
     def pose_at(time_ns: int) -> Pose:

@@ -12,10 +12,9 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ValidationError
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import MAX_MESSAGE, MAX_SHOWN, read_limited, shown
+from conetl.files.documents import first_message, named, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.errors import CalibrationError, InputError
@@ -246,17 +245,5 @@ def rig_of(
 
 def rectified_rig(rig: Rig, path: Path) -> Rig:
     """The rig of the rectified images (`rectify`). Raises CalibrationError where it cannot be rectified."""
-    try:
+    with named(path, CalibrationError):
         return rectify(rig)
-    except ValueError as error:
-        raise CalibrationError(f"{path}: {error}") from error
-
-
-def first_message(error: ValueError) -> str:
-    """One sentence of a validation error, with its key."""
-    if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN]
-        message = first["msg"].removeprefix("Value error, ")[:MAX_MESSAGE]
-        return f"'{key}': {message}" if key else message
-    return str(error)
