@@ -259,7 +259,7 @@ def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: i
         last = last if (partner := partners[i]) is None else partner
     couples: list[Couple] = [(p, None if i is None else right[i]) for p, i in zip(left, partners, strict=True)]
     # A right image that is alone comes before the first later one. Of cameras that never agree all are alone: no nested loops.
-    latest = list(accumulate((-1 if (t := _stamp(c)) is None else t for c in couples), max))
+    latest = list(accumulate((-1 if (t := time_of(c)) is None else t for c in couples), max))
     alone: dict[int, list[Couple]] = {}
     for time in right_times:
         if number[time] not in used:
@@ -297,7 +297,7 @@ def drive_of_couples(
     names: of the two image streams. images_of: checked paths of a couple's images; pose_at: pose of the body at a time (UTC ns);
     both raise PairError. Raises DriveFolderError where no pair is left.
     """
-    stamps = {n: t for n, couple in enumerate(couples) if (t := _stamp(couple)) is not None}
+    stamps = {n: t for n, couple in enumerate(couples) if (t := time_of(couple)) is not None}
     wrong_times = misplaced(stamps)
     pairs: dict[int, UsablePair] = {}
     rejections: list[Rejection] = []
@@ -330,14 +330,14 @@ def _both(couple: Couple, settings: DriveYaml, names: Mapping[Side, str]) -> tup
     return left, right
 
 
-def _stamp(couple: Couple) -> int | None:
+def time_of(couple: Couple) -> int | None:
     """The left image's time; the right one's where it is alone."""
     image = couple[0] or couple[1]
     return image.stamp if image is not None and isinstance(image.stamp, int) else None
 
 
 def _captured_at(number: int, couple: Couple, wrong_times: Mapping[int, str]) -> int:
-    stamp = _stamp(couple)
+    stamp = time_of(couple)
     if stamp is None:
         detail = str(couple[0].stamp) if couple[0] else "the image has no time stamp"
         raise PairError(RejectionReason.TIMESTAMP_INVALID, detail)

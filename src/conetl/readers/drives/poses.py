@@ -269,10 +269,8 @@ def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Array:
         found[:, k] = (
             default if name in given.model_fields_set else np.where(np.isnan(found[:, k]), default, found[:, k])
         )
-    level_m, up_m = (
-        np.hypot(*(settings.antenna_t_m or (0.0, 0.0, 0.0))[:2]),
-        abs((settings.antenna_t_m or (0.0, 0.0, 0.0))[2]),
-    )
+    x, y, z = settings.antenna_t_m or (0.0, 0.0, 0.0)
+    level_m, up_m = np.hypot(x, y), abs(z)
     tilt = found[:, 3:5].max(axis=1)
     found[:, :2] = np.hypot(found[:, :2], np.hypot(level_m * found[:, 5], up_m * tilt)[:, None])
     found[:, 2] = np.hypot(found[:, 2], level_m * tilt)

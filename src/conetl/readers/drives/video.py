@@ -28,10 +28,10 @@ from conetl.model.rejections import Rejection
 from conetl.perception.video import VIDEO_SUFFIXES, Frame, VideoIndex, frame_of, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, names_in, rig_on_body
-from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, check_images, drive_of_couples
+from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, check_images, drive_of_couples, time_of
 from conetl.readers.drives.poses import Samples, placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
-from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stated_start, time_of, timed
+from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stated_start, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 

@@ -23,7 +23,7 @@ from conetl.perception.unguided_odometry import measure_motions
 from conetl.perception.video import Region, VideoIndex
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images, inside
-from conetl.readers.drives.pairs import ContentHash, Couple, Image, pair_by_stamp
+from conetl.readers.drives.pairs import ContentHash, Couple, Image, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.trajectories.times import decimal_ns, parse_timestamp
 from conetl.tracking.clock_search import ImageClock, find_clock_offset, rates_of
@@ -264,11 +264,6 @@ def _chosen(couples: Sequence[Couple], settings: Images) -> list[Couple]:
     from_ns = first_ns + round(settings.from_s * 1e9)
     to_ns = 2**63 if settings.to_s is None else first_ns + round(settings.to_s * 1e9)
     return [c for c in inside if (t := time_of(c)) is None or from_ns <= t <= to_ns][:: settings.every]
-
-
-def time_of(couple: Couple) -> int | None:
-    stamp = next(image.stamp for image in couple if image is not None)
-    return stamp if isinstance(stamp, int) else None
 
 
 def image_clock(
