@@ -27,13 +27,14 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Camera, Drive, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
-from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
+from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.pairs import (
     ContentHash,
     Image,
     ImageFile,
     PairError,
+    Source,
     check_images,
     drive_of_couples,
     pair_by_stamp,
@@ -60,16 +61,14 @@ def matches(path: Path) -> bool:
     return (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
 
 
-def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
-    root = path.resolve()
-    content = ContentHash(headers_only=options.headers_only)
-    settings = read_drive_yaml(root)
+    path, root, settings, content = source[:4]
     add_settings(content, root)
     names = _camera_names(settings)
     left, right = (_images(root, name, content) for name in names.values())
     rig, sensor_R_body = _read_rig(root, settings, content)
-    srid, track = _trajectory(root, settings, options.map_srid, content, sensor_R_body)
+    srid, track = _trajectory(source, sensor_R_body)
     couples = pair_by_stamp(left, right, settings.pair_tolerance_ns)
     if not couples:
         raise DriveFolderError(f"{path}: there are no images in {names['left']}/data.csv")
@@ -79,8 +78,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
         return check_images(files[0], files[1], rig, content, root)
 
     return drive_of_couples(
-        couples, names, source=root, settings=settings, rig=rig, srid=srid, content=content,
-        images_of=images_of, pose_at=lambda time_ns: to_pose(*at(track, time_ns, settings.max_pose_gap_ns)),
+        couples, names, source, rig, srid, images_of, lambda time_ns: to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
     )  # fmt: skip
 
 
@@ -197,10 +195,9 @@ def _trajectory_path(root: Path, settings: DriveYaml) -> Path:
     return path
 
 
-def _trajectory(
-    root: Path, settings: DriveYaml, map_srid: int | None, content: ContentHash, sensor_R_body: Array
-) -> tuple[int, Samples]:
+def _trajectory(source: Source, sensor_R_body: Array) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
+    root, settings, content = source[1:4]
     path = _trajectory_path(root, settings)
     sensor_path = path.parent / SENSOR_YAML
     B_SE3_S = np.eye(4)
@@ -215,4 +212,4 @@ def _trajectory(
     # Of B, whose axes are those of the IMU.
     R_SE3_B = se3.compose(se3.se3(recorded.rotations, recorded.positions), se3.invert(B_SE3_S))
     recorded = recorded._replace(name=name, rotations=R_SE3_B[:, :3, :3], positions=R_SE3_B[:, :3, 3])
-    return placed(recorded, settings, map_srid, root, sensor_R_body)
+    return placed(recorded, source, sensor_R_body)

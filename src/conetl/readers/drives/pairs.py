@@ -52,6 +52,21 @@ class ContentHash:
         return total.hexdigest()
 
 
+class Source(NamedTuple):
+    """A drive that is being read."""
+
+    path: Path
+    """As the user named it; it may be a link."""
+    root: Path
+    """The folder or file itself."""
+    settings: DriveYaml
+    content: ContentHash
+    map_srid: int | None = None
+    """EPSG code of the map, where it is stated."""
+    images_folder: Path | None = None
+    """Where the images of a bag are unpacked to."""
+
+
 class ImageFile(NamedTuple):
     """One image of a drive."""
 
@@ -152,20 +167,12 @@ UsablePair = tuple[ImageFile, ImageFile, int, Pose]
 
 
 def drive_of_pairs(
-    usable: Mapping[int, UsablePair],
-    rejections: list[Rejection],
-    expected: int,
-    *,
-    source: Path,
-    settings: DriveYaml,
-    rig: Rig,
-    srid: int,
-    content: ContentHash,
+    usable: Mapping[int, UsablePair], rejections: list[Rejection], expected: int, source: Source, rig: Rig, srid: int
 ) -> tuple[Drive, list[Rejection]]:
     """The drive of the usable pairs by frame_index, with its rejections. Raises DriveFolderError where no pair is left."""
     if not usable:
         first = f"; the first: {rejections[0].record}: {rejections[0].detail}" if rejections else ""
-        raise DriveFolderError(f"{source}: not one of {expected} frame pairs can be used{first}")
+        raise DriveFolderError(f"{source.root}: not one of {expected} frame pairs can be used{first}")
     pairs = tuple(
         FramePair(
             frame_index=number, left_path=str(left.path), right_path=str(right.path), captured_at_ns=captured, pose=pose,
@@ -174,8 +181,8 @@ def drive_of_pairs(
         for number, (left, right, captured, pose) in usable.items()
     )  # fmt: skip
     drive = Drive(
-        drive_id=settings.id_of(source), source_path=str(source), rig=rig, map_srid=srid,
-        content_sha256=content.hexdigest(), frame_pairs=pairs, expected_frame_count=expected,
+        drive_id=source.settings.id_of(source.root), source_path=str(source.root), rig=rig, map_srid=srid,
+        content_sha256=source.content.hexdigest(), frame_pairs=pairs, expected_frame_count=expected,
     )  # fmt: skip
     return drive, rejections
 
@@ -283,12 +290,9 @@ def _by_true_clocks(images: Sequence[Image]) -> list[Image]:
 def drive_of_couples(
     couples: Sequence[Couple],
     names: Mapping[Side, str],
-    *,
-    source: Path,
-    settings: DriveYaml,
+    source: Source,
     rig: Rig,
     srid: int,
-    content: ContentHash,
     images_of: Callable[[Image, Image], tuple[ImageFile, ImageFile]],
     pose_at: Callable[[int], Pose],
 ) -> tuple[Drive, list[Rejection]]:
@@ -304,13 +308,11 @@ def drive_of_couples(
     for number, couple in enumerate(couples):
         try:
             captured = _captured_at(number, couple, wrong_times)
-            images = images_of(*_both(couple, settings, names))
+            images = images_of(*_both(couple, source.settings, names))
             pairs[number] = *images, captured, pose_at(captured)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
-    return drive_of_pairs(
-        pairs, rejections, len(couples), source=source, settings=settings, rig=rig, srid=srid, content=content
-    )
+    return drive_of_pairs(pairs, rejections, len(couples), source, rig, srid)
 
 
 def _both(couple: Couple, settings: DriveYaml, names: Mapping[Side, str]) -> tuple[Image, Image]:

@@ -23,7 +23,7 @@ from conetl.perception.unguided_odometry import measure_motions
 from conetl.perception.video import Region, VideoIndex
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images, inside
-from conetl.readers.drives.pairs import ContentHash, Couple, Image, pair_by_stamp, time_of
+from conetl.readers.drives.pairs import Couple, Image, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.trajectories.times import decimal_ns, parse_timestamp
 from conetl.tracking.clock_search import ImageClock, find_clock_offset, rates_of
@@ -75,24 +75,14 @@ class UnknownTimeError(DriveFolderError):
         self.key = key
 
 
-def timed(
-    cameras: Sequence[CameraImages],
-    track: Samples,
-    rig: Rig,
-    settings: DriveYaml,
-    root: Path,
-    content: ContentHash,
-    *,
-    from_course: bool,
-) -> Timing:
+def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Source, *, from_course: bool) -> Timing:
     """The couples of images with their times. Raises DriveFolderError."""
+    root, settings = source.root, source.settings
     images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
     search_s = None
     if images.timestamps is not None or left.video is None:
         names = (images.timestamps, images.right_timestamps or images.timestamps)
-        ours, theirs = (
-            _listed(camera, name, settings, root, content) for camera, name in zip(cameras, names, strict=True)
-        )
+        ours, theirs = (_listed(camera, name, source) for camera, name in zip(cameras, names, strict=True))
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
         if search_s is not None and search_s > MAX_SEARCH_S:
@@ -147,24 +137,22 @@ def _at(camera: CameraImages, start_ns: int) -> list[Image]:
     ]
 
 
-def _listed(
-    camera: CameraImages, name: str | None, settings: DriveYaml, root: Path, content: ContentHash
-) -> list[Image]:
+def _listed(camera: CameraImages, name: str | None, source: Source) -> list[Image]:
     """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError."""
     if name is None:
-        return [Image(_stamp(path.stem, settings), path) for path in camera.paths]
-    file = inside(root, name, DRIVE_YAML)
+        return [Image(_stamp(path.stem, source.settings), path) for path in camera.paths]
+    file = inside(source.root, name, DRIVE_YAML)
     try:
         data = read_bytes(file, _MOST_TIME_BYTES)
     except InputError as error:
         raise DriveFolderError(f"{name}: the time stamps: {error}") from error
-    content.add(name, data)
+    source.content.add(name, data)
     lines = [
         line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
     ]
     if len(lines) != len(camera.paths):
         raise DriveFolderError(f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}")
-    return [Image(_stamp(line, settings), path) for line, path in zip(lines, camera.paths, strict=True)]
+    return [Image(_stamp(line, source.settings), path) for line, path in zip(lines, camera.paths, strict=True)]
 
 
 def _stamp(text: str, settings: DriveYaml) -> int | str:
