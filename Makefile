@@ -8,7 +8,7 @@ export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: help setup demo up down test lint check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants bench-recordings fuzz lock
+.PHONY: help setup demo up down test lint check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants bench-recordings fuzz lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -46,10 +46,10 @@ docs: setup     ## the documentation as a site, in build/site
 web:            ## build the front end of `conetl view` into src/conetl/web/static (needs Node 20.19 or newer)
 	@cd web && npm ci --no-audit --no-fund && npm run build
 
-bench-detect: setup  ## speed of the detector beside YOLOv3 and a network of YOLO11n's size (ARGS='--pictures FOLDER' ...)
+bench-detect: setup  ## speed of the detector beside its network alone (ARGS='--pictures FOLDER' ...)
 	@$(BIN)/python benchmarks/bench_detect.py $(ARGS)
 
-bench-intersection: setup  ## speed of forward intersection beside OpenCV and, where installed, numba
+bench-intersection: setup  ## speed of forward intersection beside OpenCV
 	@$(BIN)/python benchmarks/bench_intersection.py
 
 bench-trajectory: setup  ## refinement of a drive's poses: time, and how far cones slide with and without (DRIVE=folder)
@@ -57,9 +57,6 @@ bench-trajectory: setup  ## refinement of a drive's poses: time, and how far con
 
 bench-calibration: setup  ## random halves of a folder of board images against each other (ARGS='FOLDER --board chessboard:9x6:37.8mm')
 	@$(BIN)/python benchmarks/bench_calibration.py $(ARGS)
-
-bench-rectification: setup  ## cost of resampling raw images
-	@$(BIN)/python benchmarks/bench_rectification.py
 
 bench-export: setup  ## export of a million cones to GeoParquet: time and memory (ARGS='--what history --versions 5' ...)
 	@$(BIN)/python benchmarks/bench_export.py $(ARGS)

@@ -1,13 +1,13 @@
 """kill -9 of an ingest at random instants, many times: the tables must be equal to those of one clean run every time.
 
 A drive of a few frame pairs with cached detections is ingested in a process group of its own, which is killed at a random
-instant of the duration of an ingest: by the flow's own functions, file by file and into PostGIS, without Prefect, which costs
-seconds per trial and writes nothing of conetl; with --prefect by the command's function. The same ingest then runs to its end,
+instant of the duration of an ingest: by the pipeline's own functions, file by file and into PostGIS, without Prefect, which
+costs seconds per trial and writes nothing of conetl. The same ingest then runs to its end,
 and the final tables (hash of every row, except values of a clock or a sequence), advisory locks, audits (every tenth trial) and
 leftover files are checked. In every second trial the drive comes late: a newer one over the same area is on the map already,
 and is evaluated again.
 
-    python benchmarks/bench_kills.py [--kills 200] [--seed 1] [--prefect] [--folder /tmp]
+    python benchmarks/bench_kills.py [--kills 200] [--seed 1] [--folder /tmp]
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import signal
 import time
 import traceback
 from collections import Counter
-from contextlib import ExitStack, closing, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import cv2
@@ -32,7 +32,6 @@ from benchmarks.whole_job import params_with
 from conetl.db.audits import run_audits
 from conetl.db.connection import Connection, connect, execute
 from conetl.files.atomic import sweep
-from conetl.model.params import IngestParams
 from conetl.pipeline.ingest import ingest as pipeline_ingest
 from conetl.pipeline.settings import Settings, prefect_environment
 from tests.integration.test_ingest import DRIVES, FINAL_TABLES, part_of
@@ -44,23 +43,12 @@ EMPTY = (
 )
 
 
-def with_prefect(drives: list[Path], settings: Settings) -> int:
-    """The work of `conetl ingest`."""
-    from conetl.cli.ingest import ingest_drives
-
-    return ingest_drives(drives, settings, IngestParams(), map_srid=None, show=lambda _: None)[1]
-
-
-def without_prefect(drives: list[Path], settings: Settings) -> int:
+def run_job(drives: list[Path], settings: Settings) -> None:
     """The work of the pipeline, without refinement of poses."""
     params = params_with(False)
     sweep((settings.results_folder, settings.exports_folder))
     for folder in drives:
         pipeline_ingest(folder, params, settings)
-    return 0
-
-
-JOB = without_prefect
 
 
 def ingest(drives: list[Path], home: Path, *, kill_after_s: float | None = None) -> tuple[bool, float]:
@@ -74,7 +62,8 @@ def ingest(drives: list[Path], home: Path, *, kill_after_s: float | None = None)
             log = os.open(home / "ingest.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
             os.dup2(log, 1)
             os.dup2(log, 2)
-            code = JOB(drives, Settings(home=home))
+            run_job(drives, Settings(home=home))
+            code = 0
         except BaseException:
             traceback.print_exc()
         finally:
@@ -122,17 +111,10 @@ def main() -> None:
     parser = arguments_of(__doc__)
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--prefect", action="store_true", help="the whole command instead of the flow's functions")
     parser.add_argument("--folder", type=Path, help="folder of the temporary home")
     options = parser.parse_args()
-    with own_cluster(folder=options.folder) as (home, url), closing(connect(url)) as conn, ExitStack() as running:
+    with own_cluster(folder=options.folder) as (home, url), closing(connect(url)) as conn:
         os.environ |= prefect_environment(home) | {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": url}
-        if options.prefect:
-            global JOB  # noqa: PLW0603 -- chosen once, for all forks
-            from flows.server import prefect_server
-
-            JOB = with_prefect
-            os.environ["PREFECT_API_URL"] = running.enter_context(prefect_server(home))
         outcome, faults = trials(conn, home, options.kills, random.Random(options.seed))
     killed = sum(outcome.values()) - outcome["ended before"]
     print(f"{options.kills} trials, {killed} killed, {len(faults)} with a fault")
@@ -153,10 +135,10 @@ def trials(conn: Connection, home: Path, kills: int, chance: random.Random) -> t
             ingest([drive], home)
         expected[name] = tables_hash(conn)
         cached = _detections(home)
-    if JOB is without_prefect:  # once in this process, so that the forks need not import everything again
-        cv2.setNumThreads(0)
-        _prepare(conn, home, cached, "new drive", late)
-        JOB([early], Settings(home=home))
+    # Once in this process, so that the forks need not import everything again.
+    cv2.setNumThreads(0)
+    _prepare(conn, home, cached, "new drive", late)
+    run_job([early], Settings(home=home))
     for name in expected:
         _prepare(conn, home, cached, name, late)
         seconds[name] = ingest([early], home)[1]

@@ -228,7 +228,7 @@ def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Flo
     radius = outline.radius(rows[near]) * points[near, 2] / camera.fx_px
     axis = along + np.sqrt(np.maximum(radius**2 - sideways**2, 0.0))
     middle = float(np.median(axis))
-    scatter = 1.4826 * float(np.median(np.abs(axis - middle)))
+    scatter = _robust_std(axis)
     if scatter > 0.15:  # not one surface of revolution
         return None
     count = int(near.sum())

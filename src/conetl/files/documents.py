@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import reprlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import ValidationError
 
 from conetl.model.errors import InputError
 
@@ -34,19 +37,37 @@ def shown(value: object) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
-def read_bytes(path: Path, max_bytes: int) -> bytes:
-    """A small file. Raises InputError where it is larger, or cannot be read."""
+def first_message(error: ValueError) -> str:
+    """One sentence of a validation error, with its key."""
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN]
+        message = first["msg"].removeprefix("Value error, ")[:MAX_MESSAGE]
+        return f"'{key}': {message}" if key else message
+    return str(error)
+
+
+@contextmanager
+def named(source: object, kind: type[InputError] = InputError) -> Iterator[None]:
+    """OSErrors and ValueErrors of the block as errors of this kind, which name the file or folder that was read."""
     try:
-        with path.open("rb") as file:
-            content = file.read(max_bytes + 1)
+        yield
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+        raise kind(f"{source}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise kind(f"{source}: {first_message(error)}") from error
+
+
+def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
+    """A small file. Raises InputError where it is larger, or cannot be read."""
+    with named(path), path.open("rb") as file:
+        content = file.read(max_bytes + 1)
     if len(content) > max_bytes:
         raise InputError(f"{path}: expected at most {max_bytes:,} bytes")
     return content
 
 
-def read_limited(path: Path, max_bytes: int) -> str:
+def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:
     """Text (UTF-8) of a small file. Raises InputError where it is larger, no text, or cannot be read."""
     try:
         return read_bytes(path, max_bytes).decode("utf-8-sig")
@@ -71,7 +92,7 @@ def parse_yaml(path: Path, text: str) -> Any:
 def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises InputError where it is no JSON, exceeds a limit or cannot be read."""
     try:
-        return json.loads(read_limited(path, MAX_JSON_BYTES))
+        return json.loads(read_limited(path))
     except RecursionError:
         raise InputError(f"{path}: nested too deeply") from None
     except ValueError as error:

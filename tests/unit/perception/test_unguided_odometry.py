@@ -15,8 +15,8 @@ from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.unguided_odometry import measure_motions
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.drive_yaml import Clock
-from conetl.readers.drives.image_clock import image_clock
 from conetl.readers.drives.poses import Samples
+from conetl.readers.drives.video_timing import image_clock
 from conetl.tracking.clock_search import ImageClock, rates_of
 
 DRIVE = Path(__file__).parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"

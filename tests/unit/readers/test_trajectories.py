@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry.geodesy import grid_convergence_rad
 from conetl.model.errors import DriveFolderError
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
+from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.drives.poses import placed
 from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -357,15 +358,15 @@ def test_a_yaw_that_is_a_heading_is_refused(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------- on the map
 
 
-def settings_of(**values: Any) -> DriveYaml:
-    return DriveYaml.model_validate(values)
+def drive_in(folder: Path, **settings: Any) -> Source:
+    return Source(folder, folder, DriveYaml.model_validate(settings), ContentHash())
 
 
 def test_poses_on_the_map_have_lever_arm_and_convergence(tmp_path: Path) -> None:
     t = files.known()
     recorded = read_trajectory(files.write_csv(tmp_path))
     antenna = (0.4, -0.2, 1.1)
-    srid, track = placed(recorded, settings_of(antenna_t_m=antenna), None, tmp_path, np.eye(3))
+    srid, track = placed(recorded, drive_in(tmp_path, antenna_t_m=antenna), np.eye(3))
     assert srid == 32632 and track.times_ns == t.times_ns.tolist()
     back = track.map_SE3_body[:, :3, :3] @ np.array(antenna) + track.map_SE3_body[:, :3, 3]
     east, north = Transformer.from_crs(4326, srid, always_xy=True).transform(t.llh[:, 1], t.llh[:, 0])
@@ -380,14 +381,14 @@ def test_unknown_sigmas_must_be_given(tmp_path: Path) -> None:
     recorded = read_trajectory(files.write_oxts(tmp_path))
     blind = recorded._replace(sigma=np.full((files.COUNT, 6), np.nan))
     with pytest.raises(DriveFolderError, match="horizontal_m"):
-        placed(blind, settings_of(), None, tmp_path, np.eye(3))
-    _, track = placed(blind, settings_of(sigmas={"horizontal_m": 0.2}), None, tmp_path, np.eye(3))
+        placed(blind, drive_in(tmp_path), np.eye(3))
+    _, track = placed(blind, drive_in(tmp_path, sigmas={"horizontal_m": 0.2}), np.eye(3))
     np.testing.assert_allclose(track.sigma[0], [0.2, 0.2, 0.3, *np.radians([0.05, 0.05, 0.15])])
     sea = recorded._replace(sigma=recorded.sigma * [1, 1, 1e4, 1, 1, 1])
-    _, track = placed(sea, settings_of(sigmas={"horizontal_m": 0.2}), None, tmp_path, np.eye(3))
+    _, track = placed(sea, drive_in(tmp_path, sigmas={"horizontal_m": 0.2}), np.eye(3))
     assert track.sigma[0, 2] > 100.0
     with pytest.raises(DriveFolderError, match="attitudes"):
-        placed(recorded._replace(rotations=None), settings_of(), None, tmp_path, np.eye(3))
+        placed(recorded._replace(rotations=None), drive_in(tmp_path), np.eye(3))
 
 
 def test_settings_are_read_from_drive_yaml(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN
+from conetl.files.documents import MAX_SHOWN, named
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.point_tiles import Cloud
 
@@ -131,13 +131,9 @@ def _check_chunks(path: Path, header: laspy.LasHeader) -> None:
 
 def _check_header(path: Path) -> None:
     """Reject a number of records or chunks that cannot be true: laspy would try to read as many, its decoder abort."""
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            head = file.read(247)
-            chunks = _laz_chunks(file, int.from_bytes(head[96:100], "little"), size) if head[104:105] >= b"@" else 0
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    with named(path), path.open("rb") as file:
+        size, head = path.stat().st_size, file.read(247)
+        chunks = _laz_chunks(file, int.from_bytes(head[96:100], "little"), size) if head[104:105] >= b"@" else 0
     if head[:4] != b"LASF":
         raise InputError(f"{path}: this is not a LAS or LAZ file (expected LASF at its beginning)")
     records = [

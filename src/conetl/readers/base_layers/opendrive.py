@@ -17,7 +17,7 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN, shown
+from conetl.files.documents import MAX_SHOWN, named, shown
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.base_layers.lines import Line, LineFile, add_line
@@ -38,6 +38,10 @@ _LINE_POINTS = 100
 MAX_COORDINATE_M = 1e9
 #: Vertices that are simplified at once: the time for a curled line rises with the square of it.
 _BLOCK = 2_000
+
+
+#: Attributes with the curvature at the beginning and at the end, by geometry.
+_CURVATURES = {"line": (), "arc": ("curvature", "curvature"), "spiral": ("curvStart", "curvEnd")}
 
 
 class Cubic(NamedTuple):
@@ -185,10 +189,8 @@ def read_opendrive(path: Path) -> LineFile:
         raise InputError(f"{path}: its root is <{root.tag}>, expected <OpenDRIVE>")
     lines: list[Line] = []
     refused: list[str] = []
-    try:
+    with named(path):
         move = _header_offset(root)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
     left = float(MAX_POINTS)
 
     def spend(points: float) -> None:
@@ -236,11 +238,8 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
     about = {"road": road.get("id"), "road_name": road.get("name") or None}
     spend(_points(pieces, 0.0, length))
     s = samples_m(pieces, 0.0, length)
-    yield Line(
-        "reference_line",
-        offset_line(pieces, elevation, [], s, np.zeros(len(s))),
-        {**about, "border": "reference line"},
-    )
+    centre = offset_line(pieces, elevation, [], s, np.zeros(len(s)))
+    yield Line("reference_line", centre, {**about, "border": "reference line"})
     sections = sorted(road.findall("lanes/laneSection"), key=lambda section: _number(section, "s"))
     starts = [_number(section, "s") for section in sections]
     if starts and not 0 <= starts[0] <= starts[-1] <= length:
@@ -261,14 +260,12 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
             paint = mark.get("type", "none") if mark is not None else "none"
             if number == 0 and paint == "none":
                 continue
-            attributes = {
-                **about,
-                "border": f"lane {number}",
-                "lane_type": lane.get("type") if lane is not None else None,
-            }
-            yield Line(
-                "lane_border" if paint == "none" else paint, offset_line(pieces, elevation, roll, s, t), attributes
+            kind, lane_type = (
+                "lane_border" if paint == "none" else paint,
+                lane.get("type") if lane is not None else None,
             )
+            attributes = {**about, "border": f"lane {number}", "lane_type": lane_type}
+            yield Line(kind, offset_line(pieces, elevation, roll, s, t), attributes)
 
 
 def _points(pieces: Sequence[Piece], from_m: float, to_m: float) -> float:
@@ -283,26 +280,20 @@ def _piece(geometry: Element) -> Piece:
     if length < 0:
         raise ValueError(f"a geometry's length is {length:g} m")
     shape = next(iter(geometry), None)
-    kind = shape.tag if shape is not None else "nothing"
-    if shape is None or kind == "line":
-        return Piece("curvature", start, x, y, heading, length)
-    if kind == "arc":
-        k = _number(shape, "curvature")
-        return Piece("curvature", start, x, y, heading, length, k0=k, k1=k)
-    if kind == "spiral":
-        return Piece(
-            "curvature", start, x, y, heading, length, k0=_number(shape, "curvStart"), k1=_number(shape, "curvEnd")
-        )
+    kind = shape.tag if shape is not None else "line"
+    at = start, x, y, heading, length
+    if shape is None or kind in _CURVATURES:
+        ends = [_number(shape, name) for name in _CURVATURES[kind]] if shape is not None else []
+        k0, k1 = ends or (0.0, 0.0)
+        return Piece("curvature", *at, k0=k0, k1=k1)
     if kind == "poly3":
         a, b, c, d = (_number(shape, name) for name in "abcd")
-        return Piece("poly3", start, x, y, heading, length, v=(a, b, c, d))
+        return Piece("poly3", *at, v=(a, b, c, d))
     if kind == "paramPoly3":
         u0, u1, u2, u3 = (_number(shape, f"{name}U") for name in "abcd")
         v0, v1, v2, v3 = (_number(shape, f"{name}V") for name in "abcd")
         normalised = shape.get("pRange", "normalized") != "arcLength"
-        return Piece(
-            "paramPoly3", start, x, y, heading, length, u=(u0, u1, u2, u3), v=(v0, v1, v2, v3), normalised=normalised
-        )
+        return Piece("paramPoly3", *at, u=(u0, u1, u2, u3), v=(v0, v1, v2, v3), normalised=normalised)
     raise ValueError(f"its geometry <{kind}> is unknown; expected line, arc, spiral, poly3 or paramPoly3")
 
 
@@ -324,14 +315,10 @@ def _number(element: Element, name: str) -> float:
 def _header_offset(root: Element) -> tuple[Array, Array]:
     """Rotation (3, 3) and translation (3,) of header/offset, from the file's coordinates to those of its CRS."""
     offset = root.find("header/offset")
-    values = {
-        name: _number(offset, name) if offset is not None and offset.get(name) else 0.0
-        for name in ("x", "y", "z", "hdg")
-    }
-    cos, sin = math.cos(values["hdg"]), math.sin(values["hdg"])
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.array(
-        [values["x"], values["y"], values["z"]]
-    )
+    stated = {} if offset is None else {k: _number(offset, k) for k in ("x", "y", "z", "hdg") if offset.get(k)}
+    x, y, z, heading = (stated.get(name, 0.0) for name in ("x", "y", "z", "hdg"))
+    cos, sin = math.cos(heading), math.sin(heading)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z])
 
 
 def _simplified(xyz: Array) -> Array:

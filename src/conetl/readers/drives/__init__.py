@@ -13,7 +13,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.model.records import Drive
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
-from conetl.readers.drives.formats import DriveFormat, ReadOptions
+from conetl.readers.drives.formats import DriveFormat, opened
 from conetl.readers.drives.pairs import without_frozen
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
@@ -55,7 +55,8 @@ def read_drive(
         found = find_format(path)
         if found is None:
             raise _not_a_drive(path)
-        drive, rejections = found.read(path, ReadOptions(map_srid, headers_only, images_folder))
+        source = opened(path, map_srid=map_srid, images_folder=images_folder, headers_only=headers_only)
+        drive, rejections = found.read(source)
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
 

@@ -22,25 +22,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.files.documents import shown
+from conetl.files.documents import read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Camera, Drive, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
-from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
+from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.pairs import (
     ContentHash,
     Image,
     ImageFile,
     PairError,
+    Source,
     check_images,
     drive_of_couples,
     pair_by_stamp,
 )
 from conetl.readers.drives.poses import Samples, at, placed, to_pose
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import bad, entry, numbers, pinhole_camera, read_yaml, stereo_rig
+from conetl.readers.rigs.common import bad, calibration_errors, entry, numbers, pinhole_camera, stereo_rig
 from conetl.readers.trajectories import read_trajectory
 
 Array = NDArray[np.float64]
@@ -60,16 +61,14 @@ def matches(path: Path) -> bool:
     return (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
 
 
-def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
-    root = path.resolve()
-    content = ContentHash(headers_only=options.headers_only)
-    settings = read_drive_yaml(root)
+    path, root, settings, content = source[:4]
     add_settings(content, root)
     names = _camera_names(settings)
     left, right = (_images(root, name, content) for name in names.values())
     rig, sensor_R_body = _read_rig(root, settings, content)
-    srid, track = _trajectory(root, settings, options.map_srid, content, sensor_R_body)
+    srid, track = _trajectory(source, sensor_R_body)
     couples = pair_by_stamp(left, right, settings.pair_tolerance_ns)
     if not couples:
         raise DriveFolderError(f"{path}: there are no images in {names['left']}/data.csv")
@@ -79,8 +78,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
         return check_images(files[0], files[1], rig, content, root)
 
     return drive_of_couples(
-        couples, names, source=root, settings=settings, rig=rig, srid=srid, content=content,
-        images_of=images_of, pose_at=lambda time_ns: to_pose(*at(track, time_ns, settings.max_pose_gap_ns)),
+        couples, names, source, rig, srid, images_of, lambda time_ns: to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
     )  # fmt: skip
 
 
@@ -153,6 +151,7 @@ def _stamp(text: str, where: str) -> int | str:
     return f"{where}: '{word[:40]}' is not a time stamp; expected nanoseconds since 1970"
 
 
+@calibration_errors()
 def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Array]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
     given = own_rig(root / RIG_YAML)
@@ -196,16 +195,16 @@ def _trajectory_path(root: Path, settings: DriveYaml) -> Path:
     return path
 
 
-def _trajectory(
-    root: Path, settings: DriveYaml, map_srid: int | None, content: ContentHash, sensor_R_body: Array
-) -> tuple[int, Samples]:
+def _trajectory(source: Source, sensor_R_body: Array) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
+    root, settings, content = source[1:4]
     path = _trajectory_path(root, settings)
     sensor_path = path.parent / SENSOR_YAML
     B_SE3_S = np.eye(4)
     if sensor_path.is_file():
         content.add(sensor_path.relative_to(root).as_posix(), sensor_path.read_bytes())
-        B_SE3_S = _T_BS(sensor_path, read_yaml(sensor_path))
+        with calibration_errors():
+            B_SE3_S = _T_BS(sensor_path, read_yaml(sensor_path))
     name = path.relative_to(root).as_posix()
     content.add(name, path.read_bytes())
     recorded = read_trajectory(path, settings.trajectory.model_copy(update={"format": "euroc"}))
@@ -213,4 +212,4 @@ def _trajectory(
     # Of B, whose axes are those of the IMU.
     R_SE3_B = se3.compose(se3.se3(recorded.rotations, recorded.positions), se3.invert(B_SE3_S))
     recorded = recorded._replace(name=name, rotations=R_SE3_B[:, :3, :3], positions=R_SE3_B[:, :3, 3])
-    return placed(recorded, settings, map_srid, root, sensor_R_body)
+    return placed(recorded, source, sensor_R_body)

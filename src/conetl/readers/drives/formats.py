@@ -7,11 +7,12 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import named
 from conetl.files.storage import is_remote
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
@@ -19,11 +20,11 @@ from conetl.geometry.geodesy import sensor_R_body
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Rig
 from conetl.model.rejections import Rejection
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, small_file
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, small_file
+from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, Source
 from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
-from conetl.readers.rigs.common import first_message, rectified_rig
+from conetl.readers.rigs.common import rectified_rig
 
 Array = NDArray[np.float64]
 
@@ -34,12 +35,14 @@ SAMPLED_POSES = 16
 _SAMPLED_BYTES = 4096
 
 
-class ReadOptions(NamedTuple):
-    """Arguments of `read_drive` that formats use."""
-
-    map_srid: int | None = None
-    headers_only: bool = False
-    images_folder: Path | None = None
+def opened(
+    path: Path, *, map_srid: int | None = None, images_folder: Path | None = None, headers_only: bool = False
+) -> Source:
+    """A drive with its settings, before anything else of it is read. Raises DriveFolderError."""
+    root = path.resolve()
+    settings = read_drive_yaml(root)
+    content = ContentHash(headers_only=headers_only)
+    return Source(path, root, settings, content, map_srid or settings.map_srid, images_folder)
 
 
 class DriveFormat(Protocol):
@@ -52,7 +55,7 @@ class DriveFormat(Protocol):
     def matches(self, path: Path) -> bool:
         """Whether a folder (or a file) looks like a drive of this format, complete or not."""
 
-    def read(self, path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+    def read(self, source: Source) -> tuple[Drive, list[Rejection]]:
         """The drive and its rejections. Raises DriveFolderError or CalibrationError where there is no usable pair."""
 
     def read_header(self, path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
@@ -138,10 +141,8 @@ def rig_on_body(rig: Rig, sensor_SE3_left: Array, settings: DriveYaml, source: P
     body_SE3_left = se3.compose(se3.se3(turn.T, np.zeros(3)), sensor_SE3_left)
     body_SE3_right = se3.compose(body_SE3_left, rigs.left_SE3_right(rig))
     poses = {"body_SE3_left": se3.to_matrix4(body_SE3_left), "body_SE3_right": se3.to_matrix4(body_SE3_right)}
-    try:
+    with named(source, CalibrationError):
         on_body = Rig.model_validate(dict(rig) | poses | overrides(settings))
-    except ValueError as error:
-        raise CalibrationError(f"{source}: {first_message(error)}") from error
     return rectified_rig(on_body, source), turn
 
 

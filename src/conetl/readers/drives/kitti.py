@@ -18,17 +18,19 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from conetl.files.documents import named
 from conetl.files.storage import fetch, is_remote, object_bytes
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import MAX_FRAME_INDEX, Drive, Rig
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives import oxts
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
-from conetl.readers.drives.formats import SAMPLED_POSES, HeaderFacts, ReadOptions, every_nth, image_files, names_in
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
+from conetl.readers.drives.formats import SAMPLED_POSES, HeaderFacts, every_nth, image_files, names_in
 from conetl.readers.drives.pairs import (
     ContentHash,
     ImageFile,
     PairError,
+    Source,
     check_images,
     drive_of_pairs,
     first_size,
@@ -52,14 +54,12 @@ def matches(path: Path) -> bool:
     return any((path / name).is_dir() for name in ("image_02", "image_03", "oxts")) or (path / DRIVE_YAML).is_file()
 
 
-def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections. Images are checked by header and end marker, not decoded.
 
     The map's CRS: that of the options, else of drive.yaml, else the UTM zone of the first pose.
     """
-    root = path.resolve()
-    content = ContentHash(headers_only=options.headers_only)
-    settings = read_drive_yaml(root)
+    path, root, settings, content = source[:4]
     calibration = calibration_path(path, settings)
     rejections: list[Rejection] = []
     left = _numbered_images(camera_folder(root, settings.cameras.left, settings), path, rejections)
@@ -72,7 +72,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     stamps = _stamps(root, f"{settings.cameras.left}/timestamps.txt", settings, content)
     split = _split_triggers(root, settings, stamps, content)
     oxts_stamps = _stamps(root, OXTS_STAMPS, settings, content) if (root / OXTS_STAMPS).is_file() else {}
-    srid, track, bad_records = _trajectory(root, path, oxts_stamps, options.map_srid, settings, content)
+    srid, track, bad_records = _trajectory(source, oxts_stamps)
 
     usable: dict[int, tuple[ImageFile, ImageFile, int]] = {}
     wrong_times = misplaced({n: t for n in numbers if isinstance(t := stamps.get(n), int) and n not in split})
@@ -89,9 +89,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
             usable[number] = *images, captured
     poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
     pairs = {number: (*found, poses[number]) for number, found in usable.items()}
-    return drive_of_pairs(
-        pairs, rejections, len(numbers), source=root, settings=settings, rig=rig, srid=srid, content=content
-    )
+    return drive_of_pairs(pairs, rejections, len(numbers), source, rig, srid)
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
@@ -236,46 +234,41 @@ def trigger_problem(left: int | str, right: int | str | None, settings: DriveYam
     )
 
 
-def _trajectory(
-    root: Path, folder: Path, stamps: Mapping[int, int | str], map_srid: int | None, settings: DriveYaml, content: ContentHash
-) -> tuple[int, oxts.OxtsTrajectory, dict[int, str]]:  # fmt: skip
+def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, oxts.OxtsTrajectory, dict[int, str]]:
     """EPSG code of the map, the poses in it, and what is wrong with the other OXTS records, by frame number."""
-    records, bad = _read_oxts(root, folder, settings, content)
+    folder, settings = source.path, source.settings
+    records, bad = _read_oxts(source)
     if not records:
         shown = "".join(f", for example {number:010d}.txt: {text}" for number, text in [*bad.items()][:1])
         raise DriveFolderError(f"{folder}: not one usable pose in oxts/data{shown}")
     start = records[min(records)]
-    srid = checked_srid(map_srid or settings.map_srid, start.lat_deg, start.lon_deg, folder)
+    srid = checked_srid(source.map_srid, start.lat_deg, start.lon_deg, folder)
     times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}
-    try:
+    with named(folder, DriveFolderError):
         track = oxts.trajectory(records, times, srid, settings.sigmas)
         if wild := oxts.wild_records(track):
             kept = {number: record for number, record in records.items() if number not in wild}
             track = oxts.trajectory(kept, times, srid, settings.sigmas)
-    except ValueError as error:
-        raise DriveFolderError(f"{folder}: {error}") from error
     return srid, track, bad | wild
 
 
-def _read_oxts(
-    root: Path, folder: Path, settings: DriveYaml, content: ContentHash
-) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
+def _read_oxts(source: Source) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
     """Valid OXTS records and, for the others, what is wrong with them, by frame number."""
-    data = root / "oxts" / "data"
+    data = source.root / "oxts" / "data"
     files = _numbered(data.glob("*.txt")) if data.is_dir() else {}
     if not files:
-        raise _no_poses(folder)
+        raise _no_poses(source.path)
     fetch([path for paths in files.values() for path in paths], fresh=True)
     records: dict[int, OxtsRecord] = {}
     bad: dict[int, str] = {}
     for number, paths in files.items():
         raw = object_bytes(paths[0]) if is_remote(paths[0]) else paths[0].read_bytes()
-        content.add(f"oxts/data/{paths[0].name}", raw)
+        source.content.add(f"oxts/data/{paths[0].name}", raw)
         try:
             if len(paths) > 1:
                 raise ValueError(f"{len(paths)} files have this number: {', '.join(path.name for path in paths)}")
             text = raw.decode("utf-8", errors="replace")
-            records[number] = parse_oxts(text, accuracy_required=settings.sigmas.horizontal_m is None)
+            records[number] = parse_oxts(text, accuracy_required=source.settings.sigmas.horizontal_m is None)
         except ValueError as error:
             bad[number] = str(error)
     return records, bad

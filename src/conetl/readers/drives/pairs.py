@@ -52,6 +52,21 @@ class ContentHash:
         return total.hexdigest()
 
 
+class Source(NamedTuple):
+    """A drive that is being read."""
+
+    path: Path
+    """As the user named it; it may be a link."""
+    root: Path
+    """The folder or file itself."""
+    settings: DriveYaml
+    content: ContentHash
+    map_srid: int | None = None
+    """EPSG code of the map, where it is stated."""
+    images_folder: Path | None = None
+    """Where the images of a bag are unpacked to."""
+
+
 class ImageFile(NamedTuple):
     """One image of a drive."""
 
@@ -152,20 +167,12 @@ UsablePair = tuple[ImageFile, ImageFile, int, Pose]
 
 
 def drive_of_pairs(
-    usable: Mapping[int, UsablePair],
-    rejections: list[Rejection],
-    expected: int,
-    *,
-    source: Path,
-    settings: DriveYaml,
-    rig: Rig,
-    srid: int,
-    content: ContentHash,
+    usable: Mapping[int, UsablePair], rejections: list[Rejection], expected: int, source: Source, rig: Rig, srid: int
 ) -> tuple[Drive, list[Rejection]]:
     """The drive of the usable pairs by frame_index, with its rejections. Raises DriveFolderError where no pair is left."""
     if not usable:
         first = f"; the first: {rejections[0].record}: {rejections[0].detail}" if rejections else ""
-        raise DriveFolderError(f"{source}: not one of {expected} frame pairs can be used{first}")
+        raise DriveFolderError(f"{source.root}: not one of {expected} frame pairs can be used{first}")
     pairs = tuple(
         FramePair(
             frame_index=number, left_path=str(left.path), right_path=str(right.path), captured_at_ns=captured, pose=pose,
@@ -174,8 +181,8 @@ def drive_of_pairs(
         for number, (left, right, captured, pose) in usable.items()
     )  # fmt: skip
     drive = Drive(
-        drive_id=settings.id_of(source), source_path=str(source), rig=rig, map_srid=srid,
-        content_sha256=content.hexdigest(), frame_pairs=pairs, expected_frame_count=expected,
+        drive_id=source.settings.id_of(source.root), source_path=str(source.root), rig=rig, map_srid=srid,
+        content_sha256=source.content.hexdigest(), frame_pairs=pairs, expected_frame_count=expected,
     )  # fmt: skip
     return drive, rejections
 
@@ -259,7 +266,7 @@ def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: i
         last = last if (partner := partners[i]) is None else partner
     couples: list[Couple] = [(p, None if i is None else right[i]) for p, i in zip(left, partners, strict=True)]
     # A right image that is alone comes before the first later one. Of cameras that never agree all are alone: no nested loops.
-    latest = list(accumulate((-1 if (t := _stamp(c)) is None else t for c in couples), max))
+    latest = list(accumulate((-1 if (t := time_of(c)) is None else t for c in couples), max))
     alone: dict[int, list[Couple]] = {}
     for time in right_times:
         if number[time] not in used:
@@ -283,12 +290,9 @@ def _by_true_clocks(images: Sequence[Image]) -> list[Image]:
 def drive_of_couples(
     couples: Sequence[Couple],
     names: Mapping[Side, str],
-    *,
-    source: Path,
-    settings: DriveYaml,
+    source: Source,
     rig: Rig,
     srid: int,
-    content: ContentHash,
     images_of: Callable[[Image, Image], tuple[ImageFile, ImageFile]],
     pose_at: Callable[[int], Pose],
 ) -> tuple[Drive, list[Rejection]]:
@@ -297,20 +301,18 @@ def drive_of_couples(
     names: of the two image streams. images_of: checked paths of a couple's images; pose_at: pose of the body at a time (UTC ns);
     both raise PairError. Raises DriveFolderError where no pair is left.
     """
-    stamps = {n: t for n, couple in enumerate(couples) if (t := _stamp(couple)) is not None}
+    stamps = {n: t for n, couple in enumerate(couples) if (t := time_of(couple)) is not None}
     wrong_times = misplaced(stamps)
     pairs: dict[int, UsablePair] = {}
     rejections: list[Rejection] = []
     for number, couple in enumerate(couples):
         try:
             captured = _captured_at(number, couple, wrong_times)
-            images = images_of(*_both(couple, settings, names))
+            images = images_of(*_both(couple, source.settings, names))
             pairs[number] = *images, captured, pose_at(captured)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
-    return drive_of_pairs(
-        pairs, rejections, len(couples), source=source, settings=settings, rig=rig, srid=srid, content=content
-    )
+    return drive_of_pairs(pairs, rejections, len(couples), source, rig, srid)
 
 
 def _both(couple: Couple, settings: DriveYaml, names: Mapping[Side, str]) -> tuple[Image, Image]:
@@ -330,14 +332,14 @@ def _both(couple: Couple, settings: DriveYaml, names: Mapping[Side, str]) -> tup
     return left, right
 
 
-def _stamp(couple: Couple) -> int | None:
+def time_of(couple: Couple) -> int | None:
     """The left image's time; the right one's where it is alone."""
     image = couple[0] or couple[1]
     return image.stamp if image is not None and isinstance(image.stamp, int) else None
 
 
 def _captured_at(number: int, couple: Couple, wrong_times: Mapping[int, str]) -> int:
-    stamp = _stamp(couple)
+    stamp = time_of(couple)
     if stamp is None:
         detail = str(couple[0].stamp) if couple[0] else "the image has no time stamp"
         raise PairError(RejectionReason.TIMESTAMP_INVALID, detail)

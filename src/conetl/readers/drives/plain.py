@@ -23,19 +23,27 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
-from conetl.files.documents import MAX_SHOWN, shown
+from conetl.files.documents import MAX_SHOWN, first_message, named, shown
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Height, Latitude, Longitude, Pose, Record, Rig
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
-from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, overrides, own_rig
-from conetl.readers.drives.pairs import ContentHash, PairError, UsablePair, check_images, drive_of_pairs, images_ahead
+from conetl.readers.drives.drive_yaml import DriveYaml
+from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, overrides, own_rig
+from conetl.readers.drives.pairs import (
+    ContentHash,
+    PairError,
+    Source,
+    UsablePair,
+    check_images,
+    drive_of_pairs,
+    images_ahead,
+)
 from conetl.readers.drives.poses import checked_srid, to_pose, wild_fixes
 from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import first_message, rectified_rig
+from conetl.readers.rigs.common import rectified_rig
 from conetl.readers.trajectories.times import parse_timestamp
 
 NAME = "plain"
@@ -113,11 +121,9 @@ def matches(path: Path) -> bool:
     return (path / TRAJECTORY).is_file() or ((path / "left").is_dir() and (path / "right").is_dir())
 
 
-def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
-    root = path.resolve()
-    content = ContentHash(headers_only=options.headers_only)
-    settings = read_drive_yaml(root)
+    path, root, settings, content = source[:4]
     rig = read_plain_rig(root, settings, content)
     left, right = _images(root / "left", path), _images(root / "right", path)
     stems = sorted(left.keys() | right.keys())
@@ -130,11 +136,9 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     if not good:
         first = next((str(row) for row in rows.values()), "the file has no rows")
         raise DriveFolderError(f"{path / TRAJECTORY}: not one usable pose: {first}")
-    srid = checked_srid(options.map_srid or settings.map_srid, good[0].lat_deg, good[0].lon_deg, path)
-    try:
+    srid = checked_srid(source.map_srid, good[0].lat_deg, good[0].lon_deg, path)
+    with named(path, DriveFolderError):
         poses = {row.stem: pose_of_row(row, srid) for row in good}
-    except ValueError as error:
-        raise DriveFolderError(f"{path}: {error}") from error
     times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
     rows |= _wild_rows(poses, times)
     # Pairs are ordered by row; a stem without one comes last and only serves to name the rejection.
@@ -160,9 +164,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
             rejections.append(error.rejection(f"frame pair '{stem}'", order[stem]))
         else:
             pairs[order[stem]] = *images, captured, poses[stem]
-    return drive_of_pairs(
-        pairs, rejections, len(stems), source=root, settings=settings, rig=rig, srid=srid, content=content
-    )
+    return drive_of_pairs(pairs, rejections, len(stems), source, rig, srid)
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from conetl.files.documents import named
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid, local_to_map
@@ -18,7 +19,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.model.records import MAX_SPEED_M_S, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
-from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.pairs import PairError, Source
 from conetl.readers.trajectories.recorded import MAX_LOCAL_M, VERTICAL_FACTOR, RecordedTrajectory
 
 Array = NDArray[np.float64]
@@ -193,57 +194,49 @@ def rotation_of(w: float, x: float, y: float, z: float) -> Array:
     )
 
 
-def georeferenced(
-    settings: DriveYaml, map_srid: int | None, source: Path, stream: str, local: Array
-) -> tuple[int, Array]:
+def georeferenced(source: Source, stream: str, local: Array) -> tuple[int, Array]:
     """EPSG code of the map and map_SE3_sensor (N, 4, 4) of poses in a local frame (N, 4, 4).
 
     Raises DriveFolderError where drive.yaml has no georeference of that frame.
     """
-    origin = settings.georeference
+    origin = source.settings.georeference
     if origin is None:
         raise DriveFolderError(
-            f"{source}: {stream} is in a local frame whose position on the earth is unknown. Put into drive.yaml: "
+            f"{source.root}: {stream} is in a local frame whose position on the earth is unknown. Put into drive.yaml: "
             "'georeference: {lon_deg: ..., lat_deg: ..., height_m: ..., heading_deg: ...}', the position of its origin "
             "(ellipsoidal height) and the direction of its x axis, clockwise from true north"
         )
-    srid = checked_srid(map_srid or settings.map_srid, origin.lat_deg, origin.lon_deg, source)
-    try:
+    srid = checked_srid(source.map_srid, origin.lat_deg, origin.lon_deg, source.root)
+    with named(source.root, DriveFolderError):
         return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, local)
-    except ValueError as error:
-        raise DriveFolderError(f"{source}: {error}") from error
 
 
-def placed(
-    recorded: RecordedTrajectory, settings: DriveYaml, map_srid: int | None, source: Path, sensor_R_body: Array
-) -> tuple[int, Samples]:
+def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Array) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it, without wild fixes.
 
     sensor_R_body (3, 3): from the body's axes to those that the attitudes are of. Positions are those of the antenna where
     drive.yaml has antenna_t_m. Raises DriveFolderError where the file has no attitudes, or no sigmas and drive.yaml neither.
     """
     if recorded.rotations is None:
-        raise DriveFolderError(f"{source}: {recorded.name} has positions without attitudes (roll, pitch, heading)")
+        raise DriveFolderError(f"{source.root}: {recorded.name} has positions without attitudes (roll, pitch, heading)")
     positions, rotations = recorded.positions, recorded.rotations
     if recorded.is_local:
-        srid, poses = georeferenced(settings, map_srid, source, recorded.name, se3.se3(rotations, positions))
+        srid, poses = georeferenced(source, recorded.name, se3.se3(rotations, positions))
     else:
         lat, lon, height = positions.T
-        srid = checked_srid(map_srid or settings.map_srid, float(lat[0]), float(lon[0]), source)
-        try:
+        srid = checked_srid(source.map_srid, float(lat[0]), float(lon[0]), source.root)
+        with named(source.root, DriveFolderError):
             poses = se3.se3(enu_to_grid(srid, lat, lon, rotations), geodesy.to_map(srid, lat, lon, height))
-        except ValueError as error:
-            raise DriveFolderError(f"{source}: {error}") from error
-    sigma = _sigmas(recorded, settings)
+    sigma = _sigmas(recorded, source.settings)
     known = np.isfinite(sigma).all(axis=1)
     bad = recorded.bad | dict.fromkeys(
         recorded.times_ns[~known].tolist(), "no sigmas of the position between 0 and 1000 m"
     )
     if not known.any():
         raise DriveFolderError(
-            f"{source}: {recorded.name} has no sigmas of its positions; give sigmas.horizontal_m in drive.yaml"
+            f"{source.root}: {recorded.name} has no sigmas of its positions; give sigmas.horizontal_m in drive.yaml"
         )
-    antenna_m = np.array(settings.antenna_t_m or (0.0, 0.0, 0.0))
+    antenna_m = np.array(source.settings.antenna_t_m or (0.0, 0.0, 0.0))
     body = se3.compose(poses, se3.se3(sensor_R_body, -antenna_m))
     track = Samples(recorded.name, recorded.times_ns[known].tolist(), body[known], sigma[known], bad)
     return srid, without_wild_fixes(track)
@@ -272,10 +265,8 @@ def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Array:
         found[:, k] = (
             default if name in given.model_fields_set else np.where(np.isnan(found[:, k]), default, found[:, k])
         )
-    level_m, up_m = (
-        np.hypot(*(settings.antenna_t_m or (0.0, 0.0, 0.0))[:2]),
-        abs((settings.antenna_t_m or (0.0, 0.0, 0.0))[2]),
-    )
+    x, y, z = settings.antenna_t_m or (0.0, 0.0, 0.0)
+    level_m, up_m = np.hypot(x, y), abs(z)
     tilt = found[:, 3:5].max(axis=1)
     found[:, :2] = np.hypot(found[:, :2], np.hypot(level_m * found[:, 5], up_m * tilt)[:, None])
     found[:, 2] = np.hypot(found[:, 2], level_m * tilt)
@@ -284,10 +275,8 @@ def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Array:
 
 def checked_srid(srid: int | None, lat_deg: float, lon_deg: float, source: Path) -> int:
     """EPSG code of the map: the given one, or the UTM zone of the position. Raises DriveFolderError if it is unusable there."""
-    try:
+    with named(source, DriveFolderError):
         srid = srid or geodesy.utm_srid(lat_deg, lon_deg)
         geodesy.check_map_srid(srid)
         geodesy.check_scale(srid, lat_deg, lon_deg)
-    except ValueError as error:
-        raise DriveFolderError(f"{source}: {error}") from error
-    return srid
+        return srid

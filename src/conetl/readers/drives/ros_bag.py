@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import named
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid
@@ -48,9 +49,17 @@ from conetl.readers.drives.bag_rig import (
     is_rectified_topic,
     rig_of_infos,
 )
-from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
-from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
-from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, PairError, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, small_file
+from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
+from conetl.readers.drives.pairs import (
+    ContentHash,
+    Image,
+    ImageFile,
+    PairError,
+    Source,
+    drive_of_couples,
+    pair_by_stamp,
+)
 from conetl.readers.drives.poses import (
     at,
     attitude_sigmas,
@@ -90,25 +99,23 @@ def matches(path: Path) -> bool:
     return bag_files(path) is not None and not (path / "image_02").is_dir()
 
 
-def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections. Images are unpacked into `images_folder`; with headers_only only the first of each camera."""
-    source = path.resolve()
-    file = bag_files(source)
+    path, root, settings, content = source[:4]
+    file = bag_files(root)
     if file is None:
         raise DriveFolderError(
             f"{path}: this is not a bag: neither a .mcap or .bag file nor a folder with metadata.yaml"
         )
-    if options.images_folder is None:
+    if source.images_folder is None:
         raise DriveFolderError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
-    settings = read_drive_yaml(source)
-    content = ContentHash(headers_only=options.headers_only)
-    add_settings(content, source)
+    add_settings(content, root)
     with open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         recorded = _read_small(bag, topics, settings, content)
-        rig, sensor_R_body = _rig(small_file(source, RIG_YAML), topics, recorded, settings, path)
-        srid, pose_at = _trajectory(topics, recorded, settings, options.map_srid, sensor_R_body, path)
-        images = _read_images(bag, topics, rig, content, options.images_folder, source)
+        rig, sensor_R_body = _rig(small_file(root, RIG_YAML), topics, recorded, settings, path)
+        srid, pose_at = _trajectory(topics, recorded, source, sensor_R_body)
+        images = _read_images(bag, topics, rig, content, source.images_folder, root)
     couples = pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
     if not couples:
         raise DriveFolderError(f"{path}: there are no images on {topics.left} and {topics.right}")
@@ -119,8 +126,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
         return ImageFile(left.path, hashes[0]), ImageFile(right.path, hashes[1])
 
     return drive_of_couples(
-        couples, {"left": topics.left, "right": topics.right}, source=source, settings=settings, rig=rig, srid=srid,
-        content=content, images_of=images_of, pose_at=pose_at,
+        couples, {"left": topics.left, "right": topics.right}, source, rig, srid, images_of, pose_at
     )  # fmt: skip
 
 
@@ -253,28 +259,26 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
 
 
 def _trajectory(
-    topics: Topics, found: _Recorded, settings: DriveYaml, map_srid: int | None, sensor_R_body: Array, source: Path
+    topics: Topics, found: _Recorded, source: Source, sensor_R_body: Array
 ) -> tuple[int, Callable[[int], Pose]]:
     """EPSG code of the map, and the body's pose at a time. Raises DriveFolderError."""
-    gap_ns = settings.max_pose_gap_ns
+    path, gap_ns = source.path, source.settings.max_pose_gap_ns
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
     if topics.odometry is not None:
-        own = samples(f"{source}: {topics.odometry}", found.records[topics.odometry], found.bad[topics.odometry])
-        srid, placed = georeferenced(settings, map_srid, source, topics.odometry, own.map_SE3_body)
+        own = samples(f"{path}: {topics.odometry}", found.records[topics.odometry], found.bad[topics.odometry])
+        srid, placed = georeferenced(source, topics.odometry, own.map_SE3_body)
         track = without_wild_fixes(
             own._replace(name=topics.odometry, map_SE3_body=se3.compose(placed, sensor_SE3_body))
         )
         return srid, lambda time_ns: to_pose(*at(track, time_ns, gap_ns))
     fix, imu = topics.fix or "", topics.imu or ""
-    antenna_m = _antenna(topics, found, settings, source)
-    raw = samples(f"{source}: {fix}", found.records[fix], found.bad[fix])
-    attitude = samples(f"{source}: {imu}", found.records[imu], found.bad[imu])._replace(name=imu)
+    antenna_m = _antenna(topics, found, source.settings, path)
+    raw = samples(f"{path}: {fix}", found.records[fix], found.bad[fix])
+    attitude = samples(f"{path}: {imu}", found.records[imu], found.bad[imu])._replace(name=imu)
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
-    srid = checked_srid(map_srid or settings.map_srid, float(lat[0]), float(lon[0]), source)
-    try:
+    srid = checked_srid(source.map_srid, float(lat[0]), float(lon[0]), path)
+    with named(path, DriveFolderError):
         antenna = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
-    except ValueError as error:
-        raise DriveFolderError(f"{source}: {error}") from error
     track = without_wild_fixes(raw._replace(name=fix, map_SE3_body=antenna))
 
     def pose_at(time_ns: int) -> Pose:

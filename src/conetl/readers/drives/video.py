@@ -27,11 +27,11 @@ from conetl.model.records import Drive, Rig, Side
 from conetl.model.rejections import Rejection
 from conetl.perception.video import VIDEO_SUFFIXES, Frame, VideoIndex, frame_of, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, read_drive_yaml
-from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, names_in, rig_on_body
-from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, check_images, drive_of_couples
+from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, opened, rig_on_body
+from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, Source, check_images, drive_of_couples, time_of
 from conetl.readers.drives.poses import Samples, placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
-from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stated_start, time_of, timed
+from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stated_start, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 
@@ -66,45 +66,43 @@ class _Recording(NamedTuple):
     timing: Timing
 
 
-def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
-    root = path.resolve()
-    settings, content = read_drive_yaml(root), ContentHash(headers_only=options.headers_only)
-    found = _recording(root, settings, options.map_srid, content)
+    found = _recording(source)
     rig, couples = found.rig, found.timing.couples
 
     def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
         if frame_of(left.path) is None:
-            return check_images([left.path], [right.path], rig, content, root)
+            return check_images([left.path], [right.path], rig, source.content, source.root)
         ours, theirs = (ImageFile(image.path, hashes.get(image.path, "")) for image in (left, right))
         return ours, theirs
 
     hashes = {path: sha256 for camera in found.cameras for path, sha256 in _hashes(camera)}
     exposures_ns = [stamp for couple in couples if (stamp := time_of(couple)) is not None]
-    pose_at = pose_reader(found.track, exposures_ns, settings.max_pose_gap_s, from_course=found.from_course)
+    pose_at = pose_reader(found.track, exposures_ns, source.settings.max_pose_gap_s, from_course=found.from_course)
     left, right = found.cameras
     drive, rejections = drive_of_couples(
-        couples, {"left": left.name, "right": right.name}, source=root, settings=settings, rig=rig, srid=found.srid,
-        content=content, images_of=images_of, pose_at=pose_at,
+        couples, {"left": left.name, "right": right.name}, source, rig, found.srid, images_of, pose_at
     )  # fmt: skip
     return drive.model_copy(update={"clock_sigma_s": found.timing.clock.sigma_s or None}), rejections
 
 
 def read_timing(root: Path) -> Timing:
     """When the first left frame was taken, as drive.yaml states it or as the images show it. Raises as `read`."""
-    return _recording(root, read_drive_yaml(root), None, ContentHash(headers_only=True)).timing
+    return _recording(opened(root, headers_only=True)).timing
 
 
-def _recording(root: Path, settings: DriveYaml, map_srid: int | None, content: ContentHash) -> _Recording:
+def _recording(source: Source) -> _Recording:
     """Rig, images, trajectory and times. Raises DriveFolderError or CalibrationError."""
+    root, settings, content = source[1:4]
     rig, sensor_R_body = _rig(root, settings, content)
     cameras = _cameras(root, settings.images, rig, content)
     trajectory = _trajectory_file(root, settings)
     _add_files(trajectory, root, content)
     recorded = read_trajectory(trajectory, settings.trajectory, needed_span(cameras, settings, root))
     from_course = recorded.rotations is None
-    srid, track = placed(with_course(recorded), settings, map_srid, root, sensor_R_body)
-    timing = timed(cameras, track, rig, settings, root, content, from_course=from_course)
+    srid, track = placed(with_course(recorded), source, sensor_R_body)
+    timing = timed(cameras, track, rig, source, from_course=from_course)
     return _Recording(rig, cameras, srid, track, from_course, timing)
 
 

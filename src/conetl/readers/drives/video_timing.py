@@ -7,7 +7,7 @@ file is shifted against the left one, and when the left one begins.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,14 +19,14 @@ from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import Rig, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
+from conetl.perception.unguided_odometry import measure_motions
 from conetl.perception.video import Region, VideoIndex
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images, inside
-from conetl.readers.drives.image_clock import image_clock
-from conetl.readers.drives.pairs import ContentHash, Couple, Image, pair_by_stamp
+from conetl.readers.drives.pairs import Couple, Image, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.trajectories.times import decimal_ns, parse_timestamp
-from conetl.tracking.clock_search import ImageClock
+from conetl.tracking.clock_search import ImageClock, find_clock_offset, rates_of
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +36,10 @@ _WHOLE = 0.25
 _MARGIN_S = 20.0
 #: A file of time stamps of `MAX_FRAMES` lines.
 _MOST_TIME_BYTES = 128_000_000
+#: So many parts of 2.5 minutes of a drive are tried.
+_MOST_PARTS = 4
+#: Of an offset that is stated without one (s), as from a flash of light. The poses tell what is left of it.
+_STATED_SIGMA_S = 0.01
 _log = logging.getLogger(__name__)
 
 
@@ -71,24 +75,14 @@ class UnknownTimeError(DriveFolderError):
         self.key = key
 
 
-def timed(
-    cameras: Sequence[CameraImages],
-    track: Samples,
-    rig: Rig,
-    settings: DriveYaml,
-    root: Path,
-    content: ContentHash,
-    *,
-    from_course: bool,
-) -> Timing:
+def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Source, *, from_course: bool) -> Timing:
     """The couples of images with their times. Raises DriveFolderError."""
+    root, settings = source.root, source.settings
     images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
     search_s = None
     if images.timestamps is not None or left.video is None:
         names = (images.timestamps, images.right_timestamps or images.timestamps)
-        ours, theirs = (
-            _listed(camera, name, settings, root, content) for camera, name in zip(cameras, names, strict=True)
-        )
+        ours, theirs = (_listed(camera, name, source) for camera, name in zip(cameras, names, strict=True))
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
         if search_s is not None and search_s > MAX_SEARCH_S:
@@ -143,24 +137,22 @@ def _at(camera: CameraImages, start_ns: int) -> list[Image]:
     ]
 
 
-def _listed(
-    camera: CameraImages, name: str | None, settings: DriveYaml, root: Path, content: ContentHash
-) -> list[Image]:
+def _listed(camera: CameraImages, name: str | None, source: Source) -> list[Image]:
     """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError."""
     if name is None:
-        return [Image(_stamp(path.stem, settings), path) for path in camera.paths]
-    file = inside(root, name, DRIVE_YAML)
+        return [Image(_stamp(path.stem, source.settings), path) for path in camera.paths]
+    file = inside(source.root, name, DRIVE_YAML)
     try:
         data = read_bytes(file, _MOST_TIME_BYTES)
     except InputError as error:
         raise DriveFolderError(f"{name}: the time stamps: {error}") from error
-    content.add(name, data)
+    source.content.add(name, data)
     lines = [
         line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
     ]
     if len(lines) != len(camera.paths):
         raise DriveFolderError(f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}")
-    return [Image(_stamp(line, settings), path) for line, path in zip(lines, camera.paths, strict=True)]
+    return [Image(_stamp(line, source.settings), path) for line, path in zip(lines, camera.paths, strict=True)]
 
 
 def _stamp(text: str, settings: DriveYaml) -> int | str:
@@ -262,6 +254,41 @@ def _chosen(couples: Sequence[Couple], settings: Images) -> list[Couple]:
     return [c for c in inside if (t := time_of(c)) is None or from_ns <= t <= to_ns][:: settings.every]
 
 
-def time_of(couple: Couple) -> int | None:
-    stamp = next(image.stamp for image in couple if image is not None)
-    return stamp if isinstance(stamp, int) else None
+def image_clock(
+    settings: Clock | None,
+    track: Samples,
+    times_ns: Sequence[int],
+    rig: Rig,
+    read: Callable[[int, Side], NDArray[np.uint8]],
+    *,
+    from_course: bool,
+) -> ImageClock:
+    """What to add to the times of the images to have those of the trajectory, and its sigma (s).
+
+    times_ns: of the frame pairs, rising; rig: rectified; read: the rectified image of a frame pair, by its number in `times_ns`.
+    Only an offset that is to be estimated reads images: 2.5 minutes of them, the following where those show nothing, 10 minutes
+    at most. from_course: the trajectory has no attitudes of its own. Raises DriveFolderError where the offset cannot be
+    determined.
+    """
+    if settings is None:
+        return ImageClock(0.0, 0.0)  # the parameters' `clock_sigma_s` covers it
+    if settings.offset_s != "estimate":
+        return ImageClock(settings.offset_s, settings.sigma_s or _STATED_SIGMA_S)
+    poses, first = track.map_SE3_body, 0
+    for _ in range(_MOST_PARTS):
+        motions = measure_motions(times_ns, rig, read, first)
+        if not motions:
+            break
+        rates = rates_of(motions, dict(enumerate(times_ns)), rig)
+        found = find_clock_offset(
+            rates, times_ns[0], track.times_ns, poses[:, :3, 3], None if from_course else poses[:, :3, :3],
+            track.sigma[:, :3], settings.search_s,
+        )  # fmt: skip
+        if found is not None:
+            return found
+        first = motions[-1].second_frame_index
+    raise DriveFolderError(
+        f"{track.name}: the offset between the clocks of images and trajectory cannot be determined within "
+        f"+-{settings.search_s:g} s: the drive shows too few turns and changes of speed, or images and trajectory are not of the "
+        "same time. State it in drive.yaml: 'clock: {offset_s: ..., sigma_s: ...}', the seconds to add to the times of the images"
+    )

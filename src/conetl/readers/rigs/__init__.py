@@ -7,22 +7,23 @@ expected and what to do.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from conetl.files.documents import read_json, read_limited, read_yaml
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
-from conetl.readers.rigs.common import Pair, Size, read_json, read_text, read_xml, read_yaml, rectified_rig
-from conetl.readers.rigs.kalibr import looks_like_kalibr, read_kalibr_rig, write_kalibr_rig
+from conetl.readers.rigs.common import Pair, Size, calibration_errors, read_xml, rectified_rig
+from conetl.readers.rigs.kalibr import read_kalibr_rig, write_kalibr_rig
 from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
-from conetl.readers.rigs.matlab import looks_like_matlab, read_matlab_rig, write_matlab_rig
+from conetl.readers.rigs.matlab import read_matlab_rig, structure, write_matlab_rig
 from conetl.readers.rigs.metashape import looks_like_metashape, read_metashape_rig
-from conetl.readers.rigs.oak import looks_like_oak, read_oak_rig
+from conetl.readers.rigs.oak import read_oak_rig
 from conetl.readers.rigs.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
 from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
-from conetl.readers.rigs.ros import looks_like_ros, read_ros_rig, write_ros_rig
+from conetl.readers.rigs.ros import read_ros_rig, write_ros_rig
 from conetl.readers.rigs.zed import read_zed_rig
 
 __all__ = [
@@ -65,6 +66,7 @@ def read_rig(
     return read_rig_and_format(path, image_size=image_size, length_unit=length_unit, pair=pair)[0]
 
 
+@calibration_errors()
 def read_rig_and_format(
     path: Path, *, image_size: Size | None = None, length_unit: str | None = None, pair: Pair | None = None
 ) -> tuple[Rig, Format]:
@@ -83,6 +85,7 @@ def read_rig_and_format(
     return _READERS[found](path, **given), found
 
 
+@calibration_errors()
 def read_rig_for_images(path: Path, size: Size | None) -> Rig:
     """The rectified rig for images of this width and height (None: unknown), of a calibration file of any known format.
 
@@ -118,9 +121,9 @@ def _recognise(path: Path, pair: Pair | None = None) -> tuple[Path, Format]:
 
 def _of_json(path: Path) -> Format:
     content = read_json(path)
-    if looks_like_matlab(content):
+    if structure(content) is not None:
         return "matlab"
-    if looks_like_oak(content):
+    if isinstance(content, Mapping) and "cameraData" in content:
         return "oak"
     if looks_like_opencv(content):
         return "opencv"
@@ -131,17 +134,16 @@ def _of_json(path: Path) -> Format:
 
 
 def _of_yaml(path: Path) -> Format:
-    text = read_text(path)
+    text = read_limited(path)
     if text.lstrip().startswith("%YAML:") or "!!opencv" in text:
         return "opencv"
     content = read_yaml(path)
-    if looks_like_kalibr(content):
+    if isinstance(content, Mapping) and "cam0" in content:
         return "kalibr"
-    if looks_like_ros(content):
+    ros = {"projection_matrix", "rectification_matrix"}
+    if isinstance(content, Mapping) and "camera_matrix" in content and not ros.isdisjoint(content):
         return "ros"
-    if looks_like_opencv(content):
-        return "opencv"
-    return "rig"
+    return "opencv" if looks_like_opencv(content) else "rig"
 
 
 def _in_folder(folder: Path, pair: Pair | None) -> tuple[Path, Format]:

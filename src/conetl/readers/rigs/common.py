@@ -12,11 +12,9 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ValidationError
 
-from conetl.files import documents
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import MAX_JSON_BYTES, MAX_MESSAGE, MAX_SHOWN, read_limited, shown
+from conetl.files.documents import first_message, named, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.errors import CalibrationError, InputError
@@ -42,50 +40,23 @@ def bad(path: Path, key: str, text: str) -> CalibrationError:
     return CalibrationError(f"{path}: '{key}' {text}")
 
 
-def read_text(path: Path) -> str:
-    """Text of a file. Raises CalibrationError."""
-    with _calibration_errors():
-        return read_limited(path, MAX_JSON_BYTES)
-
-
-def read_bytes(path: Path) -> bytes:
-    """A file that is not text. Raises CalibrationError."""
-    with _calibration_errors():
-        return documents.read_bytes(path, MAX_JSON_BYTES)
-
-
-def read_yaml(path: Path) -> Any:
-    """Content of a YAML file. Raises CalibrationError."""
-    with _calibration_errors():
-        return documents.read_yaml(path)
-
-
-def parse_yaml(path: Path, text: str) -> Any:
-    """Content of the text of a YAML file. Raises CalibrationError."""
-    with _calibration_errors():
-        return documents.parse_yaml(path, text)
-
-
-def read_json(path: Path) -> Any:
-    """Content of a JSON file. Raises CalibrationError."""
-    with _calibration_errors():
-        return documents.read_json(path)
+@contextmanager
+def calibration_errors() -> Iterator[None]:
+    """Errors of reading documents as CalibrationError; also a decorator of the functions that read calibrations."""
+    try:
+        yield
+    except CalibrationError:
+        raise
+    except InputError as error:
+        raise CalibrationError(str(error)) from error
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Root element of an XML file. Raises CalibrationError."""
+    """Root element of an XML file. Raises InputError."""
     try:
-        return ElementTree.fromstring(read_text(path))
+        return ElementTree.fromstring(read_limited(path))
     except (ElementTree.ParseError, ValueError) as error:
-        raise CalibrationError(f"{path}: this is not XML: {error}") from error
-
-
-@contextmanager
-def _calibration_errors() -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        raise CalibrationError(str(error)) from error
+        raise InputError(f"{path}: this is not XML: {error}") from error
 
 
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
@@ -274,17 +245,5 @@ def rig_of(
 
 def rectified_rig(rig: Rig, path: Path) -> Rig:
     """The rig of the rectified images (`rectify`). Raises CalibrationError where it cannot be rectified."""
-    try:
+    with named(path, CalibrationError):
         return rectify(rig)
-    except ValueError as error:
-        raise CalibrationError(f"{path}: {error}") from error
-
-
-def first_message(error: ValueError) -> str:
-    """One sentence of a validation error, with its key."""
-    if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN]
-        message = first["msg"].removeprefix("Value error, ")[:MAX_MESSAGE]
-        return f"'{key}': {message}" if key else message
-    return str(error)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from conetl.files.documents import shown
+from conetl.files.documents import read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import intrinsics
@@ -28,17 +28,11 @@ from conetl.readers.rigs.common import (
     numbers_at,
     opencv_coefficients,
     pinhole_camera,
-    read_yaml,
     stereo_rig,
     write_yaml,
 )
 
 _LENSES: dict[str | None, str | None] = {"radtan": "opencv", "equidistant": "fisheye", "none": None}
-
-
-def looks_like_kalibr(content: Any) -> bool:
-    """True for a mapping with cam0."""
-    return isinstance(content, Mapping) and "cam0" in content
 
 
 def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:

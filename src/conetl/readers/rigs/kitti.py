@@ -7,16 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from conetl.files.documents import named, read_limited
 from conetl.geometry.calibration.kitti_rig import kitti_rig
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
-from conetl.readers.rigs.common import Array, Size, first_message, numbers, read_text, rectified_rig
+from conetl.readers.rigs.common import Array, Size, calibration_errors, numbers, rectified_rig
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
 IMU_TO_VELO = "calib_imu_to_velo.txt"
 
 
+@calibration_errors()
 def read_kitti_rig(
     cam_to_cam: Path,
     *,
@@ -64,13 +66,11 @@ def read_kitti_rig(
             for key in sorted(part):
                 digest.update(key.encode() + part[key].tobytes())
         rig_id = f"kitti-{'raw-' if images == 'raw' else ''}{left:02d}-{right:02d}-{digest.hexdigest()[:8]}"
-    try:
+    with named(cam_to_cam, CalibrationError):
         return kitti_rig(
             cameras, raw=images == "raw", velo_to_cam=velo, imu_to_velo=imu, left=left, right=right, rig_id=rig_id,
             sigma_px=sigma_px,
         )  # fmt: skip
-    except ValueError as error:
-        raise CalibrationError(f"{cam_to_cam}: {first_message(error)}") from error
 
 
 def _raw_size(cam_to_cam: Path, number: int) -> Size | None:
@@ -82,6 +82,7 @@ def _raw_size(cam_to_cam: Path, number: int) -> Size | None:
     return int(width), int(height)
 
 
+@calibration_errors()
 def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Array]:
     """The wanted keys of a `key: numbers` file as flat arrays, given their counts of numbers. Raises CalibrationError."""
     lines = _lines(path)
@@ -96,5 +97,5 @@ def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Array]:
 
 def _lines(path: Path) -> dict[str, str]:
     """What follows the colon, by key; of a repeated key the first."""
-    parts = [line.partition(":") for line in reversed(read_text(path).splitlines())]
+    parts = [line.partition(":") for line in reversed(read_limited(path).splitlines())]
     return {key.strip(): rest for key, colon, rest in parts if colon}

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, MAX_SHOWN, shown
+from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, MAX_SHOWN, read_bytes, read_json, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -36,8 +36,6 @@ from conetl.readers.rigs.common import (
     numbers_at,
     opencv_coefficients,
     opencv_lens,
-    read_bytes,
-    read_json,
     size_of_images,
     stereo_rig,
 )
@@ -51,18 +49,13 @@ _STRUCTURE, _TEXT, _NUMERIC = 2, 4, range(6, 16)
 _HOW = "In MATLAB: s = toStruct(stereoParams); then save('stereo.mat', 's', '-v7') or writelines(jsonencode(s), 'stereo.json')"
 
 
-def looks_like_matlab(content: Any) -> bool:
-    """True for the structure of a stereoParameters object, or a mapping that holds one."""
-    return _structure(content) is not None
-
-
 def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
     """Raw rig of camera 1 (left) and camera 2 (right).
 
     image_size: width and height where the file has none; length_unit: instead of WorldUnits. Raises CalibrationError.
     """
     content = _read_mat(path) if path.suffix.lower() == ".mat" else read_json(path)
-    found = _structure(content)
+    found = structure(content)
     if found is None:
         names = shown([*content]) if isinstance(content, Mapping) else type(content).__name__
         raise bad(path, "CameraParameters1", f"is missing; found {names or 'nothing'}. {_HOW}")
@@ -135,7 +128,7 @@ def _unit(found: Mapping[str, Any]) -> str:
     return next((unit for unit in units if isinstance(unit, str) and unit), "mm")  # MATLAB's own default
 
 
-def _structure(content: Any) -> Mapping[str, Any] | None:
+def structure(content: Any) -> Mapping[str, Any] | None:
     """The structure itself, or the only variable that holds one."""
     if not isinstance(content, Mapping):
         return None
@@ -157,7 +150,7 @@ def _read_mat(path: Path) -> Mapping[str, Any]:
         raise CalibrationError(
             f"{path}: this is not a .mat file (version 5 to 7), or it is damaged ({text}). {_HOW}"
         ) from error
-    if _structure(variables) is None:
+    if structure(variables) is None:
         names = shown([*variables]) if variables else "only objects"
         raise CalibrationError(
             f"{path}: no structure of a stereoParameters object, found {names}; only MATLAB "

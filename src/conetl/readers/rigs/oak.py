@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from conetl.files.documents import shown
+from conetl.files.documents import read_json, shown
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Rig
@@ -29,7 +29,6 @@ from conetl.readers.rigs.common import (
     numbers,
     numbers_at,
     opencv_lens,
-    read_json,
     size_of_images,
     stereo_rig,
 )
@@ -39,11 +38,6 @@ _UNITS_M = {0: 1.0, 1: 0.01, 2: 0.001}
 _LENSES = {0: opencv_lens, 1: fisheye_lens}
 #: Angle (rad) by which a pose may differ from the rectification in the same file.
 _MAX_CONTRADICTION = 5e-3
-
-
-def looks_like_oak(content: Any) -> bool:
-    """True for a mapping with cameraData."""
-    return isinstance(content, Mapping) and "cameraData" in content
 
 
 def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:

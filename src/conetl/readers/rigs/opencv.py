@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import MAX_DEPTH, shown
+from conetl.files.documents import MAX_DEPTH, parse_yaml, read_json, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -34,9 +34,6 @@ from conetl.readers.rigs.common import (
     numbers,
     opencv_coefficients,
     opencv_lens,
-    parse_yaml,
-    read_json,
-    read_text,
     read_xml,
     size_of_images,
     stereo_rig,
@@ -77,7 +74,7 @@ def read_storage(path: Path) -> dict[str, Any]:
     elif path.suffix.lower() == ".xml":
         content = _of_element(path, read_xml(path), 0)
     else:
-        content = parse_yaml(path, _MATRIX_TAG.sub("", _YAML_HEADER.sub("", read_text(path), count=1)))
+        content = parse_yaml(path, _MATRIX_TAG.sub("", _YAML_HEADER.sub("", read_limited(path), count=1)))
     if not isinstance(content, dict):
         raise CalibrationError(f"{path}: expected keys and values such as M1, D1, M2, D2, R, T")
     return {str(key): _plain(value) for key, value in content.items()}

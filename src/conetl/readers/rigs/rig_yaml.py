@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field, model_validator
 
+from conetl.files.documents import named, read_yaml
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import CalibrationError
 from conetl.model.records import CalibrationCovariance, Camera, Lens, Matrix3, NonNegative, Positive, Record, Rig, Vec3
-from conetl.readers.rigs.common import Array, Pair, choose_pair, first_message, read_yaml, rig_of, write_yaml
+from conetl.readers.rigs.common import Array, Pair, calibration_errors, choose_pair, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"
 _INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
@@ -198,12 +199,13 @@ def _check_covariance(covariance: CalibrationCovariance, lenses: Mapping[str, Le
         raise ValueError("'calibration_covariance.matrix' is not a covariance: it has a negative eigenvalue")
 
 
+@calibration_errors()
 def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
     """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras; pair: of its `cameras`. Raises CalibrationError."""
     content: Any = read_yaml(path)
     if not isinstance(content, dict):
         raise CalibrationError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")
-    try:
+    with named(path, CalibrationError):
         if "cameras" in content:
             return _pair_of_many(path, _RigOfMany.model_validate(content), pair)
         if pair is not None:
@@ -220,8 +222,6 @@ def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
             rig_id=file.rig_id, sigma_px=file.sigma_px, body_SE3_left=body_SE3_left,
         )  # fmt: skip
         return rig.model_copy(update={"calibration_covariance": file.covariance()})
-    except ValueError as error:
-        raise CalibrationError(f"{path}: {first_message(error)}") from error
 
 
 def _pair_of_many(path: Path, file: _RigOfMany, pair: Pair | None) -> Rig:

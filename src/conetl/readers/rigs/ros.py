@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from conetl.files.documents import shown
+from conetl.files.documents import read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -32,7 +32,6 @@ from conetl.readers.rigs.common import (
     numbers_at,
     opencv_coefficients,
     opencv_lens,
-    read_yaml,
     size_of_images,
     stereo_rig,
     write_yaml,
@@ -40,13 +39,6 @@ from conetl.readers.rigs.common import (
 
 EXTRINSICS = "extrinsics.yaml"
 _MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
-
-
-def looks_like_ros(content: Any) -> bool:
-    """True for the mapping of a camera_info file."""
-    return isinstance(content, Mapping) and "camera_matrix" in content and (
-        "projection_matrix" in content or "rectification_matrix" in content
-    )  # fmt: skip
 
 
 def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:

@@ -14,19 +14,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conetl.files.documents import MAX_SHOWN, shown
+from conetl.files.documents import MAX_SHOWN, read_limited, shown
 from conetl.model.errors import CalibrationError
 from conetl.model.records import MIN_BASELINE_M, Camera, Lens, Rig
-from conetl.readers.rigs.common import (
-    LENGTH_UNITS,
-    Size,
-    bad,
-    camera_from_matrix,
-    numbers_at,
-    opencv_lens,
-    read_text,
-    stereo_rig,
-)
+from conetl.readers.rigs.common import LENGTH_UNITS, Size, bad, camera_from_matrix, numbers_at, opencv_lens, stereo_rig
 
 #: Size of one camera's image by the name of the resolution.
 RESOLUTIONS: dict[str, Size] = {
@@ -66,7 +57,7 @@ def _sections(path: Path) -> Sections:
     """Values by section (in capitals) and key (in lower case)."""
     parser = RawConfigParser(inline_comment_prefixes=("#", ";"))
     try:
-        parser.read_string(read_text(path), source=path.name[:MAX_SHOWN])
+        parser.read_string(read_limited(path), source=path.name[:MAX_SHOWN])
     except Error as error:
         raise CalibrationError(f"{path}: this is no INI file: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
     return {name.upper(): dict(parser.items(name)) for name in parser.sections()}

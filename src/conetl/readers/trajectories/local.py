@@ -16,9 +16,6 @@ from conetl.readers.trajectories.tables import Column, TableLayout, table_record
 from conetl.readers.trajectories.text import floats
 from conetl.readers.trajectories.times import TimeFormat
 
-_EUROC = ("x", "y", "z", "qw", "qx", "qy", "qz")
-_TUM = ("x", "y", "z", "qx", "qy", "qz", "qw")
-
 
 def looks_like_euroc(lines: list[str]) -> bool:
     """Whether the first lines are those of a EuRoC trajectory: 19-digit times, and eight or more numbers."""
@@ -36,16 +33,18 @@ def looks_like_tum(lines: list[str]) -> bool:
 
 def read_euroc(path: Path, settings: TrajectoryFile) -> Reading:
     """The poses of a data.csv."""
-    columns = {"time": Column(0, "timestamp")} | {name: Column(i, name) for i, name in enumerate(_EUROC, 1)}
-    return Reading(
-        table_records(path, TableLayout(columns, "local", 1, ",", clock=TimeFormat("UTC", "unix", 0)), settings),
-        "local",
-    )
+    return _read(path, settings, ("x", "y", "z", "qw", "qx", "qy", "qz"), ",", TimeFormat("UTC", "unix", 0))
 
 
 def read_tum(path: Path, settings: TrajectoryFile) -> Reading:
     """The poses of a TUM file."""
-    columns = {"time": Column(0, "timestamp")} | {name: Column(i, name) for i, name in enumerate(_TUM, 1)}
+    return _read(path, settings, ("x", "y", "z", "qx", "qy", "qz", "qw"), None, TimeFormat("UTC", "unix"))
+
+
+def _read(
+    path: Path, settings: TrajectoryFile, names: tuple[str, ...], delimiter: str | None, clock: TimeFormat
+) -> Reading:
+    columns = {"time": Column(0, "timestamp")} | {name: Column(i, name) for i, name in enumerate(names, 1)}
     return Reading(
-        table_records(path, TableLayout(columns, "local", 1, clock=TimeFormat("UTC", "unix")), settings), "local"
+        table_records(path, TableLayout(columns, "local", 1, delimiter, clock=clock), settings), axes="local"
     )

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from conetl.files.documents import named
 from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Reading, Records, check_fix
@@ -93,7 +94,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
 
 
 def _records(folder: Path, settings: TrajectoryFile) -> Iterator[Records]:
-    try:
+    with named(folder, DriveFolderError):
         with os.scandir(folder / "data") as entries:
             found = (Path(e.path) for e in entries if e.name.endswith(".txt"))
             files = {
@@ -112,8 +113,6 @@ def _records(folder: Path, settings: TrajectoryFile) -> Iterator[Records]:
                 values[i] = parse_oxts(_text(files[number], _MAX_RECORD_BYTES), accuracy_required=False)
             except ValueError as error:
                 wrong.setdefault(i, str(error))
-    except OSError as error:
-        raise DriveFolderError(f"{folder}: cannot be read ({error.strerror})") from error
     rotations = se3.rotation_from_rpy(values[:, 3], values[:, 4], values[:, 5])
     sigma = np.full((len(numbers), 6), np.nan)
     accuracy = np.where((values[:, 6] > 0) & (values[:, 6] <= MAX_POS_ACCURACY_M), values[:, 6], np.nan)

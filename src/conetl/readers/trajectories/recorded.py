@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
+from conetl.files.documents import first_message
 from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
-from conetl.readers.rigs.common import first_message
 from conetl.readers.trajectories.times import EARLIEST_NS, MAX_AHEAD_NS, Times, clock_problem
 
 Floats = NDArray[np.float64]

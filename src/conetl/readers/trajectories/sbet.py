@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from conetl.files.documents import named
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Floats, Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -72,7 +73,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
 
 def _mapped(path: Path, width: int) -> Floats:
     """(N, width) of a file, read as it is used. Raises DriveFolderError."""
-    try:
+    with named(path, DriveFolderError):
         size = path.stat().st_size
         if size % (8 * width) or size > MAX_BYTES:
             raise DriveFolderError(
@@ -80,8 +81,6 @@ def _mapped(path: Path, width: int) -> Floats:
                 f"{MAX_BYTES:,} at most. Was it copied completely?"
             )
         return np.memmap(path, "<f8", "r", shape=(size // (8 * width), width)) if size else np.zeros((0, width))
-    except OSError as error:
-        raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def sigma_file(path: Path) -> Path | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from conetl.files.documents import named
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Floats
 
@@ -21,13 +22,10 @@ _HEAD = 65_536
 
 def head_bytes(path: Path, count: int = _HEAD) -> bytes:
     """The first bytes of a file. Raises DriveFolderError where it cannot be read or is larger than a trajectory may be."""
-    try:
+    with named(path, DriveFolderError), path.open("rb") as file:
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise DriveFolderError(f"{path}: expected at most {MAX_TEXT_BYTES:,} bytes")
-        with path.open("rb") as file:
-            return file.read(count)
-    except OSError as error:
-        raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
+        return file.read(count)
 
 
 def encoding_of(head: bytes) -> str:
