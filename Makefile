@@ -46,7 +46,7 @@ docs: setup     ## the documentation as a site, in build/site
 web:            ## build the front end of `conetl view` into src/conetl/web/static (needs Node 20.19 or newer)
 	@cd web && npm ci --no-audit --no-fund && npm run build
 
-bench-detect: setup  ## speed of the detector beside its network alone (ARGS='--pictures FOLDER' ...)
+bench-detect: setup  ## speed of the detector beside YOLOv3 and a network of YOLO11n's size (ARGS='--pictures FOLDER' ...)
 	@$(BIN)/python benchmarks/bench_detect.py $(ARGS)
 
 bench-intersection: setup  ## speed of forward intersection beside OpenCV

@@ -1,12 +1,13 @@
-"""Time to detect the cones of one image, beside the network alone on the same machine.
+"""Time to detect the cones of one image, beside well-known networks on the same machine.
 
     .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE] [--pictures FOLDER]
 
 Rows: the complete detection (`conetl.perception.detector.detect_image`), its network alone on the tensor of the full-size pass,
-and on the tensors of all passes. `--pictures` measures at most 24 images of a folder; times are per image.
+on the tensors of all passes, and two rivals with random weights (`rival_networks.py`), network alone. `--pictures` measures
+conetl's rows on at most 24 images of a folder; times are per image.
 
 One thread is one session of one thread; two threads are two Python threads, each with its own such session, working on the same
-image at the same time.
+image at the same time. Requires the development packages (onnx).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import platform
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -30,6 +32,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from benchmarks.harness import ROOT, arguments_of, load, print_rows, write_json
+from benchmarks.rival_networks import INPUT_NAME, write_yolo11n, write_yolov3
 from conetl.model.errors import ModelFileError
 from conetl.perception.detector import MIN_SIDE_PX, Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_image
@@ -47,6 +50,7 @@ QUICK_RUNS = 3
 #: Threads with a smaller share of a core were disturbed by other programs.
 LEAST_SHARE = 0.9
 WHOLE, ALONE, ALL_PASSES = "conetl whole", "conetl network", "conetl network, all passes"
+YOLOV3, YOLO11N = "YOLOv3", "YOLO11n-sized"
 MOST_IMAGES = 24
 
 
@@ -164,6 +168,21 @@ def measure_conetl(
     }  # fmt: skip
 
 
+def measure_rival(path: Path, what: str, size_px: int, image: Image, runs: int, threads: int) -> list[Timing]:
+    """Rows of a rival's network alone on the image, squeezed to its input. Raises ValueError if its outputs are not finite."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    sessions = [
+        onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"]) for _ in range(threads)
+    ]
+    feeds = {INPUT_NAME: cv2.dnn.blobFromImage(image, 1 / 255, (size_px, size_px), swapRB=True)}
+    if not all(np.isfinite(output).all() for output in sessions[0].run(None, feeds)):
+        raise ValueError(f"{what}: the random network gives values that are not finite; its weights are scaled badly")
+    works: list[Work] = [lambda session=each: session.run(None, feeds) for each in sessions]  # type: ignore[misc]
+    return [measure(what, (size_px, size_px), works[:count], runs) for count in range(1, threads + 1)]
+
+
 def ratios(timings: Sequence[Timing]) -> dict[str, float]:
     """Ratios of the shortest times per image with one thread, the most stable figure on a shared machine."""
     least = {(row.what, row.width_px, row.height_px): row.min_ms for row in timings if row.threads == 1}
@@ -172,6 +191,10 @@ def ratios(timings: Sequence[Timing]) -> dict[str, float]:
     for what, its_name in ((ALONE, "network alone"), (ALL_PASSES, "network alone, all passes")):
         for text, size in whole.items():
             result[f"whole detection / {its_name}, {text}"] = least[WHOLE, *size] / least[what, *size]
+    for rival, side_px in ((YOLOV3, 416), (YOLO11N, 640)):
+        for text, size in whole.items():
+            ratio = least[rival, side_px, side_px] / least[WHOLE, *size]
+            result[f"{rival} {side_px}x{side_px} / conetl's whole detection, {text}"] = ratio
     return result
 
 
@@ -190,7 +213,7 @@ def machine() -> dict[str, Any]:
 
 def print_report(report: dict[str, Any]) -> None:
     print(", ".join(f"{name} {value}" for name, value in report["machine"].items()))
-    print_rows("Detection, CPU only", report["timings"])
+    print_rows("Detection, CPU only; rivals: network alone", report["timings"])
     print(
         f"{report['timings'][0]['runs']} runs per row and thread after {WARM_UPS} warm-ups, each thread with its own session."
     )
@@ -225,6 +248,12 @@ def run(model_path: Path, runs: int, threads: int, pictures: Path | None) -> dic
         rows, detection = measure_conetl(detectors, images, runs)
         timings += rows
         report["detections"].append({**detection, "image": source})
+    del detectors
+    with tempfile.TemporaryDirectory(prefix="conetl-bench-") as folder:
+        for what, write, size in ((YOLOV3, write_yolov3, 416), (YOLO11N, write_yolo11n, 640)):
+            path = Path(folder) / f"{what}.onnx"
+            write(path, size_px=size)
+            timings += measure_rival(path, what, size, sample_image(size, size)[0], runs, threads)
     report["timings"] = [dataclasses.asdict(row) for row in timings]
     report["ratios"] = ratios(timings)
     return report

@@ -66,7 +66,7 @@ def test_the_list_of_changes_has_the_largest_move_first_and_selects_with_the_map
     page.wait_for_selector(".panel >> text=moved by 1.500 m")
     settle(page)
     x, y = page.evaluate("id => window.conetlProject(id)", features["wanders"])
-    box = page.locator("canvas").bounding_box()
+    box = page.locator("canvas[data-engine]").bounding_box()
     assert abs(x - box["width"] / 2) < 20 and abs(y - box["height"] / 2) < 60  # it flew there
     for key, name in (("]", "comes"), ("j", "goes"), ("[", "comes"), ("k", "wanders")):
         page.keyboard.press(key)
@@ -293,4 +293,4 @@ def test_far_sites_are_listed(page, address, conn, samples, images):
     sites.nth(1).click()
     settle(page)
     x, _ = page.evaluate("id => window.conetlProject(id)", str(far.feature_id))
-    assert 0 < x < page.locator("canvas").bounding_box()["width"]
+    assert 0 < x < page.locator("canvas[data-engine]").bounding_box()["width"]
