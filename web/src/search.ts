@@ -147,7 +147,7 @@ const coordinates = ({ lat_lon_deg: at }: FoundPosition): string => (at ? `${at[
 /** A pin at a found position. */
 export function createMarker(stage: Stage, host: HTMLElement, remove: () => void) {
   let at: [number, number, number] | null = null;
-  const pin = el("button", { type: "button", class: "pin", hidden: true, title: "Found position: click removes the marker", aria: { label: "Remove the marker" }, onclick: remove });
+  const pin = el("button", { type: "button", class: "found-pin", hidden: true, title: "Found position: click removes the marker", aria: { label: "Remove the marker" }, onclick: remove });
   host.append(pin);
   stage.beforeDraw(() => {
     const pixel = at && stage.project(at);
