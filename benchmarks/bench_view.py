@@ -3,9 +3,10 @@
 A private cluster in a temporary folder gets two drives past `--cones` cones, `--lines` lane boundaries and `--points` LiDAR
 points, all along one road. Each run opens the page in a new browser; the first image is complete when all cones, all lines and
 points are drawn. Processor time is that of Chromium's processes until then. Then the number of drawn points, the time to find
-the cone under a click, and the frame time while the camera turns are measured.
+the cone under a click, and the frame time while the camera turns are measured. Last, the list of another map with `--rows` cones
+is scrolled from its top to its end.
 
-    python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--pictures folder]
+    python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--rows 100000] [--pictures folder]
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ from conetl.db.map.map_store import map_transaction
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.records import DriveRecords
 
+#: Name of the map with the long list.
+MANY = "many"
 FLAGS = [
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
     "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
@@ -53,7 +56,32 @@ new MutationObserver(watch).observe(document, { subtree: true, attributes: true,
 """
 
 
-def two_days(conn: Any, count: int) -> None:
+#: Scrolls a table to its end: frames, milliseconds, frames that showed a gap where a row should be; and frames per second while
+#: one cell changes, which is what the machine can paint of this page at all.
+SCROLL = """async () => {
+  const table = document.querySelector('#list-cones .table'), space = table.querySelector('.table-space');
+  const end = space.offsetHeight - table.clientHeight, steps = 300;
+  let gaps = 0;
+  const frame = () => new Promise((done) => requestAnimationFrame(done));
+  await frame();
+  const start = performance.now();
+  for (let i = 1; i <= steps; i++) {
+    table.scrollTop = (end * i) / steps;
+    await frame();
+    await frame();
+    const middle = Math.floor((table.scrollTop + table.clientHeight / 2) / 26);
+    if (!space.querySelector(`[data-index="${middle}"]`)) gaps += 1;
+  }
+  const ms = performance.now() - start, cell = space.querySelector('.cell'), again = performance.now();
+  for (let i = 0; i < steps; i++) {
+    cell.textContent = String(i);
+    await frame();
+  }
+  return { frames: 2 * steps, ms, gaps, cellPerS: 1000 * steps / (performance.now() - again) };
+}"""
+
+
+def two_days(conn: Any, count: int, map_name: str = MAP_NAME) -> None:
     """Day 1 adds `count` cones; day 2 confirms most, moves every twentieth by 1.5 m and removes every twentieth."""
     old: list[MapFeature] = []
     for day in (1, 2):
@@ -89,8 +117,8 @@ def two_days(conn: Any, count: int) -> None:
             model_sha256="0" * 64, code_version="bench", deltas=tuple(deltas),
         )  # fmt: skip
         records = DriveRecords(made.drive, [], [], made.positions, made.tracks)
-        with map_transaction(conn, MAP_NAME):
-            commit_changeset(conn, records, changeset, map_name=MAP_NAME)
+        with map_transaction(conn, map_name):
+            commit_changeset(conn, records, changeset, map_name=map_name)
 
 
 def make_layers(folder: Path, points: int, lines: int, cones: int) -> list[Path]:
@@ -141,17 +169,22 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=100_000)
     parser.add_argument("--cones", type=int, default=500)
     parser.add_argument("--lines", type=int, default=200)
+    parser.add_argument("--rows", type=int, default=100_000)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args()
     with own_cluster() as (home, url):
         with closing(connect(url)) as conn:
             two_days(conn, options.cones)
+            if options.rows:
+                two_days(conn, options.rows, MANY)
         environment = {"CONETL_DATABASE_URL": url, "CONETL_MAP_NAME": MAP_NAME, "CONETL_HOME": str(home)}
         files = [str(f) for f in make_layers(home, options.points, options.lines, options.cones)]
         subprocess.run([*CONETL, "base", "import", *files], env=os.environ | environment, check=True)
         with served_view(home, url, MAP_NAME, "--decisions") as (address, _), sync_playwright() as playwright:
             figures = measure(playwright, address, options)
+            if options.rows:
+                figures |= scroll(playwright, f"{address}/#map={MANY}&mode=instant&list=cones", options.pictures)
     write_json(options.json, figures)
 
 
@@ -198,6 +231,39 @@ def use(tab: Any, folder: Path | None) -> dict[str, float]:
     if folder:
         tab.screenshot(path=folder / "near.png")
     return {"points": most, "click_ms": float(np.median(times)), "frame_ms": frame_ms}
+
+
+def scroll(playwright: Any, address: str, folder: Path | None) -> dict[str, float]:
+    """Time to the list of a large map, and frames per second while it scrolls."""
+    browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    started = time.monotonic()
+    tab.goto(address)
+    tab.wait_for_selector("#list-cones .row[data-index='0']", timeout=300_000)
+    there_s = time.monotonic() - started
+    tab.wait_for_timeout(3000)
+    rows = int(tab.get_attribute("#list-cones .table", "aria-rowcount")) - 1
+    start_s = processor_s(os.getpid(), name="chrom")
+    found = tab.evaluate(SCROLL)
+    used_ms = 1000 * (processor_s(os.getpid(), name="chrom") - start_s) / (1.5 * found["frames"])
+    per_s = 1000 * found["frames"] / found["ms"]
+    print(
+        f"list of {rows:,} cones: there after {there_s:.1f} s; scrolled through at {per_s:.0f} frames/s "
+        f"(one changing cell: {found['cellPerS']:.0f}), "
+        f"{used_ms:.1f} ms of Chromium's processor time per frame, "
+        f"{found['gaps']} of {found['frames'] // 2} positions with a gap; load {load()}"
+    )
+    if folder:
+        tab.screenshot(path=folder / "list.png")
+    browser.close()
+    return {
+        "list_rows": rows,
+        "list_s": there_s,
+        "list_frames_per_s": per_s,
+        "list_frame_cpu_ms": used_ms,
+        "list_one_cell_frames_per_s": found["cellPerS"],
+        "list_gaps": found["gaps"],
+    }
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.records import DriveRecords, utc_from_ns
+from conetl.readers.maps.gazetteer import Gazetteer
 from conetl.web.app import create_app
 from conetl.web.decisions import Writer
 
@@ -91,7 +92,12 @@ def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int 
 
 @contextmanager
 def serving(
-    database_url: str, map_name: str, *, writer: Writer | None = None, reader_token: SecretStr | None = None
+    database_url: str,
+    map_name: str,
+    *,
+    writer: Writer | None = None,
+    reader_token: SecretStr | None = None,
+    gazetteer: Gazetteer | None = None,
 ) -> Iterator[int]:
     """The server as `conetl view` runs it, in a thread; yields its port."""
     running: uvicorn.Server | None = None
@@ -101,6 +107,7 @@ def serving(
         closing=lambda: running is not None and running.should_exit,
         writer=writer,
         reader_token=reader_token,
+        gazetteer=gazetteer,
     )
     listener = socket.create_server(("127.0.0.1", 0), backlog=2048)
     config = uvicorn.Config(app, log_level="critical", limit_concurrency=256, timeout_graceful_shutdown=1)

@@ -329,10 +329,10 @@ def test_downloads_are_the_state_that_is_shown(client, features, samples):
     table = client.get(f"{path}/csv", params={"valid_at": late.isoformat(), "from_valid_at": early.isoformat()}).text
     assert sorted(line.split(",").count("moved") for line in table.splitlines()).count(1) == 1
     assert client.get(f"{path}/gpkg").content.startswith(b"SQLite format 3")
-    assert "publisher" in get(client, f"{path}/wzdx", 422)["detail"]
+    assert "publisher" in get(client, f"{path}/wzdx", 400)["detail"]
     feed = get(client, f"{path}/wzdx", publisher="City", road_name="L 605")
     assert feed["feed_info"]["publisher"] == "City"
-    assert "leave out the box" in get(client, f"{path}/csv", 422, from_valid_at=early.isoformat(), box=box)["detail"]
+    assert "leave out the box" in get(client, f"{path}/csv", 400, from_valid_at=early.isoformat(), box=box)["detail"]
     get(client, "/api/maps/elsewhere/downloads/csv", 404)
 
 

@@ -17,7 +17,7 @@ import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
 import { createMarker, createSearch } from "./search";
 import { createSidebar } from "./sidebar";
-import { createSites } from "./sites";
+import { createSites, nearTo } from "./sites";
 import { formatState, parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
@@ -196,7 +196,7 @@ window.addEventListener("hashchange", () => {
 
 const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [], no);
 
-/** The address says what is shown; what it says in vain is reported. */
+/** The address says what is shown; what is not understood is reported. */
 function readAddress(): State {
   const problems: string[] = [];
   const found = parseState(location.hash, problems);
@@ -433,7 +433,7 @@ function draw(): void {
 function fit(): void {
   const path = [...paths.values()].at(-1)?.xyz_m ?? [];
   const points: Vec3[] = all.flatMap((c) => [c.xyz, ...(c.old ? [c.old] : [])]);
-  const near = path.filter((p) => points.some((q) => Math.hypot(p[0] - q[0], p[1] - q[1]) < 7));
+  const near = path.filter(nearTo(points, 7));
   const [a, b] = [path[0], path.at(-1)];
   if (a && b && state.camera === null) {
     const heading = Math.atan2(b[1] - a[1], b[0] - a[0]);

@@ -57,6 +57,14 @@ export function sitesOf(points: Vec3[]): Site[] {
 const gap = (a: Cell["box"], b: Cell["box"]) =>
   Math.hypot(Math.max(a[0] - b[2], b[0] - a[2], 0), Math.max(a[1] - b[3], b[1] - a[3], 0));
 
+/** Whether a point is near some of many points: within `reach_m`, or a little more. */
+export function nearTo(points: Vec3[], reach_m: number): (point: Vec3) => boolean {
+  const taken = new Set<string>();
+  const cell = (v: number) => Math.floor(v / reach_m);
+  for (const [x, y] of points) for (const dx of [-1, 0, 1]) for (const dy of [-1, 0, 1]) taken.add(`${cell(x) + dx} ${cell(y) + dy}`);
+  return ([x, y]) => taken.has(`${cell(x)} ${cell(y)}`);
+}
+
 const DIRECTIONS = ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
 
 /** Where a site lies, seen from the largest one: "1.2 km north-east". */

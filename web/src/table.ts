@@ -38,7 +38,7 @@ export interface TableOptions<T> {
 
 const ROW_PX = 26;
 /** Rows above and below the visible ones, so that fast scrolling shows no gaps. */
-const SPARE = 6;
+const SPARE = 3;
 /** A held key goes on to the next rows without asking the server for each. */
 const REST_MS = 140;
 let tables = 0;
@@ -54,7 +54,7 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
   let timer = 0;
 
   const heads = columns.map((column) => {
-    const button = el("button", { type: "button", textContent: column.title, title: column.hint ?? "", tabIndex: -1, onclick: () => options.sort(nextSort(column, sorted)) });
+    const button = el("button", { type: "button", textContent: column.title, title: column.hint ?? "", onclick: () => options.sort(nextSort(column, sorted)) });
     return el("div", { class: column.number ? "cell number" : "cell", role: "columnheader" }, button);
   });
   const space = el("div", { class: "table-space", role: "rowgroup" });
@@ -115,7 +115,7 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
     options.chosen(row);
   });
   node.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || !rows.length) return;
+    if (event.target !== node || event.ctrlKey || event.metaKey || event.altKey || !rows.length) return;
     const page = Math.max(1, Math.floor(node.clientHeight / ROW_PX) - 2);
     const steps: Record<string, number> = { ArrowDown: 1, ArrowUp: -1, PageDown: page, PageUp: -page, Home: -rows.length, End: rows.length };
     const at = indexOf(chosenId);

@@ -54,6 +54,7 @@ class DriveChange:
     old_xy_m: tuple[float, float] | None
     xyz_m: tuple[float, float, float]
     sigma_m: float
+    """Along the major axis of the horizontal error ellipse."""
     cone_height_m: float
     existence_probability: float
     observation_count: int

@@ -17,9 +17,14 @@ from conetl.db.map.map_store import find_map
 from conetl.db.reader_pool import ReaderPool
 from conetl.exports import FORMATS
 from conetl.model.errors import InputError
+from conetl.web.models import Problem
 from conetl.web.parameters import Instant, MapName
 
 router = APIRouter(tags=["downloads"])
+_MEDIA_TYPES = {
+    "geojson": "application/geo+json", "csv": "text/csv", "gpkg": "application/geopackage+sqlite3",
+    "wzdx": "application/json",
+}  # fmt: skip
 _NUMBERS = ",".join([r"-?\d{1,9}(?:\.\d{1,6})?"] * 4)
 Box = Annotated[
     str | None,
@@ -31,7 +36,7 @@ Text = Annotated[str | None, Query(max_length=200)]
 @router.get(
     "/maps/{map_name}/downloads/{file_format}",
     response_class=FileResponse,
-    responses={200: {"content": {"application/octet-stream": {}}}},
+    responses={200: {"content": {kind: {} for kind in _MEDIA_TYPES.values()}}, 400: {"model": Problem}},
 )
 def download(
     map_name: MapName,
@@ -68,13 +73,19 @@ def download(
                 export_map(conn, path, file_format, asked)
     except InputError as error:
         folder.cleanup()
-        raise HTTPException(422, str(error)) from error
+        raise HTTPException(400, str(error)) from error
     except BaseException:
         folder.cleanup()
         raise
     # Not compressed on the way: the browser shows how much of the file is there.
     headers = {"Content-Encoding": "identity", "Cache-Control": "no-store"}
-    return FileResponse(path, filename=name, headers=headers, background=BackgroundTask(folder.cleanup))
+    return FileResponse(
+        path,
+        filename=name,
+        headers=headers,
+        media_type=_MEDIA_TYPES[file_format],
+        background=BackgroundTask(folder.cleanup),
+    )
 
 
 def _corners(box: str | None) -> tuple[float, float, float, float] | None:

@@ -74,8 +74,10 @@ def _positions(text: str, srid: int, origin: Vec3) -> list[m.FoundPosition]:
 
 
 def _places(text: str, srid: int, origin: Vec3, gazetteer: Gazetteer | None) -> list[m.FoundPosition]:
+    if gazetteer is None or not text:
+        return []
     found = []
-    for i in gazetteer.find(text, _MAX_FOUND) if gazetteer and text else ():
+    for i in gazetteer.find(text, _MAX_FOUND):
         lon, lat = gazetteer.lon_lat_deg[i].tolist()
         xy_m = _at(srid, lat, lon, origin)
         if xy_m is not None:

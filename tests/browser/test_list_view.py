@@ -1,0 +1,295 @@
+"""Find things in the web view: lists, filters, search, sites, downloads; wrong addresses, phones, accessibility."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from conetl.geometry.geodesy import to_geodetic
+from conetl.readers.maps.gazetteer import Gazetteer
+from tests.browser.test_view import click_cone, open_view, settle
+from tests.view_map import commit, cone, serving
+
+ROOT = Path(__file__).resolve().parents[2]
+AXE = ROOT / "web/node_modules/axe-core/axe.min.js"
+#: Controls that reach beyond a phone's screen, except for what scrolls in itself.
+OUTSIDE = """() => [...document.querySelectorAll('button, input, select, a')]
+  .filter((node) => node.checkVisibility() && !node.closest('.table, .sidebar, .track-scroll'))
+  .map((node) => [node.outerHTML.slice(0, 80), node.getBoundingClientRect()])
+  .filter(([, box]) => box.width && (box.left < -1 || box.right > 391))
+  .map(([html]) => html)"""
+NOBODY = "00000000-0000-4000-8000-00000000dead"
+
+
+@pytest.fixture(scope="module")
+def address(module_database_url: str, features: dict[str, str], samples: Any) -> Iterator[str]:
+    lat, lon = to_geodetic(samples.SRID, (458_004.0, 5_428_010.0, 0.0))[:2]
+    gazetteer = Gazetteer(("Durlacher Tor",), np.array([[lon, lat]]))
+    with serving(module_database_url, "default", gazetteer=gazetteer) as port:
+        yield f"http://127.0.0.1:{port}/"
+
+
+def rows(page: Any, tab: str = "cones", column: int = 0) -> list[str]:
+    """One column of the rows that are drawn, in their order."""
+    cells = page.eval_on_selector_all(
+        f"#list-{tab} .table-space .row",
+        "(all, column) => all.map((r) => [Number(r.dataset.index), r.children[column].textContent])",
+        column,
+    )
+    return [text for _, text in sorted(cells)]
+
+
+def wait_for_rows(page: Any, count: int, tab: str = "cones") -> None:
+    page.wait_for_selector(f"#list-{tab} .table[aria-rowcount='{count + 1}']")
+
+
+def ids(features: dict[str, str], *names: str) -> list[str]:
+    return [features[name][:8] for name in names]
+
+
+def test_the_list_of_changes_has_the_largest_move_first_and_selects_with_the_map(page, address, features):
+    open_view(page, address)
+    page.keyboard.press("l")
+    page.click("#list-tab-changes")
+    wait_for_rows(page, 4, "changes")
+    assert rows(page, "changes") == ids(features, "wanders", "comes", "goes", "stays")
+    assert rows(page, "changes", 5) == ["150.0", "", "", "0.0"]
+    page.click("#list-changes .row[data-index='0']")
+    page.wait_for_selector(".panel >> text=moved by 1.500 m")
+    settle(page)
+    x, y = page.evaluate("id => window.conetlProject(id)", features["wanders"])
+    box = page.locator("canvas").bounding_box()
+    assert abs(x - box["width"] / 2) < 20 and abs(y - box["height"] / 2) < 60  # it flew there
+    for key, name in (("]", "comes"), ("j", "goes"), ("[", "comes"), ("k", "wanders")):
+        page.keyboard.press(key)
+        page.wait_for_selector(f".panel h2:text-is('{features[name][:8]}')")
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("Home")
+    settle(page)
+    click_cone(page, features["stays"])
+    page.wait_for_selector("#list-changes .row[data-index='3'][aria-selected=true]")
+    assert "list=changes" in page.url
+    page.reload()
+    page.wait_for_selector("#list-changes .row[data-index='3'][aria-selected=true]")
+    page.keyboard.press("l")
+    page.wait_for_selector(".list", state="hidden")
+
+
+def test_columns_sort_and_keys_move_through_the_rows(page, address, features):
+    open_view(page, address, "#list=cones")
+    wait_for_rows(page, 4)
+    heads = page.locator("#list-cones [role=columnheader]")
+    assert rows(page)[0] == features["comes"][:8]  # the least probable one first
+    heads.filter(has_text="East m").locator("button").click()
+    assert rows(page) == ids(features, "stays", "goes", "wanders", "comes")
+    assert [text[:7] for text in rows(page, column=8)] == ["458001.", "458003.", "458006.", "458009."]
+    heads.filter(has_text="East m").locator("button").click()
+    assert rows(page) == ids(features, "comes", "wanders", "goes", "stays")
+    assert "sort=east-" in page.url
+    assert page.locator("#list-cones [aria-sort=descending]").inner_text() == "East m"
+    page.focus("#list-cones .table")
+    for key in ("ArrowDown", "ArrowDown", "End", "ArrowUp"):
+        page.keyboard.press(key)
+    page.wait_for_selector(f".panel h2:text-is('{features['goes'][:8]}')")
+
+
+def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, features):
+    open_view(page, address, "#list=cones")
+    wait_for_rows(page, 4)
+    page.click(".kind-chips .chip[data-kind=moved]")
+    wait_for_rows(page, 3)
+    page.wait_for_selector('html[data-cones="3"]', state="attached")
+    assert page.locator(".legend label[data-kind=moved] input").is_checked() is False
+    page.click("button.filter-more")
+    page.fill("[aria-label='Greatest existence probability']", "0.8")
+    wait_for_rows(page, 1)
+    assert rows(page) == ids(features, "comes")
+    page.fill("[aria-label='Greatest existence probability']", "")
+    page.select_option(".filter-field select", "1")
+    wait_for_rows(page, 0)  # the second drive changed or confirmed all of them
+    assert "4 cones hidden by filters" in page.locator(".filter-summary").inner_text()
+    page.wait_for_url("**drive=1**")
+    page.reload()
+    wait_for_rows(page, 0)
+    page.click(".filter-summary >> text=clear")
+    wait_for_rows(page, 4)
+    assert "hide" not in page.url and "drive=" not in page.url
+    page.click("button.filter-more")
+    for label, value in (
+        ("Greatest horizontal sigma in centimetres", "0.1"), ("Greatest height in metres", "0.1"),
+        ("Last seen from", "2030-01-01"),
+    ):  # fmt: skip
+        page.fill(f"[aria-label='{label}']", value)
+        wait_for_rows(page, 0)
+        page.fill(f"[aria-label='{label}']", "")
+        wait_for_rows(page, 4)
+    page.click(".kind-chips .chip[data-kind=removed]", click_count=2)
+    wait_for_rows(page, 1)
+    page.wait_for_url("**show=removed**")
+
+
+def test_only_in_view_follows_the_camera(page, address, features):
+    open_view(page, address, f"#list=cones&feature={features['stays']}")
+    page.wait_for_selector(".panel >> text=Evidence")
+    page.click(".panel button:text-is('centre')")
+    for _ in range(14):
+        page.keyboard.press("+")
+    page.check("#in-view")
+    wait_for_rows(page, 1)
+    assert rows(page) == ids(features, "stays")
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("Home")
+    wait_for_rows(page, 4)
+
+
+def test_counts_of_a_drive_open_the_list_of_its_changes(page, address, features):
+    open_view(page, address)
+    page.click(".drive-text .chip[data-kind=moved]")
+    wait_for_rows(page, 1, "changes")
+    assert rows(page, "changes") == ids(features, "wanders")
+    page.click(".drive-text .chip[data-kind=moved]")
+    wait_for_rows(page, 4, "changes")
+
+
+def test_the_search_finds_cones_drives_days_coordinates_and_places(page, address, features):
+    open_view(page, address)
+
+    def search(text: str) -> list[str]:
+        page.keyboard.press("/")
+        page.fill("#search", text)
+        page.wait_for_selector(".search-popup")
+        page.wait_for_timeout(600)
+        return page.locator(".search-group, .search-option > span").all_inner_texts()
+
+    assert search("drive_") == ["Drives", "drive_2", "drive_1"]
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".drive-text >> text=drive_1")
+    assert search("458004 5428010")[0] == "Coordinates"
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".pin")
+    assert "mark=4.00,10.00" in page.url
+    assert search("torf") == [] and "Nothing found for “torf”" in page.locator(".search-status").inner_text()
+    assert search("tor") == ["Places", "Durlacher Tor"]
+    page.keyboard.press("Enter")
+    page.reload()
+    page.wait_for_selector(".pin")
+    page.click(".pin")
+    page.wait_for_selector(".pin", state="hidden")
+    assert search(features["wanders"][:10]) == ["Cones", features["wanders"][:8]]
+    page.keyboard.press("Enter")
+    page.wait_for_selector(f".panel h2:text-is('{features['wanders'][:8]}')")
+
+
+def test_downloads_are_what_is_shown(page, address, features):
+    open_view(page, address, "#changeset=1", cones=3)  # three cones, all new
+
+    def download(text: str) -> tuple[str, bytes]:
+        if page.locator(".menu-popup").is_hidden():
+            page.click("button:text-is('Download')")
+        with page.expect_download() as found:
+            page.click(f".menu-popup >> text={text}")
+        return found.value.suggested_filename, Path(found.value.path()).read_bytes()
+
+    name, text = download("GeoJSON")
+    assert name.startswith("default_2026-03-") and name.endswith("Z.geojson")
+    shown = {f["properties"]["feature_id"] for f in json.loads(text)["features"]}
+    assert shown == {features[n] for n in ("stays", "goes", "wanders")}
+    assert len(list(csv.DictReader(io.StringIO(download("CSV")[1].decode())))) == 3
+    name, data = download("Picture of the view")
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert name.endswith(".png") and image.shape[1] > 900 and image[: image.shape[0] // 2].std() > 3
+    page.click("text=Work zones")
+    page.fill("[placeholder=Publisher]", "City")
+    page.fill("[placeholder='Name of the road']", "L 605")
+    name, text = download("Download WZDx")
+    assert name.startswith("default_2026-03-") and json.loads(text)["feed_info"]["publisher"] == "City"
+    assert page.get_attribute(".menu-popup a[target=_blank]", "href") == "./api/maps/default/changesets/1/report"
+
+
+def test_an_address_that_is_wrong_is_said_so(browser, address):
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    for hash_, said in (
+        ("changeset=99", "The map “default” has no changeset 99"),
+        ("mode=compare&from=1&to=77", "has no changeset 77"),
+        ("mode=instant&known=55", "has no changeset 55"),
+        ("map=elsewhere", "There is no map “elsewhere”"),
+        (f"feature={NOBODY}", f"has no feature {NOBODY}"),
+        ("feature=12", "feature=12 is not the id of a cone"),
+        ("mode=instnt", "mode=instnt is not one of drive"),
+        ("mode=instant&valid=yesterday", "valid=yesterday is not a time"),
+        ("crs=EPSG:4326", "crs is not known to this page"),
+        ("p=2&sigma=x", "p=2 is not a probability; sigma=x is not a number"),
+    ):
+        tab.goto("about:blank")
+        tab.goto(f"{address}#{hash_}")
+        tab.get_by_text(said).first.wait_for()
+        if "99" in hash_:
+            assert tab.locator(".drive-text").inner_text() == "No changeset 99"
+            tab.click("text=Show the latest")
+            tab.wait_for_selector('html[data-cones="4"]', state="attached")
+    tab.close()
+
+
+def test_a_phone_needs_no_sideways_scrolling(browser, address, features):
+    tab = browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    for hash_ in ("", f"feature={features['wanders']}", "list=changes", "mode=compare&list=cones", "mode=instant"):
+        tab.goto("about:blank")
+        tab.goto(f"{address}#{hash_}")
+        tab.wait_for_selector("canvas[data-frames]")
+        tab.wait_for_timeout(300)
+        assert tab.evaluate("document.scrollingElement.scrollWidth") <= 390, hash_
+        outside = tab.evaluate(OUTSIDE)
+        assert outside == [], hash_
+    tab.close()
+
+
+@pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not installed (npm ci in web/)")
+def test_axe_has_no_serious_finding(browser, address, features):
+    tab = browser.new_page(viewport={"width": 1280, "height": 800}, bypass_csp=True)
+    tab.goto(f"{address}#list=changes&feature={features['wanders']}")
+    tab.wait_for_selector("figure img >> nth=1")
+    tab.add_script_tag(path=AXE)
+
+    def findings() -> list[str]:
+        found = tab.evaluate("() => axe.run().then((r) => r.violations)")
+        return [
+            f"{v['id']}: {v['help']}: {n['html'][:160]}"
+            for v in found
+            for n in v["nodes"]
+            if v["impact"] in ("serious", "critical")
+        ]
+
+    assert findings() == []
+    tab.click("button.filter-more")
+    tab.click("button:text-is('Download')")
+    assert findings() == []
+    tab.keyboard.press("Escape")
+    tab.fill("#search", "drive_")
+    tab.wait_for_selector(".search-option")
+    assert findings() == []
+    tab.close()
+
+
+def test_far_sites_are_listed(page, address, conn, samples, images):
+    """Last in this file: it changes the map."""
+    far = cone(samples, "far", 900.0, day=2)
+    beside = cone(samples, "beside", 905.0, day=2)
+    open_view(page, address)
+    assert page.locator(".sites-section").is_hidden()
+    commit(conn, samples, images, "3", 2, samples.added(far), samples.added(beside))
+    page.wait_for_selector(".sites-section")
+    sites = page.locator(".sites button")
+    assert sites.all_inner_texts() == ["Site 1, the largest\n3 cones", "Site 2, 900 m east\n2 cones"]
+    sites.nth(1).click()
+    settle(page)
+    x, _ = page.evaluate("id => window.conetlProject(id)", str(far.feature_id))
+    assert 0 < x < page.locator("canvas").bounding_box()["width"]
