@@ -3,10 +3,18 @@
 -- name: changesets
 -- Changesets of a map, newest first, or the one of an idempotency key.
 -- Parameters: map_name; idempotency_key (null: all). Columns: as CommittedChangeset.
+-- A drive that was committed on hold changed the map when it was released: its counts and effective_at are those of then.
 select
     c.changeset_no, c.changeset_id, d.drive_id, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256, c.code_version,
-    c.committed_at, c.added_count, c.confirmed_count, c.moved_count, c.removed_count,
-    c.missed_count, c.height_changed_count, c.split_count, c.merged_count,
+    c.committed_at, coalesce(e.at, c.committed_at) as effective_at,
+    (c.added_count + e.added)::integer as added_count,
+    (c.confirmed_count + e.confirmed)::integer as confirmed_count,
+    (c.moved_count + e.moved)::integer as moved_count,
+    (c.removed_count + e.removed)::integer as removed_count,
+    (c.missed_count + e.missed)::integer as missed_count,
+    (c.height_changed_count + e.height_changed)::integer as height_changed_count,
+    (c.split_count + e.split)::integer as split_count,
+    (c.merged_count + e.merged)::integer as merged_count,
     c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns,
     h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
@@ -15,12 +23,27 @@ from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.drive d using (drive_uuid)
 left join conetl.on_hold h on h.changeset_id = c.changeset_id
+cross join lateral (
+    select
+        min(lower(x.system_period)) as at,
+        count(*) filter (where x.kind = 'added') as added,
+        count(*) filter (where x.kind = 'confirmed') as confirmed,
+        count(*) filter (where x.kind = 'moved') as moved,
+        count(*) filter (where x.kind = 'removed') as removed,
+        count(*) filter (where x.kind = 'missed') as missed,
+        count(*) filter (where x.kind = 'height_changed') as height_changed,
+        count(*) filter (where x.kind = 'split') as split,
+        count(*) filter (where x.kind = 'merged') as merged
+    from conetl.delta x
+    where x.changeset_id = c.changeset_id and upper_inf(x.system_period)
+    and exists (select from conetl.hold k where k.changeset_id = c.changeset_id and lower(k.system_period) = c.committed_at)
+) e
 where m.map_name = %(map_name)s and (%(idempotency_key)s::text is null or c.idempotency_key = %(idempotency_key)s)
 order by c.changeset_no desc;
 
 -- name: changes_of_changeset
--- What one changeset did to each feature that it judged, as committed: an earlier drive that arrived later may have
--- replaced it since, see feature_log. Parameters: map_name; changeset_no.
+-- What one changeset did to each feature that it judged, as committed, or as released where it was committed on hold: an
+-- earlier drive that arrived later may have replaced it since, see feature_log. Parameters: map_name; changeset_no.
 -- Columns: kind 'missed': visible but not observed, and still standing; track_index: null where not seen; old_*: null for
 -- added; position, sigma_m (along the major axis of the horizontal error ellipse) and values after the change, of a
 -- removed feature the last ones.
@@ -34,19 +57,25 @@ select
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.map m using (map_id)
+cross join lateral (
+    select coalesce(min(lower(k.system_period)), c.committed_at) as at
+    from conetl.delta k
+    where k.changeset_id = c.changeset_id and upper_inf(k.system_period)
+    and exists (select from conetl.hold h where h.changeset_id = c.changeset_id and lower(h.system_period) = c.committed_at)
+) e
 join lateral (
     select v.* from conetl.feature_version v
     where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
-    order by v.system_period @> c.committed_at desc, v.version_row_id desc
+    order by v.system_period @> e.at desc, v.version_row_id desc
     limit 1
 ) n on true
 left join lateral (
     select v.geom from conetl.feature_version v
     where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.old_version
-    order by v.system_period @> c.committed_at desc, v.version_row_id desc
+    order by v.system_period @> e.at desc, v.version_row_id desc
     limit 1
 ) o on true
-where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and x.system_period @> c.committed_at
+where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and x.system_period @> e.at
 order by x.feature_id;
 
 -- name: feature_log

@@ -140,6 +140,12 @@ def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_databas
     assert done["report_problem"] is None and f"Released: drive {held['drive_id']}" in done["hold_changes"][0]
     assert "is on hold" not in report.read_text() and "accepted by Ada" in report.read_text()
     assert get(client, "review")["counts"]["held"] == 0
+    accepted = get(client, "timeline")["changesets"][-1]
+    made = get(client, f"changes/{held['changeset_no']}")["changes"]
+    assert accepted["confirmed_count"] == sum(c["kind"] == "confirmed" for c in made) > 0, (
+        "its changes are those of its release"
+    )
+    assert accepted["effective_at"] == done["decided_at"] > accepted["committed_at"]
 
     now = next(item for item in get(client, "review")["items"] if item["kind"] == "removal")
     pin = {"kind": "pin", "feature_id": now["feature_id"], "expected_version": now["version"]}

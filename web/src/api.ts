@@ -41,6 +41,8 @@ export interface TimelineItem {
   captured_to: string;
   valid_at: string;
   committed_at: string;
+  /** When its changes came to the map: the commit, or the release from hold. */
+  effective_at: string;
   known_before: string;
   added_count: number;
   confirmed_count: number;

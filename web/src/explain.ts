@@ -63,7 +63,7 @@ export function createEmptyPosition(host: HTMLElement, open: (start: Start) => v
       el("span", { class: "panes", data: { columns: "2" } }, ...panes.map((p) => p.node))); // prettier-ignore
     fill(host, el("h3", { textContent: `Position without a cone: ${plural(frames.length, "frame pair")}` }), larger,
       el("div", { class: "stepper" }, step(at - 1, "‹", "Previous frame pair without a cone"), slider, step(at + 1, "›", "Next frame pair without a cone")),
-      el("p", { class: "hint", textContent: `${now.drive_id} · frame pair ${frame.frame_index} · ${frame.range_m.toFixed(1)} m away · dashed: where the cone stood` })); // prettier-ignore
+      el("p", { class: "hint", textContent: `${now.drive_id} · frame pair ${frame.frame_index} · ${frame.range_m.toFixed(1)} m away · dashed: the position on the map` })); // prettier-ignore
     if (focus) host.querySelector<HTMLElement>(`[data-focus="${focus}"]:not(:disabled)`)?.focus();
     void showFrame(map, id, now).catch(() => undefined); // its panes say what is missing
   }

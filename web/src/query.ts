@@ -35,7 +35,7 @@ export function shownInstant(state: State, items: TimelineItem[]): { at: Instant
   }
   const item = changesetOf(items, state.changeset);
   const before = state.side === "before";
-  const at = { valid: item?.valid_at ?? null, known: (before ? item?.known_before : item?.committed_at) ?? null };
+  const at = { valid: item?.valid_at ?? null, known: (before ? item?.known_before : item?.effective_at) ?? null };
   return { at, since: null, title: `${before ? "before" : "after"} ${item ? `${item.drive_id} of ${utc(item.captured_from, false)} UTC` : ""}` };
 }
 
@@ -60,7 +60,7 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
     return [answer.features.map(standing), answer.truncated];
   }
   const [features, answer] = await Promise.all([
-    api.features(map, { valid: item.valid_at, known: item.committed_at }),
+    api.features(map, { valid: item.valid_at, known: item.effective_at }),
     api.changes(map, item.changeset_no),
   ]);
   const changes = new Map(answer.changes.map((c) => [c.feature_id, changed(c)]));

@@ -62,14 +62,16 @@ export function createViewer(host: HTMLElement) {
   const text = el("p", { class: "viewer-text", role: "status", aria: { live: "polite" } });
   const stepper = (by: number, sign: string, label: string) => el("button", { type: "button", class: "step", textContent: sign, title: label, aria: { label }, onclick: () => step(by) });
   const button = (label: string, key: string, run: () => void) => el("button", { type: "button", title: `${label} (${key})`, textContent: label, onclick: run });
+  const zoom = button("Zoom to the cone", "Z", () => zoomToCone());
+  const compareRow = el("label", { class: "check" }, compareBox, "compare with", others, el("kbd", { textContent: "C" }));
   const dialog = el("dialog", { class: "viewer", aria: { label: "Images" } },
     el("header", {}, title, why, el("button", { type: "button", class: "close", textContent: "×", title: "Close (Esc)", aria: { label: "Close the images" }, onclick: () => dialog.close() })),
     el("div", { class: "viewer-tools" },
       el("div", { class: "segmented", role: "group", aria: { label: "Images shown" } }, ...sideButtons),
-      el("label", { class: "check" }, compareBox, "compare with", others, el("kbd", { textContent: "C" })),
+      compareRow,
       ...switches.map(({ node }) => node),
       el("span", { class: "space" }),
-      button("Zoom to the cone", "Z", () => zoomToCone()), button("Whole image", "0", () => setView({ scale: null, offset: [0, 0] }))),
+      zoom, button("Whole image", "0", () => setView({ scale: null, offset: [0, 0] }))),
     panesHost,
     el("footer", {}, el("div", { class: "viewer-line" }, drives, play, stepper(-1, "‹", "Previous frame pair (←)"), el("div", { class: "viewer-track" }, ticks, slider), stepper(1, "›", "Next frame pair (→)")), text)); // prettier-ignore
   host.append(dialog);
@@ -296,8 +298,8 @@ export function createViewer(host: HTMLElement) {
     if (!own) return;
     const seen = passFrame(own.drive_uuid, own.frame_index);
     dialog.dataset["frame"] = `${own.drive_id} ${own.frame_index}`;
-    fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${utc(own.captured_at)} UTC · `,
-      !subject.now ? "" : seen ? `${seen.range_m.toFixed(1)} m away, ${STATES[seen.state]}` : "position not in view",
+    fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${utc(own.captured_at)} UTC`,
+      subject.now && " · ", subject.now && (seen ? `${seen.range_m.toFixed(1)} m away, ${STATES[seen.state]}` : "position not in view"),
       own.pixelated && el("small", { textContent: " · pixelated away from detections (CONETL_IMAGES=full shows all)" })); // prettier-ignore
   }
 
@@ -376,6 +378,8 @@ export function createViewer(host: HTMLElement) {
       subject = next;
       picked = null;
       if (!again) [passes, path, shown] = [[], null, []];
+      zoom.hidden = compareRow.hidden = next.now === null;
+      for (const { name, node } of switches) node.hidden = name === "cone" && next.now === null;
       fill(title, next.title);
       why.textContent = why.title = next.why;
       setView({ scale: null, offset: [0, 0] });

@@ -161,7 +161,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     path_m = np.array([map_SE3_left(pair.pose, rig)[:2, 3] for pair in frame_pairs])
     (west, south), (east, north) = path_m.min(axis=0) - _AROUND_M, path_m.max(axis=0) + _AROUND_M
     box = (float(west), float(south), float(east), float(north))
-    around = read_features_as_of(conn, known_at=changeset.committed_at, map_name=map_name, within=box)
+    around = read_features_as_of(conn, known_at=changeset.effective_at, map_name=map_name, within=box)
     changed = {row["feature_id"] for row in rows}
     residuals = residuals.reshape(-1, 3).astype(np.float64)
     return DriveFacts(

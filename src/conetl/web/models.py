@@ -84,8 +84,10 @@ class TimelineItem(Answer):
     valid_at: datetime
     """An instant just after the drive: the map of this instant includes all changes by the drive."""
     committed_at: datetime
+    effective_at: datetime
+    """From then on its changes are on the map: the commit, or the release of a drive that was on hold."""
     known_before: datetime
-    """The last instant at which the database did not hold this changeset."""
+    """The last instant of the database before `effective_at`."""
     added_count: int
     confirmed_count: int
     moved_count: int

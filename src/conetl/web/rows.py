@@ -58,7 +58,7 @@ def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
 
 def timeline_item(c: CommittedChangeset) -> TimelineItem:
     """One changeset of the timeline."""
-    known = {"valid_at": utc_from_ns(c.captured_to_ns) + _TICK, "known_before": c.committed_at - _TICK}
+    known = {"valid_at": utc_from_ns(c.captured_to_ns) + _TICK, "known_before": c.effective_at - _TICK}
     return answer(TimelineItem, vars(c), (0.0, 0.0, 0.0), **known)
 
 

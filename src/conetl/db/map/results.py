@@ -60,6 +60,8 @@ class CommittedChangeset:
     model_sha256: str
     code_version: str
     committed_at: datetime
+    effective_at: datetime
+    """Instant of the database from which on its changes are on the map; later than the commit where it was on hold."""
     added_count: int
     confirmed_count: int
     moved_count: int
