@@ -67,8 +67,8 @@ def fit_projection(srid: int, origin_m: tuple[float, float, float], centre_m: tu
     if not worst_m <= TOLERANCE_M:
         raise ValueError(f"EPSG:{srid} bends too much there")
     return Projection(
-        centre_m=centre_m, radius_m=RADIUS_M, lon_deg=float(lon0), lat_deg=float(lat0), degree=_DEGREE,
-        unit_per_degree=tuple(_scale(lat0).tolist()), to_degrees=to_degrees.T.tolist(), to_metres=to_metres.T.tolist(),
+        centre_m=list(centre_m), radius_m=RADIUS_M, lon_deg=float(lon0), lat_deg=float(lat0), degree=_DEGREE,
+        unit_per_degree=_scale(lat0).tolist(), to_degrees=to_degrees.T.tolist(), to_metres=to_metres.T.tolist(),
     )  # fmt: skip
 
 
