@@ -49,7 +49,7 @@ _GROUPS = {
         {"held": "drive:held", "accept": "drive:accept"},
     ),
     "map": (
-        "Show, compare, export, import and correct the map.",
+        "Show, compare, export, import, correct and manage maps.",
         {
             "show": "map.show:show",
             "log": "map.show:log",
@@ -57,6 +57,11 @@ _GROUPS = {
             "picture": "map.image:picture",
             "export": "map.exchange:export",
             "import": "map.exchange:import_",
+            "list": "map.manage:list_",
+            "create": "map.manage:create",
+            "rename": "map.manage:rename",
+            "delete": "map.manage:delete",
+            "restore": "map.manage:restore",
             "licence": "map.exchange:licence",
             "qgis": "map.exchange:qgis",
             "check-layout": "map.work_zones:check_layout_command",

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 from uuid import UUID
 
 import typer
@@ -32,6 +32,10 @@ ParamsOption = Annotated[
 ]
 MapSridOption = Annotated[
     int | None, typer.Option("--map-srid", min=1, help="EPSG code of the map; default: the drive's UTM zone.")
+]
+
+MapOption = Annotated[
+    str | None, typer.Option("--map", metavar="NAME", help="Name of the map; default: CONETL_MAP_NAME, or `default`.")
 ]
 
 #: Heading of a column -> attribute of the record, or function of the record.
@@ -226,8 +230,3 @@ def parse_time(text: str | None) -> datetime | None:
     except ValueError:
         raise InputError(f"invalid time {text!r}: use for example 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
     return time if time.tzinfo else time.replace(tzinfo=UTC)
-
-
-def no_such_map(name: str) -> NoReturn:
-    """Raise InputError: the database has no map of this name."""
-    raise InputError(f"this database has no map named {name}: ingest a drive or import a map first")

@@ -15,6 +15,7 @@ import typer
 from conetl.cli.console import (
     Columns,
     JsonOption,
+    MapOption,
     MapSridOption,
     ParamsOption,
     complain,
@@ -54,6 +55,7 @@ def ingest(
     self_calibrate: Annotated[
         bool, typer.Option(help="Correct the calibration if the images of the drive contradict it; requires --refine.")
     ] = True,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Detect the cones of stereo drives and merge them into the map, one changeset per drive.
@@ -62,7 +64,7 @@ def ingest(
     """
     reports, exit_code = ingest_drives(
         drives,
-        read_settings(),
+        read_settings(map_name),
         _with_refinement(read_params(params), refine=refine, self_calibrate=self_calibrate),
         map_srid=map_srid,
         show=(lambda _: None) if as_json else print_report,

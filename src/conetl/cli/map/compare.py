@@ -10,10 +10,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from conetl.cli.console import Columns, JsonOption, no_such_map, parse_time, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, MapOption, parse_time, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import find_map, list_changesets, read_features_as_of
+from conetl.db.map.map_store import list_changesets, read_features_as_of, require_map
 from conetl.exports.geojson import export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import InputError
@@ -28,12 +28,13 @@ def diff(
     picture: Annotated[
         Path | None, typer.Option("--picture", "--image", help="PNG to write: both states, changes in colour.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the differences between two states of the map."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
-        info = find_map(conn, settings.map_name) or no_such_map(settings.map_name)
+        info = require_map(conn, settings.map_name)
         old, new = state_of(conn, settings, before), state_of(conn, settings, after)
     changes = map_diff.diff(old, new)
     if output is not None:

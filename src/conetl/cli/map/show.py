@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, cell, counted, parse_time, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, MapOption, cell, counted, parse_time, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
@@ -42,10 +42,11 @@ def show(
     provisional: Annotated[
         bool, typer.Option("--provisional", help="Show the provisional cones of drives being recorded instead.")
     ] = False,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the cones on the map."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     if provisional:
         if as_of:
             raise InputError("--provisional and --as-of exclude each other: provisional cones have no history")
@@ -62,9 +63,7 @@ def show(
             for v in versions
         ]
         print_json({"map": summary, "features": features})
-    elif summary is None:
-        say(f"The map {settings.map_name} is empty: fill it with `conetl ingest DRIVE` or `conetl map import FILE`.")
-    else:
+    elif summary is not None:
         when = f" as of {as_of}" if as_of else ""
         changesets = counted(summary.changeset_count, "changeset")
         say(f"Map {summary.map_name}, EPSG:{summary.srid}: {counted(len(versions), 'cone')}{when}, {changesets}.")
@@ -75,10 +74,11 @@ def log(
     feature: Annotated[
         str | None, typer.Argument(help="Id of a feature, or its first characters; default: the changesets of the map.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the history of the map, or of one feature."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         if feature is None:
             changesets = list_changesets(conn, map_name=settings.map_name)

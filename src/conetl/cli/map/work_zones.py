@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from pydantic import BaseModel, ConfigDict
 
-from conetl.cli.console import Columns, JsonOption, counted, parse_time, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, MapOption, counted, parse_time, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.exports.geojson import export_layout_geojson, finding_as_dict
 from conetl.files.yaml_model import read_yaml_model
@@ -57,10 +57,11 @@ def check_layout_command(
     picture: Annotated[
         Path | None, typer.Option("--picture", "--image", help="PNG to write: the work zones along their road.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check the layout of the work zones: spacing, missing cones, taper lengths, cones in the open lane."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     chosen = read_yaml_model(rules, Rules, "rules")
     with open_map(settings) as conn:
         found = read_zones(conn, map_name=settings.map_name, as_of=parse_time(as_of), lanes=lanes, params=chosen.zones)

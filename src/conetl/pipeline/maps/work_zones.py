@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import find_map
+from conetl.db.map.map_store import require_map
 from conetl.db.zone_store import read_lanes_near, read_paths, read_versions
 from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
-from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
@@ -59,13 +58,11 @@ def read_zones(
     conn: Connection, *, map_name: str, as_of: datetime | None, lanes: Path | None, params: WorkZoneParams
 ) -> MapZones:
     """Current and ended work zones of a map until a time (None: now). Raises InputError if the map does not exist."""
-    info = find_map(conn, map_name)
-    if info is None:
-        raise InputError(f"this database has no map named {map_name}: ingest a drive or import a map first")
+    info = require_map(conn, map_name)
     versions = read_versions(conn, map_name=map_name, until=as_of)
     paths = read_paths(conn, map_name=map_name, until=as_of)
     at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
-    histories = zones_over_time(versions, paths, params, map_name=map_name, at_ns=at_ns)
+    histories = zones_over_time(versions, paths, params, map_name=info.id_name, at_ns=at_ns)
     lines, source = _lane_lines(conn, histories, lanes, map_name=map_name, srid=info.srid)
     zones = [
         describe(history, layout_of(history, paths, some, params), params)

@@ -18,6 +18,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
 from conetl.files.documents import shown
+from conetl.files.expectations import expectation, key_of
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import utm_srid
 from conetl.model.errors import InputError
@@ -176,8 +177,7 @@ class _Rows:
             covariance = row.covariance()
         except ValidationError as error:
             first = error.errors()[0]
-            why = first["msg"].removeprefix("Value error, ")
-            raise self.fail(index, f"{first['loc'][0]} is {first['input']!r:.100}, {why}") from None
+            raise self.fail(index, f"{key_of(first)} is {first['input']!r:.100}, {expectation(first)}") from None
         except ValueError as error:
             raise self.fail(index, error) from None
         last_ns = self.instant_ns(index, values, "last_seen_at", stated_ns)
@@ -194,7 +194,19 @@ class _Rows:
             existence_probability=row.existence_probability, observation_count=row.observation_count,
             first_seen_ns=first_ns, last_seen_ns=last_ns,
         )  # fmt: skip
-        return ImportedFeature(feature=feature, valid_from_ns=valid_from_ns)
+        stated_id, stated_version = self.stated(values)
+        return ImportedFeature(
+            feature=feature, valid_from_ns=valid_from_ns, stated_id=stated_id, stated_version=stated_version
+        )
+
+    def stated(self, values: Mapping[str, Any]) -> tuple[UUID | None, int | None]:
+        """Feature id and version of a row, by which an own export is recognised; None for what is none."""
+        try:
+            stated_id = UUID(str(values["feature_id"]))
+        except (KeyError, ValueError):
+            return None, None
+        version = str(values.get("version", ""))
+        return stated_id, int(version) if version.isdecimal() and len(version) < 10 else None
 
     def instant_ns(self, index: int, values: Mapping[str, Any], name: str, default: Any) -> Any:
         """UTC nanoseconds; `name`_us (microseconds since 1970) is exact where a format's own times are not."""
