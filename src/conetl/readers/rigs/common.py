@@ -16,7 +16,8 @@ from pydantic import ValidationError
 
 from conetl.files import documents
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import MAX_JSON_BYTES, MAX_MESSAGE, MAX_SHOWN, read_limited, shown
+from conetl.files.documents import MAX_JSON_BYTES, read_limited, shown
+from conetl.files.expectations import expectation, key_of
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.errors import CalibrationError, InputError
@@ -284,7 +285,6 @@ def first_message(error: ValueError) -> str:
     """One sentence of a validation error, with its key."""
     if isinstance(error, ValidationError):
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN]
-        message = first["msg"].removeprefix("Value error, ")[:MAX_MESSAGE]
+        key, message = key_of(first), expectation(first)
         return f"'{key}': {message}" if key else message
     return str(error)
