@@ -85,6 +85,11 @@ def ingest_drives(
     """Ingest drives one after the other; their reports, and the worst exit code."""
     drives = [as_path(drive) for drive in drives]
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
+    if missing and len(missing) == len(drives) and drives[0].is_file():
+        raise InputError(
+            f"{drives[0]}: is a file, not a drive: put the videos, the GNSS/INS log and the calibration into one folder, and run "
+            "`conetl init FOLDER`"
+        )
     if len(missing) == len(drives):  # before any service is started
         raise InputError(f"no such drive folder: {', '.join(missing)}; check the path")
     headers = [read_header(drive) for drive in drives]

@@ -36,16 +36,6 @@ _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/data_source")
 _GEOD = Geod(ellps="WGS84")
 _QUARTERS = ("northbound", "eastbound", "southbound", "westbound")
 _SCHEMAS = Path(__file__).with_name("wzdx_schemas")
-_EXAMPLE = """
-publisher: City of Karlsruhe, road office
-road_names: [L 605]
-contact_email: roads@example.org   # this and all that follows is optional
-contact_name: Road office
-license: cc0                       # the only licence in WZDx
-update_frequency_s: 86400
-organization_name: Survey Ltd      # owner of the data; default: the publisher
-data_source_id: survey-2026        # default: made from publisher and map
-direction: northbound              # default: from the heading of the drives"""
 _formats = FormatChecker(formats=("email",))
 Object = dict[str, Any]
 
@@ -74,12 +64,13 @@ class FeedInfo(BaseModel):
 def read_feed_info(path: Path | None, **flags: Any) -> FeedInfo:
     """The values of a YAML file, overridden by flags that are not empty. Raises InputError naming what is missing or wrong."""
     name = "the feed's description" if path is None else f"feed {path}"
-    values = {} if path is None else read_yaml_mapping(path, "feed", _EXAMPLE)
+    values = {} if path is None else read_yaml_mapping(path, "feed", " publisher: Road office")
     values |= {key: value for key, value in flags.items() if value}
     missing = [key for key in ("publisher", "road_names") if not values.get(key)]
     if missing:
         raise InputError(
-            f"{name}: WZDx requires {' and '.join(missing)}: use --publisher and --road-name, or a file for --feed:{_EXAMPLE}"
+            f"{name}: WZDx requires {' and '.join(missing)}: use --publisher and --road-name, or a YAML file with --feed "
+            "(its keys are in docs/how-to/work_zones.md)"
         )
     return validated(values, FeedInfo, name)
 

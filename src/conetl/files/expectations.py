@@ -60,7 +60,8 @@ def expectation(error: Any) -> str:
     if kind.startswith("date_"):
         return _DATE
     if kind in _EXPECTED:
-        return _EXPECTED[kind].format(**figures)[:MAX_MESSAGE]
+        plain = {name: f"{value:g}" if isinstance(value, float) else value for name, value in figures.items()}
+        return _EXPECTED[kind].format(**plain)[:MAX_MESSAGE]
     text = str(error["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
     return text.replace("Input should be", "expected", 1)[:MAX_MESSAGE]
 

@@ -17,6 +17,7 @@ from conetl.files.names import file_name_part
 from conetl.files.storage import as_path, is_remote
 from conetl.model.errors import InputError
 
+_MAP_NAME_WORDS = "1 to 40 of a-z, 0-9, _ and -, for example night_survey"
 MAP_NAME = re.compile(r"[a-z0-9_-]{1,40}")
 
 
@@ -104,7 +105,7 @@ class Settings(BaseSettings):
 def checked_map_name(name: str) -> str:
     """The name, if a map may have it. Raises InputError."""
     if not MAP_NAME.fullmatch(name):
-        raise InputError(f"invalid map name {name!r}: use 1 to 40 of a-z, 0-9, _ and -, for example night_survey")
+        raise InputError(f"invalid map name {name!r}: expected {_MAP_NAME_WORDS}")
     return name
 
 
@@ -118,7 +119,8 @@ def read_settings(map_name: str | None = None) -> Settings:
     except ValidationError as error:
         first = error.errors()[0]
         name = f"CONETL_{'_'.join(str(part) for part in first['loc']).upper()}"
-        raise InputError(f"the environment variable {name} is {first['input']!r}: {expectation(first)}") from error
+        wanted = f"expected {_MAP_NAME_WORDS}" if first["loc"] == ("map_name",) else expectation(first)
+        raise InputError(f"the environment variable {name} is {first['input']!r}: {wanted}") from error
 
 
 def prefect_environment(home: Path) -> dict[str, str]:

@@ -69,7 +69,7 @@ def require_map(conn: Connection, map_name: str) -> MapInfo:
         )
     near = get_close_matches(map_name, names, n=3, cutoff=0.5)
     others = (
-        f"did you mean {' or '.join(near)}?" if near else f"it has {', '.join(names[:5])}{', ...' if names[5:] else ''}"
+        f"did you mean {' or '.join(near)}?" if near else f"it has {', '.join(names[:5])}{' ...' if names[5:] else ''}."
     )
     raise InputError(
         f"this database has no map named {map_name}; {others} Choose one with --map; `conetl map list` lists all."

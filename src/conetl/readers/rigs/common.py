@@ -286,5 +286,6 @@ def first_message(error: ValueError) -> str:
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         key, message = key_of(first), expectation(first)
-        return f"'{key}': {message}" if key else message
+        found = "" if first["type"] in ("missing", "extra_forbidden") else f", found {shown(first['input'])}"
+        return f"'{key}': {message}{found}" if key else f"{message}{found}"
     return str(error)
