@@ -57,8 +57,6 @@ def create(
     """Create an empty map. Not required: the first drive makes its map, in its UTM zone.
 
     Positions are stored with ellipsoidal heights. A height system, the part after +, is the one in which exports state them.
-
-    Examples: conetl map create night_survey --crs EPSG:25832; conetl map create city --crs EPSG:25832+7837
     """
     settings = read_settings(name)
     srid, vertical_srid = map_crs(crs)
@@ -76,10 +74,7 @@ def rename(
     new_name: Annotated[str, typer.Argument(metavar="NEW", help="Its new name: a-z, 0-9, _ and -.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Give a map another name. Its history, decisions, receipts and reports are kept.
-
-    Example: conetl map rename default city_centre
-    """
+    """Give a map another name. Its history, decisions, receipts and reports are kept."""
     settings = read_settings(name)
     with open_map(settings) as conn:
         rename_map(conn, name, checked_map_name(new_name))
@@ -99,7 +94,7 @@ def delete(
 ) -> None:
     """Delete a map with its history, after it was written to a file (dump) that `conetl map restore` brings back.
 
-    Drive folders and reports are not touched. Example: conetl map delete night_survey
+    Drive folders and reports are not touched.
     """
     settings = read_settings(name)
     path = dump or _dump_path(settings)
@@ -126,10 +121,7 @@ def restore(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring back a deleted map with its whole history, also in another database with the same schema.
-
-    Example: conetl map restore .conetl/dumps/night_survey-20260302T101500Z.zip
-    """
+    """Bring back a deleted map with its whole history, also in another database with the same schema."""
     settings = read_settings()
     with open_maps(settings) as conn:
         info = restore_map(conn, file, None if name is None else checked_map_name(name))
