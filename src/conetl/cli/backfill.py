@@ -19,6 +19,7 @@ from conetl.cli.console import (
     ParamsOption,
     counted,
     err,
+    parse_instant,
     parse_time,
     print_held,
     print_hold_events,
@@ -68,7 +69,7 @@ def backfill(
     os.environ.update(prefect_environment(settings.home))
     from conetl.pipeline.backfill_plan import plan_as_dict, plan_drives
 
-    begin, end = parse_time(since), parse_time(until)
+    begin, end = parse_time(since), parse_instant(until)
     with open_maps(settings) as conn, spinner("Planning"):
         plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
         pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
@@ -41,6 +42,7 @@ MapOption = Annotated[
 #: Heading of a column -> attribute of the record, or function of the record.
 Columns = Mapping[str, str | Callable[[Any], object]]
 _ANY_WIDTH = 100_000
+_DATE = re.compile(r"\d{4}-?\d{2}-?\d{2}")
 out = Console(highlight=False, soft_wrap=True)
 #: Progress and messages go to standard error: standard output is for results.
 err = Console(stderr=True, highlight=False)
@@ -221,8 +223,16 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def parse_instant(text: str | None) -> datetime | None:
+    """As `parse_time`, but a date is its whole day: the last microsecond of it."""
+    time = parse_time(text)
+    return (
+        time + timedelta(days=1, microseconds=-1) if time is not None and _DATE.fullmatch(str(text).strip()) else time
+    )
+
+
 def parse_time(text: str | None) -> datetime | None:
-    """ISO 8601 date or time; UTC unless it names a zone. Raises InputError."""
+    """ISO 8601 date or time; UTC unless it names a zone; a date is its first instant. Raises InputError."""
     if text is None:
         return None
     try:

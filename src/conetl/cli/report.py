@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, MapOption, answer, parse_time, print_held, print_hold_events
+from conetl.cli.console import JsonOption, MapOption, answer, parse_instant, parse_time, print_held, print_hold_events
 from conetl.cli.database import open_map
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.settings import read_settings
@@ -83,5 +83,5 @@ def _period(day: str | None, since: str | None, until: str | None) -> tuple[date
                 return begin, begin + timedelta(days=1)
             except OverflowError:
                 raise InputError(f"invalid time {day!r}: the calendar ends here") from None
-    end = parse_time(until) or datetime.now(UTC)
+    end = parse_instant(until) or datetime.now(UTC)
     return parse_time(since) or end - timedelta(days=1), end

@@ -84,6 +84,32 @@ def to_crs(xyz_m: ArrayLike, source_srid: int, srid: int, vertical_srid: int | N
     return done
 
 
+def to_ellipsoidal(xyz_m: ArrayLike, crs: CRS) -> NDArray[np.float64]:
+    """Positions (N, 3) in a compound CRS -> the same with ellipsoidal heights. Raises InputError, which names a missing grid."""
+    srid, vertical_srid = (part.to_epsg() for part in crs.sub_crs_list)
+    if srid is None or vertical_srid is None:
+        raise InputError(f"the CRS {crs.name} has no EPSG codes of its parts: convert the file to ellipsoidal heights")
+    transformer = _transformer(srid, srid, vertical_srid)
+    xyz = np.asarray(xyz_m, dtype=np.float64).reshape(-1, 3)
+    return np.column_stack(transformer.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], direction="INVERSE"))
+
+
+def turns(xyz_m: ArrayLike, source_srid: int, srid: int) -> NDArray[np.float64]:
+    """Rotations (N, 2, 2) of the axes of EPSG:source_srid into those of EPSG:srid at positions (N, 3), for covariances.
+
+    Both are conformal to a few parts in a thousand, so their axes differ by the convergence of the grids; scale is left out.
+    """
+    xy = np.asarray(xyz_m, dtype=np.float64).reshape(-1, 3)[:, :2]
+    if source_srid == srid:
+        return np.broadcast_to(np.eye(2), (len(xy), 2, 2))
+    transformer = Transformer.from_crs(source_srid, srid, always_xy=True)
+    there = np.column_stack(transformer.transform(xy[:, 0], xy[:, 1]))
+    north = np.column_stack(transformer.transform(xy[:, 0], xy[:, 1] + 100.0)) - there
+    angle = np.arctan2(-north[:, 0], north[:, 1])
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], -2)
+
+
 def _named(srid: int, vertical_srid: int | None) -> str:
     return f"EPSG:{srid}" + (f"+{vertical_srid}" if vertical_srid else "")
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli.console import JsonOption, MapOption, counted, parse_time, print_json, print_table, say
+from conetl.cli.console import JsonOption, MapOption, counted, parse_instant, print_json, print_table, say
 from conetl.cli.database import open_map
 from conetl.db.map.map_store import read_features_as_of, require_map
 from conetl.evaluation.check_points import CheckedMap, check_map, read_check_points
@@ -46,7 +46,7 @@ def check_points(
     settings = read_settings(map_name)
     with open_map(settings) as conn:
         info = require_map(conn, settings.map_name)
-        versions = list(read_features_as_of(conn, parse_time(as_of), map_name=settings.map_name))
+        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name))
     points = read_check_points(file, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
     checked = check_map(points, [version.feature for version in versions], within_m=within_m)
     if as_json:

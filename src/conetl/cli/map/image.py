@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from pyproj import Transformer
 
-from conetl.cli.console import JsonOption, MapOption, answer, parse_time
+from conetl.cli.console import JsonOption, MapOption, answer, parse_instant
 from conetl.cli.database import open_map
 from conetl.cli.map.compare import instants_of, state_of
 from conetl.db.map.map_store import read_features_as_of, require_map
@@ -46,7 +46,7 @@ def picture(
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
     if changes is not None and (at is not None or known_at is not None):
         raise InputError("--changes names both states: leave --at and --known-at out")
-    valid_at, known = parse_time(at), parse_time(known_at)
+    valid_at, known = parse_instant(at), parse_instant(known_at)
     size_mm = _size(size)
     settings = read_settings(map_name)
     name = settings.map_name

@@ -8,7 +8,17 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, MapOption, cell, counted, parse_time, print_json, print_records, say
+from conetl.cli.console import (
+    Columns,
+    JsonOption,
+    MapOption,
+    cell,
+    counted,
+    parse_instant,
+    print_json,
+    print_records,
+    say,
+)
 from conetl.cli.database import open_map
 from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
@@ -56,7 +66,7 @@ def show(
         return
     with open_map(settings) as conn:
         summary = map_summary(conn, settings.map_name)
-        versions = list(read_features_as_of(conn, parse_time(as_of), map_name=settings.map_name))
+        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name))
     if as_json:
         features = [
             v.feature.model_dump(mode="json") | {"seen_count": v.seen_count, "missed_count": v.missed_count}

@@ -21,6 +21,7 @@ from conetl.files.documents import shown
 from conetl.files.expectations import expectation, key_of
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import utm_srid
+from conetl.geometry.heights import to_ellipsoidal
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
@@ -101,6 +102,9 @@ def read_map_file(
                 f"{path} is an export of history or changes (column {name}); export features to import them"
             )
     file_crs = _file_crs(table, crs)
+    if file_crs.is_compound:
+        table.xyz[:] = _with_ellipsoidal_heights(table, file_crs)
+        file_crs = file_crs.sub_crs_list[0]
     _require_all(table, file_crs, map_srid, params, stated_at)
     srid = _map_srid(table, file_crs, map_srid)
     xyz_m = _positions(table, file_crs, srid, params)
@@ -140,8 +144,11 @@ class _Rows:
         return InputError(f"{self.table.path}, row {index + 1}: {what}; nothing was written")
 
     def values(self, index: int) -> dict[str, Any]:
-        """By column, without empty cells."""
-        return {name: column[index] for name, column in self.table.columns.items() if column[index] is not None}
+        """By column, without empty cells; `height_m` under its newer name too."""
+        values = {name: column[index] for name, column in self.table.columns.items() if column[index] is not None}
+        if "object_height_m" in values:
+            values.setdefault("height_m", values["object_height_m"])
+        return values
 
     def ids(self, sha256: str) -> list[UUID]:
         """One per row: those of the file, or new ones made of the file's hash and the row number."""
@@ -260,14 +267,17 @@ def _file_crs(table: MapTable, stated: str | None) -> CRS:
         raise InputError(f"{table.path} does not have a CRS of its coordinates: state it (--crs EPSG:...)")
     if table.crs is not None and wanted is not None and not _same(table.crs, wanted):
         raise InputError(f"{table.path} has the CRS {table.crs.name}, but --crs is {wanted.name}: which is right?")
-    if crs.is_compound:
-        raise InputError(
-            f"{table.path}: {crs.name} has its own heights; the map's are ellipsoidal. Convert the file to a "
-            "CRS without heights above a geoid"
-        )
-    if not (crs.is_geographic or crs.is_projected):
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs
+    if not (flat.is_geographic or flat.is_projected):
         raise InputError(f"{table.path}: {crs.name} is neither geographic nor projected")
     return crs
+
+
+def _with_ellipsoidal_heights(table: MapTable, crs: CRS) -> NDArray[np.float64]:
+    try:
+        return to_ellipsoidal(table.xyz, crs)
+    except InputError as error:
+        raise InputError(f"{table.path}: {error}") from error
 
 
 def _same(a: CRS, b: CRS) -> bool:
