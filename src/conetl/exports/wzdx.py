@@ -86,6 +86,8 @@ class FeedContext:
     """The instant that the feed describes."""
     made_at: datetime
     params: WorkZoneParams
+    surveyed_at: datetime | None = None
+    """When the last cone was seen, of all on the map; None: not known."""
 
     @property
     def data_source_id(self) -> str:
@@ -131,6 +133,8 @@ def _feed_info(context: FeedContext) -> Object:
     }
     organization = info.organization_name or info.publisher
     source = {"data_source_id": context.data_source_id, "organization_name": organization, **shared}
+    if context.surveyed_at is not None:
+        source["update_date"] = _iso(context.surveyed_at)
     licence = _CC0 if info.license else None
     head = {
         "publisher": info.publisher,
@@ -146,7 +150,12 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
     history, params = zone.history, context.params
     line = coordinates(zone.line_m, context.srid)
     ended = history.end_ns is not None
+    surveyed = utc_from_ns(max(cone.last_seen_ns for cone in zone.layout.cones))
+    stale = not ended and context.at - surveyed > timedelta(days=params.max_age_days)
+    # Of a zone that was surveyed in time no longer than that survey counts.
     assumed_end = context.at + timedelta(hours=params.assumed_duration_h)
+    if not stale:
+        assumed_end = max(min(assumed_end, surveyed + timedelta(days=params.max_age_days)), context.at)
     end = assumed_end if history.end_ns is None else utc_from_ns(history.end_ns)
     related = [{"type": "related-work-zone", "id": str(history.merged_into)}] if history.merged_into in ids else None
     core = {
@@ -155,7 +164,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "related_road_events": related,
         "road_names": list(context.info.road_names),
         "direction": _direction(zone, context),
-        "description": _description(zone),
+        "description": _description(zone, surveyed, params.max_age_days if stale else None),
         "creation_date": _iso(utc_from_ns(history.start_ns)),
         "update_date": _iso(utc_from_ns(zone.updated_ns)),
     }
@@ -166,11 +175,11 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "end_date": _iso(end),
         "is_start_date_verified": True,
         "is_end_date_verified": ended and history.merged_into is None,
-        "is_start_position_verified": known and _is_verified(zone.first, params),
-        "is_end_position_verified": known and _is_verified(zone.last, params),
+        "is_start_position_verified": known and not stale and _is_verified(zone.first, params),
+        "is_end_position_verified": known and not stale and _is_verified(zone.last, params),
         "work_zone_type": "static",
-        "event_status": "completed" if ended else "active",
-        "vehicle_impact": str(zone.impact),
+        "event_status": "completed" if ended else "planned" if stale else "active",
+        "vehicle_impact": "unknown" if stale else str(zone.impact),
         "location_method": "channel-device-method",
     }
     return {
@@ -179,7 +188,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "properties": properties,
         "geometry": {"type": "LineString", "coordinates": line},
         "bbox": _bbox(line),
-        "conetl": _evidence(zone),
+        "conetl": {"last_surveyed_at": _iso(surveyed), "stale": stale, **_evidence(zone)},
     }
 
 
@@ -203,14 +212,17 @@ def _evidence(zone: WorkZone) -> Object:
     }
 
 
-def _description(zone: WorkZone) -> str:
+def _description(zone: WorkZone, surveyed: datetime, max_age_days: float | None) -> str:
+    """max_age_days: of a zone that was surveyed longer ago; else None."""
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
-    state = f"{count} cones over {length:.0f} m, surveyed by vehicle"
+    state = f"{count} cones over {length:.0f} m, last surveyed by vehicle at {_iso(surveyed)}"
     if zone.history.merged_into is not None:
         return f"{state}; now part of work zone {zone.history.merged_into}."
     if zone.history.end_ns is not None:
         return f"{state}; the last cone is gone."
+    if max_age_days is not None:
+        return f"{state}, more than {max_age_days:g} days ago: whether the work zone still stands is not known."
     return f"{state}; the end date is an assumption, the work zone stood when it was last surveyed."
 
 
@@ -228,7 +240,8 @@ def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedConte
         "has_automatic_location": False,
         "road_direction": _direction(zone, context) if zone is not None else None,
         "road_names": list(context.info.road_names),
-        "description": f"Traffic cone, {cone.cone_height_m:.2f} m high, located by survey drives; sigma {_sigma_m(cone):.2f} m.",
+        "description": f"Traffic cone, {cone.cone_height_m:.2f} m high, located by survey drives; sigma "
+        f"{_sigma_m(cone):.2f} m; last seen at {_iso(utc_from_ns(cone.last_seen_ns))}.",
         "is_moving": False,
         "road_event_ids": [event_id] if event_id else None,
     }

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from pydantic import ValidationError
 
-from conetl.cli.console import JsonOption, MapOption, answer, counted, note, parse_time
+from conetl.cli.console import JsonOption, MapOption, answer, counted, note, parse_instant, parse_time
 from conetl.cli.database import open_map, open_maps
 from conetl.cli.map import work_zones
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import find_map
+from conetl.db.retention import parse_age
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.qgis_project import write_qgis_project
 from conetl.exports.source import ExportRequest, What
 from conetl.files.expectations import sentence
 from conetl.geometry.geodesy import check_map_srid
+from conetl.geometry.heights import map_crs
 from conetl.model.errors import InputError
 from conetl.model.params import ImportParams
 from conetl.pipeline.maps.work_zones import export_wzdx
@@ -44,12 +47,23 @@ def export(
     believed_at: Annotated[
         str | None, typer.Option("--believed-at", "--known-at", help="Database state at this time; default: now.")
     ] = None,
-    since: Annotated[str | None, typer.Option("--from", help="Changes on the road from this time on.")] = None,
-    until: Annotated[str | None, typer.Option("--to", help="Changes before this time; default: now.")] = None,
+    since: Annotated[
+        str | None, typer.Option("--from", help="Changes on the road from this time on; default: the first drive.")
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option("--to", help="Changes until this time, a day included; default: now.")
+    ] = None,
+    crs: Annotated[
+        str | None,
+        typer.Option(
+            "--crs", help="CRS of positions, and height system: EPSG:25832, EPSG:25832+7837; default: the map's."
+        ),
+    ] = None,
     feed: work_zones.FeedOption = None,
     publisher: work_zones.PublisherOption = None,
     road_names: work_zones.RoadNamesOption = None,
     lanes: work_zones.LanesOption = None,
+    max_age: work_zones.MaxAgeOption = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -60,22 +74,27 @@ def export(
     settings = read_settings(map_name)
     file_format = _format_by_name(output) if file_format is None else file_format
     if file_format in (WZDX, WZDX_DEVICES):
-        if what is not What.FEATURES or believed_at or since or until:
-            raise InputError(f"--what, --believed-at, --from and --to cannot be used with --format {file_format}")
+        if what is not What.FEATURES or believed_at or since or until or crs:
+            raise InputError(
+                f"--what, --believed-at, --from, --to and --crs cannot be used with --format {file_format}"
+            )
         with open_map(settings) as conn:
             count = export_wzdx(
-                conn, output, devices=file_format == WZDX_DEVICES, map_name=settings.map_name, as_of=parse_time(as_of),
+                conn, output, devices=file_format == WZDX_DEVICES, map_name=settings.map_name, as_of=parse_instant(as_of),
                 feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
+                max_age=None if max_age is None else timedelta(seconds=parse_age(max_age)),
             )  # fmt: skip
         _print_written(output, count, "work zone" if file_format == WZDX else "cone", {"features": count}, as_json)
         return
-    if feed or publisher or road_names or lanes:
-        raise InputError(f"--feed, --publisher, --road-name and --lanes require --format {WZDX} or {WZDX_DEVICES}")
+    if feed or publisher or road_names or lanes or max_age:
+        raise InputError(
+            f"--feed, --publisher, --road-name, --lanes and --max-age require --format {WZDX} or {WZDX_DEVICES}"
+        )
     if file_format not in FORMATS:
         raise InputError(f"unknown format {file_format}: use one of {', '.join(ALL_FORMATS)}")
     request = ExportRequest(
-        settings.map_name, what, as_of=parse_time(as_of), believed_at=parse_time(believed_at), since=parse_time(since),
-        until=parse_time(until),
+        settings.map_name, what, as_of=parse_instant(as_of), believed_at=parse_instant(believed_at), since=parse_time(since),
+        until=parse_instant(until), crs=None if crs is None else map_crs(crs),
     )  # fmt: skip
     with open_map(settings) as conn:
         manifest = export_map(conn, output, file_format, request)
