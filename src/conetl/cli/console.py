@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 from rich.markup import escape
 from rich.measure import Measurement
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
@@ -194,16 +194,16 @@ def progress_bar(description: str, unit: str) -> Iterator[Callable[..., None]]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(unit),
+        TextColumn("{task.fields[counts]}"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=err, disable=not err.is_terminal, transient=True, redirect_stdout=False) as bars:
-        task = bars.add_task(description, total=None, visible=False)
+        task = bars.add_task(description, total=None, visible=False, counts="")
 
         def update(done: int, total: int | None, **changed: Any) -> None:
-            bars.update(task, completed=done, total=total, visible=True, **changed)
+            counts = f"{done:,}" if total is None else f"{done:,}/{total:,}"
+            bars.update(task, completed=done, total=total, visible=True, counts=f"{counts} {unit}", **changed)
 
         yield update
 

@@ -98,7 +98,7 @@ def import_one(
     name = layer if layer is not None else _name_of(path)
     if not _LAYER_NAME.fullmatch(name):
         raise InputError(f"--layer {name!r}: a name has 1 to 60 letters, digits, spaces, dots, dashes or underscores")
-    with open_map(settings) as conn, progress_bar(path.name, "") as update:
+    with open_map(settings) as conn, progress_bar(path.name, "scans" if path.is_dir() else "points") as update:
         info = require_map(conn, settings.map_name)
         ground = read_map_ground(conn, info.map_name, info.srid)
         return import_file(FileImport(conn, path, ground, info.map_name, name, crs, voxel_m, height_offset_m, update))
