@@ -122,10 +122,10 @@ _CLOSURES = (
     where m.map_name = %(map)s
     """,
     """
-    insert into conetl.changeset (changeset_id, map_id, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,
+    insert into conetl.changeset (changeset_id, map_id, changeset_no, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,
         committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count, match_count,
         position_count, track_count, rejection_count, missed_count, height_changed_count, split_count, merged_count)
-    select md5(%(map)s || 'changeset' || d)::uuid, m.map_id, md5(%(map)s || 'drive' || d)::uuid,
+    select md5(%(map)s || 'changeset' || d)::uuid, m.map_id, d + 1, md5(%(map)s || 'drive' || d)::uuid,
         encode(sha256((%(map)s || 'key' || d)::bytea), 'hex'), '', '', '0', timestamptz '2026-03-01T20:00Z' + d * interval '1 day',
         0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
     from conetl.map m, generate_series(0, %(versions)s - 1) d
@@ -177,11 +177,12 @@ select %(drive)s, %(map_id)s, %(srid)s, %(key)s, '', %(key)s, '{}', %(from_ns)s,
     tstzrange(to_timestamp(%(from_ns)s / 1e9), to_timestamp(%(from_ns)s / 1e9 + 3600), '[]'), 1, '{}', 60,
     ST_SetSRID(%(box)s::box2d::geometry, %(srid)s)"""
 _CHANGESET = """
-insert into conetl.changeset (changeset_id, map_id, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,
+insert into conetl.changeset (changeset_id, map_id, changeset_no, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,
     committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count, match_count,
     position_count, track_count, rejection_count,
     missed_count, height_changed_count, split_count, merged_count)
-values (%(changeset)s, %(map_id)s, %(drive)s, %(key)s, '', '', 'bench', to_timestamp(%(committed_s)s), %(added)s, %(confirmed)s,
+values (%(changeset)s, %(map_id)s,
+    (select coalesce(max(c.changeset_no), 0) + 1 from conetl.changeset c where c.map_id = %(map_id)s), %(drive)s, %(key)s, '', '', 'bench', to_timestamp(%(committed_s)s), %(added)s, %(confirmed)s,
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)"""
 _FEATURES = f"""
 insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
@@ -318,7 +319,6 @@ def _path(first: int, count: int, start_ns: int) -> list[FramePair]:
 
 def _rig() -> Rig:
     identity = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    right = ((1.0, 0.0, 0.0, 0.54), *identity[1:])
     camera = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=721.5, cx_px=609.6, cy_px=172.9)
     half_a_metre = ((1.0, 0.0, 0.0, 0.5), *identity[1:])
     return Rig(rig_id="bench", left=camera, right=camera, body_SE3_left=identity, body_SE3_right=half_a_metre)

@@ -1,4 +1,4 @@
-"""MkDocs hook: the command line reference, from the commands themselves."""
+"""MkDocs hook: the reference of the command line and of the fields, from the code."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ import typer
 from typer.cli import get_docs_for_click
 
 from conetl.cli.app import app
+from conetl.exports.fields import as_markdown
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Append the help of all commands to reference/cli.md; other pages stay as they are."""
+    """Append the help of all commands to reference/cli.md, the fields to reference/fields.md; other pages stay as they are."""
+    if page.file.src_uri == "reference/fields.md":
+        return f"{markdown}\n{as_markdown()}"
     if page.file.src_uri != "reference/cli.md":
         return markdown
     command = typer.main.get_command(app)

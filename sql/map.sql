@@ -6,10 +6,10 @@ select map_name, srid from conetl.map order by map_name;
 
 -- name: find_map
 -- One map. Parameters: map_name.
--- Columns: map_id, map_name, srid, last_committed_at (of changesets and decisions; null while empty), counts (false while
+-- Columns: map_id, map_name, id_name (in the ids of its features), srid, vertical_srid, last_committed_at (of changesets and decisions; null while empty), counts (false while
 -- all its drives are on hold or reverted and nothing else is on it).
 select
-    m.map_id, m.map_name, m.srid,
+    m.map_id, m.map_name, coalesce(m.id_name, m.map_name) as id_name, m.srid, m.vertical_srid,
     greatest(
         (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
         (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)
@@ -22,8 +22,16 @@ from conetl.map m
 where m.map_name = %(map_name)s;
 
 -- name: insert_map
--- Create a map unless it exists. Parameters: map_name; srid; created_at.
-insert into conetl.map (map_name, srid, created_at) values (%(map_name)s, %(srid)s, %(created_at)s)
+-- Create a map unless it exists. Another map may have had its name, and features with that name in their ids.
+-- Parameters: map_name; srid; vertical_srid (null: ellipsoidal heights); created_at.
+insert into conetl.map (map_name, srid, vertical_srid, created_at, id_name)
+select
+    %(map_name)s, %(srid)s, %(vertical_srid)s, %(created_at)s::timestamptz,
+    (
+        select format('%%s#%%s', m.id_name, (extract(epoch from %(created_at)s::timestamptz) * 1000000)::bigint)
+        from conetl.map m
+        where m.id_name = %(map_name)s
+    )
 on conflict (map_name) do nothing;
 
 -- name: set_aside
@@ -125,6 +133,22 @@ left join conetl.feature_version v
     on v.cell = f.cell and v.feature_id = f.feature_id and upper_inf(v.system_period) and upper_inf(v.valid_period)
 where f.feature_id = any(%(feature_ids)s) and f.map_id > 0
 order by f.feature_id;
+
+-- name: versions_of_ids
+-- All versions, replaced ones too, of those of these ids that are features of a map now. Parameters: map_id; feature_ids
+-- (uuid[]). Columns: feature_id, version, easting_m, northing_m, height_m, category, cone_height_m,
+-- observation_count, last_seen_ns.
+select
+    v.feature_id, v.version, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
+    v.category, v.cone_height_m, v.observation_count, v.last_seen_ns
+from conetl.feature f
+join conetl.feature_version v on v.cell = f.cell and v.feature_id = f.feature_id
+where f.feature_id = any(%(feature_ids)s) and f.map_id > 0 and f.map_id = %(map_id)s
+and exists (
+    select from conetl.feature_version now
+    where now.cell = f.cell and now.feature_id = f.feature_id and upper_inf(now.system_period)
+)
+order by v.feature_id, v.version;
 
 -- name: current_versions
 -- Every current version of one feature or all features of a map that began no later than an instant, ended versions

@@ -270,7 +270,6 @@ def test_the_manifest(files):
 def test_contradicting_requests_are_refused(conn, tmp_path):
     for request, message in (
         (ExportRequest("nowhere"), "no map named nowhere"),
-        (ExportRequest(what=What.CHANGES), "--from"),
         (ExportRequest(since=NOON[0]), "--what changes"),
         (ExportRequest(what=What.HISTORY, as_of=NOON[0]), "--as-of"),
         (ExportRequest(what=What.CHANGES, since=NOON[1], until=NOON[0]), "--to is earlier"),

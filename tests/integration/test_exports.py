@@ -31,6 +31,7 @@ from tests.integration.drives_of_days import merge, survey
 CONTRACT = [
     "feature_id", "version", "category", "existence_probability", "height_m", "sigma_e_m", "sigma_n_m", "sigma_u_m",
     "first_seen_at", "last_seen_at", "observation_count", "valid_from", "valid_to", "changeset_id", "seen_count", "missed_count",
+    "object_height_m", "ground_height_m", "height_system",
 ]  # fmt: skip
 
 

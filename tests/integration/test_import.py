@@ -166,7 +166,7 @@ def test_drives_confirm_move_and_remove_imported_cones(conn, tmp_path):
     path = cones_csv(tmp_path / "plan.csv", DAYS[0], names, [[cone.height_m, 0.05, 0.05, 0.05] for cone in DAYS[0]])
     day = datetime.fromtimestamp(START_NS / 1e9, UTC)
     with pytest.raises(InputError, match="--surveyed-at"):
-        take(conn, path, crs="EPSG:32632")
+        take(conn, path)
     take(conn, path, crs="EPSG:32632", stated_at=day)
     merged = merge(conn, survey(1))
     kinds = {kind: sum(d.kind is kind for d in merged.changeset.deltas) for kind in DeltaKind}
@@ -616,6 +616,55 @@ def test_the_browser_shows_a_map_that_began_with_an_import(conn, database_url, s
         assert len(answer.json()["features"]) == len(features)
 
 
+@pytest.mark.parametrize("name", IMPORTABLE)
+def test_an_own_export_adds_no_evidence(conn, surveyed, tmp_path, name):
+    """Of this very map, in any format, and of one that began with an import; another format is not more evidence."""
+    for day in range(2):
+        merge(conn, survey(day))
+    conn.commit()
+    before, features = valid_time_map(conn), read_current_features(conn)
+    for what in ("parquet", name):
+        export_map(conn, tmp_path / f"own-{what}{FORMATS[name].suffix}", name, ExportRequest())
+        conn.rollback()
+        done = take(conn, tmp_path / f"own-{what}{FORMATS[name].suffix}")
+        assert (done.committed, done.own, sum(done.counts.values())) == (False, len(features), 0)
+    assert valid_time_map(conn) == before and len(list_changesets(conn)) == 2
+    folder, _ = surveyed
+    take(conn, folder / "map.csv", map_name="copy", params=NEW_IDS)
+    conn.rollback()
+    export_map(conn, tmp_path / f"copy{FORMATS[name].suffix}", name, ExportRequest("copy"))
+    assert not take(conn, tmp_path / f"copy{FORMATS[name].suffix}", map_name="copy").committed
+    assert failed_audits(conn) == []
+
+
+def test_edited_rows_of_an_own_export_count(conn, tmp_path):
+    merge(conn, survey(0))
+    conn.commit()
+    features = read_current_features(conn)
+    path = tmp_path / "edited.csv"
+    export_map(conn, path, "csv", ExportRequest())
+    header, first, *rest = path.read_text().splitlines()
+    columns = header.split(",")
+    values = first.split(",")
+    values[columns.index("lat_deg")] = str(float(values[columns.index("lat_deg")]) + 1.2 / 111_000)
+    values[columns.index("last_seen_at")] = "2026-03-20T00:00:00Z"
+    path.write_text("\n".join([header, ",".join(values), *rest]) + "\n")
+    done = take(conn, path)
+    assert (done.committed, done.own, sum(done.counts.values())) == (True, len(features) - 1, 1)
+    assert not take(conn, path).committed
+    assert failed_audits(conn) == []
+
+
+def test_new_ids_warn_where_the_cones_of_the_map_stand(conn, tmp_path):
+    merge(conn, survey(0))
+    conn.commit()
+    path = tmp_path / "own.gpkg"
+    export_map(conn, path, "gpkg", ExportRequest())
+    conn.rollback()
+    done = take(conn, path, params=NEW_IDS)
+    assert done.committed and done.same_place == len(read_current_features(conn))
+
+
 def test_the_command_line(conetl, tmp_path, surveyed):
     folder, features = surveyed
     assert "row 2: longitude" not in conetl("map", "import", geojson(tmp_path / "a.geojson", [GOOD]), code=2)
@@ -627,3 +676,4 @@ def test_the_command_line(conetl, tmp_path, surveyed):
     assert "CC0" in conetl("map", "licence", "CC0")
     written = json.loads(conetl("map", "export", "--format", "geoparquet", "--out", tmp_path / "a.parquet", "--json"))
     assert (written["features"], written["manifest"]["licence"]) == (len(features) + 1, "CC0")
+    assert "export of this map" in conetl("map", "import", tmp_path / "a.parquet")

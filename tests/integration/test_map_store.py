@@ -330,7 +330,7 @@ def test_digits_are_a_number_before_they_are_the_beginning_of_an_id(numbered, te
 
 @pytest.fixture(scope="module")
 def numbered(module_database_url, samples):
-    """Changesets whose ids and numbers look alike; 1537 is of another map."""
+    """Changesets whose ids and numbers look alike, set by hand; 1537 is of another map."""
     conn = connect(module_database_url)
     ids = {}
     for key, (name, changeset_id, number, map_name) in enumerate(
@@ -345,8 +345,6 @@ def numbered(module_database_url, samples):
         ),
         start=1,
     ):
-        execute(conn, f"alter table conetl.changeset alter changeset_no restart with {number}")
-        conn.commit()
         ids[name] = UUID(f"{changeset_id}-0000-4000-8000-000000000000")
         drive = samples.drive(f"drive_{key}", content_sha256=f"{key:064x}")
         changeset = samples.changeset(drive_id=drive.drive_id, key=f"{key:x}")
@@ -355,5 +353,7 @@ def numbered(module_database_url, samples):
                 conn, DriveRecords(drive, [], [], [], []), changeset.model_copy(update={"changeset_id": ids[name]}),
                 map_name=map_name,
             )  # fmt: skip
+            renumber = "update conetl.changeset set changeset_no = %(number)s where changeset_id = %(id)s"
+            execute(conn, renumber, {"number": number, "id": ids[name]})
     yield conn, ids
     conn.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import timedelta
 
 import geopandas
 import numpy as np
@@ -10,6 +11,8 @@ import shapely
 
 from conetl.db.connection import execute
 from conetl.exports.wzdx import schema_faults
+from conetl.model.records import utc_from_ns
+from conetl.pipeline.maps.work_zones import export_wzdx
 from tests.integration.drives_of_days import merge, survey
 
 FEED = ("--publisher", "City", "--road-name", "L 605")
@@ -56,6 +59,57 @@ def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, t
     assert "nothing" not in conetl("map", "check-layout", "--as-of", times[2])
 
 
+def test_a_feed_says_when_it_was_surveyed_and_does_not_outlive_it(conn, samples, conetl, tmp_path):
+    """The clock is an argument: nobody has driven there since the first of March."""
+    cones = [
+        samples.feature(name=f"cone {k}", **samples.standing_at((458_000.0 + 6 * k, 5_428_000.0, 114.5)))
+        for k in range(5)
+    ]
+    samples.commit(conn, *[samples.added(cone) for cone in cones], key="1")
+    conn.rollback()
+    seen = utc_from_ns(max(cone.last_seen_ns for cone in cones))
+
+    def event(age, kind=False, **options):
+        path = tmp_path / "feed.geojson"
+        export_wzdx(
+            conn, path, devices=kind, map_name="default", as_of=None, feed=None, publisher="Road office", road_names=["L 605"],
+            lanes=None, now=seen + age, **options,
+        )  # fmt: skip
+        conn.rollback()
+        feed = json.loads(path.read_text())
+        [source] = feed["feed_info"]["data_sources"]
+        assert source["update_date"] == wzdx_time(seen) and feed["feed_info"]["update_date"] == wzdx_time(seen + age)
+        return feed["features"][0]
+
+    fresh, last_day, stale = (event(timedelta(days=days)) for days in (0.5, 6.5, 7.5))
+    assert [e["properties"]["event_status"] for e in (fresh, last_day, stale)] == ["active", "active", "planned"]
+    assert [e["conetl"]["stale"] for e in (fresh, last_day, stale)] == [False, False, True]
+    assert {e["conetl"]["last_surveyed_at"] for e in (fresh, last_day, stale)} == {wzdx_time(seen)}
+    # An end is assumed a day later, but never beyond what the survey is believed for.
+    assert fresh["properties"]["end_date"] == wzdx_time(seen + timedelta(days=1.5))
+    assert last_day["properties"]["end_date"] == wzdx_time(seen + timedelta(days=7))
+    properties = stale["properties"]
+    assert properties["vehicle_impact"] == "unknown" and not properties["is_end_date_verified"]
+    assert not properties["is_start_position_verified"] and not properties["is_end_position_verified"]
+    said = properties["core_details"]["description"]
+    assert wzdx_time(seen) in said and "more than 7 days ago" in said and "not known" in said
+    assert event(timedelta(days=30), max_age=timedelta(days=60))["properties"]["event_status"] == "active"
+    assert event(timedelta(hours=7), max_age=timedelta(hours=6))["properties"]["event_status"] == "planned"
+    marker = event(timedelta(days=30), kind=True)
+    assert f"last seen at {wzdx_time(seen)}" in marker["properties"]["core_details"]["description"]
+    # From the command line: it is November 2026 or later.
+    path = tmp_path / "now.geojson"
+    assert feed_of(conetl, path)["features"][0]["properties"]["event_status"] == "planned"
+    assert feed_of(conetl, path, "--max-age", "9999d")["features"][0]["properties"]["event_status"] == "active"
+    assert "'soon' is not an age" in conetl(
+        "map", "export", "--format", "wzdx", "--out", path, *FEED, "--max-age", "soon", code=2
+    )
+
+
+def wzdx_time(instant):
+    return instant.replace(microsecond=0).isoformat().replace("+00:00", "Z")
+
+
 def test_the_layout_check_writes_table_layer_and_image(conn, conetl, tmp_path):
     for day in (0, 1):
         merge(conn, survey(day))
@@ -71,6 +125,18 @@ def test_the_layout_check_writes_table_layer_and_image(conn, conetl, tmp_path):
     rules = tmp_path / "rules.yaml"
     rules.write_text("layout: {taper_spacing_ft_per_mph: 0.2, tangent_spacing_ft_per_mph: 0.2}\n")
     strict = json.loads(conetl("map", "check-layout", "--rules", rules, "--json"))["findings"]
+    assert not [f for f in strict if f["level"] == "violation"], "rules of one's own are no standard"
+    cited = 'sources: {taper_spacing_ft_per_mph: "Plan B, 3", tangent_spacing_ft_per_mph: "Plan B, 4"}'
+    rules.write_text(f"layout: {{taper_spacing_ft_per_mph: 0.2, tangent_spacing_ft_per_mph: 0.2, {cited}}}\n")
+    named = json.loads(conetl("map", "check-layout", "--rules", rules, "--json"))["findings"]
+    assert {f["norm"] for f in named if f["level"] == "violation"} <= {"Plan B, 3", "Plan B, 4"}
+    german = conetl("map", "check-layout", "--standard", "rsa_21")
+    assert (
+        "RSA 21, 50 km/h: no rule of spacing" in german
+        and "Not checked: distances" in german
+        and "violation" not in german
+    )
+    assert "mutcd_2023, rsa_21" in conetl("map", "check-layout", "--standard", "din", code=2)
     assert sum(f["rule"] != "cone in open lane" for f in strict) > sum(
         f["rule"] != "cone in open lane" for f in found["findings"]
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
@@ -82,6 +83,38 @@ def test_a_failing_migration_leaves_the_database_as_it_was(empty, tmp_path):
         migrate(empty, directory=folder)
     assert database_status(empty).applied_migrations == ()
     assert execute(empty, "select to_regclass('conetl.half') as half") == [{"half": None}]
+
+
+def test_changesets_of_several_maps_get_numbers_of_their_own(empty):
+    """They were numbered over the whole database, with gaps where a transaction failed."""
+    execute(empty, load_sql("schema.schema_migration"))
+    for path in sorted((sql_directory() / "migrations").glob("000[1-4]*.sql")):
+        execute(empty, path.read_text())
+        known = {"name": path.stem, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        execute(empty, load_sql("schema.insert_migration"), known)
+    made = """
+        with m as (insert into map (map_name, srid, created_at) values ('a', 32632, now()), ('b', 32632, now()) returning map_id),
+        d as (
+            insert into drive (drive_uuid, map_id, srid, drive_id, source_path, content_sha256, captured_from_ns, captured_to_ns,
+                captured_period, expected_frame_count, reconcile, influence_m, area, kind)
+            select gen_random_uuid(), map_id, 32632, 'x', 'x', repeat('0', 64), 0, 1, '[2026-01-01,2026-01-02)', 0, '{}', 1,
+                ST_SetSRID(ST_MakePoint(0, 0), 32632), 'import'
+            from m cross join generate_series(1, 3) returning drive_uuid, map_id
+        )
+        insert into changeset overriding system value
+        select gen_random_uuid(), 5 * row_number() over (order by drive_uuid), map_id, drive_uuid, null,
+            md5(drive_uuid::text) || md5(''), '', '', '0', now(), 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
+        from d"""
+    execute(empty, made)
+    order = "select array_agg(changeset_id::text order by changeset_no) as ids from changeset group by map_id order by map_id"
+    before = execute(empty, order)
+    empty.commit()
+    assert "0005_managed_maps" in migrate(empty)
+    numbers = (
+        "select array_agg(changeset_no order by changeset_no) as numbers from changeset group by map_id order by map_id"
+    )
+    assert [row["numbers"] for row in execute(empty, numbers)] == [[1, 2, 3], [1, 2, 3]]
+    assert execute(empty, order) == before
 
 
 def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty):

@@ -9,10 +9,10 @@ from uuid import UUID
 import numpy as np
 
 from conetl.model.map_records import MapFeature
-from conetl.model.params import LayoutParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, ZoneHistory
 from conetl.workzones.layout_check import allowed_spacing_m, taper_ratio
 from conetl.workzones.linear_reference import locate, stations
+from conetl.workzones.standards import layout_rules
 from tests import records
 
 Fault = Literal["none", "missing", "spacing", "in lane", "short taper"]
@@ -59,7 +59,7 @@ def closure(seed: int, fault: Fault, *, sigma_m: float = 0.1, with_lanes: bool =
     speed_kmh = float(
         rng.choice([50.0, 60.0, 80.0, 100.0] if fault == "short taper" else [30.0, 50.0, 60.0, 80.0, 100.0])
     )
-    rules = LayoutParams()
+    rules = layout_rules()
     taper_m, tangent_m = (limit * rng.uniform(0.7, 0.93) for limit in allowed_spacing_m(speed_kmh, rules))
     length_m = taper_ratio(speed_kmh, rules) * LANE_M * (0.2 if fault == "short taper" else rng.uniform(1.05, 1.3))
     gaps_in_taper = max(int(np.ceil(length_m / taper_m)), 5)

@@ -11,9 +11,12 @@ import sys
 import traceback
 from types import FrameType
 
+import typer
+from typer.exceptions import TyperException
+
 from conetl.cli.app import app
 from conetl.cli.console import complain, err
-from conetl.model.errors import EXIT_BUG, EXIT_INTERRUPTED, ConetlError
+from conetl.model.errors import EXIT_BAD_INPUT, EXIT_BUG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_NEEDS_ATTENTION, ConetlError
 
 __all__ = ["app", "main"]
 
@@ -33,7 +36,7 @@ def main() -> None:
     """Run a command; every error becomes one message and an exit code."""
     signal.signal(signal.SIGINT, _interrupt)
     try:
-        app(standalone_mode=True)
+        code = app(standalone_mode=False)
     except Interrupted:
         err.print(
             "conetl: interrupted. A drive is on the map completely or not at all; run the same command again to continue."
@@ -42,6 +45,15 @@ def main() -> None:
     except ConetlError as error:
         complain(error)
         sys.exit(error.exit_code)
+    except typer.Abort:
+        err.print("conetl: aborted")
+        sys.exit(EXIT_NEEDS_ATTENTION)
+    except TyperException as error:
+        from conetl.cli.usage import usage_text  # pydantic takes time to load
+
+        if error.format_message():  # without one the help was printed
+            complain(usage_text(error))
+        sys.exit(EXIT_BAD_INPUT)
     except Exception as error:
         from conetl.services.prefect_api import unavailable  # here: only now needed
 
@@ -51,3 +63,4 @@ def main() -> None:
         traceback.print_exc()
         err.print("conetl: internal error; please report it with the lines above.")
         sys.exit(EXIT_BUG)
+    sys.exit(code if isinstance(code, int) else EXIT_DONE)

@@ -18,6 +18,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from conetl.cli.console import say, start_logging
+from conetl.cli.examples import epilog_of
 
 #: Heading of the first help page -> name of a command -> its module below `conetl.cli` and function.
 _COMMANDS = {
@@ -49,7 +50,7 @@ _GROUPS = {
         {"held": "drive:held", "accept": "drive:accept"},
     ),
     "map": (
-        "Show, compare, export, import and correct the map.",
+        "Show, compare, export, import, correct and manage maps.",
         {
             "show": "map.show:show",
             "log": "map.show:log",
@@ -57,6 +58,11 @@ _GROUPS = {
             "picture": "map.image:picture",
             "export": "map.exchange:export",
             "import": "map.exchange:import_",
+            "list": "map.manage:list_",
+            "create": "map.manage:create",
+            "rename": "map.manage:rename",
+            "delete": "map.manage:delete",
+            "restore": "map.manage:restore",
             "licence": "map.exchange:licence",
             "qgis": "map.exchange:qgis",
             "check-layout": "map.work_zones:check_layout_command",
@@ -94,6 +100,8 @@ class LazyGroup(TyperGroup):
     """A group of commands whose modules are imported when they run."""
 
     targets: Mapping[str, str] = {name: target for panel in _COMMANDS.values() for name, target in panel.items()}
+    prefix = ""
+    """Before the names of its commands in `EXAMPLES`."""
     listing = False
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -110,9 +118,9 @@ class LazyGroup(TyperGroup):
                 cmd_name, help=text, rich_help_panel=panel if self.targets is LazyGroup.targets else None
             )
         if target:
-            return _load(cmd_name, target)
+            return _load(cmd_name, target, self.prefix)
         group = LazyGroup(name=cmd_name, help=_GROUPS[cmd_name][0], no_args_is_help=True)
-        group.targets = _GROUPS[cmd_name][1]
+        group.targets, group.prefix = _GROUPS[cmd_name][1], f"{cmd_name} "
         return group
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -134,12 +142,13 @@ def _summary(target: str) -> str:
     return inspect.cleandoc(ast.get_docstring(found) or "").partition("\n\n")[0]
 
 
-def _load(name: str, target: str) -> Any:
+def _load(name: str, target: str, prefix: str) -> Any:
     module, function = target.split(":")
     command = getattr(import_module(f"conetl.cli.{module}"), function)
     paragraphs = (inspect.getdoc(command) or "").split("\n\n")
     one = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    one.command(name, help="\n\n".join(" ".join(text.split()) for text in paragraphs))(command)
+    text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+    one.command(name, help=text, epilog=epilog_of(f"{prefix}{name}"))(command)
     return typer.main.get_command(one)
 
 

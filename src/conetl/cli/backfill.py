@@ -14,10 +14,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from conetl.cli.console import (
     Columns,
     JsonOption,
+    MapOption,
     MapSridOption,
     ParamsOption,
     counted,
     err,
+    parse_instant,
     parse_time,
     print_held,
     print_hold_events,
@@ -27,7 +29,7 @@ from conetl.cli.console import (
     say,
     spinner,
 )
-from conetl.cli.database import open_map
+from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
 from conetl.db.run_store import QUIET, pending_changesets
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, EXIT_SERVICE_MISSING
@@ -54,6 +56,7 @@ def backfill(
     here: Annotated[bool, typer.Option("--here", help="Run in this process even if workers are running.")] = False,
     params: ParamsOption = None,
     map_srid: MapSridOption = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Add all drives below a folder that are not on the map yet, one run per drive.
@@ -61,13 +64,13 @@ def backfill(
     Prints the plan first: which drives, why, and how long it will take. After a stop, run it again to continue; failed drives
     are tried again. Exit code 2 if drives failed (the others are on the map), 3 if services were unavailable.
     """
-    settings = read_settings()
+    settings = read_settings(map_name)
     parameters = read_params(params)
     os.environ.update(prefect_environment(settings.home))
     from conetl.pipeline.backfill_plan import plan_as_dict, plan_drives
 
-    begin, end = parse_time(since), parse_time(until)
-    with open_map(settings) as conn, spinner("Planning"):
+    begin, end = parse_time(since), parse_instant(until)
+    with open_maps(settings) as conn, spinner("Planning"):
         plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
         pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
     if not as_json:

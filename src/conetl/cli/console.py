@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 from uuid import UUID
 
 import typer
@@ -20,7 +21,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 from rich.markup import escape
 from rich.measure import Measurement
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
@@ -34,9 +35,14 @@ MapSridOption = Annotated[
     int | None, typer.Option("--map-srid", min=1, help="EPSG code of the map; default: the drive's UTM zone.")
 ]
 
+MapOption = Annotated[
+    str | None, typer.Option("--map", metavar="NAME", help="Name of the map; default: CONETL_MAP_NAME, or `default`.")
+]
+
 #: Heading of a column -> attribute of the record, or function of the record.
 Columns = Mapping[str, str | Callable[[Any], object]]
 _ANY_WIDTH = 100_000
+_DATE = re.compile(r"\d{4}-?\d{2}-?\d{2}")
 out = Console(highlight=False, soft_wrap=True)
 #: Progress and messages go to standard error: standard output is for results.
 err = Console(stderr=True, highlight=False)
@@ -188,16 +194,16 @@ def progress_bar(description: str, unit: str) -> Iterator[Callable[..., None]]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(unit),
+        TextColumn("{task.fields[counts]}"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=err, disable=not err.is_terminal, transient=True, redirect_stdout=False) as bars:
-        task = bars.add_task(description, total=None, visible=False)
+        task = bars.add_task(description, total=None, visible=False, counts="")
 
         def update(done: int, total: int | None, **changed: Any) -> None:
-            bars.update(task, completed=done, total=total, visible=True, **changed)
+            counts = f"{done:,}" if total is None else f"{done:,}/{total:,}"
+            bars.update(task, completed=done, total=total, visible=True, counts=f"{counts} {unit}", **changed)
 
         yield update
 
@@ -217,8 +223,16 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def parse_instant(text: str | None) -> datetime | None:
+    """As `parse_time`, but a date is its whole day: the last microsecond of it."""
+    time = parse_time(text)
+    return (
+        time + timedelta(days=1, microseconds=-1) if time is not None and _DATE.fullmatch(str(text).strip()) else time
+    )
+
+
 def parse_time(text: str | None) -> datetime | None:
-    """ISO 8601 date or time; UTC unless it names a zone. Raises InputError."""
+    """ISO 8601 date or time; UTC unless it names a zone; a date is its first instant. Raises InputError."""
     if text is None:
         return None
     try:
@@ -226,8 +240,3 @@ def parse_time(text: str | None) -> datetime | None:
     except ValueError:
         raise InputError(f"invalid time {text!r}: use for example 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
     return time if time.tzinfo else time.replace(tzinfo=UTC)
-
-
-def no_such_map(name: str) -> NoReturn:
-    """Raise InputError: the database has no map of this name."""
-    raise InputError(f"this database has no map named {name}: ingest a drive or import a map first")

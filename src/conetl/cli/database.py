@@ -15,6 +15,7 @@ from conetl.cli.console import Columns, JsonOption, answer, print_json, print_re
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
+from conetl.db.map.map_store import require_map
 from conetl.db.retention import parse_age, prunable_drives, prune_drives
 from conetl.db.schema import database_status
 from conetl.db.schema import migrate as apply_migrations
@@ -41,10 +42,18 @@ def open_database(settings: Settings) -> Connection:
 
 
 @contextmanager
-def open_map(settings: Settings) -> Iterator[Connection]:
-    """A connection to a database whose schema is up to date."""
+def open_maps(settings: Settings) -> Iterator[Connection]:
+    """A connection to a database whose schema is up to date; the map of the settings may be missing."""
     with closing(open_database(settings)) as conn:
         apply_migrations(conn)
+        yield conn
+
+
+@contextmanager
+def open_map(settings: Settings) -> Iterator[Connection]:
+    """A connection to a database that has the map of the settings. Raises InputError, with the nearest names, if it has not."""
+    with open_maps(settings) as conn:
+        require_map(conn, settings.map_name)
         yield conn
 
 
@@ -163,7 +172,7 @@ def prune(
     report: dict[str, Any] = {"deleted": do_it}
     if keep_positions is not None:
         before = now - timedelta(seconds=parse_age(keep_positions))
-        with open_map(settings) as conn:
+        with open_maps(settings) as conn:
             drives = prunable_drives(conn, before)
             rows = sum(d.detection_count + d.match_count + d.position_count for d in drives)
             if do_it:

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from conetl.cli.console import JsonOption, out, print_json, print_table, say
+from conetl.cli.console import JsonOption, MapOption, out, print_json, print_table, say
 from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
 from conetl.cli.map.base_layers import import_one, print_imported
@@ -44,6 +44,7 @@ _NEXT_STEPS = """\
 
 def demo(
     samples: Annotated[Path, typer.Argument(help="Folder of sample drives, each with a truth.csv.")] = _SAMPLES,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Ingest the sample drives into the map `demo` and compare it with the truth."""
@@ -51,7 +52,7 @@ def demo(
     drives = sorted(path for path in samples.iterdir() if path.is_dir()) if samples.is_dir() else []
     if not drives:
         raise InputError(f"no sample drives in {samples}: run this in a clone of conetl, or give the folder")
-    settings = read_settings().model_copy(update={"map_name": "demo"})
+    settings = read_settings(map_name or "demo")
     if not as_json:
         out.print(f"Ingesting {len(drives)} sample drives, one after the other.\n")
     reports, exit_code = ingest_drives(

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli.console import JsonOption, print_held, print_json, say
+from conetl.cli.console import JsonOption, MapOption, print_held, print_json, say
 from conetl.cli.database import open_map
 from conetl.cli.map.decisions import By, Note, finish, who_decides
 from conetl.db.map.hold_store import held_drives
@@ -14,9 +14,9 @@ from conetl.db.map.map_store import list_changesets
 from conetl.pipeline.settings import read_settings
 
 
-def held(as_json: JsonOption = False) -> None:
+def held(map_name: MapOption = None, as_json: JsonOption = False) -> None:
     """List the drives on hold, and why."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         found = held_drives(conn, map_name=settings.map_name)
         known = {one.changeset_id: one for one in list_changesets(conn, map_name=settings.map_name)}
@@ -32,12 +32,13 @@ def accept(
     drive: Annotated[str, typer.Argument(help="Drive on hold: its id, or the number of its changeset.")],
     note: Note = "",
     by: By = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Let a drive on hold count as it is: it is compared with the map, and so are later drives over the same roads."""
     from conetl.pipeline.maps.decisions import accept_drive
 
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         decided = accept_drive(conn, drive, map_name=settings.map_name, note=note, decided_by=who_decides(by))
         finish(conn, decided, settings, as_json)

@@ -15,6 +15,7 @@ import typer
 from conetl.cli.console import (
     Columns,
     JsonOption,
+    MapOption,
     MapSridOption,
     ParamsOption,
     complain,
@@ -54,6 +55,7 @@ def ingest(
     self_calibrate: Annotated[
         bool, typer.Option(help="Correct the calibration if the images of the drive contradict it; requires --refine.")
     ] = True,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Detect the cones of stereo drives and merge them into the map, one changeset per drive.
@@ -62,7 +64,7 @@ def ingest(
     """
     reports, exit_code = ingest_drives(
         drives,
-        read_settings(),
+        read_settings(map_name),
         _with_refinement(read_params(params), refine=refine, self_calibrate=self_calibrate),
         map_srid=map_srid,
         show=(lambda _: None) if as_json else print_report,
@@ -83,6 +85,11 @@ def ingest_drives(
     """Ingest drives one after the other; their reports, and the worst exit code."""
     drives = [as_path(drive) for drive in drives]
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
+    if missing and len(missing) == len(drives) and drives[0].is_file():
+        raise InputError(
+            f"{drives[0]}: is a file, not a drive: put the videos, the GNSS/INS log and the calibration into one folder, and run "
+            "`conetl init FOLDER`"
+        )
     if len(missing) == len(drives):  # before any service is started
         raise InputError(f"no such drive folder: {', '.join(missing)}; check the path")
     headers = [read_header(drive) for drive in drives]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, answer, parse_time, print_held, print_hold_events
+from conetl.cli.console import JsonOption, MapOption, answer, parse_instant, parse_time, print_held, print_hold_events
 from conetl.cli.database import open_map
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.settings import read_settings
@@ -20,12 +20,13 @@ def drive(
     output: Annotated[
         Path | None, typer.Option("--out", help="HTML file; default: exports/reports/<map>/<drive>.html.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Report one drive: counts, changes with images, residuals, rejected records, times, versions and hashes."""
     from conetl.reports.drive_page import write_drive_page  # matplotlib takes half a second to load
 
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         changeset = find_drive(conn, name, map_name=settings.map_name)
         path = output or settings.drive_report_path(changeset.drive_id, changeset.changeset_no)
@@ -42,6 +43,7 @@ def night(
     output: Annotated[
         Path | None, typer.Option("--out", help="HTML file; default: exports/reports/<map>/night-<until>.html.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Report all drives processed in a period: committed, on hold, failed and why, changes, worst drives, size of the map.
@@ -50,7 +52,7 @@ def night(
     """
     from conetl.reports.night_page import write_night_page
 
-    settings = read_settings()
+    settings = read_settings(map_name)
     begin, end = _period(day, since, until)
     path = output or settings.reports_folder / f"night-{end:%Y%m%dT%H%M%SZ}.html"
     with open_map(settings) as conn:
@@ -81,5 +83,5 @@ def _period(day: str | None, since: str | None, until: str | None) -> tuple[date
                 return begin, begin + timedelta(days=1)
             except OverflowError:
                 raise InputError(f"invalid time {day!r}: the calendar ends here") from None
-    end = parse_time(until) or datetime.now(UTC)
+    end = parse_instant(until) or datetime.now(UTC)
     return parse_time(since) or end - timedelta(days=1), end

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, answer, counted, print_json, print_table, say, spinner
+from conetl.cli.console import JsonOption, MapOption, answer, counted, print_json, print_table, say, spinner
 from conetl.cli.view import login_address, view_token
 from conetl.db.cluster.cluster import cluster_down, cluster_status
 from conetl.db.connection import connect, sqlalchemy_url
@@ -65,6 +65,7 @@ def up(
     group: Annotated[
         str | None, typer.Option(help="Let this group of the operating system read results, reports and exports.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Start all services: PostGIS, Prefect, workers, scheduled deployments and the web view.
@@ -72,7 +73,7 @@ def up(
     Services that are running are left alone, missing ones are started, crashed runs are resumed. `conetl down` stops them; maps,
     schedules and the history of runs are kept.
     """
-    settings = read_settings()
+    settings = read_settings(map_name)
     home = settings.home.resolve()
     if group:
         share_home(home, group)
@@ -272,6 +273,7 @@ def _environment(settings: Settings, home: Path, api: str, login: str, view: str
         "PREFECT_API_URL": api,
         "PREFECT_API_AUTH_STRING": login,
         "CONETL_HOME": str(home),
+        "CONETL_MAP_NAME": settings.map_name,
         "CONETL_VIEW_URL": settings.view_url or view,
         "CONETL_DROP_FOLDER": str(settings.inbox.resolve()),
         "CONETL_WORKERS": os.environ.get("CONETL_WORKERS", str(max(1, settings.workers // workers))),

@@ -11,8 +11,9 @@ import typer
 import uvicorn
 from pydantic import SecretStr
 
-from conetl.cli.console import JsonOption, answer, err
+from conetl.cli.console import JsonOption, MapOption, answer, err
 from conetl.db.connection import connect
+from conetl.db.map.map_store import require_map
 from conetl.db.schema import migrate_once
 from conetl.files.home import VIEW_TOKEN, WRITER_TOKEN, checked_secret, make_secret, read_secret
 from conetl.model.errors import InputError
@@ -32,7 +33,7 @@ _MAX_CONNECTIONS = 256
 
 def view(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port on 127.0.0.1.")] = 8791,
-    map_name: Annotated[str | None, typer.Option("--map", help="Map to show first; default: CONETL_MAP_NAME.")] = None,
+    map_name: MapOption = None,
     decisions: Annotated[
         bool,
         typer.Option(
@@ -69,7 +70,7 @@ def view(
     as_json: JsonOption = False,
 ) -> None:
     """Show the map in a browser: before and after every drive, live, with the images of each cone."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     tiles = base_map(basemap, basemap_attribution, basemap_zoom) if basemap else None
     if not (STATIC / "index.html").is_file():
         raise InputError(f"the front end is missing in {STATIC}: build it with `make web`, or install conetl again")
@@ -77,13 +78,15 @@ def view(
     url = database_url(settings)
     with closing(connect(url)) as conn:
         migrate_once(conn)
+        if map_name is not None:  # without --map the first drive may come later
+            require_map(conn, map_name)
     writer = decision_writer(settings, url, on_request=decisions, token_file=writer_token_file)
     token = view_token(settings.home) if login else None
     address = f"http://127.0.0.1:{port}/"
     with closing(_listen(port)) as listener:
         server: uvicorn.Server | None = None
         app = create_app(
-            url, map_name or settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
+            url, settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
             reader_token=token, whole_images=settings.images == "full", gazetteer=places, base_map=tiles,
         )  # fmt: skip
         config = uvicorn.Config(
@@ -92,7 +95,7 @@ def view(
         )  # fmt: skip
         server = uvicorn.Server(config)
         address = login_address(address, token)
-        facts = {"url": address, "map": map_name or settings.map_name, "decisions": writer is not None}
+        facts = {"url": address, "map": settings.map_name, "decisions": writer is not None}
         answer(as_json, facts, f"Map: {address} (this machine only; press Ctrl-C to stop)")
         server.run(sockets=[listener])
 

@@ -13,6 +13,7 @@ import typer
 from conetl.cli.console import (
     Columns,
     JsonOption,
+    MapOption,
     ParamsOption,
     counted,
     err,
@@ -21,7 +22,7 @@ from conetl.cli.console import (
     print_table,
     say,
 )
-from conetl.cli.database import open_map
+from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
 from conetl.db.live_store import read_provisional
 from conetl.model.errors import DriveFolderError
@@ -54,6 +55,7 @@ def watch(
         bool, typer.Option("--poll", help="Poll the file system: for NFS and SMB, which do not report changes.")
     ] = False,
     params: ParamsOption = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the cones of a drive as provisional features while it is recorded, until its folder contains COMPLETE.
@@ -62,7 +64,7 @@ def watch(
     """
     from conetl.pipeline.watch import watch_drive
 
-    settings, stop = read_settings(), threading.Event()
+    settings, stop = read_settings(map_name), threading.Event()
     before = signal.signal(signal.SIGINT, lambda *_: stop.set())
     try:
         report = watch_drive(
@@ -110,7 +112,7 @@ _PROVISIONAL: Columns = {
 
 def show_provisional(settings: Settings, *, as_json: bool) -> None:
     """The provisional features of a map (`conetl map show --provisional`)."""
-    with open_map(settings) as conn:
+    with open_maps(settings) as conn:
         found = read_provisional(conn, map_name=settings.map_name)
     if as_json:
         print_json({"map": settings.map_name, "provisional_features": found})

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from io import BufferedReader, BytesIO
-from typing import Any, TypeAlias
+from typing import IO, Any, TypeAlias
 from urllib.parse import quote, urlencode
 from weakref import WeakKeyDictionary
 
@@ -20,7 +20,7 @@ import psycopg2.extras
 from conetl.db.copy_binary import Column, encode
 from conetl.db.lock_watch import LockWatch
 from conetl.db.statements import load_sql
-from conetl.model.errors import DatabaseError
+from conetl.model.errors import DatabaseError, InputError
 
 Connection: TypeAlias = psycopg2.extensions.connection
 
@@ -199,6 +199,25 @@ def copied_csv(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> Ite
             error = received.exception()
         if error is not None:
             raise error
+
+
+def copy_out(conn: Connection, sql: str, parameters: Mapping[str, Any], sink: IO[bytes]) -> int:
+    """Write the rows of a query (without its final semicolon) in COPY's text format; their number."""
+    with conn.cursor() as cursor:
+        query = cursor.mogrify(sql, parameters).decode()
+        cursor.copy_expert(f"copy ({query}) to stdout", sink, COPY_CHUNK_BYTES)
+        return int(cursor.rowcount)
+
+
+def copy_in(conn: Connection, table_and_columns: str, source: IO[bytes], name: str) -> None:
+    """Load rows in COPY's text format, inside the open transaction. Raises InputError, with the name, if they do not fit."""
+    try:
+        with conn.cursor() as cursor:
+            cursor.copy_expert(f"copy {table_and_columns} from stdin", source, COPY_CHUNK_BYTES)
+    except (psycopg2.IntegrityError, psycopg2.DataError) as error:
+        raise InputError(
+            f"{name}: does not fit into this database ({_first_line(error)}); nothing was written"
+        ) from error
 
 
 def address(conn: Connection) -> dict[str, str]:

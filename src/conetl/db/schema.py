@@ -83,6 +83,11 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     return done
 
 
+def applied_migrations(conn: Connection) -> list[str]:
+    """Names of the migrations of this database, oldest first."""
+    return sorted(_applied(conn))
+
+
 def database_status(conn: Connection) -> DatabaseStatus:
     """What the database holds; changes nothing."""
     with transaction(conn, "The state of the database cannot be read"):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.optimize import linear_sum_assignment
 
+from conetl.files.documents import first_message
 from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from conetl.model.records import Positive, Record, Track, Vec3
@@ -62,8 +63,7 @@ def read_truth(path: Path) -> list[TruthRow]:
         try:
             truth.append(TruthRow.model_validate(row))
         except ValidationError as error:
-            first = error.errors()[0]
-            raise InputError(f"truth {path}, line {number}, {first['loc'][0]}: {first['msg']}") from error
+            raise InputError(f"truth {path}, line {number}, {first_message(error)}") from error
     return truth
 
 

@@ -15,6 +15,7 @@ from conetl.exports import FORMATS, Format, writer_of
 from conetl.exports.source import ExportRequest, Source, What, open_source
 from conetl.exports.text_files import iso_utc
 from conetl.files.atomic import atomic_files
+from conetl.geometry.heights import system_name
 from conetl.model.errors import InputError
 
 MANIFEST_VERSION = 1
@@ -66,9 +67,10 @@ def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows
         "last_committed_at": _text(source.info.last_committed_at),
         "changesets": facts["changeset_count"],
         "exported_at": iso_utc(datetime.now(UTC)),
-        "crs": _WGS84 if chosen.geographic else f"EPSG:{source.info.srid}",
+        "crs": _WGS84 if chosen.geographic else source.crs_text,
         "map_crs": f"EPSG:{source.info.srid}",
-        "heights": "ellipsoidal, metres",
+        "heights": "ellipsoidal, metres" if source.epsg[1] is None else f"{system_name(source.epsg[1])}, metres",
+        "height_system": system_name(source.epsg[1]),
         "columns": source.property_names,
         "code_version": version("conetl"),
         "schema_version": facts["schema_version"],

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from datetime import datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+from uuid import UUID
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +16,15 @@ from pyproj import Transformer
 
 from conetl.db.connection import Connection
 from conetl.exports.source import ExportRequest, Source, What, open_source
-from conetl.exports.text_files import rows_of
+from conetl.exports.text_files import iso_utc, rows_of
 from conetl.files.atomic import atomic_files, atomic_text_file
+from conetl.geometry.heights import ELLIPSOIDAL
 from conetl.model.map_records import DeltaKind, FeatureChange
 from conetl.model.work_zone_records import Finding
 
 LON_LAT_DECIMALS = 9  # 0.1 mm
 HEIGHT_DECIMALS = 4
+_SIGMAS = {"sigma_e_m": 0, "sigma_n_m": 3, "sigma_u_m": 5}
 Object = dict[str, Any]
 
 
@@ -57,10 +61,25 @@ def write_features(source: Source, path: Path) -> int:
     return count
 
 
-def export_diff_geojson(changes: Sequence[FeatureChange], path: Path, *, srid: int) -> int:
-    """Write the difference of two maps: a point per changed feature, a line where it moved; the number of features."""
+class ChangeOrigin(NamedTuple):
+    """When a feature changed on the road, and by which drive."""
+
+    changed_at: datetime
+    drive_id: str
+    changeset_no: int
+
+
+def export_diff_geojson(
+    changes: Sequence[FeatureChange], path: Path, *, srid: int, origins: Mapping[UUID, ChangeOrigin] | None = None
+) -> int:
+    """Write the difference of two maps: a point per changed feature, a line where it moved; the number of features.
+
+    origins: by feature id; without one the time and the drive are null.
+    """
     features = []
     for change in changes:
+        last, origin = change.new or change.old, (origins or {}).get(change.feature_id)
+        assert last is not None
         sides = coordinates([side.xyz_m for side in (change.old, change.new) if side is not None], srid)
         features.append(
             {
@@ -73,6 +92,15 @@ def export_diff_geojson(changes: Sequence[FeatureChange], path: Path, *, srid: i
                     "shift_m": change.shift_m,
                     "old_version": change.old.version if change.old else None,
                     "new_version": change.new.version if change.new else None,
+                    "changed_at": iso_utc(origin.changed_at) if origin else None,
+                    "drive_id": origin.drive_id if origin else None,
+                    "changeset_no": origin.changeset_no if origin else None,
+                    "existence_probability": round(last.existence_probability, 6),
+                    "observation_count": last.observation_count,
+                    "object_height_m": round(last.cone_height_m, 4),
+                    "ground_height_m": round(last.xyz_m[2], 4),
+                    "height_system": ELLIPSOIDAL,
+                    **{name: round(last.cov_m2[i] ** 0.5, 4) for name, i in _SIGMAS.items()},
                 },
             }
         )

@@ -15,9 +15,10 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from pyproj import CRS
 
-from conetl.db.connection import Connection, address, database_errors, execute
+from conetl.db.connection import Connection, address, database_errors, execute, query_columns
 from conetl.db.map.map_store import require_map
 from conetl.db.statements import load_sql
+from conetl.exports.fields import FIELDS
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.files.atomic import atomic_files
 from conetl.model.errors import InputError
@@ -79,8 +80,12 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
         layers=[
             {"shown": False, "circles": False, "temporal": False, **layer}
             | {"source": _source(server, map_name, info.srid, str(layer["query"]))}
+            | {"fields": _fields(conn, map_name, str(layer["query"]))}
             for layer in _LAYERS
         ],
+        aliases={
+            name: f"{field.alias} [{field.unit}]" if field.unit else field.alias for name, field in FIELDS.items()
+        },
         markers={str(kind): _marker(kind) for kind in _KINDS},
         circle=_CIRCLE_OPTIONS,
         circle_diameter=f'{2 * _CIRCLE} * "sigma_m"',
@@ -94,6 +99,13 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
             return
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(f"{path.stem}.qgs", text)
+
+
+def _fields(conn: Connection, map_name: str, query: str) -> list[str]:
+    """Names of the fields of a layer, in their order."""
+    with database_errors(f"The map {map_name} cannot be read"):
+        columns = query_columns(conn, load_sql(f"exports.{query}").rstrip("; \n"), {"map_name": map_name})
+    return [name for name, _ in columns if name != "geom"]
 
 
 def _source(server: dict[str, str], map_name: str, srid: int, query: str) -> str:

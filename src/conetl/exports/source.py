@@ -21,6 +21,7 @@ from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.db.statements import load_sql
 from conetl.exports import Order
+from conetl.geometry.heights import compound_crs, system_name, to_crs, turns
 from conetl.model.errors import InputError
 from conetl.model.params import ReconcileParams
 
@@ -28,6 +29,13 @@ Floats = NDArray[np.float64]
 #: Rows in memory at a time, and rows of a GeoParquet row group.
 BATCH_ROWS = 50_000
 _CSV_BLOCK_BYTES = 8 << 20
+#: Columns that follow from others: their type, and the column of the query without which they do not exist.
+_DERIVED = {
+    "object_height_m": (pa.float64(), "height_m"),
+    "ground_height_m": (pa.float64(), "ellipsoidal_height_m"),
+    "height_system": (pa.string(), "ellipsoidal_height_m"),
+    "old_ground_height_m": (pa.float64(), "old_height_m"),
+}
 POSITION_NAMES = ("easting_m", "northing_m", "ellipsoidal_height_m")
 #: Columns of the history, left out where neither history nor changes are exported.
 _HISTORY_NAMES = ("change", "shift_m", "present", "suppressed", "system_from", "system_to")
@@ -46,7 +54,7 @@ class What(StrEnum):
     HISTORY = "history"
     """Every version that the database ever held; with `believed_at` only those that it held then."""
     CHANGES = "changes"
-    """The difference between the road at `since` and at `until`, both in the database state of `believed_at`."""
+    """The difference between the road at `since` (None: the beginning) and at `until`, both as known at `believed_at`."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,8 @@ class ExportRequest:
     until: datetime | None = None
     box_m: tuple[float, float, float, float] | None = None
     """West, south, east, north in the map's CRS; None: everywhere."""
+    crs: tuple[int, int | None] | None = None
+    """EPSG codes of the plane and of the height system (None: ellipsoidal) of the positions; None: those of the map."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +88,10 @@ class Source:
         with database_errors(f"The map {self.request.map_name} cannot be read"):
             columns = query_columns(self.conn, self._sql, self._parameters)
         shown = [(name, _ARROW_TYPES[oid]) for name, oid in columns if self._has_change or name not in _HISTORY_NAMES]
-        return pa.schema(shown)
+        names = [name for name, _ in shown]
+        derived = [(name, kind) for name, (kind, origin) in _DERIVED.items() if origin in names]
+        at = len(shown) - len(POSITION_NAMES)
+        return pa.schema([*shown[:at], *derived, *shown[at:]])
 
     @cached_property
     def property_names(self) -> list[str]:
@@ -86,9 +99,19 @@ class Source:
         return [name for name in self.schema.names if name not in POSITION_NAMES]
 
     @property
+    def epsg(self) -> tuple[int, int | None]:
+        """EPSG codes of the plane of easting and northing, and of the height system (None: ellipsoidal)."""
+        return self.request.crs or (self.info.srid, self.info.vertical_srid)
+
+    @property
     def crs(self) -> CRS:
-        """The map's CRS; easting, northing."""
-        return CRS.from_epsg(self.info.srid)
+        """The CRS of easting, northing and, where that is not ellipsoidal, ground height."""
+        return compound_crs(*self.epsg)
+
+    @property
+    def crs_text(self) -> str:
+        """`EPSG:25832`, or `EPSG:25832+7837`."""
+        return f"EPSG:{'+'.join(str(code) for code in self.epsg if code)}"
 
     def lon_lat_deg(self, batch: pa.RecordBatch) -> tuple[Floats, Floats]:
         """WGS 84 longitudes and latitudes (n,) of a batch."""
@@ -99,7 +122,7 @@ class Source:
     @cached_property
     def to_wgs84(self) -> Transformer:
         """From easting, northing to longitude, latitude."""
-        return Transformer.from_crs(self.crs, 4326, always_xy=True)
+        return Transformer.from_crs(self.epsg[0], 4326, always_xy=True)
 
     @cached_property
     def batches(self) -> Generator[pa.RecordBatch]:
@@ -107,9 +130,10 @@ class Source:
         return self._read()
 
     def _read(self) -> Generator[pa.RecordBatch]:
-        names = self.schema.names
+        names = [name for name in self.schema.names if name not in _DERIVED]
+        columns = pa.schema([self.schema.field(name) for name in names])
         values = csv.ConvertOptions(
-            column_types=self.schema, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False,
+            column_types=columns, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False,
             true_values=["t"], false_values=["f"],
         )  # fmt: skip
         with (
@@ -119,14 +143,39 @@ class Source:
             if not rows.peek(1):
                 return
             options = csv.ReadOptions(column_names=names, block_size=_CSV_BLOCK_BYTES)
-            rest = self.schema.empty_table()
+            rest = columns.empty_table()
             with csv.open_csv(rows, options, convert_options=values) as blocks:
                 for block in blocks:
                     rest = pa.concat_tables([rest, pa.Table.from_batches([block])])
                     while len(rest) >= BATCH_ROWS:
-                        yield rest.slice(0, BATCH_ROWS).combine_chunks().to_batches()[0]
+                        yield self._derived(rest.slice(0, BATCH_ROWS).combine_chunks().to_batches()[0])
                         rest = rest.slice(BATCH_ROWS)
-            yield from rest.combine_chunks().to_batches()
+            yield from map(self._derived, rest.combine_chunks().to_batches())
+
+    def _derived(self, batch: pa.RecordBatch) -> pa.RecordBatch:
+        """The rows with positions and sigmas in `crs`, and the columns that follow from others."""
+        columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+        ground_m = _floats(columns["ellipsoidal_height_m"])
+        old_ground_m = _floats(columns["old_height_m"]) if "old_height_m" in columns else None
+        if self.epsg != (self.info.srid, None):
+            xyz_m = _floats(*(columns[name] for name in POSITION_NAMES))
+            columns |= _turned(columns, turns(xyz_m, self.info.srid, self.epsg[0]))
+            done_m = to_crs(xyz_m, self.info.srid, *self.epsg)
+            columns |= {name: pa.array(done_m[:, axis]) for axis, name in enumerate(POSITION_NAMES[:2])}
+            ground_m = done_m[:, 2]
+            if old_ground_m is not None:
+                old_m = _floats(columns["old_easting_m"], columns["old_northing_m"], columns["old_height_m"])
+                known = np.isfinite(old_m[:, 0])
+                old_m[known] = to_crs(old_m[known], self.info.srid, *self.epsg)
+                names = ("old_easting_m", "old_northing_m", "old_height_m")
+                columns |= {name: pa.array(old_m[:, axis], from_pandas=True) for axis, name in enumerate(names)}
+                old_ground_m = old_m[:, 2]
+        columns["object_height_m"] = columns["height_m"]
+        columns["ground_height_m"] = pa.array(ground_m)
+        columns["height_system"] = pa.repeat(system_name(self.epsg[1]), len(batch))
+        if old_ground_m is not None:
+            columns["old_ground_height_m"] = pa.array(old_ground_m, from_pandas=True)
+        return pa.record_batch([columns[name] for name in self.schema.names], schema=self.schema)
 
     @property
     def _sql(self) -> str:
@@ -150,7 +199,7 @@ class Source:
             "every_version": request.what is What.HISTORY,
             "valid_at": _instant(request.as_of),
             "known_at": None if every_state else _instant(request.believed_at),
-            "from_valid_at": _instant(request.since),
+            "from_valid_at": "-infinity" if request.since is None else request.since.isoformat(),
             "to_valid_at": _instant(request.until),
             "moved_from_m": ReconcileParams().min_gate_m,
             "with_change": self._has_change,
@@ -159,6 +208,25 @@ class Source:
             "spatial_order": self.order is Order.SPATIAL,
             "time_order": self.order is Order.BY_TIME,
         }
+
+
+def _floats(*columns: pa.Array) -> Floats:
+    """One column (n,), or several as (n, k); NaN for null."""
+    values = [column.to_numpy(zero_copy_only=False).astype(np.float64) for column in columns]
+    return values[0] if len(values) == 1 else np.stack(values, axis=1)
+
+
+def _turned(columns: dict[str, pa.Array], turn: Floats) -> dict[str, pa.Array]:
+    """Sigmas and covariances of axes that `turn` (n, 2, 2) turns; the vertical one stays."""
+    sigma_e, sigma_n, cov = (_floats(columns[name]) for name in ("sigma_e_m", "sigma_n_m", "cov_en_m2"))
+    flat = np.stack([np.stack([sigma_e**2, cov], -1), np.stack([cov, sigma_n**2], -1)], -2)
+    flat = turn @ flat @ turn.transpose(0, 2, 1)
+    upward = turn @ _floats(columns["cov_eu_m2"], columns["cov_nu_m2"])[:, :, None]
+    done = {
+        "sigma_e_m": np.sqrt(flat[:, 0, 0]), "sigma_n_m": np.sqrt(flat[:, 1, 1]), "cov_en_m2": flat[:, 0, 1],
+        "cov_eu_m2": upward[:, 0, 0], "cov_nu_m2": upward[:, 1, 0],
+    }  # fmt: skip
+    return {name: pa.array(values) for name, values in done.items()}
 
 
 @contextmanager
@@ -175,9 +243,7 @@ def _check(request: ExportRequest) -> None:
         if instant is not None and instant.tzinfo is None:
             raise ValueError(f"{instant} has no time zone: UTC or another one must be stated")
     if request.what is What.CHANGES:
-        if request.since is None:
-            raise InputError("an export of changes requires --from, the time since when")
-        if request.until is not None and request.until < request.since:
+        if None not in (request.until, request.since) and request.until < request.since:  # type: ignore[operator]
             raise InputError(f"changes from {request.since} to {request.until}: --to is earlier than --from")
     elif request.since is not None or request.until is not None:
         raise InputError("--from and --to require an export of changes (--what changes)")

@@ -24,8 +24,11 @@ _MILLISECONDS = pa.timestamp("ms", tz="UTC")
 _SIDES = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 _BBOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES])
 #: Columns of few different values. Parquet would also try a dictionary for the others, and drop it each time.
-_REPEATED = ("version", "category", "height_m", "observation_count", "valid_from", "valid_to", "changeset_id", "seen_count",
-    "missed_count", "height_sigma_m", "change", "present", "suppressed", "system_from", "system_to", "old_version")  # fmt: skip
+_REPEATED = (
+    "version", "category", "height_m", "object_height_m", "height_system", "observation_count", "valid_from", "valid_to",
+    "changeset_id", "seen_count", "missed_count", "height_sigma_m", "change", "present", "suppressed", "system_from", "system_to",
+    "old_version",
+)  # fmt: skip
 
 
 def write_geoparquet(source: Source, path: Path) -> int:
@@ -104,7 +107,7 @@ def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
     try:
         pyogrio.write_arrow(
             pa.RecordBatchReader.from_batches(schema, batches()), path, layer=source.request.map_name, driver=driver,
-            geometry_name=GEOMETRY, geometry_type="Point Z", crs=f"EPSG:{source.info.srid}",
+            geometry_name=GEOMETRY, geometry_type="Point Z", crs=source.crs_text,
         )  # fmt: skip
     except (DataSourceError, DataLayerError, FieldError, pa.ArrowException, RuntimeError) as error:
         if failure:
@@ -118,11 +121,11 @@ def _property_schema(source: Source) -> pa.Schema:
 
 
 def _positions_of(source: Source) -> Iterator[tuple[pa.RecordBatch, NDArray[np.float64]]]:
-    """Batches of the properties alone, each with its positions (n, 3) in the map's CRS."""
+    """Batches of the properties alone, each with its positions (n, 3) in the CRS of the source."""
     for batch in source.batches:
         yield (
             batch.select(source.property_names),
-            np.stack([np.asarray(batch.column(n)) for n in POSITION_NAMES], axis=1),
+            np.stack([np.asarray(batch.column(n)) for n in (*POSITION_NAMES[:2], "ground_height_m")], axis=1),
         )
 
 

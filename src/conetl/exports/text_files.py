@@ -19,11 +19,12 @@ from conetl.exports.source import POSITION_NAMES, Source, What
 PROPERTY_NAMES = (
     "feature_id", "version", "category", "existence_probability", "height_m", "sigma_e_m", "sigma_n_m", "sigma_u_m",
     "first_seen_at", "last_seen_at", "observation_count", "valid_from", "valid_to", "changeset_id", "seen_count", "missed_count",
+    "object_height_m", "ground_height_m", "height_system",
 )  # fmt: skip
 #: Additional properties of histories and changes.
 _CHANGE_NAMES = (
     "change", "shift_m", "present", "suppressed", "system_from", "system_to",
-    "old_version", "old_easting_m", "old_northing_m", "old_height_m",
+    "old_version", "old_easting_m", "old_northing_m", "old_height_m", "old_ground_height_m",
 )  # fmt: skip
 _CSV_POSITION = ("lon_deg", "lat_deg", "ellipsoidal_height_m", "easting_m", "northing_m")
 
@@ -38,7 +39,8 @@ class ExportRow:
     northing_m: float
     ellipsoidal_height_m: float
     properties: dict[str, Any]
-    """`names_of(source)`; `height_m` is the cone's own height, times are ISO 8601 UTC, `valid_to` is None while open."""
+    """`names_of(source)`; `height_m` and `object_height_m` are the cone's own height, `ground_height_m` is in `height_system`.
+    Times are ISO 8601 UTC, `valid_to` is None while open."""
 
 
 def names_of(source: Source) -> list[str]:

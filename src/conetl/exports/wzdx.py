@@ -36,16 +36,6 @@ _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/data_source")
 _GEOD = Geod(ellps="WGS84")
 _QUARTERS = ("northbound", "eastbound", "southbound", "westbound")
 _SCHEMAS = Path(__file__).with_name("wzdx_schemas")
-_EXAMPLE = """
-publisher: City of Karlsruhe, road office
-road_names: [L 605]
-contact_email: roads@example.org   # this and all that follows is optional
-contact_name: Road office
-license: cc0                       # the only licence in WZDx
-update_frequency_s: 86400
-organization_name: Survey Ltd      # owner of the data; default: the publisher
-data_source_id: survey-2026        # default: made from publisher and map
-direction: northbound              # default: from the heading of the drives"""
 _formats = FormatChecker(formats=("email",))
 Object = dict[str, Any]
 
@@ -74,12 +64,13 @@ class FeedInfo(BaseModel):
 def read_feed_info(path: Path | None, **flags: Any) -> FeedInfo:
     """The values of a YAML file, overridden by flags that are not empty. Raises InputError naming what is missing or wrong."""
     name = "the feed's description" if path is None else f"feed {path}"
-    values = {} if path is None else read_yaml_mapping(path, "feed", _EXAMPLE)
+    values = {} if path is None else read_yaml_mapping(path, "feed", " publisher: Road office")
     values |= {key: value for key, value in flags.items() if value}
     missing = [key for key in ("publisher", "road_names") if not values.get(key)]
     if missing:
         raise InputError(
-            f"{name}: WZDx requires {' and '.join(missing)}: use --publisher and --road-name, or a file for --feed:{_EXAMPLE}"
+            f"{name}: WZDx requires {' and '.join(missing)}: use --publisher and --road-name, or a YAML file with --feed "
+            "(its keys are in docs/how-to/work_zones.md)"
         )
     return validated(values, FeedInfo, name)
 
@@ -95,6 +86,8 @@ class FeedContext:
     """The instant that the feed describes."""
     made_at: datetime
     params: WorkZoneParams
+    surveyed_at: datetime | None = None
+    """When the last cone was seen, of all on the map; None: not known."""
 
     @property
     def data_source_id(self) -> str:
@@ -140,6 +133,8 @@ def _feed_info(context: FeedContext) -> Object:
     }
     organization = info.organization_name or info.publisher
     source = {"data_source_id": context.data_source_id, "organization_name": organization, **shared}
+    if context.surveyed_at is not None:
+        source["update_date"] = _iso(context.surveyed_at)
     licence = _CC0 if info.license else None
     head = {
         "publisher": info.publisher,
@@ -155,7 +150,12 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
     history, params = zone.history, context.params
     line = coordinates(zone.line_m, context.srid)
     ended = history.end_ns is not None
+    surveyed = utc_from_ns(max(cone.last_seen_ns for cone in zone.layout.cones))
+    stale = not ended and context.at - surveyed > timedelta(days=params.max_age_days)
+    # Of a zone that was surveyed in time no longer than that survey counts.
     assumed_end = context.at + timedelta(hours=params.assumed_duration_h)
+    if not stale:
+        assumed_end = max(min(assumed_end, surveyed + timedelta(days=params.max_age_days)), context.at)
     end = assumed_end if history.end_ns is None else utc_from_ns(history.end_ns)
     related = [{"type": "related-work-zone", "id": str(history.merged_into)}] if history.merged_into in ids else None
     core = {
@@ -164,7 +164,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "related_road_events": related,
         "road_names": list(context.info.road_names),
         "direction": _direction(zone, context),
-        "description": _description(zone),
+        "description": _description(zone, surveyed, params.max_age_days if stale else None),
         "creation_date": _iso(utc_from_ns(history.start_ns)),
         "update_date": _iso(utc_from_ns(zone.updated_ns)),
     }
@@ -175,11 +175,11 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "end_date": _iso(end),
         "is_start_date_verified": True,
         "is_end_date_verified": ended and history.merged_into is None,
-        "is_start_position_verified": known and _is_verified(zone.first, params),
-        "is_end_position_verified": known and _is_verified(zone.last, params),
+        "is_start_position_verified": known and not stale and _is_verified(zone.first, params),
+        "is_end_position_verified": known and not stale and _is_verified(zone.last, params),
         "work_zone_type": "static",
-        "event_status": "completed" if ended else "active",
-        "vehicle_impact": str(zone.impact),
+        "event_status": "completed" if ended else "planned" if stale else "active",
+        "vehicle_impact": "unknown" if stale else str(zone.impact),
         "location_method": "channel-device-method",
     }
     return {
@@ -188,7 +188,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "properties": properties,
         "geometry": {"type": "LineString", "coordinates": line},
         "bbox": _bbox(line),
-        "conetl": _evidence(zone),
+        "conetl": {"last_surveyed_at": _iso(surveyed), "stale": stale, **_evidence(zone)},
     }
 
 
@@ -212,14 +212,17 @@ def _evidence(zone: WorkZone) -> Object:
     }
 
 
-def _description(zone: WorkZone) -> str:
+def _description(zone: WorkZone, surveyed: datetime, max_age_days: float | None) -> str:
+    """max_age_days: of a zone that was surveyed longer ago; else None."""
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
-    state = f"{count} cones over {length:.0f} m, surveyed by vehicle"
+    state = f"{count} cones over {length:.0f} m, last surveyed by vehicle at {_iso(surveyed)}"
     if zone.history.merged_into is not None:
         return f"{state}; now part of work zone {zone.history.merged_into}."
     if zone.history.end_ns is not None:
         return f"{state}; the last cone is gone."
+    if max_age_days is not None:
+        return f"{state}, more than {max_age_days:g} days ago: whether the work zone still stands is not known."
     return f"{state}; the end date is an assumption, the work zone stood when it was last surveyed."
 
 
@@ -237,7 +240,8 @@ def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedConte
         "has_automatic_location": False,
         "road_direction": _direction(zone, context) if zone is not None else None,
         "road_names": list(context.info.road_names),
-        "description": f"Traffic cone, {cone.cone_height_m:.2f} m high, located by survey drives; sigma {_sigma_m(cone):.2f} m.",
+        "description": f"Traffic cone, {cone.cone_height_m:.2f} m high, located by survey drives; sigma "
+        f"{_sigma_m(cone):.2f} m; last seen at {_iso(utc_from_ns(cone.last_seen_ns))}.",
         "is_moving": False,
         "road_event_ids": [event_id] if event_id else None,
     }

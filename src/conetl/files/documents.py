@@ -1,4 +1,4 @@
-"""YAML and JSON documents that a stranger may have written: limits on size, depth and aliases; values as messages show them."""
+"""YAML and JSON documents that a stranger may have written: limits of size, depth and aliases; errors in the file's words."""
 
 from __future__ import annotations
 
@@ -23,6 +23,49 @@ MAX_VALUES = 100_000
 #: Characters of a value in a message, and of a message of a validator, which may quote one.
 MAX_SHOWN, MAX_MESSAGE = 200, 400
 
+#: pydantic's kind of an error -> what was expected; {} are the error's own figures.
+_EXPECTED = {
+    "missing": "is missing",
+    "extra_forbidden": "there is no such key here",
+    "greater_than": "expected more than {gt}",
+    "greater_than_equal": "expected at least {ge}",
+    "less_than": "expected less than {lt}",
+    "less_than_equal": "expected at most {le}",
+    "finite_number": "expected a finite number",
+    "literal_error": "expected {expected}",
+    "enum": "expected {expected}",
+    "string_pattern_mismatch": "expected text that matches {pattern}",
+    "string_too_long": "expected at most {max_length} characters",
+    "string_too_short": "expected at least {min_length} characters",
+    "string_unicode": "expected text in UTF-8",
+    "multiple_of": "expected a multiple of {multiple_of}",
+    "json_invalid": "expected JSON ({error})",
+    "float_type": "expected a number",
+    "float_parsing": "expected a number",
+    "int_type": "expected a whole number",
+    "int_parsing": "expected a whole number",
+    "int_parsing_size": "expected a smaller number",
+    "int_from_float": "expected a whole number",
+    "bool_type": "expected true or false",
+    "bool_parsing": "expected true or false",
+    "string_type": "expected text",
+    "path_type": "expected a path",
+    "none_required": "expected nothing",
+    "list_type": "expected a list",
+    "tuple_type": "expected a list",
+    "set_type": "expected a list",
+    "dict_type": "expected keys and values",
+    "model_type": "expected keys and values",
+    "model_attributes_type": "expected keys and values",
+    "mapping_type": "expected keys and values",
+    "too_short": "expected at least {min_length} values, found {actual_length}",
+    "too_long": "expected at most {max_length} values, found {actual_length}",
+    "uuid_parsing": "expected an id like 1c223030-5d0f-4a7e-9a0d-0e4cf2a1b2c3",
+    "url_parsing": "expected an address like https://example.org",
+}
+_TIME = "expected a time like 2026-03-02T10:00:00Z"
+_DATE = "expected a date like 2026-03-02"
+
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxdict, _short.maxlist = 2, 6, 6
 _short.maxstring = _short.maxother = _short.maxlong = MAX_SHOWN
@@ -37,14 +80,33 @@ def shown(value: object) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
+def expectation(error: Any) -> str:
+    """What one of `ValidationError.errors()` asks for, without the value that was found."""
+    kind, figures = str(error["type"]), error.get("ctx", {})
+    if kind.startswith("datetime_"):
+        return _TIME
+    if kind.startswith("date_"):
+        return _DATE
+    if kind in _EXPECTED:
+        plain = {name: f"{value:g}" if isinstance(value, float) else value for name, value in figures.items()}
+        return _EXPECTED[kind].format(**plain)[:MAX_MESSAGE]
+    text = str(error["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    return text.replace("Input should be", "expected", 1)[:MAX_MESSAGE]
+
+
+def key_of(error: Any) -> str:
+    """The key of one of `ValidationError.errors()`, with dots between the levels; empty for the whole file."""
+    return ".".join(str(part) for part in error["loc"])[:MAX_SHOWN]
+
+
 def first_message(error: ValueError) -> str:
-    """One sentence of a validation error, with its key."""
-    if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN]
-        message = first["msg"].removeprefix("Value error, ")[:MAX_MESSAGE]
-        return f"'{key}': {message}" if key else message
-    return str(error)
+    """The error, of a validation the first one: `key: expected ..., found ...`."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors()[0]
+    key, wanted = key_of(first), expectation(first)
+    text = f"{key}: {wanted}" if key else wanted
+    return text if first["type"] in ("missing", "extra_forbidden") else f"{text}, found {shown(first['input'])}"
 
 
 @contextmanager

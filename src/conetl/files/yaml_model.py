@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from conetl.files.documents import MAX_MESSAGE, MAX_SHOWN, read_yaml, shown
+from conetl.files.documents import first_message, read_yaml
 from conetl.model.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -39,11 +40,12 @@ def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model
         return model.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN] or "the file"
-        if first["type"] == "extra_forbidden":
-            known = ", ".join(_fields_at(model, first["loc"][:-1]))
-            raise InputError(f"{name}: {where}: there is no such key here; known are {known}") from error
-        raise InputError(f"{name}: {where}: {first['msg'][:MAX_MESSAGE]}; found {shown(first['input'])}") from error
+        if first["type"] != "extra_forbidden":
+            raise InputError(f"{name}: {first_message(error)}") from error
+        known = _fields_at(model, first["loc"][:-1])
+        near = get_close_matches(str(first["loc"][-1]), known, n=1)
+        hint = f"did you mean {near[0]}? Known" if near else "known"
+        raise InputError(f"{name}: {first_message(error)}; {hint} are {', '.join(known)}") from error
 
 
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:

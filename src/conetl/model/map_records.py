@@ -124,6 +124,9 @@ class ImportedFeature(Record):
 
     feature: MapFeature
     valid_from_ns: int
+    stated_id: UUID | None = None
+    """Feature id in the file, also where another one is used; None: it has none."""
+    stated_version: int | None = None
 
 
 class FeatureChange(Record):

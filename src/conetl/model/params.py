@@ -235,7 +235,7 @@ class WorkZoneParams(Params):
     link_factor: Positive = 3.2
     """Otherwise up to this many times the spacing beside the gap: two successive missing cones do not split a zone."""
     max_link_m: Positive = 80.0
-    """Never more than this. MUTCD 2009 6F.63 allows 130 ft (40 m) in a tangent at 65 mph: one missing cone is bridged."""
+    """Never more than this. MUTCD allows 130 ft (40 m) in a tangent at 65 mph (2023, 6K.01): one missing cone is bridged."""
     max_path_offset_m: Positive = 12.0
     """Cones farther from a drive's path do not stand on the road that it followed."""
     max_beyond_path_m: Positive = 40.0
@@ -272,30 +272,34 @@ class WorkZoneParams(Params):
     """... and from this existence probability on."""
     assumed_duration_h: Positive = 24.0
     """WZDx requires an end date of active zones, too: this long after the feed, marked as not verified."""
+    max_age_days: Positive = 7.0
+    """A work zone that was not surveyed for longer is `planned` with unknown impact: nobody knows whether it still stands."""
     keep_ended_days: Positive = 14.0
     """How long an ended work zone stays in the feed, as completed."""
 
 
 class LayoutParams(Params):
-    """Rules of the layout check, each with its source; MUTCD: Manual on Uniform Traffic Control Devices (FHWA), edition 2009."""
+    """Rules of the layout check. The numbers of standards, and their sources, are in `workzones/rules`; None: no such rule."""
 
-    taper_spacing_ft_per_mph: Positive = 1.0
-    """MUTCD 2009, 6F.63: spacing of devices in a taper at most 1.0 times the speed limit in mph, in feet ..."""
-    tangent_spacing_ft_per_mph: Positive = 2.0
-    """... and in a tangent at most 2.0 times."""
+    taper_spacing_ft_per_mph: Positive | None = None
+    """Spacing of devices in a taper at most so many times the speed limit in mph, in feet ..."""
+    tangent_spacing_ft_per_mph: Positive | None = None
+    """... and in a tangent."""
     low_speed_max_mph: Positive = 45.0
-    """MUTCD 2009, Table 6C-4: L = W S^2 / 60 for 40 mph or less, L = W S for 45 mph or more; between them the milder one."""
+    """L = W S^2 / divisor below this speed, L = W S from it on."""
     low_speed_divisor: Positive = 60.0
-    merging_taper_share: Positive = 1.0
-    """MUTCD 2009, Table 6C-3: a merging taper is at least L long ..."""
-    shoulder_taper_share: Positive = 1.0 / 3.0
-    """... and a shoulder taper at least L / 3."""
+    merging_taper_share: Positive | None = None
+    """A merging taper is at least this share of L long ..."""
+    shoulder_taper_share: Positive | None = None
+    """... and a shoulder taper this one."""
     missing_cone_ratio: Positive = 1.6
-    """No norm: a gap of more than so many times the row's own spacing lacks a cone."""
+    """No standard: a gap of more than so many times the row's own spacing lacks a cone."""
     in_lane_tolerance_m: Positive = 0.6
-    """No norm: a cone farther than this from its row, towards traffic, is in the lane."""
+    """No standard: a cone farther than this from its row, towards traffic, is in the lane."""
     sigmas: Positive = 3.0
-    """A rule is violated if exceeded by so many sigmas."""
+    """A rule is exceeded for certain if exceeded by so many sigmas."""
+    sources: dict[str, str] = Field(default_factory=dict)
+    """By the names above: standard with section or table. Only rules with a source can be violated."""
 
 
 def params_sha256(params: Params) -> str:

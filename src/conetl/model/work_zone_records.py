@@ -167,7 +167,9 @@ class Level(StrEnum):
     """Certainty of a finding."""
 
     VIOLATION = "violation"
-    """The rule is exceeded by more than the uncertainty explains."""
+    """A rule of a standard is exceeded by more than the uncertainty explains."""
+    DEVIATION = "deviation"
+    """The same of a rule that no standard states."""
     NOTICE = "notice"
     """No norm is exceeded, but the row departs from its own pattern by more than the uncertainty explains."""
     CANNOT_TELL = "cannot tell"

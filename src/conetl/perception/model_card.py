@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
-from conetl.files.documents import MAX_JSON_BYTES, MAX_MESSAGE, MAX_SHOWN, read_limited
+from conetl.files.documents import MAX_JSON_BYTES, first_message, read_limited
 from conetl.model.detector_evidence import DetectorEvidence, Share
 from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.heads import SideDistributionHead, YoloHead
@@ -132,6 +132,4 @@ def read_model_card(model_path: Path | None) -> ModelCard:
     try:
         return ModelCard.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])[:MAX_SHOWN] or "file"
-        raise ModelFileError(f"{card_path}: not a valid model sidecar: {key}: {first['msg'][:MAX_MESSAGE]}") from error
+        raise ModelFileError(f"{card_path}: not a valid model sidecar: {first_message(error)}") from error

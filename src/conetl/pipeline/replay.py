@@ -19,6 +19,7 @@ from conetl.db.map.commit import INFLUENCE_M, commit_changeset, place_drive, wit
 from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.hold_store import held_drives, hold_changes
+from conetl.db.map.map_store import require_map
 from conetl.db.map.replay_store import (
     affected_drives,
     read_deltas,
@@ -111,7 +112,7 @@ def merge_drive(
     own = DriveEvidence(
         key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
         changeset_id=changeset.changeset_id,
-        founding_key=founding_key(map_name, drive.content_sha256),
+        founding_key=founding_key(require_map(conn, map_name).id_name, drive.content_sha256),
         tracks=records.tracks,
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
         influence_m=influence_m(params),
@@ -200,7 +201,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
             DriveEvidence(
                 key=drive.key(ref.idempotency_key),
                 changeset_id=ref.changeset_id,
-                founding_key=founding_key(drive.map_name, drive.content_sha256),
+                founding_key=founding_key(drive.id_name, drive.content_sha256),
                 tracks=drive.tracks,
                 path_m=drive.path_m,
                 influence_m=drive.influence_m,
@@ -218,9 +219,9 @@ def influence_m(params: IngestParams) -> float:
     return max(INFLUENCE_M, farthest_m + 10.0)
 
 
-def founding_key(map_name: str, content_sha256: str) -> str:
+def founding_key(id_name: str, content_sha256: str) -> str:
     """What the ids of the features that a drive founds are derived from, with their first sighting."""
-    return f"{map_name}/{content_sha256}"
+    return f"{id_name}/{content_sha256}"
 
 
 def _look_at(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
@@ -10,10 +11,14 @@ from urllib.parse import urlsplit
 from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from conetl.files.documents import expectation
 from conetl.files.home import PREFECT_LOGIN, make_secret, read_secret
 from conetl.files.names import file_name_part
 from conetl.files.storage import as_path, is_remote
 from conetl.model.errors import InputError
+
+_MAP_NAME_WORDS = "1 to 40 of a-z, 0-9, _ and -, for example night_survey"
+MAP_NAME = re.compile(r"[a-z0-9_-]{1,40}")
 
 
 class Settings(BaseSettings):
@@ -25,7 +30,7 @@ class Settings(BaseSettings):
     """A PostGIS database; without it conetl runs its own private cluster under `home`. Secret: Prefect keeps parameters."""
     home: Path = Path(".conetl")
     """Private database cluster, intermediate results, exports, Prefect's own state."""
-    map_name: str = Field(default="default", pattern=r"^[a-z0-9_-]{1,40}$")
+    map_name: str = Field(default="default", pattern=f"^{MAP_NAME.pattern}$")
     model_path: Path | None = None
     """ONNX file of the detector; without it the one that is shipped."""
     workers: int = Field(default=os.cpu_count() or 1, ge=1)
@@ -97,16 +102,25 @@ class Settings(BaseSettings):
         return self.reports_folder / f"{file_name_part(drive_id, 120)}.png"
 
 
-def read_settings() -> Settings:
-    """Settings from the environment. Raises InputError naming the variable that cannot be used."""
+def checked_map_name(name: str) -> str:
+    """The name, if a map may have it. Raises InputError."""
+    if not MAP_NAME.fullmatch(name):
+        raise InputError(f"invalid map name {name!r}: expected {_MAP_NAME_WORDS}")
+    return name
+
+
+def read_settings(map_name: str | None = None) -> Settings:
+    """Settings from the environment; map_name, if given, takes the place of CONETL_MAP_NAME.
+
+    Raises InputError naming the variable that cannot be used.
+    """
     try:
-        return Settings()
+        return Settings() if map_name is None else Settings(map_name=checked_map_name(map_name))
     except ValidationError as error:
         first = error.errors()[0]
         name = f"CONETL_{'_'.join(str(part) for part in first['loc']).upper()}"
-        raise InputError(
-            f"the environment variable {name} cannot be used: {first['msg']} (it is {first['input']!r})"
-        ) from error
+        wanted = f"expected {_MAP_NAME_WORDS}" if first["loc"] == ("map_name",) else expectation(first)
+        raise InputError(f"the environment variable {name} is {first['input']!r}: {wanted}") from error
 
 
 def prefect_environment(home: Path) -> dict[str, str]:

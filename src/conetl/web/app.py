@@ -18,19 +18,7 @@ from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
 from conetl.reports.camera_images import ImageMissingError
-from conetl.web import (
-    basemap,
-    decisions,
-    downloads,
-    frames,
-    images,
-    layers,
-    live,
-    maps,
-    projection,
-    review,
-    search,
-)
+from conetl.web import basemap, decisions, downloads, frames, images, layers, live, maps, projection, review, search
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.ogc.collections import warm

@@ -1,12 +1,13 @@
 """Check of a work zone's layout against rules, with uncertainty: spacing, missing cones, taper lengths, cones in the open lane.
 
-`params.LayoutParams` has the sources of the rules. Stations and offsets are those of the zone's axis, in the direction of
-travel. A gap across the end of a taper is measured by both limits: the used shares of the allowed spacing in taper and tangent
-add up.
+`standards.layout_rules` gives the rules with their sources. Stations and offsets are those of the zone's axis, in the
+direction of travel. A gap across the end of a taper is measured by both limits: the used shares of the allowed spacing in taper
+and tangent add up.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -20,16 +21,15 @@ from conetl.workzones.linear_reference import Floats, locate, spacing_beside
 
 FOOT_M = 0.3048
 MILE_KM = 1.609344
-NORM_SPACING = "MUTCD 2009, 6F.63"
-NORM_TAPER = "MUTCD 2009, Tables 6C-3 and 6C-4"
-NORM_NONE = "no norm: the row's own spacing"
-NORM_IN_LANE = "no norm: distance from the row"
+NO_NORM_SPACING = "no standard: the row's own spacing"
+NO_NORM_IN_LANE = "no standard: distance from the row"
+NO_NORM = "no standard: own rules"
 #: Tolerance of a taper's ends at lane lines.
 _ON_LANE_LINE_M = 0.6
 
 
 def taper_ratio(speed_kmh: float, rules: LayoutParams) -> float:
-    """L / W of a merging taper: S^2 / 60 or S, with S in mph (L and W in the same unit). MUTCD 2009, Table 6C-4."""
+    """L / W of a merging taper: S^2 / 60 or S, with S in mph (L and W in the same unit)."""
     speed_mph = speed_kmh / MILE_KM
     # Tolerance for the conversion: 72.42048 km/h are 45 mph.
     slow = speed_mph < rules.low_speed_max_mph - 1e-6
@@ -37,12 +37,18 @@ def taper_ratio(speed_kmh: float, rules: LayoutParams) -> float:
 
 
 def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, float]:
-    """Largest spacing in a taper and in a tangent."""
+    """Largest spacing in a taper and in a tangent; infinite without a rule."""
     speed_mph = speed_kmh / MILE_KM
+    taper, tangent = rules.taper_spacing_ft_per_mph, rules.tangent_spacing_ft_per_mph
     return (
-        rules.taper_spacing_ft_per_mph * speed_mph * FOOT_M,
-        rules.tangent_spacing_ft_per_mph * speed_mph * FOOT_M,
+        math.inf if taper is None else taper * speed_mph * FOOT_M,
+        math.inf if tangent is None else tangent * speed_mph * FOOT_M,
     )
+
+
+def _sure(norm: str | None) -> Level:
+    """Of a rule that is exceeded for certain."""
+    return Level.VIOLATION if norm else Level.DEVIATION
 
 
 def check_layout(
@@ -96,8 +102,11 @@ def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
         if not sure and not noted and read.used <= 1:
             continue
         lacks = read.lacks or (sure and read.own > rules.missing_cone_ratio)
-        level = Level.VIOLATION if sure else Level.NOTICE if noted else Level.CANNOT_TELL
         where, limit_m = "taper" if read.inside > 0.5 else "tangent", read.limit_m
+        norm = rules.sources.get(f"{where}_spacing_ft_per_mph")
+        level = _sure(norm) if sure else Level.NOTICE if noted else Level.CANNOT_TELL
+        if not math.isfinite(limit_m):  # no rule but the row's own spacing
+            limit_m = gap / read.own * rules.missing_cone_ratio
         words = f"{gap:.1f} m from cone to cone in the {where}, at most {limit_m:.1f} m at {speed_kmh:g} km/h{doubt}"
         if lacks:
             missing = max(round(read.own) - 1, 1)
@@ -110,11 +119,11 @@ def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
             members[index : index + 2],
             rule=Rule.MISSING_CONE if lacks else Rule.SPACING,
             level=level,
-            norm=NORM_NONE if level is Level.NOTICE and not read.exceeds else NORM_SPACING,
+            norm=NO_NORM_SPACING if level is Level.NOTICE and not read.exceeds else norm or NO_NORM,
             text=words,
             value=float(gap),
             limit=float(limit_m),
-            sigma=float(read.sigma * limit_m),
+            sigma=float(read.sigma * limit_m) or float(np.hypot(*both)),
             station_m=float((s[index] + s[index + 1]) / 2),
         )
 
@@ -183,7 +192,7 @@ def _used(
     taper_m, tangent_m = spacing_m
     rate = inside / taper_m + (1 - inside) / tangent_m
     sigma = float(np.hypot(np.hypot(*sigmas_m) * rate, blur_m * abs(1 / taper_m - 1 / tangent_m)))
-    return gap_m * rate, sigma, 1 / rate
+    return gap_m * rate, sigma, 1 / rate if rate else math.inf
 
 
 def _regular(gaps: Floats, inside: Floats, index: int) -> tuple[float, float] | None:
@@ -216,6 +225,8 @@ def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[Finding]:
         shift_sigma = float(np.hypot(taper.shift_sigma_m, layout.axis_sigma_m))
         merging = _is_merging(layout, taper, members, check.params)
         for share, kind in ((rules.shoulder_taper_share, "shoulder"), (rules.merging_taper_share, "merging")):
+            if share is None:
+                continue
             wanted_m = share * ratio * taper.shift_m
             longer_m = np.hypot(taper.start.sigmas_m[0], taper.end.sigmas_m[1])
             sigma_m = float(np.hypot(longer_m, share * ratio * shift_sigma))
@@ -223,11 +234,12 @@ def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[Finding]:
                 continue
             sure = wanted_m - length_m > rules.sigmas * sigma_m and (kind == "shoulder" or merging is True)
             doubt = "" if merging is not None or kind == "shoulder" else " if it closes a lane"
+            norm = rules.sources.get(f"{kind}_taper_share")
             yield check.finding(
                 members[[taper.first, taper.last]],
                 rule=Rule.TAPER_LENGTH,
-                level=Level.VIOLATION if sure else Level.CANNOT_TELL,
-                norm=NORM_TAPER,
+                level=_sure(norm) if sure else Level.CANNOT_TELL,
+                norm=norm or NO_NORM,
                 text=f"taper of {length_m:.1f} m over {taper.shift_m:.1f} m of width, a {kind} taper needs {wanted_m:.1f} m "
                 f"at {check.speed_kmh:g} km/h{doubt}",
                 value=length_m,
@@ -276,8 +288,8 @@ def _in_lane(check: _Check) -> Iterator[Finding]:
         yield check.finding(
             [k],
             rule=Rule.CONE_IN_LANE,
-            level=Level.VIOLATION if sure else Level.CANNOT_TELL,
-            norm=NORM_IN_LANE,
+            level=_sure(rules.sources.get("in_lane_tolerance_m")) if sure else Level.CANNOT_TELL,
+            norm=rules.sources.get("in_lane_tolerance_m", NO_NORM_IN_LANE),
             text=f"a cone stands {away:.1f} m from its row towards traffic{doubt}",
             value=away,
             limit=rules.in_lane_tolerance_m,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from conetl.cli.app import _COMMANDS, _GROUPS, app
+from conetl.cli.examples import EXAMPLES
 from conetl.cli.map.exchange import _format_by_name
 from conetl.model.errors import InputError
 
@@ -29,6 +31,21 @@ def test_every_command_has_help_and_is_listed_with_its_first_paragraph(words: tu
     listed = group.get_command(None, words[-1])  # type: ignore[attr-defined]
     assert loaded.name == listed.name == words[-1]
     assert listed.help and loaded.help.startswith(" ".join(listed.help.split()))
+
+
+@pytest.mark.parametrize(
+    "words", [words for words in NAMES if _GROUPS.get(words[0]) is None or len(words) > 1], ids=" ".join
+)
+def test_every_command_has_examples_that_are_valid(words: tuple[str, ...]) -> None:
+    group = get_command(app)
+    for word in words[:-1]:
+        group = group.get_command(None, word)  # type: ignore[attr-defined, assignment]
+    command = group.get_command(None, words[-1])  # type: ignore[attr-defined]
+    for example in EXAMPLES[" ".join(words)]:
+        assert f"conetl {example}" in command.epilog
+        arguments = shlex.split(example)
+        assert tuple(arguments[: len(words)]) == words
+        assert command.make_context(words[-1], arguments[len(words) :])
 
 
 def test_help_and_completion_import_no_command() -> None:

@@ -212,7 +212,7 @@ def with_lens(lens: str) -> str:
     [
         ("- a list", "expected a YAML mapping"),
         ("left: [", "this is not YAML"),
-        (f"left: {PIXELS}\nbaseline_m: 0.3", "'right': Field required"),
+        (f"left: {PIXELS}\nbaseline_m: 0.3", "'right': is missing"),
         (f"left: {PIXELS}\nright: {PIXELS}", "either baseline_m"),
         (f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: -0.3", "'baseline_m'"),
         (f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: .nan", "'baseline_m'"),

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, Level, Rule
 from conetl.workzones.layout_check import FOOT_M, MILE_KM, allowed_spacing_m, check_layout, taper_ratio
+from conetl.workzones.standards import STANDARDS, layout_rules, read_standard
 from conetl.workzones.zone_layout import describe, layout_of
 from tests.synthetic.tapers import LANE_M, Closure, closure, cone, zone_of
 
-RULES, PARAMS = LayoutParams(), WorkZoneParams()
+RULES, PARAMS = layout_rules(), WorkZoneParams()
 FAULTS = ("missing", "spacing", "in lane", "none", "short taper")
-SURE = (Level.VIOLATION, Level.NOTICE)
+SURE = (Level.VIOLATION, Level.DEVIATION, Level.NOTICE)
 
 
 def findings(made: Closure):
@@ -45,6 +46,38 @@ def test_every_fault_of_100_tapers_is_found_without_a_false_alarm():
         assert all(is_the_fault(finding, made) for finding in sure), (seed, fault, sure)
         assert bool(sure) == (fault != "none"), (seed, fault, found)
         assert describe(made.zone, layout, PARAMS).closed_side == ("left" if seed % 2 else "right"), seed
+
+
+def test_only_what_a_standard_states_is_a_violation():
+    """Every number of a standard has its section or table; a cone in the lane departs from no standard."""
+    for name in STANDARDS:
+        standard = read_standard(name)
+        assert all(rule.source and rule.text for rule in standard.rules.values()) and standard.not_covered
+        assert standard.rules.keys() <= LayoutParams.model_fields.keys()
+    assert taper_ratio(40 * MILE_KM, RULES) == pytest.approx(40**2 / 60) and taper_ratio(
+        45 * MILE_KM, RULES
+    ) == pytest.approx(45)
+    assert allowed_spacing_m(30 * MILE_KM, RULES) == pytest.approx((30 * FOOT_M, 60 * FOOT_M))
+    for seed, fault in enumerate(FAULTS * 4):
+        for finding in findings(closure(seed, fault, sigma_m=0.1))[1]:
+            assert finding.level is not Level.VIOLATION or finding.norm.startswith("MUTCD 11 (2023), ")
+            assert finding.level is not Level.DEVIATION or finding.norm.startswith("no standard")
+
+
+def test_a_standard_without_figures_leaves_the_rows_own_spacing():
+    rules = layout_rules("rsa_21")
+    assert allowed_spacing_m(50.0, rules) == (np.inf, np.inf)
+    found = 0
+    for seed in range(12):
+        made = closure(seed, "missing", sigma_m=0.05)
+        some = check_layout(
+            made.zone, layout_of(made.zone, made.paths, made.lanes, PARAMS), made.speed_kmh, rules, PARAMS
+        )
+        assert all(
+            is_the_fault(f, made) and f.level is Level.NOTICE and np.isfinite([f.limit, f.sigma]).all() for f in some
+        ), some
+        found += bool(some)
+    assert found >= 10
 
 
 def test_without_lane_lines_there_is_no_false_alarm_either():

@@ -11,10 +11,10 @@ import typer
 from conetl.cli.console import (
     Columns,
     JsonOption,
+    MapOption,
     answer,
     complain,
     counted,
-    no_such_map,
     note,
     print_json,
     print_records,
@@ -23,7 +23,7 @@ from conetl.cli.console import (
 )
 from conetl.cli.database import open_map
 from conetl.db.base_store import drop_base_layer, list_base_sources, read_map_ground
-from conetl.db.map.map_store import find_map
+from conetl.db.map.map_store import require_map
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.settings import Settings, read_settings
 
@@ -59,10 +59,11 @@ def import_files(
             "--height-offset", min=-10_000, max=10_000, help="Add this to heights, in metres, e.g. the geoid's."
         ),
     ] = 0.0,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Import files as base layers. An unchanged file changes nothing; a changed file replaces its earlier version."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     done: list[ImportedFile] = []
     failed = False
     for path in files:
@@ -97,8 +98,8 @@ def import_one(
     name = layer if layer is not None else _name_of(path)
     if not _LAYER_NAME.fullmatch(name):
         raise InputError(f"--layer {name!r}: a name has 1 to 60 letters, digits, spaces, dots, dashes or underscores")
-    with open_map(settings) as conn, progress_bar(path.name, "") as update:
-        info = find_map(conn, settings.map_name) or no_such_map(settings.map_name)
+    with open_map(settings) as conn, progress_bar(path.name, "scans" if path.is_dir() else "points") as update:
+        info = require_map(conn, settings.map_name)
         ground = read_map_ground(conn, info.map_name, info.srid)
         return import_file(FileImport(conn, path, ground, info.map_name, name, crs, voxel_m, height_offset_m, update))
 
@@ -133,9 +134,9 @@ _COLUMNS: Columns = {
 }
 
 
-def list_layers(as_json: JsonOption = False) -> None:
+def list_layers(map_name: MapOption = None, as_json: JsonOption = False) -> None:
     """List the base layers of the map and their files."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         found = list_base_sources(conn, settings.map_name)
     if as_json:
@@ -146,9 +147,13 @@ def list_layers(as_json: JsonOption = False) -> None:
         say(f"The map {settings.map_name} has no base layers: `conetl base import FILE` adds one.")
 
 
-def drop(layer: Annotated[str, typer.Argument(help="Name of the layer.")], as_json: JsonOption = False) -> None:
+def drop(
+    layer: Annotated[str, typer.Argument(help="Name of the layer.")],
+    map_name: MapOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Remove a base layer with all its files; cones and their history are kept."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         dropped = drop_base_layer(conn, settings.map_name, layer)
     if not dropped:

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli.console import JsonOption, counted, no_such_map, parse_time, print_json, print_table, say
+from conetl.cli.console import JsonOption, MapOption, counted, parse_instant, print_json, print_table, say
 from conetl.cli.database import open_map
-from conetl.db.map.map_store import find_map, read_features_as_of
+from conetl.db.map.map_store import read_features_as_of, require_map
 from conetl.evaluation.check_points import CheckedMap, check_map, read_check_points
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
 from conetl.pipeline.settings import read_settings
@@ -36,16 +36,17 @@ def check_points(
         float, typer.Option(min=0.01, help="A cone stands on a point if it is at most this far away.")
     ] = 0.75,
     as_of: Annotated[str | None, typer.Option("--as-of", help="State of the road at this time.")] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare the map with surveyed check points: residuals, RMSE, and whether the stated sigmas are true.
 
     The points change nothing on the map. Exit code 1 if no point has a cone, or the residuals contradict the stated sigmas.
     """
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
-        info = find_map(conn, settings.map_name) or no_such_map(settings.map_name)
-        versions = list(read_features_as_of(conn, parse_time(as_of), map_name=settings.map_name))
+        info = require_map(conn, settings.map_name)
+        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name))
     points = read_check_points(file, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
     checked = check_map(points, [version.feature for version in versions], within_m=within_m)
     if as_json:

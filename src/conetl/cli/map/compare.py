@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated
+from uuid import UUID
 
 import numpy as np
 import typer
 
-from conetl.cli.console import Columns, JsonOption, no_such_map, parse_time, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, MapOption, parse_instant, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import find_map, list_changesets, read_features_as_of
-from conetl.exports.geojson import export_diff_geojson
+from conetl.db.map.map_store import feature_log, list_changesets, read_features_as_of, require_map
+from conetl.exports.geojson import ChangeOrigin, export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import InputError
 from conetl.model.map_records import FeatureChange, MapFeature
@@ -28,16 +30,18 @@ def diff(
     picture: Annotated[
         Path | None, typer.Option("--picture", "--image", help="PNG to write: both states, changes in colour.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the differences between two states of the map."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
-        info = find_map(conn, settings.map_name) or no_such_map(settings.map_name)
+        info = require_map(conn, settings.map_name)
         old, new = state_of(conn, settings, before), state_of(conn, settings, after)
-    changes = map_diff.diff(old, new)
+        changes = map_diff.diff(old, new)
+        origins = {} if output is None else _origins(conn, changes, instants_of(conn, settings, after))
     if output is not None:
-        export_diff_geojson(changes, output, srid=info.srid)
+        export_diff_geojson(changes, output, srid=info.srid, origins=origins)
     if picture is not None:
         from conetl.reports.figures import draw_plan_view  # matplotlib takes half a second to load
 
@@ -62,6 +66,26 @@ def diff(
         say(f"{len(changes)} changes -> {output}")
     if picture is not None:
         say(f"image -> {picture}")
+
+
+def _origins(
+    conn: Connection, changes: Sequence[FeatureChange], until: tuple[datetime | None, datetime | None]
+) -> dict[UUID, ChangeOrigin]:
+    """What made the later state of each feature. until: time on the road and of the database; None: the latest."""
+    valid_at, known_at = until
+    found = {}
+    for change in changes:
+        entries = [
+            entry
+            for entry in feature_log(conn, change.feature_id)
+            if (valid_at is None or entry.changed_at <= valid_at)
+            and (known_at is None or entry.committed_at <= known_at)
+            and (entry.believed_until is None or (known_at is not None and entry.believed_until > known_at))
+        ]
+        if entries:
+            last = max(entries, key=lambda entry: entry.changed_at)
+            found[change.feature_id] = ChangeOrigin(last.changed_at, last.drive_id, last.changeset_no)
+    return found
 
 
 def _last(change: FeatureChange) -> MapFeature:
@@ -96,4 +120,4 @@ def instants_of(conn: Connection, settings: Settings, name: str) -> tuple[dateti
         if not changesets:
             raise InputError(f"the map {settings.map_name} has no changeset {name}: `conetl map log` lists them")
         return None, changesets[0].committed_at
-    return parse_time(name), None
+    return parse_instant(name), None

@@ -9,7 +9,7 @@ from uuid import UUID
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, complain, counted, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, MapOption, complain, counted, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import list_decisions
@@ -28,15 +28,27 @@ By = Annotated[str | None, typer.Option("--by", help="Who decides; stored with t
 
 
 def suppress(
-    feature: Feature, radius: Radius = 1.0, note: Note = "", by: By = None, as_json: JsonOption = False
+    feature: Feature,
+    radius: Radius = 1.0,
+    note: Note = "",
+    by: By = None,
+    map_name: MapOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Mark a feature as a false positive: no cone is added here, whatever drives detect."""
-    _decide_place("suppress", feature, radius, note, by, as_json)
+    _decide_place("suppress", feature, radius, note, by, read_settings(map_name), as_json)
 
 
-def pin(feature: Feature, radius: Radius = 1.0, note: Note = "", by: By = None, as_json: JsonOption = False) -> None:
+def pin(
+    feature: Feature,
+    radius: Radius = 1.0,
+    note: Note = "",
+    by: By = None,
+    map_name: MapOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Fix a cone: drives may confirm it, but neither move nor remove it."""
-    _decide_place("pin", feature, radius, note, by, as_json)
+    _decide_place("pin", feature, radius, note, by, read_settings(map_name), as_json)
 
 
 def revert(
@@ -45,12 +57,13 @@ def revert(
     ],
     note: Note = "",
     by: By = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Undo a changeset (its drive no longer counts) or a decision. Nothing is lost: revert the revert to restore it."""
     from conetl.pipeline.maps import decisions
 
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         decided = decisions.revert(conn, what, map_name=settings.map_name, note=note, decided_by=who_decides(by))
         numbers = {c.changeset_id: c.changeset_no for c in list_changesets(conn, map_name=settings.map_name)}
@@ -75,9 +88,9 @@ def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> N
     print_records("", columns, decided.conflicts, numbers_from=5)
 
 
-def decisions(as_json: JsonOption = False) -> None:
+def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
     """List the decisions in force."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         found = list_decisions(conn, map_name=settings.map_name)
     if as_json:
@@ -100,11 +113,16 @@ def decisions(as_json: JsonOption = False) -> None:
 
 
 def _decide_place(
-    kind: Literal["suppress", "pin"], feature: str, radius: float, note: str, by: str | None, as_json: bool
+    kind: Literal["suppress", "pin"],
+    feature: str,
+    radius: float,
+    note: str,
+    by: str | None,
+    settings: Settings,
+    as_json: bool,
 ) -> None:
     from conetl.pipeline.maps.decisions import decide_place
 
-    settings = read_settings()
     with open_map(settings) as conn:
         decided = decide_place(
             conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note, decided_by=who_decides(by)

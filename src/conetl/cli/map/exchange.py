@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from pydantic import ValidationError
 
-from conetl.cli.console import JsonOption, answer, counted, parse_time
-from conetl.cli.database import open_map
+from conetl.cli.console import JsonOption, MapOption, answer, counted, note, parse_instant, parse_time
+from conetl.cli.database import open_map, open_maps
 from conetl.cli.map import work_zones
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import find_map
+from conetl.db.retention import parse_age
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.qgis_project import write_qgis_project
 from conetl.exports.source import ExportRequest, What
+from conetl.files.documents import first_message
 from conetl.geometry.geodesy import check_map_srid
+from conetl.geometry.heights import map_crs
 from conetl.model.errors import InputError
 from conetl.model.params import ImportParams
 from conetl.pipeline.maps.work_zones import export_wzdx
@@ -43,37 +47,54 @@ def export(
     believed_at: Annotated[
         str | None, typer.Option("--believed-at", "--known-at", help="Database state at this time; default: now.")
     ] = None,
-    since: Annotated[str | None, typer.Option("--from", help="Changes on the road from this time on.")] = None,
-    until: Annotated[str | None, typer.Option("--to", help="Changes before this time; default: now.")] = None,
+    since: Annotated[
+        str | None, typer.Option("--from", help="Changes on the road from this time on; default: the first drive.")
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option("--to", help="Changes until this time, a day included; default: now.")
+    ] = None,
+    crs: Annotated[
+        str | None,
+        typer.Option(
+            "--crs", help="CRS of positions, and height system: EPSG:25832, EPSG:25832+7837; default: the map's."
+        ),
+    ] = None,
     feed: work_zones.FeedOption = None,
     publisher: work_zones.PublisherOption = None,
     road_names: work_zones.RoadNamesOption = None,
     lanes: work_zones.LanesOption = None,
+    max_age: work_zones.MaxAgeOption = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Export the map, its history or its changes to a file, or its work zones as a WZDx 4.2 feed.
 
     A manifest (FILE.manifest.json) is written beside the file.
     """
-    settings = read_settings()
+    settings = read_settings(map_name)
     file_format = _format_by_name(output) if file_format is None else file_format
     if file_format in (WZDX, WZDX_DEVICES):
-        if what is not What.FEATURES or believed_at or since or until:
-            raise InputError(f"--what, --believed-at, --from and --to cannot be used with --format {file_format}")
+        if what is not What.FEATURES or believed_at or since or until or crs:
+            raise InputError(
+                f"--what, --believed-at, --from, --to and --crs cannot be used with --format {file_format}"
+            )
         with open_map(settings) as conn:
             count = export_wzdx(
-                conn, output, devices=file_format == WZDX_DEVICES, map_name=settings.map_name, as_of=parse_time(as_of),
+                conn, output, devices=file_format == WZDX_DEVICES, map_name=settings.map_name, as_of=parse_instant(as_of),
                 feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
+                max_age=None if max_age is None else timedelta(seconds=parse_age(max_age)),
             )  # fmt: skip
         _print_written(output, count, "work zone" if file_format == WZDX else "cone", {"features": count}, as_json)
         return
-    if feed or publisher or road_names or lanes:
-        raise InputError(f"--feed, --publisher, --road-name and --lanes require --format {WZDX} or {WZDX_DEVICES}")
+    if feed or publisher or road_names or lanes or max_age:
+        raise InputError(
+            f"--feed, --publisher, --road-name, --lanes and --max-age require --format {WZDX} or {WZDX_DEVICES}"
+        )
     if file_format not in FORMATS:
         raise InputError(f"unknown format {file_format}: use one of {', '.join(ALL_FORMATS)}")
     request = ExportRequest(
-        settings.map_name, what, as_of=parse_time(as_of), believed_at=parse_time(believed_at), since=parse_time(since),
-        until=parse_time(until),
+        settings.map_name, what, as_of=parse_instant(as_of), believed_at=parse_instant(believed_at), since=parse_time(since),
+        until=parse_instant(until), crs=None if crs is None else map_crs(crs),
     )  # fmt: skip
     with open_map(settings) as conn:
         manifest = export_map(conn, output, file_format, request)
@@ -115,22 +136,22 @@ def import_(
     new_ids: Annotated[
         bool, typer.Option("--new-ids", help="Create new ids instead of using those of the file.")
     ] = False,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Import a map made elsewhere, as one changeset. Drives confirm, move and remove its cones like all others."""
     from conetl.pipeline.maps.import_map import import_map
     from conetl.readers.maps.imported_rows import read_map_file  # GDAL takes seconds to load
 
-    settings = read_settings()
+    settings = read_settings(map_name)
     try:
         params = ImportParams(
             sigma_m=sigma_m, cone_height_m=cone_height_m, existence_probability=existence, ground_height_m=ground_height_m,
             new_ids=new_ids,
         )  # fmt: skip
     except ValidationError as error:
-        first = error.errors()[0]
-        raise InputError(f"{first['loc'][0]} is {first['input']}: {first['msg']}") from error
-    with open_map(settings) as conn:
+        raise InputError(f"--{first_message(error).replace('_', '-', 2)}") from error
+    with open_maps(settings) as conn:
         info = find_map(conn, settings.map_name)
         if info is not None and map_srid not in (None, info.srid):
             raise InputError(
@@ -141,12 +162,22 @@ def import_(
             _require_map_srid(srid)
         imported = read_map_file(file, params, crs=crs, map_srid=srid, stated_at=parse_time(surveyed_at), layer=layer)
         _require_map_srid(imported.srid)
+        total = len(imported.statements)
         done = import_map(conn, imported, params, map_name=settings.map_name)
     text = f"{file} is on the map {settings.map_name} already: no changes."
+    if done.own:
+        note(f"{done.own} of {counted(total, 'cone')} of {file} are an export of this map: no new evidence, left out")
+        if not done.committed and done.changeset_id is None:
+            text = f"{file} is an export of this map: nothing new, no changes."
+    if done.same_place:
+        note(
+            f"{done.same_place} of {counted(total, 'cone')} stand exactly where cones of the map stand. If the file was made "
+            "from this map, its evidence counts twice now: undo the import with `conetl map revert`"
+        )
     if done.committed:
         counts = ", ".join(f"{count} {kind}" for kind, count in done.counts.items() if count)
         again = f" {counted(done.replayed, 'later drive')} compared with the map again." if done.replayed else ""
-        text = f"{counted(len(imported.statements), 'cone')} (EPSG:{imported.srid}): {counts}.{again}"
+        text = f"{counted(total - done.own, 'cone')} (EPSG:{imported.srid}): {counts}.{again}"
     facts = {"file": str(file), "sha256": imported.content_sha256, "srid": imported.srid}
     answer(as_json, done._asdict() | facts, text)
 
@@ -155,10 +186,11 @@ def licence(
     text: Annotated[
         str | None, typer.Argument(help="Licence of the data of the map; default: show the current one.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show or set the licence that is written into every export of the map."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         if text is not None:
             set_licence(conn, settings.map_name, text)
@@ -171,13 +203,14 @@ def qgis(
     user: Annotated[
         str | None, typer.Option("--user", help="Database user of QGIS, e.g. with the role conetl_reader.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a QGIS project that shows the live map, styled by change and probability, with the temporal controller set.
 
     Passwords are not stored in it.
     """
-    settings = read_settings()
+    settings = read_settings(map_name)
     with open_map(settings) as conn:
         write_qgis_project(conn, output, map_name=settings.map_name, user=user)
     answer(as_json, {"written": str(output)}, f"Project -> {output}")

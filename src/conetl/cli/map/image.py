@@ -10,10 +10,10 @@ from typing import Annotated
 import typer
 from pyproj import Transformer
 
-from conetl.cli.console import JsonOption, answer, no_such_map, parse_time
+from conetl.cli.console import JsonOption, MapOption, answer, parse_instant
 from conetl.cli.database import open_map
 from conetl.cli.map.compare import instants_of, state_of
-from conetl.db.map.map_store import find_map, read_features_as_of
+from conetl.db.map.map_store import read_features_as_of, require_map
 from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import read_settings
@@ -38,6 +38,7 @@ def picture(
     ] = None,
     size: Annotated[str | None, typer.Option("--size", help="Width x height in millimetres, e.g. 240x160.")] = None,
     title: Annotated[str | None, typer.Option("--title", help="Title; default: the name of the map.")] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Draw a plan of the map for a report: cones, base layers, drive paths, scale bar, north arrow, legend, CRS and date."""
@@ -45,12 +46,12 @@ def picture(
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
     if changes is not None and (at is not None or known_at is not None):
         raise InputError("--changes names both states: leave --at and --known-at out")
-    valid_at, known = parse_time(at), parse_time(known_at)
+    valid_at, known = parse_instant(at), parse_instant(known_at)
     size_mm = _size(size)
-    settings = read_settings()
+    settings = read_settings(map_name)
     name = settings.map_name
     with open_map(settings) as conn:
-        info = find_map(conn, name) or no_such_map(name)
+        info = require_map(conn, name)
         if changes is None:
             versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name)
             standing, differing = [version.feature for version in versions], None

@@ -8,7 +8,17 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, cell, counted, parse_time, print_json, print_records, say
+from conetl.cli.console import (
+    Columns,
+    JsonOption,
+    MapOption,
+    cell,
+    counted,
+    parse_instant,
+    print_json,
+    print_records,
+    say,
+)
 from conetl.cli.database import open_map
 from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
@@ -42,10 +52,11 @@ def show(
     provisional: Annotated[
         bool, typer.Option("--provisional", help="Show the provisional cones of drives being recorded instead.")
     ] = False,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the cones on the map."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     if provisional:
         if as_of:
             raise InputError("--provisional and --as-of exclude each other: provisional cones have no history")
@@ -55,16 +66,14 @@ def show(
         return
     with open_map(settings) as conn:
         summary = map_summary(conn, settings.map_name)
-        versions = list(read_features_as_of(conn, parse_time(as_of), map_name=settings.map_name))
+        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name))
     if as_json:
         features = [
             v.feature.model_dump(mode="json") | {"seen_count": v.seen_count, "missed_count": v.missed_count}
             for v in versions
         ]
         print_json({"map": summary, "features": features})
-    elif summary is None:
-        say(f"The map {settings.map_name} is empty: fill it with `conetl ingest DRIVE` or `conetl map import FILE`.")
-    else:
+    elif summary is not None:
         when = f" as of {as_of}" if as_of else ""
         changesets = counted(summary.changeset_count, "changeset")
         say(f"Map {summary.map_name}, EPSG:{summary.srid}: {counted(len(versions), 'cone')}{when}, {changesets}.")
@@ -75,10 +84,11 @@ def log(
     feature: Annotated[
         str | None, typer.Argument(help="Id of a feature, or its first characters; default: the changesets of the map.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the history of the map, or of one feature."""
-    settings = read_settings()
+    settings = read_settings(map_name)
     from conetl.reports.drive_passes import reasons_of  # OpenCV takes a while to load
 
     with open_map(settings) as conn:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from pydantic import BaseModel, ConfigDict
 
-from conetl.cli.console import Columns, JsonOption, counted, parse_time, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, MapOption, counted, parse_instant, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.exports.geojson import export_layout_geojson, finding_as_dict
 from conetl.files.yaml_model import read_yaml_model
@@ -18,6 +19,7 @@ from conetl.model.work_zone_records import Finding, Level, WorkZone
 from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
 from conetl.pipeline.settings import read_settings
 from conetl.workzones.layout_check import allowed_spacing_m, check_layout
+from conetl.workzones.standards import DEFAULT, STANDARDS, layout_rules, read_standard
 
 FeedOption = Annotated[
     Path | None, typer.Option("--feed", help="WZDx: YAML file with publisher, road_names, contact, licence ...")
@@ -46,8 +48,19 @@ class Rules(BaseModel):
     zones: WorkZoneParams = WorkZoneParams()
 
 
+MaxAgeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--max-age", help="WZDx: a zone surveyed longer ago is `planned`, its impact unknown: 7d, 36h; default: 7d."
+    ),
+]
+
+
 def check_layout_command(
     speed_kmh: Annotated[float, typer.Option(min=5, max=200, help="Speed limit that the rules depend on.")] = 50.0,
+    standard: Annotated[
+        str, typer.Option("--standard", help=f"Source of the rules: {', '.join(STANDARDS)}.", show_default=True)
+    ] = DEFAULT,
     rules: RulesOption = None,
     lanes: LanesOption = None,
     as_of: Annotated[str | None, typer.Option("--as-of", help="State of the road at this time.")] = None,
@@ -57,22 +70,31 @@ def check_layout_command(
     picture: Annotated[
         Path | None, typer.Option("--picture", "--image", help="PNG to write: the work zones along their road.")
     ] = None,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check the layout of the work zones: spacing, missing cones, taper lengths, cones in the open lane."""
-    settings = read_settings()
+    settings = read_settings(map_name)
+    if standard not in STANDARDS:
+        raise InputError(f"--standard {standard}: expected one of {', '.join(STANDARDS)}")
     chosen = read_yaml_model(rules, Rules, "rules")
+    layout = layout_rules(standard, chosen.layout)
     with open_map(settings) as conn:
-        found = read_zones(conn, map_name=settings.map_name, as_of=parse_time(as_of), lanes=lanes, params=chosen.zones)
+        found = read_zones(
+            conn, map_name=settings.map_name, as_of=parse_instant(as_of), lanes=lanes, params=chosen.zones
+        )
     standing = [zone for zone in found.zones if zone.history.end_ns is None]
-    checked = [
-        (zone, check_layout(zone.history, zone.layout, speed_kmh, chosen.layout, chosen.zones)) for zone in standing
-    ]
+    checked = [(zone, check_layout(zone.history, zone.layout, speed_kmh, layout, chosen.zones)) for zone in standing]
     findings = [finding for _, some in checked for finding in some]
-    taper_m, tangent_m = allowed_spacing_m(speed_kmh, chosen.layout)
+    taper_m, tangent_m = allowed_spacing_m(speed_kmh, layout)
+    spacing = (
+        f"at most {taper_m:.1f} m between cones in tapers, {tangent_m:.1f} m in tangents"
+        if math.isfinite(taper_m + tangent_m)
+        else "no rule of spacing"
+    )
+    known = read_standard(standard)
     title = (
-        f"Map {settings.map_name}{f' as of {as_of}' if as_of else ''}, {speed_kmh:g} km/h: at most {taper_m:.1f} m between cones "
-        f"in tapers, {tangent_m:.1f} m in tangents"
+        f"Map {settings.map_name}{f' as of {as_of}' if as_of else ''}, {known.standard}, {speed_kmh:g} km/h: {spacing}"
     )
     if output is not None:
         export_layout_geojson(findings, output, srid=found.srid)
@@ -86,6 +108,8 @@ def check_layout_command(
         print_json(
             {
                 "map": settings.map_name,
+                "standard": known.standard,
+                "not_covered": known.not_covered,
                 "speed_kmh": speed_kmh,
                 "lane_lines_from": found.lane_lines_from,
                 "work_zones": [zone_as_dict(zone) for zone in standing],
@@ -94,6 +118,7 @@ def check_layout_command(
         )
         return
     say(title)
+    say(f"Not checked: {'; '.join(known.not_covered)}.")
     if not checked:
         say("There are no work zones on this map.")
     for zone, some in checked:

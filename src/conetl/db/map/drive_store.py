@@ -33,7 +33,7 @@ Square = tuple[float, float, float]
 class StoredDrive:
     """The small part of a drive: its header, its path and its tracks."""
 
-    map_name: str
+    id_name: str
     content_sha256: str
     captured_from_ns: int
     rig: Rig | None
@@ -75,7 +75,7 @@ def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
         path = stream(conn, load_sql("drives.path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
         figures = header["absence_figures"]
         return StoredDrive(
-            map_name=header["map_name"],
+            id_name=header["id_name"],
             content_sha256=header["content_sha256"],
             captured_from_ns=header["captured_from_ns"],
             rig=rig,

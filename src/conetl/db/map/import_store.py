@@ -14,7 +14,7 @@ from conetl.db.map import rows as map_rows
 from conetl.db.map.commit import committed_result, insert_changeset
 from conetl.db.map.map_store import map_for, require_map, system_time
 from conetl.db.map.replay_store import write_replay
-from conetl.db.map.results import CommitResult, RecordCounts, Replay, RunInfo
+from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
 from conetl.db.map.rows import feature_of
 from conetl.db.statements import load_sql
 from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap
@@ -50,6 +50,27 @@ def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, Known
     }
 
 
+class StatedVersion(NamedTuple):
+    """One version of a feature, as far as an export states it."""
+
+    version: int
+    xyz_m: tuple[float, float, float]
+    category: str
+    cone_height_m: float
+    observation_count: int
+    last_seen_ns: int
+
+
+def versions_of_ids(conn: Connection, info: MapInfo, feature_ids: Sequence[UUID]) -> dict[UUID, list[StatedVersion]]:
+    """All versions of those of the ids that are features of the map."""
+    found: dict[UUID, list[StatedVersion]] = {}
+    with database_errors(f"The map {info.map_name} cannot be read"):
+        rows = stream(conn, load_sql("map.versions_of_ids"), {"map_id": info.map_id, "feature_ids": list(feature_ids)})
+        for feature_id, version, east, north, height, *values in rows:
+            found.setdefault(feature_id, []).append(StatedVersion(version, (east, north, height), *values))
+    return found
+
+
 def place_import(
     conn: Connection, imported: ImportedMap, idempotency_key: str, *, map_name: str, reconcile: ReconcileParams
 ) -> UUID:
@@ -58,7 +79,7 @@ def place_import(
     It counts once its changeset exists. Raises MapMismatchError if the map is in another CRS.
     """
     info = map_for(conn, map_name, imported.srid, imported.name)
-    drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
+    drive_uuid = uuid5(_NAMESPACE, f"{info.id_name}/{idempotency_key}")
     cells, cell_m = _cells(imported.statements)
     parameters = {
         "drive_uuid": drive_uuid,

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from difflib import get_close_matches
 from uuid import UUID
 
 from conetl.db.connection import (
@@ -57,11 +58,28 @@ def find_map(conn: Connection, map_name: str = "default") -> MapInfo | None:
 
 
 def require_map(conn: Connection, map_name: str) -> MapInfo:
-    """The map. Raises InputError if it does not exist."""
+    """The map. Raises InputError if it does not exist, which names the maps whose names are nearest."""
     info = find_map(conn, map_name)
-    if info is None:
-        raise InputError(f"there is no map named {map_name} in this database: ingest a drive or import a map first.")
-    return info
+    if info is not None:
+        return info
+    names = map_names(conn)
+    if not names:
+        raise InputError(
+            f"this database has no map named {map_name}, and no other one: ingest a drive or import a map first"
+        )
+    near = get_close_matches(map_name, names, n=3, cutoff=0.5)
+    others = (
+        f"did you mean {' or '.join(near)}?" if near else f"it has {', '.join(names[:5])}{' ...' if names[5:] else ''}."
+    )
+    raise InputError(
+        f"this database has no map named {map_name}; {others} Choose one with --map; `conetl map list` lists all."
+    )
+
+
+def map_names(conn: Connection) -> list[str]:
+    """Names of all maps, in alphabetical order."""
+    with database_errors("The maps of the database cannot be read"):
+        return [row["map_name"] for row in execute(conn, load_sql("map.maps"))]
 
 
 def read_current_features(conn: Connection, *, map_name: str = "default") -> list[MapFeature]:
@@ -145,9 +163,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
         _log.warning("No drive of map %s counts: it is called %s from now on", map_name, new_name)
         info = None
     if info is None:
-        created = {"map_name": map_name, "srid": srid, "created_at": now or datetime.now(UTC)}
-        execute(conn, load_sql("map.insert_map"), created)
-        info = find_map(conn, map_name)
+        info = insert_map(conn, map_name, srid, now=now)
     if info is None or info.srid != srid:
         raise MapMismatchError(
             f"{what} is in EPSG:{srid}, the map {map_name} in EPSG:{info.srid if info else '?'}: set "
@@ -155,6 +171,20 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
             "same roads, see whether its latitude and longitude are swapped, or in radians."
         )
     return info
+
+
+def insert_map(
+    conn: Connection, map_name: str, srid: int, *, vertical_srid: int | None = None, now: datetime | None = None
+) -> MapInfo | None:
+    """Create a map unless it exists; does not commit. The map of that name."""
+    created = {
+        "map_name": map_name,
+        "srid": srid,
+        "vertical_srid": vertical_srid,
+        "created_at": now or datetime.now(UTC),
+    }
+    execute(conn, load_sql("map.insert_map"), created)
+    return find_map(conn, map_name)
 
 
 def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) -> datetime:

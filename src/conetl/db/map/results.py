@@ -18,7 +18,11 @@ class MapInfo:
 
     map_id: int
     map_name: str
+    id_name: str
+    """Name in the ids of its features: the one that the map had first."""
     srid: int
+    vertical_srid: int | None
+    """Height system in which exports state heights (EPSG); None: ellipsoidal."""
     last_committed_at: datetime | None
     counts: bool
     """False while all its drives are on hold or reverted."""

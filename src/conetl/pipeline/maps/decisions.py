@@ -97,7 +97,7 @@ def decide_place(
     """Suppress or pin the position of a feature. feature: its id, or the beginning of it. Raises InputError, and ConflictError
     where the same was decided already, or the feature's version is not `expected_version`, on which the person decided."""
     if not 0 < radius_m <= MAX_RADIUS_M:
-        raise InputError(f"a radius of {radius_m} m is not between 0 and {MAX_RADIUS_M:g} m")
+        raise InputError(f"radius {radius_m:g} m: expected more than 0 and at most {MAX_RADIUS_M:g} m")
     with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
         state = _feature(conn, map_name, feature)
         before = read_decisions(conn, map_name=map_name)

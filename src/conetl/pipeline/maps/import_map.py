@@ -12,13 +12,22 @@ from uuid import UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import read_decisions
-from conetl.db.map.import_store import IMPORT_INFLUENCE_M, commit_import, known_ids, place_import, read_statements
-from conetl.db.map.map_store import find_changeset, map_transaction
+from conetl.db.map.import_store import (
+    IMPORT_INFLUENCE_M,
+    StatedVersion,
+    commit_import,
+    known_ids,
+    place_import,
+    read_statements,
+    versions_of_ids,
+)
+from conetl.db.map.map_store import find_changeset, find_map, map_for, map_transaction, read_current_features
 from conetl.db.map.replay_store import affected_drives, superseded_drives
-from conetl.db.map.results import RunInfo
+from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
 from conetl.mapping.history import DriveEvidence
 from conetl.model.errors import InputError
@@ -29,17 +38,24 @@ from conetl.pipeline.replay import founding_key, replay_of
 _NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
 #: No network took part.
 _NO_MODEL = ""
+#: Formats round coordinates to a tenth of a millimetre, times to a microsecond.
+_SAME_PLACE_M, _SAME_TIME_NS = 0.001, 1_000_000
 
 
 class ImportResult(NamedTuple):
     """What an import did."""
 
-    changeset_id: UUID
+    changeset_id: UUID | None
+    """None where all rows are an export of this map."""
     committed: bool
     """False where the same file with the same parameters is on the map already: nothing was written."""
     counts: dict[DeltaKind, int]
     replayed: int
     """Later drives that were compared with the map again because of it."""
+    own: int = 0
+    """Rows that were left out: this map exported them, so they are no evidence."""
+    same_place: int = 0
+    """Rows with ids of their own that stand where cones of the map stand, to a millimetre."""
 
 
 def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str) -> ImportResult:
@@ -48,15 +64,21 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
     The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
     """
     started_at = datetime.now(UTC)
-    keys = _keys(imported, params)
     with map_transaction(conn, map_name):
+        before = find_map(conn, map_name)
+        own = set() if before is None or imported.founds_ids else _own_rows(conn, before, imported.statements)
+        if len(own) == len(imported.statements):
+            return ImportResult(None, False, dict.fromkeys(DeltaKind, 0), 0, own=len(own))
+        imported = replace(imported, statements=[s for i, s in enumerate(imported.statements) if i not in own])
+        keys = _keys(imported, params)
         taken = [known for one in keys if (known := find_changeset(conn, one, map_name=map_name)) is not None]
         for known in taken:
             if _states_the_same_places(conn, known.drive_uuid, imported):
-                return ImportResult(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
+                return ImportResult(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0, own=len(own))
+        info = map_for(conn, map_name, imported.srid, imported.name)
         key = keys[-1] if taken else keys[0]
         changeset = Changeset(
-            changeset_id=uuid5(_NAMESPACE, f"{map_name}/{key}"),
+            changeset_id=uuid5(_NAMESPACE, f"{info.id_name}/{key}"),
             drive_id=imported.name,
             idempotency_key=key,
             params_sha256=params_sha256(params),
@@ -64,13 +86,13 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
             code_version=version("conetl"),
             deltas=(),
         )
-        imported = _with_ids_of_map(imported, map_name)
+        imported = _with_ids_of_map(imported, info.id_name)
         _refuse_taken_ids(conn, imported, params, map_name)
         drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = DriveEvidence(
             key=(imported.stated_at_ns, imported.content_sha256, key),
             changeset_id=changeset.changeset_id,
-            founding_key=founding_key(map_name, imported.content_sha256),
+            founding_key=founding_key(info.id_name, imported.content_sha256),
             tracks=(),
             path_m=np.array([statement.feature.xyz_m[:2] for statement in imported.statements]),
             influence_m=IMPORT_INFLUENCE_M,
@@ -79,13 +101,15 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
             imported=imported.statements,
         )
         seeds = [drive_uuid, *superseded_drives(conn, drive_uuid)]
+        # The cones of an earlier import of this file stand there because of it.
+        same_place = _standing_at(conn, map_name, imported.statements) if imported.founds_ids and len(seeds) == 1 else 0
         later = [ref for ref in affected_drives(conn, seeds) if ref.drive_uuid not in seeds]
         aside = [*seeds, *(ref.drive_uuid for ref in later)]
         folded, replay = replay_of(conn, aside, later, read_decisions(conn, map_name=map_name), own=[evidence])
         deltas = tuple(folded.updates[changeset.changeset_id].deltas)
         changeset = changeset.model_copy(update={"deltas": deltas})
         run = RunInfo(
-            run_id=uuid5(_NAMESPACE, f"run {map_name}/{key}"),
+            run_id=uuid5(_NAMESPACE, f"run {info.id_name}/{key}"),
             started_at=started_at,
             params={
                 "import": params.model_dump(mode="json"),
@@ -95,7 +119,41 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
         )
         commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run)
     counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
-    return ImportResult(changeset.changeset_id, True, counts, len(later))
+    return ImportResult(changeset.changeset_id, True, counts, len(later), len(own), same_place)
+
+
+def _own_rows(conn: Connection, info: MapInfo, statements: Sequence[ImportedFeature]) -> set[int]:
+    """Indices of the rows that this map exported: what one of its versions says, by its number or with the same evidence."""
+    known = versions_of_ids(conn, info, [s.stated_id for s in statements if s.stated_id is not None])
+
+    def is_own(statement: ImportedFeature, version: StatedVersion) -> bool:
+        feature = statement.feature
+        same_evidence = (
+            feature.observation_count == version.observation_count
+            and abs(feature.last_seen_ns - version.last_seen_ns) < _SAME_TIME_NS
+        )
+        return (
+            (same_evidence or statement.stated_version == version.version)
+            and feature.category == version.category
+            and abs(feature.cone_height_m - version.cone_height_m) < _SAME_PLACE_M
+            and bool(np.abs(np.subtract(feature.xyz_m, version.xyz_m)).max() < _SAME_PLACE_M)
+        )
+
+    return {
+        index
+        for index, statement in enumerate(statements)
+        if statement.stated_id is not None
+        and any(is_own(statement, version) for version in known.get(statement.stated_id, ()))
+    }
+
+
+def _standing_at(conn: Connection, map_name: str, statements: Sequence[ImportedFeature]) -> int:
+    """How many of the positions are those of standing cones, to a millimetre."""
+    standing_m = np.array([feature.xyz_m for feature in read_current_features(conn, map_name=map_name)]).reshape(-1, 3)
+    if not len(standing_m):
+        return 0
+    distances_m, _ = cKDTree(standing_m).query(_places_m(statements), distance_upper_bound=_SAME_PLACE_M)
+    return int(np.isfinite(distances_m).sum())
 
 
 def _keys(imported: ImportedMap, params: ImportParams) -> tuple[str, str]:
@@ -117,12 +175,12 @@ def _places_m(statements: Sequence[ImportedFeature]) -> NDArray[np.float64]:
     return np.array([statement.feature.xyz_m for statement in statements], dtype=np.float64).reshape(-1, 3)
 
 
-def _with_ids_of_map(imported: ImportedMap, map_name: str) -> ImportedMap:
+def _with_ids_of_map(imported: ImportedMap, id_name: str) -> ImportedMap:
     """An import with the ids that the map founds for it. The map's name is in them: ids are unique in a database, and one
     file may be imported into several of its maps."""
     if not imported.founds_ids:
         return imported
-    key = founding_key(map_name, imported.content_sha256)
+    key = founding_key(id_name, imported.content_sha256)
     statements = []
     for row, statement in enumerate(imported.statements):
         feature = statement.feature.model_copy(update={"feature_id": uuid5(_NAMESPACE, f"{key}/{row}")})

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import find_map
+from conetl.db.map.map_store import require_map
 from conetl.db.zone_store import read_lanes_near, read_paths, read_versions
 from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
-from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
+from conetl.model.records import utc_from_ns
 from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
 from conetl.workzones.work_zones import zones_over_time
 from conetl.workzones.zone_layout import describe, layout_of
@@ -43,13 +43,21 @@ def export_wzdx(
     publisher: str | None,
     road_names: list[str] | None,
     lanes: Path | None,
+    max_age: timedelta | None = None,
+    now: datetime | None = None,
 ) -> int:
     """Write a WorkZoneFeed or DeviceFeed, validated by its schema, and return the number of features. Raises InputError."""
     info = read_feed_info(feed, publisher=publisher, road_names=road_names)
     params = WorkZoneParams()
+    if max_age is not None:
+        params = params.model_copy(update={"max_age_days": max_age / timedelta(days=1)})
     found = read_zones(conn, map_name=map_name, as_of=as_of, lanes=lanes, params=params)
-    now = datetime.now(UTC)
-    context = FeedContext(info, map_name, found.srid, at=as_of or now, made_at=now, params=params)
+    now = now or datetime.now(UTC)
+    last_ns = max((cone.last_seen_ns for cone in found.standing), default=None)
+    surveyed_at = None if last_ns is None else utc_from_ns(last_ns)
+    context = FeedContext(
+        info, map_name, found.srid, at=as_of or now, made_at=now, params=params, surveyed_at=surveyed_at
+    )
     if devices:
         return export_device_feed(found.standing, found.zones, output, context)
     return export_work_zone_feed(found.zones, output, context)
@@ -59,13 +67,11 @@ def read_zones(
     conn: Connection, *, map_name: str, as_of: datetime | None, lanes: Path | None, params: WorkZoneParams
 ) -> MapZones:
     """Current and ended work zones of a map until a time (None: now). Raises InputError if the map does not exist."""
-    info = find_map(conn, map_name)
-    if info is None:
-        raise InputError(f"this database has no map named {map_name}: ingest a drive or import a map first")
+    info = require_map(conn, map_name)
     versions = read_versions(conn, map_name=map_name, until=as_of)
     paths = read_paths(conn, map_name=map_name, until=as_of)
     at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
-    histories = zones_over_time(versions, paths, params, map_name=map_name, at_ns=at_ns)
+    histories = zones_over_time(versions, paths, params, map_name=info.id_name, at_ns=at_ns)
     lines, source = _lane_lines(conn, histories, lanes, map_name=map_name, srid=info.srid)
     zones = [
         describe(history, layout_of(history, paths, some, params), params)

@@ -101,7 +101,7 @@ class Rows:
             try:
                 row: Row | str = Row.model_validate({str(key): value for key, value in values.items()})
             except ValidationError as error:
-                row = f"{where}: {first_message(error)}, found {shown(error.errors()[0]['input'])}"
+                row = f"{where}: {first_message(error)}"
             if stem in self.by_stem:
                 row = f"{where}: the stem {shown(stem)} is in two rows; keep one"
             self.by_stem[stem] = row

@@ -17,9 +17,10 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
-from conetl.files.documents import shown
+from conetl.files.documents import expectation, key_of, shown
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import utm_srid
+from conetl.geometry.heights import to_ellipsoidal
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
@@ -100,6 +101,9 @@ def read_map_file(
                 f"{path} is an export of history or changes (column {name}); export features to import them"
             )
     file_crs = _file_crs(table, crs)
+    if file_crs.is_compound:
+        table.xyz[:] = _with_ellipsoidal_heights(table, file_crs)
+        file_crs = file_crs.sub_crs_list[0]
     _require_all(table, file_crs, map_srid, params, stated_at)
     srid = _map_srid(table, file_crs, map_srid)
     xyz_m = _positions(table, file_crs, srid, params)
@@ -139,8 +143,11 @@ class _Rows:
         return InputError(f"{self.table.path}, row {index + 1}: {what}; nothing was written")
 
     def values(self, index: int) -> dict[str, Any]:
-        """By column, without empty cells."""
-        return {name: column[index] for name, column in self.table.columns.items() if column[index] is not None}
+        """By column, without empty cells; `height_m` under its newer name too."""
+        values = {name: column[index] for name, column in self.table.columns.items() if column[index] is not None}
+        if "object_height_m" in values:
+            values.setdefault("height_m", values["object_height_m"])
+        return values
 
     def ids(self, sha256: str) -> list[UUID]:
         """One per row: those of the file, or new ones made of the file's hash and the row number."""
@@ -176,8 +183,7 @@ class _Rows:
             covariance = row.covariance()
         except ValidationError as error:
             first = error.errors()[0]
-            why = first["msg"].removeprefix("Value error, ")
-            raise self.fail(index, f"{first['loc'][0]} is {first['input']!r:.100}, {why}") from None
+            raise self.fail(index, f"{key_of(first)} is {first['input']!r:.100}, {expectation(first)}") from None
         except ValueError as error:
             raise self.fail(index, error) from None
         last_ns = self.instant_ns(index, values, "last_seen_at", stated_ns)
@@ -194,7 +200,19 @@ class _Rows:
             existence_probability=row.existence_probability, observation_count=row.observation_count,
             first_seen_ns=first_ns, last_seen_ns=last_ns,
         )  # fmt: skip
-        return ImportedFeature(feature=feature, valid_from_ns=valid_from_ns)
+        stated_id, stated_version = self.stated(values)
+        return ImportedFeature(
+            feature=feature, valid_from_ns=valid_from_ns, stated_id=stated_id, stated_version=stated_version
+        )
+
+    def stated(self, values: Mapping[str, Any]) -> tuple[UUID | None, int | None]:
+        """Feature id and version of a row, by which an own export is recognised; None for what is none."""
+        try:
+            stated_id = UUID(str(values["feature_id"]))
+        except (KeyError, ValueError):
+            return None, None
+        version = str(values.get("version", ""))
+        return stated_id, int(version) if version.isdecimal() and len(version) < 10 else None
 
     def instant_ns(self, index: int, values: Mapping[str, Any], name: str, default: Any) -> Any:
         """UTC nanoseconds; `name`_us (microseconds since 1970) is exact where a format's own times are not."""
@@ -248,14 +266,17 @@ def _file_crs(table: MapTable, stated: str | None) -> CRS:
         raise InputError(f"{table.path} does not have a CRS of its coordinates: state it (--crs EPSG:...)")
     if table.crs is not None and wanted is not None and not _same(table.crs, wanted):
         raise InputError(f"{table.path} has the CRS {table.crs.name}, but --crs is {wanted.name}: which is right?")
-    if crs.is_compound:
-        raise InputError(
-            f"{table.path}: {crs.name} has its own heights; the map's are ellipsoidal. Convert the file to a "
-            "CRS without heights above a geoid"
-        )
-    if not (crs.is_geographic or crs.is_projected):
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs
+    if not (flat.is_geographic or flat.is_projected):
         raise InputError(f"{table.path}: {crs.name} is neither geographic nor projected")
     return crs
+
+
+def _with_ellipsoidal_heights(table: MapTable, crs: CRS) -> NDArray[np.float64]:
+    try:
+        return to_ellipsoidal(table.xyz, crs)
+    except InputError as error:
+        raise InputError(f"{table.path}: {error}") from error
 
 
 def _same(a: CRS, b: CRS) -> bool:

@@ -83,7 +83,7 @@ def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:
     try:
         GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m)
     except ValidationError as error:
-        raise ValueError(f"{first_message(error)}, found {error.errors()[0]['input']}") from error
+        raise ValueError(first_message(error)) from error
     if lat_deg == 0.0 and lon_deg == 0.0:
         raise ValueError("latitude and longitude are both 0: the receiver had no fix")
 

@@ -1,0 +1,157 @@
+"""Maps as a whole: list, rename, delete, and the file (dump) from which a deleted map can be restored with its history.
+
+A dump is a ZIP file: `manifest.json`, and per table one file in the text format of COPY.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from conetl.db.connection import Connection, copy_in, copy_out, database_errors, execute, execute_count, transaction
+from conetl.db.map.map_store import find_map, map_lock, map_transaction, require_map
+from conetl.db.map.results import MapInfo
+from conetl.db.schema import applied_migrations
+from conetl.db.statements import load_sql
+from conetl.files.atomic import atomic_files
+from conetl.model.errors import InputError
+
+_FORMAT = "conetl map 1"
+_MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class ListedMap:
+    """One map and its size."""
+
+    map_name: str
+    srid: int
+    vertical_srid: int | None
+    created_at: datetime
+    feature_count: int
+    """Of cones that stand now."""
+    changeset_count: int
+    layer_count: int
+    """Of base layers."""
+    last_committed_at: datetime | None
+
+
+def list_maps(conn: Connection) -> list[ListedMap]:
+    """All maps of the database, by name."""
+    with database_errors("The maps of the database cannot be read"):
+        return [ListedMap(**row) for row in execute(conn, load_sql("archive.list_maps"))]
+
+
+def rename_map(conn: Connection, map_name: str, new_name: str) -> None:
+    """Give a map another name; its history, decisions and receipts stay with it. Raises InputError where the name is in use."""
+    with map_transaction(conn, map_name):
+        map_lock(conn, new_name)
+        info = require_map(conn, map_name)
+        _require_free_name(conn, new_name)
+        names = {"map_id": info.map_id, "map_name": map_name, "new_name": new_name}
+        execute(conn, load_sql("archive.rename_map"), names)
+
+
+def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
+    """Write the map to the file `dump`, then delete it, in one transaction; the number of rows by table.
+
+    Raises InputError if the map does not exist or the file cannot be written; then nothing was deleted.
+    """
+    with map_transaction(conn, map_name):
+        info = require_map(conn, map_name)
+        rows = _write_dump(conn, info, dump)
+        key = {"map_id": info.map_id, "map_name": map_name}
+        runs = [row["run_id"] for row in execute(conn, load_sql("archive.run_ids"), key)]
+        for table in reversed(execute(conn, load_sql("archive.tables"), {})):
+            if table["table_name"] not in ("run", "run_step"):  # which are known by the changesets
+                execute(conn, f"delete from conetl.{table['table_name']} where {table['condition']}", key)
+        execute(conn, load_sql("archive.delete_map_row"), key | {"run_ids": runs})
+    return rows
+
+
+def restore_map(conn: Connection, dump: Path, map_name: str | None = None) -> MapInfo:
+    """Bring back a map from its dump, under its own name or another one; all or nothing.
+
+    Raises InputError if the file is not a dump, was written with another schema, or holds what is in the database.
+    """
+    try:
+        with zipfile.ZipFile(dump) as file:
+            manifest = json.loads(file.read(_MANIFEST))
+            if manifest["format"] != _FORMAT:
+                raise InputError(f"{dump}: the format is {manifest['format']}, expected {_FORMAT}")
+            return _restore(conn, dump, file, manifest, map_name or str(manifest["map"]["map_name"]))
+    except OSError as error:
+        raise InputError(f"{dump}: cannot be read ({error.strerror})") from error
+    except (zipfile.BadZipFile, KeyError, TypeError, ValueError, EOFError) as error:
+        raise InputError(f"{dump}: is damaged, or not a file that `conetl map delete` wrote ({error})") from error
+
+
+def _write_dump(conn: Connection, info: MapInfo, dump: Path) -> dict[str, int]:
+    key = {"map_id": info.map_id, "map_name": info.map_name}
+    row = execute(conn, load_sql("archive.map_row"), key)[0]
+    rows: dict[str, int] = {}
+    tables = execute(conn, load_sql("archive.tables"), {})
+    with atomic_files(dump) as [path], zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+        for table in tables:
+            sorting = f" order by {table['sorting']}" if table["sorting"] else ""
+            query = f"select {table['columns']} from conetl.{table['table_name']} where {table['condition']}{sorting}"
+            with file.open(table["table_name"], "w", force_zip64=True) as sink:
+                rows[table["table_name"]] = copy_out(conn, query, key, sink)
+        manifest = {
+            "format": _FORMAT,
+            "written_at": datetime.now(UTC).isoformat(),
+            "schema": applied_migrations(conn),
+            "map": row | {"created_at": row["created_at"].isoformat()},
+            "columns": {table["table_name"]: table["columns"] for table in tables},
+            "rows": rows,
+        }
+        file.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+    return rows
+
+
+def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: dict[str, Any], map_name: str) -> MapInfo:
+    with transaction(conn, "The schema of the database cannot be read"):
+        schema, tables = applied_migrations(conn), execute(conn, load_sql("archive.tables"), {})
+    if manifest["schema"] != schema or manifest["columns"] != {t["table_name"]: t["columns"] for t in tables}:
+        raise InputError(
+            f"{dump}: was written with the database schema {manifest['schema'][-1]}, this one has {schema[-1]}: restore it "
+            "with the version of conetl that wrote it, then migrate"
+        )
+    with map_transaction(conn, map_name):
+        _require_free_name(conn, map_name)
+        row = manifest["map"]
+        for other in execute(conn, load_sql("archive.same_ids"), {"id_name": row["id_name"]}):
+            raise InputError(
+                f"{dump}: its features have the same ids as those of the map {other['map_name']}: restore it into another "
+                f"database, or delete that map first (`conetl map delete {other['map_name']}`)"
+            )
+        id_name = None if row["id_name"] == map_name else row["id_name"]
+        made = execute(conn, load_sql("archive.restore_map_row"), row | {"map_name": map_name, "id_name": id_name})[0]
+        key = {"map_id": made["map_id"], "map_name": map_name}
+        for table in tables:
+            name, columns, own = table["table_name"], table["columns"], table["map_column"]
+            with file.open(name) as source:
+                if own is None:
+                    copy_in(conn, f"conetl.{name} ({columns})", source, str(dump))
+                    continue
+                execute(
+                    conn, f"create temporary table stage on commit drop as select {columns} from conetl.{name} limit 0"
+                )
+                copy_in(conn, f"stage ({columns})", source, str(dump))
+            copied = f"insert into conetl.{name} ({own}, {columns}) select %({own})s, {columns} from stage"
+            if execute_count(conn, copied, key) != manifest["rows"][name]:
+                raise InputError(f"{dump}: the table {name} is incomplete; nothing was restored")
+            execute(conn, "drop table stage")
+        info = require_map(conn, map_name)
+    with transaction(conn, "The planner's figures could not be renewed"):
+        execute(conn, "analyze conetl.feature, conetl.feature_version, conetl.delta")
+    return info
+
+
+def _require_free_name(conn: Connection, map_name: str) -> None:
+    if find_map(conn, map_name) is not None:
+        raise InputError(f"a map named {map_name} exists already: choose another name")

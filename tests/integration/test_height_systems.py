@@ -1,0 +1,182 @@
+"""Height systems of maps and files, and the dictionary of their fields."""
+
+from __future__ import annotations
+
+import csv
+import json
+import struct
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pyogrio
+import pyproj
+import pytest
+from pyproj import Transformer
+
+from conetl.db.connection import execute, query_columns
+from conetl.db.map.map_store import read_current_features
+from conetl.db.statements import load_sql
+from conetl.exports import FORMATS
+from conetl.exports.fields import FIELDS, OGC_NAMES, as_markdown
+from conetl.geometry import heights
+from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS
+from tests.integration.drives_of_days import failed_audits, merge, survey
+
+EGM96 = "EPSG:32632+5773"
+
+
+@pytest.fixture
+def mapped(conn):
+    for day in (0, 1):
+        merge(conn, survey(day))
+    conn.commit()
+    return read_current_features(conn)
+
+
+@pytest.fixture
+def grid(tmp_path, monkeypatch):
+    """A geoid of its own in the place of PROJ's grid for EGM96: it slopes."""
+    slope = np.fromfunction(lambda row, column: 40 + 0.1 * (column - 189) + 0.05 * (row - 139), (181, 361)).astype(
+        ">f4"
+    )
+    (tmp_path / "egm96_15.gtx").write_bytes(struct.pack(">4d2i", -90, -180, 1, 1, 181, 361) + slope.tobytes())
+    before = pyproj.datadir.get_data_dir()
+    heights._transformer.cache_clear()
+    pyproj.datadir.append_data_dir(str(tmp_path))
+    yield
+    pyproj.datadir.set_data_dir(before)
+    heights._transformer.cache_clear()
+
+
+def test_a_missing_grid_is_named(conetl, mapped, tmp_path):
+    said = conetl("map", "export", "--out", tmp_path / "a.gpkg", "--crs", EGM96, code=2)
+    assert "us_nga_egm96_15.tif" in said and "EPSG:5773" in said
+    assert not (tmp_path / "a.gpkg").exists()
+
+
+def test_heights_are_those_of_proj_in_every_format(conetl, conn, mapped, tmp_path, grid):
+    wanted = np.column_stack(
+        Transformer.from_crs(pyproj.CRS(32632).to_3d(), pyproj.CRS(EGM96), always_xy=True).transform(
+            *np.array([feature.xyz_m for feature in mapped]).T
+        )
+    )
+    assert np.abs(wanted[:, 2] - [feature.xyz_m[2] for feature in mapped]).min() > 30
+    order = [str(feature.feature_id) for feature in mapped]
+    for name in ("gpkg", "flatgeobuf", "geoparquet"):
+        path = tmp_path / f"cones{FORMATS[name].suffix}"
+        manifest = json.loads(conetl("map", "export", "--out", path, "--crs", EGM96, "--json"))["manifest"]
+        assert (manifest["crs"], manifest["height_system"]) == (EGM96, "EPSG:5773")
+        table = pyogrio.read_dataframe(path) if name != "geoparquet" else __import__("geopandas").read_parquet(path)
+        table = table.set_index("feature_id").loc[order]
+        assert pyproj.CRS(table.crs).is_compound
+        found = np.array([(p.x, p.y, p.z) for p in table.geometry])
+        assert np.abs(found - wanted).max() < 0.001
+        assert np.abs(table["ground_height_m"] - wanted[:, 2]).max() < 0.001
+        assert set(table["height_system"]) == {"EPSG:5773"}
+        assert table["object_height_m"].tolist() == table["height_m"].tolist()
+        # What comes back is ellipsoidal again, and recognised.
+        assert "export of this map" in conetl("map", "import", path)
+    conetl("map", "export", "--out", tmp_path / "cones.csv", "--crs", EGM96)
+    rows = {row["feature_id"]: row for row in csv.DictReader((tmp_path / "cones.csv").open())}
+    assert [float(rows[i]["ground_height_m"]) for i in order] == pytest.approx(wanted[:, 2].tolist(), abs=0.001)
+    assert [float(rows[i]["ellipsoidal_height_m"]) for i in order] == pytest.approx(
+        [f.xyz_m[2] for f in mapped], abs=0.001
+    )
+    conetl("map", "export", "--out", tmp_path / "cones.geojson", "--crs", EGM96)
+    point = json.loads((tmp_path / "cones.geojson").read_text())["features"][0]
+    assert (
+        point["geometry"]["coordinates"][2] - point["properties"]["ground_height_m"] > 30
+    )  # RFC 7946: above the ellipsoid
+    assert failed_audits(conn) == []
+
+
+def test_a_map_has_a_height_system(conetl, conn, tmp_path, grid):
+    conetl("map", "create", "city", "--crs", EGM96)
+    [city] = json.loads(conetl("map", "list", "--json"))
+    assert (city["srid"], city["vertical_srid"]) == (32632, 5773)
+    merge(conn, survey(0), map_name="city")
+    conn.commit()
+    manifest = json.loads(conetl("map", "export", "--map", "city", "--out", tmp_path / "a.gpkg", "--json"))["manifest"]
+    assert manifest["height_system"] == "EPSG:5773"
+    other = json.loads(
+        conetl("map", "export", "--map", "city", "--out", tmp_path / "b.gpkg", "--crs", "EPSG:32632", "--json")
+    )
+    assert other["manifest"]["height_system"] == "ellipsoidal"
+
+
+def test_sigmas_turn_with_the_axes_of_another_zone(conetl, mapped, tmp_path):
+    tables = []
+    for crs in ("EPSG:32632", "EPSG:32631"):
+        conetl("map", "export", "--out", tmp_path / "a.gpkg", "--crs", crs)
+        tables.append(pyogrio.read_dataframe(tmp_path / "a.gpkg").set_index("feature_id").sort_index())
+    one, other = tables
+    total = [table["sigma_e_m"] ** 2 + table["sigma_n_m"] ** 2 for table in tables]
+    assert total[0].tolist() == pytest.approx(total[1].tolist(), rel=1e-9)
+    assert np.abs(one["cov_en_m2"] - other["cov_en_m2"]).max() > 0
+    to_lon_lat = [np.array(table.to_crs(4326).geometry.apply(lambda p: (p.x, p.y)).tolist()) for table in tables]
+    assert np.abs(to_lon_lat[0] - to_lon_lat[1]).max() < 1e-8
+
+
+def test_every_field_is_in_the_dictionary_with_one_meaning(conetl, conn, mapped, tmp_path):
+    named = set()
+    for what in ("features", "history", "changes"):
+        for name in FORMATS:
+            path = tmp_path / f"{what}{FORMATS[name].suffix}"
+            manifest = json.loads(conetl("map", "export", "--format", name, "--out", path, "--what", what, "--json"))[
+                "manifest"
+            ]
+            named |= set(manifest["columns"])
+        named |= set((tmp_path / f"{what}.csv").read_text().splitlines()[0].split(","))
+    conetl("map", "diff", 1, 2, "--out", tmp_path / "diff.geojson")
+    features = json.loads((tmp_path / "diff.geojson").read_text())["features"]
+    named |= set(features[0]["properties"])
+    assert all(f["properties"]["drive_id"] and f["properties"]["sigma_e_m"] > 0 for f in features)
+    assert all(f["properties"]["changeset_no"] == 2 for f in features)
+    for query in ("qgis_now", "qgis_over_time"):
+        columns = query_columns(conn, load_sql(f"exports.{query}").rstrip("; \n"), {"map_name": "default"})
+        named |= {name for name, _ in columns} - {"geom", "version_row_id"}
+    conn.rollback()
+    assert named - set(FIELDS) == set()
+    ogc = set(FEATURE_COLUMNS) | set(CHANGE_COLUMNS)
+    assert ogc - set(FIELDS) - set(OGC_NAMES) == set() and set(OGC_NAMES.values()) <= set(FIELDS)
+    page = as_markdown()
+    assert all(f"| `{name}` |" in page for name in FIELDS)
+
+
+def test_qgis_shows_standing_cones_only_and_names_its_fields(conetl, conn, mapped, tmp_path):
+    conetl("map", "qgis", "--out", tmp_path / "cones.qgs")
+    project = ET.parse(tmp_path / "cones.qgs")
+    layer = project.find(".//maplayer")
+    aliases = {alias.get("field"): alias.get("name") for alias in layer.find("aliases")}
+    assert aliases["object_height_m"] == "Height of the object [m]" and all(
+        name for field, name in aliases.items() if field != "version_row_id"
+    )
+    rows = execute(conn, load_sql("exports.qgis_now"), {"map_name": "default"})
+    conn.rollback()
+    assert sorted(row["feature_id"] for row in rows) == sorted(str(f.feature_id) for f in mapped)
+
+
+def test_changes_without_a_range_are_the_whole_history(conetl, conn, mapped, tmp_path):
+    written = json.loads(conetl("map", "export", "--what", "changes", "--out", tmp_path / "a.csv", "--json"))
+    rows = list(csv.DictReader((tmp_path / "a.csv").open()))
+    assert written["changes"] == len(rows) >= len(mapped) and {row["change"] for row in rows} == {"added"}
+
+
+def test_a_date_is_its_whole_day(conetl, mapped, tmp_path):
+    """The first drive was on the second of March, in the morning."""
+    assert f": {len(mapped)} cones" not in conetl("map", "show", "--as-of", "2026-03-01")
+    assert len(json.loads(conetl("map", "show", "--as-of", "2026-03-02", "--json"))["features"]) > 0
+    assert len(json.loads(conetl("map", "show", "--as-of", "2026-03-02T00:00", "--json"))["features"]) == 0
+    changes = (
+        "map",
+        "export",
+        "--what",
+        "changes",
+        "--out",
+        tmp_path / "a.csv",
+        "--json",
+        "--to",
+        "2026-03-02",
+        "--from",
+    )
+    assert json.loads(conetl(*changes, "2026-03-02"))["changes"] > 0

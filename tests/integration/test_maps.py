@@ -1,0 +1,157 @@
+"""`conetl map list|create|rename|delete|restore`, `--map`, and numbers of changesets per map."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+
+import pytest
+
+from conetl.db.connection import execute
+from conetl.db.statements import load_sql
+from conetl.pipeline.maps.decisions import decide_place, revert
+from tests.integration.drives_of_days import failed_audits, merge, survey
+
+#: Tables of the schema that a dump does not have: bookkeeping, the map itself, and what is shown while a drive is recorded.
+NOT_DUMPED = {"schema_migration", "map", "watched_drive", "provisional_feature"}
+
+
+@pytest.fixture
+def two_maps(conn):
+    """`north` with three drives and decisions, one of them withdrawn, and `south` with two drives."""
+    for day in (0, 2, 1):
+        merge(conn, survey(day), map_name="north")
+    for day in (0, 1):
+        merge(conn, survey(day), map_name="south")
+    conn.commit()
+    [feature, *_] = features_of(conn, "north")
+    decide_place(conn, "pin", feature, map_name="north", radius_m=1.0, note="bollard", decided_by="ann")
+    reverted = revert(conn, "2", map_name="north", note="", decided_by="ann")
+    revert(conn, str(reverted.decision_id), map_name="north", note="", decided_by="bob")
+    conn.commit()
+
+
+def features_of(conn, name):
+    rows = execute(
+        conn, "select feature_id from conetl.current_feature where map_name = %(name)s order by 1", {"name": name}
+    )
+    conn.rollback()
+    return [str(row["feature_id"]) for row in rows]
+
+
+def everything_of(conn, name):
+    """Every row of every table that belongs to a map, as text, without what the database numbers itself."""
+    [key] = execute(conn, "select map_id, map_name from conetl.map where map_name = %(name)s", {"name": name})
+    rows = {}
+    for table in execute(conn, load_sql("archive.tables"), {}):
+        query = f"select {table['columns']} from conetl.{table['table_name']} where {table['condition']}"
+        found = [row["t"] for row in execute(conn, f"select q::text as t from ({query}) q", key)]
+        rows[table["table_name"]] = sorted(found)
+    conn.rollback()
+    return rows
+
+
+def test_changesets_are_numbered_per_map_and_every_command_has_the_option(conetl, two_maps):
+    for name, count in (("north", 3), ("south", 2)):
+        log = json.loads(conetl("map", "log", "--map", name, "--json"))
+        assert [c["changeset_no"] for c in log] == list(range(count, 0, -1))
+    assert conetl("map", "diff", 1, 2, "--map", "south") != conetl("map", "diff", 1, 2, "--map", "north")
+    assert "Map south" in conetl("map", "show", "--map", "south")
+    assert "has no changeset 3" in conetl("map", "diff", 1, 3, "--map", "south", code=2)
+
+
+READING = (
+    "map show", "map log", "map diff 1 2", "map picture x.png", "map export --out x.geojson", "map licence",
+    "map export --out x.json --format wzdx", "map qgis --out x.qgz", "map check-layout", "map check-points x.csv",
+    "map suppress a", "map pin a", "map revert 1", "map decisions", "report drive 1", "report night", "base list",
+    "base drop x", "drive held", "drive accept x", "view",
+)  # fmt: skip
+
+
+def test_a_misspelt_map_is_named_with_its_neighbours(conetl, two_maps):
+    for command in READING:
+        said = conetl(*command.split(), "--map", "nroth", code=2)
+        assert "no map named nroth; did you mean north" in said, command
+    assert "it has north, south" in conetl("map", "show", "--map", "zzz", code=2)
+
+
+def test_maps_are_created_listed_and_renamed(conetl, conn, two_maps):
+    assert "no map named default, and no other" not in conetl("map", "show", code=2)
+    conetl("map", "create", "east", "--crs", "EPSG:25832")
+    assert "exists already" in conetl("map", "create", "east", "--crs", "EPSG:25832", code=2)
+    assert "not a projected" in conetl("map", "create", "west", "--crs", "EPSG:4326", code=2)
+    assert "de_bkg_gcg2016.tif" in conetl("map", "create", "west", "--crs", "EPSG:25832+7837", code=2)
+    assert "invalid map name" in conetl("map", "create", "Weſt", "--crs", "EPSG:25832", code=2)
+    listed = {m["map_name"]: m for m in json.loads(conetl("map", "list", "--json"))}
+    assert [(name, m["changeset_count"]) for name, m in listed.items()] == [("east", 0), ("north", 3), ("south", 2)]
+    before = everything_of(conn, "north")
+    assert "exists already" in conetl("map", "rename", "north", "south", code=2)
+    conetl("map", "rename", "north", "old_north")
+    assert everything_of(conn, "old_north") == before
+
+
+def test_a_renamed_map_goes_on_and_its_name_is_free_again(conetl, conn, two_maps):
+    """Ids are those that the map would have without the other name, and a new map of the old name may have the same drives."""
+    conetl("map", "rename", "south", "valley")
+    merge(conn, survey(2), map_name="valley")
+    merge(conn, survey(0), map_name="south")
+    conn.commit()
+    assert merge(conn, survey(0), map_name="valley") is None
+    merge(conn, survey(3), map_name="south")
+    conn.commit()
+    assert not set(features_of(conn, "south")) & set(features_of(conn, "valley"))
+    assert failed_audits(conn) == []
+    # The late drive replays the others: they find their features, whose ids have the old name.
+    was = set(features_of(conn, "valley"))
+    revert(conn, "3", map_name="valley", note="", decided_by="ann")
+    merge(conn, survey(1), map_name="valley")
+    conn.commit()
+    assert was & set(features_of(conn, "valley"))
+    assert failed_audits(conn) == []
+
+
+def test_a_deleted_map_is_restored_as_it_was(conetl, conn, two_maps, tmp_path):
+    dump = tmp_path / "north.zip"
+    before, other = everything_of(conn, "north"), everything_of(conn, "south")
+    assert "add --yes" in conetl("map", "delete", "north", "--dump", dump, code=2)
+    assert not dump.exists()
+    assert f"conetl map restore {dump}" in conetl("map", "delete", "north", "--dump", dump, "--yes").replace("\n", " ")
+    assert "no map named north" in conetl("map", "show", "--map", "north", code=2)
+    assert everything_of(conn, "south") == other
+    assert failed_audits(conn) == []
+    conetl("map", "restore", dump)
+    assert everything_of(conn, "north") == before and everything_of(conn, "south") == other
+    assert failed_audits(conn) == []
+    assert "exists already" in conetl("map", "restore", dump, code=2)
+    assert "same ids as those of the map north" in conetl("map", "restore", dump, "--map", "copy", code=2)
+    assert "exists already" in conetl("map", "delete", "north", "--yes", "--dump", dump, code=2)
+    # It goes on: a drive that is on it is known, a new one is compared.
+    assert merge(conn, survey(2), map_name="north") is None
+    assert merge(conn, survey(3), map_name="north") is not None
+    conn.commit()
+    assert [c["changeset_no"] for c in json.loads(conetl("map", "log", "--map", "north", "--json"))] == [4, 3, 2, 1]
+
+
+@pytest.mark.parametrize("damage", ["not a zip", "without manifest", "rows missing", "rows broken"])
+def test_a_damaged_dump_changes_nothing(conetl, conn, two_maps, tmp_path, damage):
+    dump, bad = tmp_path / "north.zip", tmp_path / "bad.zip"
+    conetl("map", "delete", "north", "--dump", dump, "--yes")
+    bad.write_bytes(b"PK but not a zip")
+    if damage != "not a zip":
+        with zipfile.ZipFile(dump) as whole, zipfile.ZipFile(bad, "w") as file:
+            for name in whole.namelist():
+                data = whole.read(name)
+                if name == "manifest.json" and damage == "without manifest":
+                    continue
+                if name == "feature":
+                    data = {"rows missing": b"", "rows broken": data.replace(b"\t", b"\tx")}.get(damage, data)
+                file.writestr(name, data)
+    said = conetl("map", "restore", bad, code=2)
+    assert "bad.zip" in said and len(said.splitlines()) <= 3
+    assert [m["map_name"] for m in json.loads(conetl("map", "list", "--json"))] == ["south"]
+
+
+def test_a_dump_has_every_table(conn):
+    known = {row["table_name"] for row in execute(conn, load_sql("archive.tables"), {})}
+    query = "select c.relname from pg_class c where c.relnamespace = 'conetl'::regnamespace and c.relkind = 'r'"
+    assert known | NOT_DUMPED == {row["relname"] for row in execute(conn, query)}
