@@ -25,7 +25,7 @@ const MOST = 500;
 const keyOf = (i: ReviewItem) => `${i.kind} ${i.feature_id ?? i.changeset_id ?? ""} ${i.changeset_no}`;
 
 export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, actions: ReviewActions) {
-  const badge = el("b", { class: "badge", textContent: "0" });
+  const badge = el("b", { class: "badge", textContent: "0", data: { count: "0" } });
   const button = el("button", { type: "button", class: "link review-button", title: "What needs a person first", onclick: () => open() }, el("span", { textContent: "Review " }), badge);
   const list = el("ol", { class: "review-items" });
   const about = el("div", {});

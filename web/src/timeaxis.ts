@@ -68,19 +68,23 @@ export function labels({ start, end }: Span, width: number): { time: number; tex
   }
   // The year stands at the first label and where it changes, below a day the whole date; what a long label covers is left out.
   let [before, until] = ["", -Infinity];
-  return times.flatMap((time) => {
+  const found: { time: number; text: string; short: string; major: boolean }[] = [];
+  for (const time of times) {
     const iso = new Date(time).toISOString();
     const context = unit === "time" && step < DAY ? iso.slice(0, 10) : iso.slice(0, 4);
     const text = unit === "year" ? iso.slice(0, 4) : unit === "month" ? MONTHS[new Date(time).getUTCMonth()]! : step >= DAY ? iso.slice(5, 10) : iso.slice(11, 16);
     const at = ((time - start) / (end - start)) * width;
     const major = context !== before;
-    if (at < until && !major) return [];
+    if (at < until && !major) continue;
+    const last = found.at(-1);
+    if (at < until && last) Object.assign(last, { text: last.short, major: false }); // its date is a few pixels long
     before = context;
     const long = unit === "year" ? text : step >= DAY && unit === "time" ? `${context}-${text}` : `${context} ${text}`;
     const shown = !major ? text : unit === "time" && step < DAY && text === "00:00" ? context : long;
     until = at + 7 * shown.length + 10;
-    return [{ time, text: shown, major }];
-  });
+    found.push({ time, text: shown, short: text, major });
+  }
+  return found;
 }
 
 export interface AxisActions {
