@@ -94,12 +94,13 @@ def analyse(
     unless given. progress: called with the number of images and motions that are done, and of all. Raises ConetlError.
     """
     params, settings = params or IngestParams(), settings or read_settings()
+    given = drive.rig
     rig, health = check_stereo(drive)
     drive = drive.model_copy(update={"rig": rig})
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         evidence = read_model_card(settings.model_path).evidence
-        chunks = chunks_of(drive, settings, params)
+        chunks = chunks_of(drive, settings, _for_corrected_rows(params) if rig != given else params)
         detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, executor, progress)
         drive = drive.model_copy(update={"rig": rig})
         trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)
@@ -123,6 +124,12 @@ def analyse(
     records = DriveRecords(drive, detections, matches, positions, tracks, refused)
     health += check_calibration(calibration)
     return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
+
+
+def _for_corrected_rows(params: IngestParams) -> IngestParams:
+    """Of a calibration that is known to be wrong the self-calibration applies what it finds, however small."""
+    small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
+    return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=small)})
 
 
 def _run_chunks(
