@@ -106,7 +106,7 @@ left join lateral (
 
 -- name: review_moves
 -- Cones that the last drive which judged them moved by moved_from_m or more, the largest moves first, without those about
--- which somebody decided. Parameters: as above, moved_from_m. Columns: as above.
+-- which somebody decided. Parameters: map_name; first_row; max_rows; moved_from_m. Columns: as above.
 with found as (
     select v.feature_id, x.shift_m
     from conetl.map m
@@ -129,7 +129,7 @@ left join lateral (
 -- name: review_doubtful
 -- Standing cones whose existence probability, after the last drive that missed them, lies between two values; the least
 -- certain (nearest to 0.5) first, without those about which somebody decided.
--- Parameters: as above, least, most. Columns: as above.
+-- Parameters: map_name; first_row; max_rows; least; most. Columns: as above.
 with doubted as (
     select distinct on (x.feature_id) x.feature_id, x.old_version as version, x.existence_after
     from conetl.map m

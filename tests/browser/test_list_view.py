@@ -66,7 +66,7 @@ def test_the_list_of_changes_has_the_largest_move_first_and_selects_with_the_map
     page.wait_for_selector(".panel >> text=moved by 1.500 m")
     settle(page)
     x, y = page.evaluate("id => window.conetlProject(id)", features["wanders"])
-    box = page.locator("canvas[data-engine]").bounding_box()
+    box = page.locator(".view canvas").first.bounding_box()
     assert abs(x - box["width"] / 2) < 20 and abs(y - box["height"] / 2) < 60  # it flew there
     for key, name in (("]", "comes"), ("j", "goes"), ("[", "comes"), ("k", "wanders")):
         page.keyboard.press(key)
@@ -176,15 +176,15 @@ def test_the_search_finds_cones_drives_days_coordinates_and_places(page, address
     page.wait_for_selector(".drive-text >> text=drive_1")
     assert search("458004 5428010")[0] == "Coordinates"
     page.keyboard.press("Enter")
-    page.wait_for_selector(".pin")
+    page.wait_for_selector(".found-pin")
     assert "mark=4.00,10.00" in page.url
     assert search("torf") == [] and "Nothing found for “torf”" in page.locator(".search-status").inner_text()
     assert search("tor") == ["Places", "Durlacher Tor"]
     page.keyboard.press("Enter")
     page.reload()
-    page.wait_for_selector(".pin")
-    page.click(".pin")
-    page.wait_for_selector(".pin", state="hidden")
+    page.wait_for_selector(".found-pin")
+    page.click(".found-pin")
+    page.wait_for_selector(".found-pin", state="hidden")
     assert search(features["wanders"][:10]) == ["Cones", features["wanders"][:8]]
     page.keyboard.press("Enter")
     page.wait_for_selector(f".panel h2:text-is('{features['wanders'][:8]}')")
@@ -293,4 +293,4 @@ def test_far_sites_are_listed(page, address, conn, samples, images):
     sites.nth(1).click()
     settle(page)
     x, _ = page.evaluate("id => window.conetlProject(id)", str(far.feature_id))
-    assert 0 < x < page.locator("canvas[data-engine]").bounding_box()["width"]
+    assert 0 < x < page.locator(".view canvas").first.bounding_box()["width"]

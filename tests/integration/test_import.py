@@ -166,7 +166,7 @@ def test_drives_confirm_move_and_remove_imported_cones(conn, tmp_path):
     path = cones_csv(tmp_path / "plan.csv", DAYS[0], names, [[cone.height_m, 0.05, 0.05, 0.05] for cone in DAYS[0]])
     day = datetime.fromtimestamp(START_NS / 1e9, UTC)
     with pytest.raises(InputError, match="--surveyed-at"):
-        take(conn, path)
+        take(conn, path, crs="EPSG:32632")
     take(conn, path, crs="EPSG:32632", stated_at=day)
     merged = merge(conn, survey(1))
     kinds = {kind: sum(d.kind is kind for d in merged.changeset.deltas) for kind in DeltaKind}

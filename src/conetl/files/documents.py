@@ -106,7 +106,8 @@ def first_message(error: ValueError) -> str:
     first = error.errors()[0]
     key, wanted = key_of(first), expectation(first)
     text = f"{key}: {wanted}" if key else wanted
-    return text if first["type"] in ("missing", "extra_forbidden") else f"{text}, found {shown(first['input'])}"
+    complete = first["type"] in ("missing", "extra_forbidden", "value_error") or ", found " in wanted
+    return text if complete else f"{text}, found {shown(first['input'])}"
 
 
 @contextmanager
