@@ -132,10 +132,19 @@ def test_a_deleted_map_is_restored_as_it_was(conetl, conn, two_maps, tmp_path):
     assert [c["changeset_no"] for c in json.loads(conetl("map", "log", "--map", "north", "--json"))] == [4, 3, 2, 1]
 
 
-@pytest.mark.parametrize("damage", ["not a zip", "without manifest", "rows missing", "rows broken"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "not a zip", "without manifest", "rows missing", "rows broken", "half of the deltas", "rows of another map",
+        "a name like a path", "no schema", "deep",
+    ],
+)  # fmt: skip
 def test_a_damaged_dump_changes_nothing(conetl, conn, two_maps, tmp_path, damage):
     dump, bad = tmp_path / "north.zip", tmp_path / "bad.zip"
     conetl("map", "delete", "north", "--dump", dump, "--yes")
+    assert dump.stat().st_mode & 0o777 == 0o600
+    [south] = execute(conn, "select changeset_id::text from conetl.changeset limit 1")
+    conn.rollback()
     bad.write_bytes(b"PK but not a zip")
     if damage != "not a zip":
         with zipfile.ZipFile(dump) as whole, zipfile.ZipFile(bad, "w") as file:
@@ -145,9 +154,23 @@ def test_a_damaged_dump_changes_nothing(conetl, conn, two_maps, tmp_path, damage
                     continue
                 if name == "feature":
                     data = {"rows missing": b"", "rows broken": data.replace(b"\t", b"\tx")}.get(damage, data)
+                if name == "delta" and damage == "half of the deltas":
+                    data = b"".join(data.splitlines(keepends=True)[::2])
+                if name == "changeset_published" and damage == "rows of another map":
+                    data = f"{south['changeset_id']}\t2026-03-02 10:00:00+00\n".encode()
+                if name == "manifest.json":
+                    manifest = json.loads(data)
+                    if damage == "rows of another map":
+                        manifest["rows"]["changeset_published"] = 1
+                    if damage == "a name like a path":
+                        manifest["map"]["map_name"] = "../../north"
+                    if damage == "no schema":
+                        manifest["schema"] = []
+                    data = b"[" * 200_000 if damage == "deep" else json.dumps(manifest).encode()
                 file.writestr(name, data)
     said = conetl("map", "restore", bad, code=2)
     assert "bad.zip" in said and len(said.splitlines()) <= 3
+    assert damage != "rows of another map" or "belong to another map" in said.replace("\n", " ")
     assert [m["map_name"] for m in json.loads(conetl("map", "list", "--json"))] == ["south"]
 
 

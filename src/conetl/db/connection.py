@@ -251,7 +251,7 @@ def copy_block(conn: Connection, block: CopyBlock) -> None:
 
 def _first_line(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[0].rstrip(".") if lines else type(error).__name__
+    return lines[0][:400].rstrip(".") if lines else type(error).__name__  # may quote a whole row
 
 
 def _without_password(url: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,6 +11,9 @@ from uuid import UUID
 from pydantic import Field, model_validator
 
 from conetl.model.records import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec2, Vec3
+
+#: Not an option of a command, whatever stands before it.
+MAP_NAME = re.compile(r"[a-z0-9_][a-z0-9_-]{0,39}")
 
 
 class MapFeature(Record):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
@@ -16,9 +15,9 @@ from conetl.files.home import PREFECT_LOGIN, make_secret, read_secret
 from conetl.files.names import file_name_part
 from conetl.files.storage import as_path, is_remote
 from conetl.model.errors import InputError
+from conetl.model.map_records import MAP_NAME
 
-_MAP_NAME_WORDS = "1 to 40 of a-z, 0-9, _ and -, for example night_survey"
-MAP_NAME = re.compile(r"[a-z0-9_-]{1,40}")
+_MAP_NAME_WORDS = "1 to 40 of a-z, 0-9, _ and - (not the first), for example night_survey"
 
 
 class Settings(BaseSettings):

@@ -56,6 +56,9 @@ def download(
     from conetl.exports.export import export_map  # here: Arrow takes a second to load
     from conetl.exports.source import ExportRequest, What
 
+    for instant in (valid_at, known_at, from_valid_at):
+        if instant is not None and not 1 < instant.year < 9999:
+            raise HTTPException(422, f"{instant.isoformat()}: expected a time between the years 2 and 9998.")
     pool: ReaderPool = request.app.state.pool
     folder = TemporaryDirectory(prefix="conetl-download-")
     name = _file_name(map_name, file_format, valid_at, from_valid_at)

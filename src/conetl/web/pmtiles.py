@@ -16,7 +16,7 @@ _HEADER_BYTES = 127
 _MEDIA_TYPES = {2: "image/png", 3: "image/jpeg", 4: "image/webp", 5: "image/avif"}
 _NONE, _GZIP = 1, 2
 #: Larger directories and tiles are refused: a damaged file must not fill the memory.
-_MAX_DIRECTORY_BYTES = 16_000_000
+_MAX_DIRECTORY_BYTES, _MAX_ENTRIES = 16_000_000, 100_000
 _MAX_TILE_BYTES = 8_000_000
 #: The specification allows three levels of leaves below the root in practice.
 _MAX_DEPTH = 4
@@ -137,7 +137,7 @@ def _entries(data: bytes) -> list[Entry]:
             shift += 7
 
     count = varint()
-    if count > len(data):  # each has four bytes or more
+    if count > min(len(data) // 4, _MAX_ENTRIES):  # each has four bytes or more
         raise IndexError(count)
     ids, last = [], 0
     for _ in range(count):
@@ -147,5 +147,7 @@ def _entries(data: bytes) -> list[Entry]:
     offsets: list[int] = []
     for i in range(count):
         value = varint()
-        offsets.append(offsets[i - 1] + lengths[i - 1] if value == 0 and i else value - 1)
+        if value == 0 and i == 0:
+            raise IndexError(value)
+        offsets.append(offsets[i - 1] + lengths[i - 1] if value == 0 else value - 1)
     return [Entry(*values) for values in zip(ids, runs, lengths, offsets, strict=True)]

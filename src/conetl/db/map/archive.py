@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+
+from pydantic import BaseModel, Field
 
 from conetl.db.connection import Connection, copy_in, copy_out, database_errors, execute, execute_count, transaction
 from conetl.db.map.map_store import find_map, map_lock, map_transaction, require_map
@@ -18,10 +20,33 @@ from conetl.db.map.results import MapInfo
 from conetl.db.schema import applied_migrations
 from conetl.db.statements import load_sql
 from conetl.files.atomic import atomic_files
+from conetl.files.documents import MAX_JSON_BYTES, first_message
 from conetl.model.errors import InputError
+from conetl.model.map_records import MAP_NAME
 
 _FORMAT = "conetl map 1"
 _MANIFEST = "manifest.json"
+
+
+class _MapRow(BaseModel, extra="forbid"):
+    """The row of `conetl.map` in a dump."""
+
+    map_name: str = Field(pattern=f"^{MAP_NAME.pattern}$")
+    id_name: str = Field(min_length=1, max_length=200)
+    srid: int = Field(gt=0)
+    vertical_srid: int | None = Field(gt=0)
+    licence: str | None
+    created_at: datetime
+
+
+class _Manifest(BaseModel):
+    """What a dump states of itself. rows: of each table; columns: of each table, as SQL."""
+
+    format: str
+    schema_: list[str] = Field(alias="schema", min_length=1)
+    map: _MapRow
+    columns: dict[str, str]
+    rows: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -80,13 +105,20 @@ def restore_map(conn: Connection, dump: Path, map_name: str | None = None) -> Ma
     """
     try:
         with zipfile.ZipFile(dump) as file:
-            manifest = json.loads(file.read(_MANIFEST))
-            if manifest["format"] != _FORMAT:
-                raise InputError(f"{dump}: the format is {manifest['format']}, expected {_FORMAT}")
-            return _restore(conn, dump, file, manifest, map_name or str(manifest["map"]["map_name"]))
+            if file.getinfo(_MANIFEST).file_size > MAX_JSON_BYTES:
+                raise ValueError(f"{_MANIFEST} has more than {MAX_JSON_BYTES} bytes")
+            manifest = _Manifest.model_validate_json(file.read(_MANIFEST))
+            if manifest.format != _FORMAT:
+                raise InputError(f"{dump}: the format is {manifest.format:.40}, expected {_FORMAT}")
+            if (damaged := file.testzip()) is not None:
+                raise ValueError(f"{damaged:.40} has another checksum")
+            return _restore(conn, dump, file, manifest, map_name or manifest.map.map_name)
     except OSError as error:
         raise InputError(f"{dump}: cannot be read ({error.strerror})") from error
-    except (zipfile.BadZipFile, KeyError, TypeError, ValueError, EOFError) as error:
+    except ValueError as error:
+        reason = first_message(error)
+        raise InputError(f"{dump}: is damaged, or not a file that `conetl map delete` wrote ({reason})") from error
+    except (zipfile.BadZipFile, zlib.error, KeyError, EOFError, NotImplementedError, RuntimeError) as error:
         raise InputError(f"{dump}: is damaged, or not a file that `conetl map delete` wrote ({error})") from error
 
 
@@ -95,6 +127,7 @@ def _write_dump(conn: Connection, info: MapInfo, dump: Path) -> dict[str, int]:
     row = execute(conn, load_sql("archive.map_row"), key)[0]
     rows: dict[str, int] = {}
     tables = execute(conn, load_sql("archive.tables"), {})
+    dump.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     with atomic_files(dump) as [path], zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for table in tables:
             sorting = f" order by {table['sorting']}" if table["sorting"] else ""
@@ -110,20 +143,21 @@ def _write_dump(conn: Connection, info: MapInfo, dump: Path) -> dict[str, int]:
             "rows": rows,
         }
         file.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+        path.chmod(0o600)  # with the names and images' paths of drives
     return rows
 
 
-def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: dict[str, Any], map_name: str) -> MapInfo:
+def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: _Manifest, map_name: str) -> MapInfo:
     with transaction(conn, "The schema of the database cannot be read"):
         schema, tables = applied_migrations(conn), execute(conn, load_sql("archive.tables"), {})
-    if manifest["schema"] != schema or manifest["columns"] != {t["table_name"]: t["columns"] for t in tables}:
+    if manifest.schema_ != schema or manifest.columns != {t["table_name"]: t["columns"] for t in tables}:
         raise InputError(
-            f"{dump}: was written with the database schema {manifest['schema'][-1]}, this one has {schema[-1]}: restore it "
+            f"{dump}: was written with the database schema {manifest.schema_[-1]:.80}, this one has {schema[-1]}: restore it "
             "with the version of conetl that wrote it, then migrate"
         )
     with map_transaction(conn, map_name):
         _require_free_name(conn, map_name)
-        row = manifest["map"]
+        row = manifest.map.model_dump()
         for other in execute(conn, load_sql("archive.same_ids"), {"id_name": row["id_name"]}):
             raise InputError(
                 f"{dump}: its features have the same ids as those of the map {other['map_name']}: restore it into another "
@@ -134,18 +168,18 @@ def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: dict
         key = {"map_id": made["map_id"], "map_name": map_name}
         for table in tables:
             name, columns, own = table["table_name"], table["columns"], table["map_column"]
+            execute(conn, f"create temporary table stage on commit drop as select {columns} from conetl.{name} limit 0")
             with file.open(name) as source:
-                if own is None:
-                    copy_in(conn, f"conetl.{name} ({columns})", source, str(dump))
-                    continue
-                execute(
-                    conn, f"create temporary table stage on commit drop as select {columns} from conetl.{name} limit 0"
-                )
                 copy_in(conn, f"stage ({columns})", source, str(dump))
-            copied = f"insert into conetl.{name} ({own}, {columns}) select %({own})s, {columns} from stage"
-            if execute_count(conn, copied, key) != manifest["rows"][name]:
+            owner = ("", "") if own is None else (f"{own}, ", f"%({own})s, ")
+            copied = f"insert into conetl.{name} ({owner[0]}{columns}) select {owner[1]}{columns} from stage"
+            if execute_count(conn, copied, key) != manifest.rows[name]:
                 raise InputError(f"{dump}: the table {name} is incomplete; nothing was restored")
             execute(conn, "drop table stage")
+        for table in tables:
+            belonging = f"select count(*) as n from conetl.{table['table_name']} where {table['condition']}"
+            if execute(conn, belonging, key)[0]["n"] != manifest.rows[table["table_name"]]:
+                raise InputError(f"{dump}: rows of {table['table_name']} belong to another map; nothing was restored")
         info = require_map(conn, map_name)
     with transaction(conn, "The planner's figures could not be renewed"):
         execute(conn, "analyze conetl.feature, conetl.feature_version, conetl.delta")
