@@ -237,7 +237,7 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
 def _scale(scale: float, sigma: float, prior: float) -> HealthCheck:
     """Whether images and GNSS/INS show the same distances."""
     limit = _MAX_SCALE_SIGMAS * prior
-    held, doubtful = abs(scale) > max(limit, _MAX_SCALE_SIGMAS * sigma), scale_is_doubtful(scale, prior)
+    held, doubtful = abs(scale) > max(limit, _MAX_SCALE_SIGMAS * sigma), scale_is_doubtful(scale, sigma, prior)
     detail = "Images and GNSS/INS show the same distances."
     if held or doubtful:
         detail = (

@@ -47,8 +47,8 @@ _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
 _MOTIONS_KEPT = 256
 _LONE_SIGMAS = 4.5
-#: Differences of distances beyond so many prior sigmas of the calibration's scale may be a drift of the log.
-_DOUBTFUL_SIGMAS = 2.0
+#: Differences of distances beyond so many prior sigmas of the calibration's scale, and of their own, may be a drift of the log.
+_DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
 #: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
 _CHANGING = 4.0
 #: Neighbouring observations of a cone are correlated (background, sun, calibration): so many count as one.
@@ -372,9 +372,9 @@ def refine_with_cones(
     return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory)
 
 
-def scale_is_doubtful(scale: float, prior_sigma: float) -> bool:
-    """Whether an error of the calibration is an unlikely reason why images and log show different distances (by this share)."""
-    return abs(scale) > _DOUBTFUL_SIGMAS * prior_sigma
+def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:
+    """Whether neither the calibration nor the stated errors of the log explain why both show different distances (a share)."""
+    return abs(scale) > max(_DOUBTFUL_SIGMAS * prior_sigma, _SIGNIFICANT_SIGMAS * sigma)
 
 
 def _with_common_errors(refined: RefinedTrajectory, params: TrajectoryParams) -> RefinedTrajectory:
@@ -393,7 +393,7 @@ def _with_common_errors(refined: RefinedTrajectory, params: TrajectoryParams) ->
     reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
     reach[:, :3, 1:4], reach[:, :3, 4:7] = poses[:, :3, :3], np.eye(3)
     # Where images and log show different distances the log may have drifted, from the first or to the last of its positions.
-    doubtful = refined.scale is not None and scale_is_doubtful(refined.scale[0], params.scale_sigma)
+    doubtful = refined.scale is not None and scale_is_doubtful(*refined.scale, params.scale_sigma)
     drift = refined.scale[0] if refined.scale is not None and doubtful else 0.0
     ends = poses[[0, -1], :3, 3]
     reach[:, :3, 7], reach[:, :3, 8] = drift * (ends[1] - ends[0]) / 2, drift * (poses[:, :3, 3] - ends.mean(axis=0))
