@@ -5,11 +5,7 @@
 -- changeset_count, layer_count (base layers), last_committed_at (of changesets and decisions).
 select
     m.map_name, m.srid, m.vertical_srid, m.created_at,
-    (
-        select count(*)
-        from conetl.feature_version v
-        where v.map_id = m.map_id and v.present and upper_inf(v.valid_period) and upper_inf(v.system_period)
-    ) as feature_count,
+    (select count(*) from conetl.current_feature f where f.map_id = m.map_id) as feature_count,
     (select count(*) from conetl.changeset c where c.map_id = m.map_id) as changeset_count,
     (select count(distinct b.layer_name) from conetl.base_source b where b.map_id = m.map_id) as layer_count,
     greatest(

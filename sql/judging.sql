@@ -82,17 +82,19 @@ left join conetl.position p
 where b.drive_uuid = %(drive_uuid)s and b.frame_index = %(frame_index)s
 order by b.side, b.detection_index;
 
--- name: review_removals
--- Cones that the last drive which judged them removed, the latest first, without those about which somebody decided.
--- Parameters: map_name; max_rows, first_row. Columns: total (of all pages), feature_id (null on an empty page).
+-- name: review_changes
+-- Cones that the last drive which judged them removed, the latest first, or moved, the largest moves first, without those
+-- about which somebody decided. Parameters: map_name; first_row; max_rows; change ('removed' or 'moved'); moved_from_m (the
+-- least move). Columns: total (of all pages), feature_id (null on an empty page).
 with found as (
-    select v.feature_id, x.changed_at
+    select v.feature_id, x.changed_at, case x.kind when 'moved' then x.shift_m end as shift_m
     from conetl.map m
     join conetl.feature_version v using (map_id)
     join conetl.delta x
         on x.cell = v.cell and x.feature_id = v.feature_id and x.changeset_id = v.changeset_id and upper_inf(x.system_period)
     where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period)
-    and not v.present and not v.suppressed and x.kind = 'removed'
+    and v.present = (x.kind <> 'removed') and not v.suppressed and x.kind = %(change)s
+    and (x.kind <> 'moved' or x.shift_m >= %(moved_from_m)s)
     and not exists (
         select from conetl.active_decision a
         where a.map_id = m.map_id and (a.feature_id = v.feature_id or ST_DWithin(a.geom, v.geom, a.radius_m))
@@ -101,29 +103,9 @@ with found as (
 select n.total, p.feature_id
 from (select count(*) as total from found) n
 left join lateral (
-    select f.feature_id from found f order by f.changed_at desc, f.feature_id limit %(max_rows)s offset %(first_row)s
-) p on true;
-
--- name: review_moves
--- Cones that the last drive which judged them moved by moved_from_m or more, the largest moves first, without those about
--- which somebody decided. Parameters: map_name; first_row; max_rows; moved_from_m. Columns: as above.
-with found as (
-    select v.feature_id, x.shift_m
-    from conetl.map m
-    join conetl.feature_version v using (map_id)
-    join conetl.delta x
-        on x.cell = v.cell and x.feature_id = v.feature_id and x.changeset_id = v.changeset_id and upper_inf(x.system_period)
-    where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period)
-    and v.present and not v.suppressed and x.kind = 'moved' and x.shift_m >= %(moved_from_m)s
-    and not exists (
-        select from conetl.active_decision a
-        where a.map_id = m.map_id and (a.feature_id = v.feature_id or ST_DWithin(a.geom, v.geom, a.radius_m))
-    )
-)
-select n.total, p.feature_id
-from (select count(*) as total from found) n
-left join lateral (
-    select f.feature_id from found f order by f.shift_m desc, f.feature_id limit %(max_rows)s offset %(first_row)s
+    select f.feature_id from found f
+    order by f.shift_m desc nulls last, f.changed_at desc, f.feature_id
+    limit %(max_rows)s offset %(first_row)s
 ) p on true;
 
 -- name: review_doubtful

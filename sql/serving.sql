@@ -1,18 +1,5 @@
 -- What the web view reads.
 
--- name: maps
--- All maps with the figures by which a person chooses one; last_committed_at is that of changesets and decisions.
-select
-    m.map_name, m.srid,
-    (select count(*) from conetl.changeset c where c.map_id = m.map_id) as changeset_count,
-    (select count(*) from conetl.current_feature f where f.map_id = m.map_id) as feature_count,
-    greatest(
-        (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
-        (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)
-    ) as last_committed_at
-from conetl.map m
-order by m.map_name;
-
 -- name: heads
 -- The latest state of every map, cheap enough to be read several times a second.
 -- Columns: map_name; changeset_no, decision_no (the newest ones of the map, 0 where there is none); base (a text that

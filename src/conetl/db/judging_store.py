@@ -80,9 +80,9 @@ def read_frame_boxes(conn: Connection, drive_uuid: UUID, frame_index: int) -> di
 
 
 def review_page(
-    conn: Connection, map_name: str, kind: str, *, first_row: int, max_rows: int, **bounds: float
+    conn: Connection, map_name: str, kind: str, *, first_row: int, max_rows: int, **bounds: float | str
 ) -> tuple[int, list[UUID]]:
-    """Number of features of one kind (removals, moves, doubtful) that wait for a person, and the ids of one page."""
+    """Number of features of one kind (changes, doubtful) that wait for a person, and the ids of one page."""
     rows = _rows(conn, f"review_{kind}", map_name=map_name, first_row=first_row, max_rows=max_rows, **bounds)
     return int(rows[0]["total"]), [row["feature_id"] for row in rows if row["feature_id"] is not None]
 

@@ -15,7 +15,7 @@ Row = dict[str, Any]
 
 def read_maps(conn: Connection) -> list[Row]:
     """All maps, by name."""
-    return _rows(conn, "serving.maps")
+    return _rows(conn, "archive.list_maps")
 
 
 class Head(NamedTuple):

@@ -29,7 +29,7 @@ def maps(request: Request, conn: Reader) -> m.Maps:
     """All maps of the database."""
     state = request.app.state
     return m.Maps(
-        maps=[m.MapItem(**row) for row in store.read_maps(conn)],
+        maps=[m.MapItem(**{name: row[name] for name in m.MapItem.model_fields}) for row in store.read_maps(conn)],
         chosen=state.map_name,
         basemap=state.basemap.item if state.basemap else None,
     )

@@ -23,7 +23,7 @@ class Answer(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class _Listing(Answer):
+class Listing(Answer):
     origin_m: Vec3
     truncated: bool
     """True if the map holds more than one answer may."""
@@ -132,7 +132,7 @@ class Feature(Answer):
     """Of the changeset that wrote this version."""
 
 
-class Features(_Listing):
+class Features(Listing):
     features: list[Feature]
 
 
@@ -143,7 +143,7 @@ class Change(Feature):
     old_xyz_m: Vec3 | None
 
 
-class Changes(_Listing):
+class Changes(Listing):
     changes: list[Change]
 
 
@@ -221,118 +221,13 @@ class Sighting(Answer):
     right: Box
 
 
-class Sightings(_Listing):
+class Sightings(Listing):
     feature_id: UUID
     sightings: list[Sighting]
     """Oldest first."""
 
 
-class PassFrame(Answer):
-    """A frame pair of a drive that contains the position of a feature."""
-
-    frame_index: int
-    captured_at: datetime
-    range_m: float
-    """From the left camera to the foot."""
-    state: Literal["observed", "empty", "occupied", "hidden"]
-    """observed: the drive's observation of the feature; empty: the position was visible, and no cone was observed; occupied: a
-    detection that is no part of the feature; hidden: by a nearer detection, or the image shows too little."""
-    camera_xyz_m: Vec3
-
-
-class DrivePass(Answer):
-    """One drive past a feature."""
-
-    changeset_no: int
-    drive_id: str
-    drive_uuid: UUID
-    captured_from: datetime
-    counts: bool
-    kind: DeltaKind | None
-    """What the drive did to the feature; null where it judged nothing."""
-    frames: list[PassFrame]
-
-
-class Passes(_Listing):
-    feature_id: UUID
-    version: int
-    """Whose position it is."""
-    passes: list[DrivePass]
-    """Latest drive first."""
-
-
-class FrameBox(Box):
-    match_index: int | None
-    """null: without a stereo match."""
-    range_m: float | None
-
-
-class FrameView(Answer):
-    """One image of a frame pair, and its camera; rectified, without a lens."""
-
-    width_px: int
-    height_px: int
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    xyz_m: Vec3
-    """Projection centre."""
-    map_R_camera: Matrix3
-    """Rows of the rotation from the camera's axes (right, down, forward) to the map's."""
-    boxes: list[FrameBox]
-    problem: str | None
-    """Why there is no image; null where there is one."""
-
-
-class Frame(Answer):
-    drive_id: str
-    drive_uuid: UUID
-    frame_index: int
-    captured_at: datetime
-    origin_m: Vec3
-    pixelated: bool
-    """Images are pixelated away from detections."""
-    left: FrameView
-    right: FrameView
-
-
-class Measured(Answer):
-    """A health check that a drive did not pass."""
-
-    name: str
-    figures: str
-    """What was measured, its sigma and its limit; empty where the recording does not show it."""
-    detail: str
-
-
-class ReviewItem(Answer):
-    """What waits for a person. Of held drives `feature_id`, `xyz_m` and `version` are null."""
-
-    kind: Literal["held", "removal", "move", "doubtful"]
-    changeset_no: int
-    changeset_id: UUID | None
-    """Of a held drive."""
-    drive_id: str
-    at: datetime
-    """Since when a drive waits, or a change was true on the road."""
-    why: str
-    checks: list[Measured]
-    feature_id: UUID | None
-    version: int | None
-    xyz_m: Vec3 | None
-    existence_probability: float | None
-
-
-class Review(Answer):
-    origin_m: Vec3
-    counts: dict[str, int]
-    """Items by kind."""
-    items: list[ReviewItem]
-    """Held drives first, then removals (latest first), moves (largest first), doubtful cones (least certain first)."""
-
-
-class Trajectory(_Listing):
+class Trajectory(Listing):
     """The path of the left camera."""
 
     drive_id: str
@@ -360,7 +255,7 @@ class Decision(Answer):
     decided_at: datetime
 
 
-class ActiveDecisions(_Listing):
+class ActiveDecisions(Listing):
     writable: bool
     """True if this server accepts decisions from holders of its writer token."""
     decisions: list[Decision]
@@ -428,7 +323,7 @@ class BaseTile(Answer):
     sha256: str
 
 
-class BaseLayers(_Listing):
+class BaseLayers(Listing):
     layers: list[BaseLayer]
     tiles: list[BaseTile]
     """Coarse levels first; tiles of all levels together are the cloud."""
@@ -441,7 +336,7 @@ class BaseLine(Answer):
     """x, y, z of one vertex after the other."""
 
 
-class BaseLines(_Listing):
+class BaseLines(Listing):
     lines: list[BaseLine]
 
 
@@ -463,7 +358,7 @@ class ProvisionalFeature(Answer):
     """The standing feature nearby that it may be."""
 
 
-class ProvisionalFeatures(_Listing):
+class ProvisionalFeatures(Listing):
     features: list[ProvisionalFeature]
 
 

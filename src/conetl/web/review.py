@@ -12,7 +12,7 @@ from conetl.db.map.hold_store import held_drives
 from conetl.model.health import HeldDrive
 from conetl.model.records import Vec3
 from conetl.reports.drive_passes import reasons_of
-from conetl.web import models as m
+from conetl.web import judging_models as m
 from conetl.web import rows as to
 from conetl.web.parameters import MapName, Reader, origin_of
 
@@ -23,9 +23,9 @@ _LEAST, _MOST = 0.3, 0.7
 _MOVED_FROM_M = 1.0
 _MAX_ITEMS = 100
 #: In the order of the queue, the statement of each kind of cones and its bounds.
-_CONES: dict[str, tuple[str, dict[str, float]]] = {
-    "removal": ("removals", {}),
-    "move": ("moves", {"moved_from_m": _MOVED_FROM_M}),
+_CONES: dict[str, tuple[str, dict[str, float | str]]] = {
+    "removal": ("changes", {"change": "removed", "moved_from_m": _MOVED_FROM_M}),
+    "move": ("changes", {"change": "moved", "moved_from_m": _MOVED_FROM_M}),
     "doubtful": ("doubtful", {"least": _LEAST, "most": _MOST}),
 }
 assert ("held", *_CONES) == get_args(m.ReviewItem.model_fields["kind"].annotation)

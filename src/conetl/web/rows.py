@@ -12,18 +12,8 @@ from conetl.db.map.results import CommittedChangeset
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.records import Pose, Rig, Side, Vec3, utc_from_ns
 from conetl.reports import drive_passes as reports
-from conetl.web.models import (
-    Answer,
-    Box,
-    Decision,
-    DrivePass,
-    FrameBox,
-    FrameView,
-    HistoryItem,
-    PassFrame,
-    Sighting,
-    TimelineItem,
-)
+from conetl.web.judging_models import DrivePass, FrameBox, FrameView, PassFrame
+from conetl.web.models import Answer, Box, Decision, HistoryItem, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
 A = TypeVar("A", bound=Answer)
