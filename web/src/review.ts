@@ -45,6 +45,8 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
   let current: string | null = null;
   let failed = "";
   let loadNo = 0;
+  /** Opened before the queue was read: its first item is chosen once it is there. */
+  let early = false;
 
   const store = () => `conetl review ${actions.map()}`;
   const skipped = (): Set<string> => {
@@ -78,6 +80,8 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
       failed = messageOf(error);
     }
     draw();
+    if (early) chooseFirst();
+    early = false;
   }
 
   function draw(): void {
@@ -122,8 +126,13 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
 
   function open(): void {
     own.show();
+    early = !chooseFirst();
+  }
+
+  function chooseFirst(): boolean {
     const first = chosen() ?? waiting()[0];
     if (first) choose(first);
+    return first !== undefined;
   }
 
   function choose(item: ReviewItem): void {
