@@ -33,6 +33,10 @@ and not exists (
 )
 order by r.receipt_no;
 
+-- name: under_way
+-- Drives of a map whose last receipt says that work began. Parameters: map_name. Columns: drive_id, header_sha256.
+select r.drive_id, r.header_sha256 from conetl.latest_receipt r where r.map_name = %(map_name)s and r.state = 'started';
+
 -- name: receipt_ends
 -- How attempts ended. Parameters: attempt_ids (uuid[]). Columns: as Receipt.
 select

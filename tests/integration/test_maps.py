@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import zipfile
+from contextlib import closing
+from uuid import uuid4
 
 import pytest
 
-from conetl.db.connection import execute
+from conetl.db.connection import connect, execute
+from conetl.db.receipt_store import Receipt, held_if_free, write_receipt
 from conetl.db.statements import load_sql
 from conetl.pipeline.maps.decisions import decide_place, revert
+from conetl.pipeline.settings import Settings
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
 #: Tables of the schema that a dump does not have: bookkeeping, the map itself, and what is shown while a drive is recorded.
@@ -88,6 +92,22 @@ def test_maps_are_created_listed_and_renamed(conetl, conn, two_maps):
     assert "exists already" in conetl("map", "rename", "north", "south", code=2)
     conetl("map", "rename", "north", "old_north")
     assert everything_of(conn, "old_north") == before
+
+
+def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, two_maps, database_url, tmp_path):
+    """The next drive of the backfill would make a new map of the old name."""
+    started = Receipt(
+        uuid4(), "north", "/drives/d9", "d9", "0" * 64, "1" * 64, None, "started", "", True, None, 9, None, None, "here"
+    )  # fmt: skip
+    write_receipt(conn, started, tmp_path)
+    with closing(connect(database_url)) as other, held_if_free(other, started.drive_lock):
+        for command in (("rename", "north", "old"), ("delete", "north", "--yes")):
+            assert "map north: drive d9 is being ingested into it" in conetl("map", *command, code=2)
+    left = Settings(home=tmp_path / "home", map_name="old").reports_folder
+    left.mkdir(parents=True)
+    assert f"{left}: there are reports of an earlier map old" in conetl("map", "rename", "north", "old", code=2)
+    left.rmdir()
+    conetl("map", "rename", "north", "old")  # the process of the drive is gone
 
 
 def test_a_renamed_map_goes_on_and_its_name_is_free_again(conetl, conn, two_maps):

@@ -137,6 +137,14 @@ def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
         return {row["name"] for row in execute(conn, load_sql("locks.held_locks"), {"names": list(names)})}
 
 
+def drives_under_way(conn: Connection, *, map_name: str) -> list[str]:
+    """Ids of the drives that a running process ingests into the map."""
+    with transaction(conn, "The receipts cannot be read"):
+        begun = execute(conn, load_sql("receipts.under_way"), {"map_name": map_name})
+    held = held_locks(conn, [drive_lock(map_name, row["header_sha256"]) for row in begun])
+    return sorted(row["drive_id"] for row in begun if drive_lock(map_name, row["header_sha256"]) in held)
+
+
 @contextmanager
 def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
     """Hold a lock in a session that is also used for the work, if it is free; yields whether it was."""

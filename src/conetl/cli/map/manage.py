@@ -76,10 +76,12 @@ def rename(
 ) -> None:
     """Give a map another name. Its history, decisions, receipts and reports are kept."""
     settings = read_settings(name)
+    reports, target = settings.reports_folder, settings.reports_folder.with_name(checked_map_name(new_name))
+    if target.exists():
+        raise InputError(f"{target}: there are reports of an earlier map {new_name}; move them away first")
     with open_map(settings) as conn:
-        rename_map(conn, name, checked_map_name(new_name))
-    reports, target = settings.reports_folder, settings.reports_folder.with_name(new_name)
-    if reports.is_dir() and not target.exists():
+        rename_map(conn, name, new_name)
+    if reports.is_dir():
         reports.rename(target)
     answer(as_json, {"map": new_name, "was": name}, f"The map {name} is named {new_name} now.")
 

@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field
 from conetl.db.connection import Connection, copy_in, copy_out, database_errors, execute, execute_count, transaction
 from conetl.db.map.map_store import find_map, map_lock, map_transaction, require_map
 from conetl.db.map.results import MapInfo
+from conetl.db.receipt_store import drives_under_way
 from conetl.db.schema import applied_migrations
 from conetl.db.statements import load_sql
 from conetl.files.atomic import atomic_files
@@ -72,7 +73,11 @@ def list_maps(conn: Connection) -> list[ListedMap]:
 
 
 def rename_map(conn: Connection, map_name: str, new_name: str) -> None:
-    """Give a map another name; its history, decisions and receipts stay with it. Raises InputError where the name is in use."""
+    """Give a map another name; its history, decisions and receipts stay with it.
+
+    Raises InputError where the name is in use, or a drive is being ingested into the map.
+    """
+    _require_idle(conn, map_name)
     with map_transaction(conn, map_name):
         map_lock(conn, new_name)
         info = require_map(conn, map_name)
@@ -84,8 +89,10 @@ def rename_map(conn: Connection, map_name: str, new_name: str) -> None:
 def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
     """Write the map to the file `dump`, then delete it, in one transaction; the number of rows by table.
 
-    Raises InputError if the map does not exist or the file cannot be written; then nothing was deleted.
+    Raises InputError if the map does not exist, a drive is being ingested into it, or the file cannot be written. Then nothing
+    was deleted.
     """
+    _require_idle(conn, map_name)
     with map_transaction(conn, map_name):
         info = require_map(conn, map_name)
         rows = _write_dump(conn, info, dump)
@@ -96,6 +103,12 @@ def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
                 execute(conn, f"delete from conetl.{table['table_name']} where {table['condition']}", key)
         execute(conn, load_sql("archive.delete_map_row"), key | {"run_ids": runs})
     return rows
+
+
+def _require_idle(conn: Connection, map_name: str) -> None:
+    """The ingest would make a new map of that name for the drive."""
+    if busy := drives_under_way(conn, map_name=map_name):
+        raise InputError(f"map {map_name}: drive {busy[0]} is being ingested into it; try again when that is done")
 
 
 def restore_map(conn: Connection, dump: Path, map_name: str | None = None) -> MapInfo:
