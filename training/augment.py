@@ -8,7 +8,18 @@ from dataset import Image
 
 MIN_CONE_PX = 7.0  # below this a labelled cone is neither taught nor forbidden
 # How far the sides of a source's boxes are believed; renders and cut-outs are exact, hand-drawn boxes leave a margin.
-SIDE_TRUST = {"renders": 1.0, "rf_traffic_cones": 0.8, "fs_onboard": 0.9, "css_safety_cone": 0.5, "roadwork_clips": 0.5}
+SIDE_TRUST = {
+    "renders": 1.0,
+    "rf_traffic_cones": 0.8,
+    "fs_onboard": 0.9,
+    "css_safety_cone": 0.5,
+    "css_rest": 0.4,
+    "roadwork_clips": 0.5,
+    "roadwork_clips_us": 0.6,
+    "frc_conesandcubes": 0.9,
+    "robomagellan_conefinder": 0.9,
+}
+PAD_PX = 32
 CutOut = tuple[np.ndarray, np.ndarray]
 """A cone to paste (h, w, 4) BGRA with its foot and tip (4,) in its own pixels, NaN where not known."""
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -28,7 +39,7 @@ def choose_scale(picture: Image, rng: np.random.Generator, stretch: float) -> tu
         return float(rng.choice((1.0, rng.uniform(0.7, 1.4)))), int(rng.integers(len(picture.boxes)))
     index = int(rng.integers(len(picture.boxes)))
     if (
-        picture.source in ("fs_onboard", "roadwork_clips") and rng.random() < 0.5
+        picture.source in ("fs_onboard", "roadwork_clips", "roadwork_clips_us") and rng.random() < 0.5
     ):  # as a camera saw them: most far cones are small already
         return float(rng.uniform(0.85, 1.25)), index
     height = picture.boxes[index, 3] - picture.boxes[index, 1]
@@ -104,25 +115,60 @@ def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.n
     """Cones (N, 4 or 8) cut at the area's edge; the boxes of those of which too little is left go to the second (to fade)."""
     if len(boxes) == 0:
         return boxes, np.zeros((0, 4))
-    left, top, right, bottom = area
-    cut = boxes.copy()
-    cut[:, :4] = np.clip(boxes[:, :4], (left, top, left, top), (right, bottom, right, bottom))
-    size, full = cut[:, 2:4] - cut[:, :2], boxes[:, 2:4] - boxes[:, :2]
-    inside = (size > 1).all(1)
-    share = size.prod(1) / full.prod(1)
-    keep = inside & (share > 0.3) & (size[:, 1] >= MIN_CONE_PX) & (size[:, 0] >= 2.5)
+    cut, keep = cut_at(boxes, area), kept_in(boxes, area)
+    inside = (cut[:, 2:4] - cut[:, :2] > 1).all(1)
     return cut[keep], cut[inside & ~keep, :4]
 
 
+def cut_at(boxes: np.ndarray, area: tuple[int, int, int, int]) -> np.ndarray:
+    left, top, right, bottom = area
+    cut = boxes.copy()
+    cut[:, :4] = np.clip(boxes[:, :4], (left, top, left, top), (right, bottom, right, bottom))
+    return cut
+
+
+def kept_in(boxes: np.ndarray, area: tuple[int, int, int, int]) -> np.ndarray:
+    """(N,) whether enough of a cone lies in the area to teach it."""
+    cut = cut_at(boxes, area)
+    size, full = cut[:, 2:4] - cut[:, :2], boxes[:, 2:4] - boxes[:, :2]
+    share = size.prod(1) / full.prod(1)
+    return (size > 1).all(1) & (share > 0.3) & (size[:, 1] >= MIN_CONE_PX) & (size[:, 0] >= 2.5)
+
+
+def paste_row(
+    canvas: np.ndarray, cutout: CutOut, taken: list[np.ndarray], rng: np.random.Generator
+) -> list[np.ndarray]:
+    """Paste a row of like cones that recedes from the camera, the farthest first; the cones (N, 8) that found a place."""
+    rows, columns = canvas.shape[:2]
+    horizon, aside = rng.uniform(0.1, 0.5) * rows, rng.uniform(0.0, 1.0) * columns
+    near_px = float(np.exp(rng.uniform(np.log(25), np.log(220))))
+    foot, x = horizon + near_px * rng.uniform(1.0, 3.0), rng.uniform(0.0, 1.0) * columns
+    spacing, found = rng.uniform(0.3, 1.2), []
+    for number in reversed(range(int(rng.integers(2, 7)))):
+        share = 1 / (1 + spacing * number) * rng.uniform(0.96, 1.04)
+        place = aside + (x - aside) * share, horizon + (foot - horizon) * share
+        if near_px * share >= MIN_CONE_PX + 1:
+            known = np.concatenate(taken + found or [np.zeros((0, 8))])
+            found.append(paste_cutout(canvas, cutout, known, rng, near_px * share, place))
+    return found
+
+
 def paste_cutout(
-    canvas: np.ndarray, cutout_and_ends: CutOut, taken: np.ndarray, rng: np.random.Generator
+    canvas: np.ndarray,
+    cutout_and_ends: CutOut,
+    taken: np.ndarray,
+    rng: np.random.Generator,
+    height_px: float | None = None,
+    foot: tuple[float, float] | None = None,
 ) -> np.ndarray:
     """Paste one cut-out where it hides little of the cones `taken` (N, 8), with a shadow at its foot.
 
-    Returns it as a cone (1, 8) with an exact box, or (0, 8) when the place was taken.
+    Height and foot [x, y] px are random where they are not given. Returns it as a cone (1, 8) with an exact box, or (0, 8)
+    when the place was taken or does not lie in the picture.
     """
     cutout, ends = cutout_and_ends
-    height_px = float(np.exp(rng.uniform(np.log(10), np.log(200))))
+    if height_px is None:
+        height_px = float(np.exp(rng.uniform(np.log(10), np.log(260))))
     scale = height_px / cutout.shape[0]
     width = max(round(cutout.shape[1] * scale * rng.uniform(0.6, 1.15)), 4)
     height = max(round(height_px), 8)
@@ -135,9 +181,13 @@ def paste_cutout(
     x = int(rng.integers(0, max(canvas.shape[1] - width, 1)))
     y = int(rng.integers(int(0.2 * canvas.shape[0]), max(canvas.shape[0] - height, int(0.2 * canvas.shape[0]) + 1)))
     y = min(y, canvas.shape[0] - height)
+    if foot is not None:
+        x, y = round(foot[0] - width / 2), round(foot[1] - height)
+    if x < 0 or y < 0 or x + width > canvas.shape[1] or y + height > canvas.shape[0]:
+        return np.zeros((0, 8))
     low, high = np.maximum(taken[:, :2], (x, y)), np.minimum(taken[:, 2:4], (x + width, y + height))
     hidden = np.clip(high - low, 0, None).prod(1) / np.maximum((taken[:, 2:4] - taken[:, :2]).prod(1), 1.0)
-    if (hidden > 0.35).any():
+    if (hidden > 0.5).any():
         return np.zeros((0, 8))
     if rng.random() < 0.6:
         shadow = canvas.copy()
@@ -194,6 +244,22 @@ def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.
         canvas[cut_y:y1, cut_x:x1] = np.clip(over[cut_y - y0 : y1 - y0, cut_x - x0 : x1 - x0], 0, 255)
 
 
+def draw_drum(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
+    """A channelizing drum: a wide barrel, hardly narrower at its top, with orange and white bands on a black ring."""
+    low = height * rng.uniform(0.26, 0.36)
+    top, bands = low * rng.uniform(0.72, 0.92), int(rng.integers(4, 7))
+    orange = np.array((30, 95, 240)) * rng.uniform(0.6, 1.0) + rng.normal(0, 12, 3)
+    ring = np.array([(x - 1.35 * low, foot), (x + 1.35 * low, foot), (x + 1.2 * low, foot - 0.09 * height),
+                     (x - 1.2 * low, foot - 0.09 * height)])  # fmt: skip
+    cv2.fillPoly(canvas, [ring.astype(np.int32)], (25, 25, 25), cv2.LINE_AA)
+    for band in range(bands):
+        shares = np.array((band, band + 1)) / bands
+        half, level = low + (top - low) * shares, foot - height * (0.06 + 0.94 * shares)
+        corners = [(x - half[0], level[0]), (x + half[0], level[0]), (x + half[1], level[1]), (x - half[1], level[1])]
+        colour = orange if band % 2 == 0 else np.full(3, rng.uniform(170, 240))
+        cv2.fillPoly(canvas, [np.array(corners).astype(np.int32)], np.clip(colour, 0, 255).tolist(), cv2.LINE_AA)
+
+
 def draw_tail_lamp(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
     """A car's rear lamp: a tall red lens with a white or amber part, not narrower at its top, on a dark or painted body."""
     wide, body = height * rng.uniform(0.3, 0.6), height * rng.uniform(0.6, 2.5)
@@ -222,15 +288,16 @@ def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
     """Things that are no cones though red, orange or white: posts, panels, lamps, vests, vans, signs, drums."""
     height, width = canvas.shape[:2]
     for _ in range(int(rng.integers(1, 5))):
-        kind = int(rng.integers(7))
+        kind = int(rng.integers(8))
         x, foot = rng.uniform(0, width), rng.uniform(0.3, 1.0) * height
         size = float(np.exp(rng.uniform(np.log(8), np.log(110))))
         warm = (int(rng.integers(0, 70)), int(rng.integers(20, 140)), int(rng.integers(150, 256)))
         point = (int(x), int(foot))
-        if kind <= 1:
-            gap = size * rng.uniform(0.2, 0.8)
+        if kind in (0, 1, 7):
+            draw = draw_drum if kind == 7 else draw_post
+            gap = size * (rng.uniform(0.8, 3.0) if kind == 7 else rng.uniform(0.2, 0.8))
             for k in range(int(rng.integers(1, 5))):
-                draw_post(canvas, x + k * gap, foot, size, rng)
+                draw(canvas, x + k * gap, foot, size, rng)
         elif kind == 6:
             draw_tail_lamp(canvas, x, foot, size, rng)
         elif kind == 2:  # lamp or headlight
@@ -284,6 +351,8 @@ def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
             middle = rng.uniform(0.3, 0.6)
             ramp = np.clip(ramp, 0, 1.3)
             ramp = (ramp - middle) * rng.uniform(1.1, 1.9) + middle
+        elif rng.random() < 0.08:  # dusk and night
+            ramp = ramp * rng.uniform(0.15, 0.5)
         elif rng.random() < 0.25:
             ramp = ramp * (1 - (veil := rng.uniform(0.05, 0.4))) + veil
         table = np.clip(ramp * 255, 0, 255).astype(np.uint8)
@@ -336,7 +405,11 @@ def make_sample(
     if rng.random() < 0.5:
         draw_furniture(canvas, rng)
     if cutouts and (not areas or rng.random() < 0.3):
-        for _ in range(int(rng.integers(1, 6))):
+        if rng.random() < 0.5:
+            row = paste_row(canvas, cutouts[int(rng.integers(len(cutouts)))], all_boxes, rng)
+            all_boxes += row
+            all_trust += [np.ones(len(box)) for box in row]
+        for _ in range(int(rng.integers(1, 5))):
             taken = np.concatenate(all_boxes or [np.zeros((0, 8))])
             box = paste_cutout(canvas, cutouts[int(rng.integers(len(cutouts)))], taken, rng)
             all_boxes.append(box)
@@ -344,4 +417,13 @@ def make_sample(
     boxes = np.concatenate(all_boxes or [np.zeros((0, 8))])
     hide_cones(canvas, boxes, rng)
     fades = np.concatenate([fade.reshape(-1, 4) for fade in all_fades] or [np.zeros((0, 4))])
-    return relight(canvas, rng), boxes, np.concatenate(all_trust or [np.zeros(0)]), fades
+    trust = np.concatenate(all_trust or [np.zeros(0)])
+    canvas = relight(canvas, rng)
+    if rng.random() < 0.3:  # the picture ends before the network's input does, which repeats its last row and column
+        right, bottom = (size - rng.integers(0, PAD_PX, 2)).tolist()
+        canvas[:, right:], canvas[bottom:] = canvas[:, right - 1 : right], canvas[bottom - 1 : bottom]
+        area = (0, 0, right, bottom)
+        inside = kept_in(boxes, area)
+        boxes, cut = clip_boxes(boxes, area)
+        trust, fades = trust[inside], np.concatenate((clip_boxes(fades, area)[0], cut))
+    return canvas, boxes, trust, fades

@@ -5,18 +5,27 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-BODY_COLOURS = ((20, 80, 235), (25, 60, 220), (40, 45, 200), (30, 100, 245), (35, 35, 160), (60, 90, 215))
+#: BGR. Oranges and reds, then lime, yellow and blue.
+BODY_COLOURS = (
+    (20, 80, 235), (25, 60, 220), (40, 45, 200), (30, 100, 245), (35, 35, 160), (60, 90, 215), (40, 120, 255),
+    (30, 235, 205), (25, 200, 240), (170, 80, 30),
+)  # fmt: skip
+COLOUR_SHARES = (0.12, 0.12, 0.12, 0.12, 0.12, 0.12, 0.12, 0.08, 0.05, 0.03)
 TALL_PX = 240
 
 
 def draw_cone(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """One random traffic cone as a trimmed cut-out (h, w, 4) BGRA uint8, about TALL_PX high, and its foot and tip (4,) px."""
-    foot_radius = rng.uniform(0.16, 0.30)  # all lengths in cone heights
-    tip_radius = rng.uniform(0.025, 0.06)
+    """One random traffic cone as a trimmed cut-out (h, w, 4) BGRA uint8, about TALL_PX high, and its foot and tip (4,) px.
+
+    Of lying and stacked cones, foot and tip are NaN.
+    """
+    slim = rng.random() < 0.3  # a channelizer: hardly narrower at its top, with a handle, on a rubber plate
+    foot_radius = rng.uniform(0.07, 0.13) if slim else rng.uniform(0.14, 0.30)  # all lengths in cone heights
+    tip_radius = rng.uniform(0.03, 0.06) if slim else rng.uniform(0.025, 0.06)
     look_down = rng.uniform(0.0, 0.32)  # sine of the camera's elevation over the cone
-    plate = foot_radius * rng.uniform(1.15, 1.5)
+    plate = foot_radius * (rng.uniform(1.4, 2.4) if slim else rng.uniform(1.15, 1.5))
     thick = rng.uniform(0.02, 0.07)
-    rows, columns = int(TALL_PX * 1.5), int(TALL_PX * 1.2)
+    rows, columns = int(TALL_PX * 1.6), int(TALL_PX * 1.2)
     v, u = np.mgrid[0:rows, 0:columns].astype(np.float32)
     x = (u - columns / 2) / TALL_PX
     y = (rows * 0.8 - v) / TALL_PX  # up, 0 at the centre of the plate's top
@@ -27,15 +36,7 @@ def draw_cone(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     radius = foot_radius + (tip_radius - foot_radius) * np.clip(up, 0, 1)
     body = (np.abs(x) < radius) & (up > 0) & (up < 1)
 
-    base = np.array(BODY_COLOURS[int(rng.integers(len(BODY_COLOURS)))], np.float32) * rng.uniform(0.8, 1.15)
-    white = np.float32(rng.uniform(170, 255)) * np.array([rng.uniform(0.92, 1.0), 0.98, 1.0], np.float32)
-    colour = np.broadcast_to(base, (rows, columns, 3)).copy()
-    kind = int(rng.choice(4, p=(0.1, 0.25, 0.45, 0.2)))  # number of white bands
-    edges = np.linspace(rng.uniform(0.12, 0.35), rng.uniform(0.75, 0.97), 2 * kind + 1) if kind else np.zeros(0)
-    edges = edges + rng.normal(0, 0.015, len(edges))
-    for band in range(kind):
-        inside = (up > edges[2 * band]) & (up < edges[2 * band + 1])
-        colour[inside] = white
+    base, colour = banded(up, rng)
     turn = np.clip(x / np.maximum(radius, 1e-3), -1, 1)
     light = rng.uniform(-1, 1)
     facing = np.clip(light * turn + np.sqrt(1 - light**2) * np.sqrt(1 - turn**2), 0, None)
@@ -47,7 +48,8 @@ def draw_cone(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     picture = np.zeros((rows, columns, 4), np.float32)
     angle = rng.uniform(0, np.pi / 2) + np.arange(4) * np.pi / 2
     corners = np.stack((np.cos(angle) * plate * 1.25, np.sin(angle) * plate * 1.25 * look_down), 1)
-    plate_colour = base * rng.uniform(0.6, 1.0) if rng.random() < 0.5 else np.full(3, rng.uniform(15, 60), np.float32)
+    black = rng.random() < (0.85 if slim else 0.5)
+    plate_colour = np.full(3, rng.uniform(15, 60), np.float32) if black else base * rng.uniform(0.6, 1.0)
     for drop, darkness in ((thick, 0.6), (0.0, 1.0)):
         points = np.stack((corners[:, 0] * TALL_PX + columns / 2, rows * 0.8 + (corners[:, 1] + drop) * TALL_PX), 1)
         hull = points if drop == 0 else np.concatenate((points, points - (0, thick * TALL_PX)))
@@ -55,8 +57,61 @@ def draw_cone(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         cv2.fillConvexPoly(picture, cv2.convexHull(np.round(hull).astype(np.int32)), fill)
     picture[body, :3] = colour[body]
     picture[body, 3] = 255
-    solid = np.clip(picture, 0, 255).astype(np.uint8)
-    ys, xs = np.nonzero(solid[..., 3])
     middle, ground = columns / 2, rows * 0.8
-    ends = np.array([middle, ground + thick * TALL_PX, middle + lean * TALL_PX, ground - TALL_PX])
+    tip = np.array([middle + lean * TALL_PX, ground - TALL_PX])
+    add_top(picture, tip, base * (ambient + 0.3), slim, rng)
+    solid = np.clip(picture, 0, 255).astype(np.uint8)
+    ends = np.array([middle, ground + thick * TALL_PX, *tip])
+    other = rng.random()
+    if other < 0.1:
+        solid, ends = lying(solid, rng), np.full(4, np.nan)
+    elif other < 0.15:
+        solid, ends = stacked(solid, int(rng.integers(2, 5))), np.full(4, np.nan)
+    ys, xs = np.nonzero(solid[..., 3])
     return solid[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1], ends - np.tile((xs.min(), ys.min()), 2)
+
+
+def banded(up: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Colour of the body, BGR (3,), and of each pixel (h, w, 3), at the share `up` of the height; up to three bands are white."""
+    base = np.array(BODY_COLOURS[int(rng.choice(len(BODY_COLOURS), p=COLOUR_SHARES))], np.float32)
+    base = base * rng.uniform(0.8, 1.15)
+    white = np.float32(rng.uniform(150, 255)) * np.array([rng.uniform(0.92, 1.0), 0.98, 1.0], np.float32)
+    colour = np.broadcast_to(base, (*up.shape, 3)).copy()
+    kind = int(rng.choice(4, p=(0.2, 0.25, 0.4, 0.15)))  # number of white bands
+    edges = np.linspace(rng.uniform(0.12, 0.45), rng.uniform(0.7, 0.97), 2 * kind + 1) if kind else np.zeros(0)
+    edges = edges + rng.normal(0, 0.015, len(edges))
+    for band in range(kind):
+        inside = (up > edges[2 * band]) & (up < edges[2 * band + 1])
+        colour[inside] = white
+    return base, colour
+
+
+def add_top(picture: np.ndarray, tip: np.ndarray, colour: np.ndarray, slim: bool, rng: np.random.Generator) -> None:
+    """A handle on channelizers, a lamp on some of the others."""
+    at = (int(tip[0]), int(tip[1]))
+    if slim and rng.random() < 0.8:
+        size = (int(TALL_PX * rng.uniform(0.03, 0.06)), int(TALL_PX * rng.uniform(0.04, 0.08)))
+        cv2.ellipse(picture, at, size, 0, 0, 360, (*colour.tolist(), 255.0), int(rng.integers(5, 11)))
+    elif rng.random() < 0.06:
+        size = int(TALL_PX * rng.uniform(0.05, 0.1))
+        cv2.circle(picture, (at[0], at[1] - size // 2), size, (30.0, rng.uniform(120, 200), 240.0, 255.0), -1)
+
+
+def lying(solid: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """On its side: a cut-out turned by a quarter, more or less, within a square."""
+    side = round(1.2 * max(solid.shape[:2]))
+    angle = float(rng.choice((-1, 1)) * rng.normal(97, 8))
+    matrix = cv2.getRotationMatrix2D((solid.shape[1] / 2, solid.shape[0] / 2), angle, 1.0)
+    matrix[:, 2] += (side / 2 - solid.shape[1] / 2, side / 2 - solid.shape[0] / 2)
+    return cv2.warpAffine(solid, matrix, (side, side))
+
+
+def stacked(solid: np.ndarray, count: int) -> np.ndarray:
+    """Cones put over each other: each a tenth of a height above the one below, and before it."""
+    step = TALL_PX // 10
+    pile = np.zeros((solid.shape[0] + step * (count - 1), *solid.shape[1:]), np.uint8)
+    for number in range(count):
+        above = step * (count - 1 - number)
+        part = pile[above : above + len(solid)]
+        np.copyto(part, solid, where=solid[..., 3:] > 0)
+    return pile

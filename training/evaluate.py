@@ -1,7 +1,9 @@
 """Average precision of a model on labelled pictures (pycocotools), by source and by cone height, through conetl's own detector.
 
-    python training/evaluate.py MODEL.onnx --cones DIR [--labelled DIR] [--json OUT.json]
+    python training/evaluate.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES] [--labelled DIR] [--json OUT.json]
 
+`--left-out` names the sources and clips of `--more-cones` that `train.py --leave-out` kept aside: they are judged one by one and
+together, which tells more of unknown streets than the validation split, whose sources are those of the training.
 `--labelled` names a folder with images/ and labels/ (YOLO text), for instance renders kept out of training. The validation split
 is judged twice: by its labels, and without boxes on the cones that a person saw but nobody labelled (`val_unlabelled.csv`). These
 were looked for among boxes of conetl's own detector, so the second figures flatter it beside others.
@@ -22,12 +24,14 @@ from pycocotools.cocoeval import COCOeval
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import Image, read_cones, read_renders
+from dataset import Image, read_cones, read_more_cones, read_renders
 from looks import MATCH_IOU, unlabelled_places
 
 from conetl.perception.decoding import intersection_over_union
-from conetl.perception.detector import detect_image, load_detector
+from conetl.perception.detector import COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX, Detector, detect_image, load_detector
 
+SPLIT = ("rf_traffic_cones", "fs_onboard", "css_safety_cone")
+SCORES = (0.3, 0.5)
 HEIGHTS_PX = {
     "all": (0.0, 1e5),
     ">=20 px": (20.0, 1e5),
@@ -80,6 +84,26 @@ def coco_tables(pictures: list[Image], found: list[np.ndarray]) -> dict[str, dic
     return tables
 
 
+def at_score(pictures: list[Image], found: list[np.ndarray], score: float) -> dict[str, float]:
+    """Share of cones that have a box of this score, and boxes on no cone a picture."""
+    hits = cones = false = 0
+    for picture, boxes in zip(pictures, found, strict=True):
+        free = np.ones(len(picture.boxes), bool)
+        cones += len(free)
+        for x, y, width, height, *_ in boxes[boxes[:, 4] >= score]:
+            shares = intersection_over_union(np.array([x, y, x + width, y + height]), picture.boxes[:, :4]) * free
+            if len(shares) and shares.max() >= 0.5:
+                free[shares.argmax()] = False
+            else:
+                false += 1
+        hits += int((~free).sum())
+    return {"recall": round(hits / max(cones, 1), 3), "false_a_picture": round(false / max(len(pictures), 1), 3)}
+
+
+def detect_as_still(detector: Detector, image: np.ndarray) -> np.ndarray:
+    return detect_image(detector, image, score_threshold=0.01, coarse_from_px=COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX)
+
+
 def off_unlabelled(picture: Image, found: np.ndarray, places: dict[str, np.ndarray]) -> np.ndarray:
     """Boxes (N, 5 or more) x, y, w, h, score of a picture without those on an unlabelled cone and on no labelled one.
 
@@ -99,19 +123,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
     parser.add_argument("--cones", type=Path)
+    parser.add_argument("--more-cones", type=Path)
+    parser.add_argument("--left-out", default="", help="sources and clips, with commas between them")
     parser.add_argument("--labelled", type=Path)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     detector = load_detector(args.model)
     pictures = read_cones(args.cones, "val") if args.cones else []
+    left_out = frozenset(args.left_out.split(","))
+    if args.more_cones:
+        pictures += [p for p in read_more_cones(args.more_cones) if left_out & {p.source, p.name.rsplit("_", 1)[0]}]
     if args.labelled:
         pictures += read_renders(args.labelled, set())
-    found = [detect_image(detector, picture.image, score_threshold=0.01) for picture in pictures]
+    found = [detect_as_still(detector, picture.image) for picture in pictures]
     groups = {
         source: [k for k, p in enumerate(pictures) if p.source == source] for source in {p.source for p in pictures}
     }
     if args.cones:
-        groups["validation split"] = [k for k, p in enumerate(pictures) if p.source != "renders"]
+        groups["validation split"] = [k for k, p in enumerate(pictures) if p.source in SPLIT]
+    for clip in left_out & {p.name.rsplit("_", 1)[0] for p in pictures}:
+        groups[clip] = [k for k, p in enumerate(pictures) if p.name.startswith(f"{clip}_")]
     judged = {group: (chosen, found) for group, chosen in groups.items()}
     if args.cones:
         places = unlabelled_places()
@@ -120,6 +151,8 @@ def main() -> None:
     tables = {}
     for group, (chosen, boxes) in sorted(judged.items()):
         tables[group] = coco_tables([pictures[k] for k in chosen], [boxes[k] for k in chosen])
+        for score in SCORES:
+            tables[group][f"at {score}"] = at_score([pictures[k] for k in chosen], [boxes[k] for k in chosen], score)
         for label, row in tables[group].items():
             print(f"{group:25s} {label:9s} " + " ".join(f"{name} {value}" for name, value in row.items()))
     if args.json:

@@ -32,6 +32,9 @@ from conetl.simulation.scene import (
 VIEWS_PER_SCENE = 3
 MIN_HEIGHT_PX = 7.0
 MIN_VISIBLE_SHARE = 0.25
+#: Orange, red-orange, lime, yellow, blue: bodies of cones.
+COLOURS = ((0.95, 0.36, 0.08), (0.88, 0.20, 0.07), (0.72, 0.88, 0.10), (0.95, 0.75, 0.05), (0.10, 0.25, 0.80))
+COLOUR_SHARES = (0.42, 0.38, 0.1, 0.06, 0.04)
 
 
 def main() -> None:
@@ -179,9 +182,10 @@ def _random_cones(rng: np.random.Generator) -> list[Cone]:
     in_row = rng.random() < 0.6
     start, slope, gap = (rng.uniform(1, 10), rng.uniform(-4.5, 3.0)), rng.uniform(-0.12, 0.12), rng.uniform(2.0, 6.0)
     height, colour = (
-        float(rng.choice([0.3, 0.5, 0.7, 0.75, 1.0])),
-        ((0.95, 0.36, 0.08), (0.88, 0.20, 0.07))[rng.integers(2)],
+        float(rng.choice([0.3, 0.5, 0.7, 0.75, 1.0, 1.2])),
+        COLOURS[int(rng.choice(len(COLOURS), p=COLOUR_SHARES))],
     )
+    slimness = 1.0 if rng.random() < 0.6 else float(rng.uniform(0.45, 1.0))  # channelizers are slim
     plate = ((0.13, 0.13, 0.13), (0.13, 0.13, 0.13), (0.75, 0.25, 0.08))[rng.integers(3)]
     cones: list[Cone] = []
     for k in range(count):
@@ -196,8 +200,8 @@ def _random_cones(rng: np.random.Generator) -> list[Cone]:
             Cone(
                 f"R{k}", x, y, cone_height, yaw_rad=rng.uniform(-math.pi, math.pi), tilt_rad=abs(rng.normal(0.0, 0.04)),
                 tilt_azimuth_rad=rng.uniform(-math.pi, math.pi), colour=_near(rng, colour, 0.035),
-                band_count=int(rng.choice([0, 1, 2], p=[0.15, 0.35, 0.5])), dirt=float(rng.beta(1.2, 2.5)),
-                fallen=bool(rng.random() < 0.06), plate_colour=_near(rng, plate, 0.03),
+                band_count=int(rng.choice([0, 1, 2], p=[0.2, 0.3, 0.5])), dirt=float(rng.beta(1.2, 2.5)),
+                fallen=bool(rng.random() < 0.08), plate_colour=_near(rng, plate, 0.03), slimness=slimness,
             )
         )  # fmt: skip
     return cones

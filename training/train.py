@@ -24,19 +24,25 @@ import numpy as np
 import torch
 import torch.distributed as dist
 from augment import make_sample, pyramid
-from dataset import cut_out_cones, read_clip_negatives, read_cones, read_labelled_clips, read_renders
+from dataset import cut_out_cones, read_clip_negatives, read_cones, read_labelled_clips, read_more_cones, read_renders
 from drawn_cones import draw_cone
 from loss import detection_loss
 from network import ConeNet
 from torch.utils.data import DataLoader, IterableDataset
 
 SHARES = {
-    "rf_traffic_cones": 0.2,
-    "fs_onboard": 0.34,
-    "css_safety_cone": 0.1,
+    "rf_traffic_cones": 0.17,
+    "fs_onboard": 0.23,
+    "css_safety_cone": 0.05,
+    "css_rest": 0.06,
     "roadwork_clips": 0.12,
-    "renders": 0.24,
+    "roadwork_clips_us": 0.18,
+    "frc_conesandcubes": 0.07,
+    "robomagellan_conefinder": 0.02,
+    "renders": 0.22,
 }
+#: Sources of pictures without cones.
+BACKGROUNDS = ("css_safety_cone", "highway_tidar_negatives", "otonom_sign_negatives", "roadwork_clips_us")
 
 
 class Samples(IterableDataset):
@@ -52,10 +58,12 @@ class Samples(IterableDataset):
                 picture.fade = fade if picture.source == "fs_onboard" else np.concatenate((picture.fade, fade))
         if args.clip_labels:
             pictures += read_labelled_clips(Path(args.clips), Path(args.clip_labels))
-        self.cutouts = cut_out_cones([p for p in pictures if p.source == "rf_traffic_cones"])
+        if args.more_cones:
+            pictures += read_more_cones(Path(args.more_cones), frozenset(args.leave_out.split(",")))
+        self.cutouts = cut_out_cones([p for p in pictures if p.source in ("rf_traffic_cones", "frc_conesandcubes")])
         drawn = np.random.default_rng(args.seed)
-        self.cutouts += [draw_cone(drawn) for _ in range(500)]
-        backgrounds = [p for p in pictures if len(p.boxes) == 0 and p.source == "css_safety_cone"]
+        self.cutouts += [draw_cone(drawn) for _ in range(1500)]
+        backgrounds = [p for p in pictures if len(p.boxes) == 0 and p.source in BACKGROUNDS]
         if args.clips:
             backgrounds += read_clip_negatives(Path(args.clips)) * 2
         self.backgrounds = [(p, pyramid(p.image)) for p in backgrounds]
@@ -98,6 +106,8 @@ def collate(batch):
 def read_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cones", required=True)
+    parser.add_argument("--more-cones", default="", help="further labelled sources")
+    parser.add_argument("--leave-out", default="", help="sources and clips not to train on, with commas between them")
     parser.add_argument("--clips", default="")
     parser.add_argument("--clip-labels", default="", help="what label_clips.py wrote")
     parser.add_argument("--renders", default="")

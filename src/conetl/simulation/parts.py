@@ -52,7 +52,7 @@ def cone_parts(cone: Cone, seed: int) -> list[Part]:
     """Base plate and body; the whole is `height_m` high above the ground."""
     side, h = plate_side_m(cone.height_m), cone.height_m
     thick = 0.04 * math.sqrt(h / 0.7)
-    bottom, top = 0.37 * side, 0.035 * math.sqrt(h / 0.7)
+    bottom, top = 0.37 * side * cone.slimness, 0.035 * math.sqrt(h / 0.7)
     plate = meshes.box([side, side, thick])
     heights = [thick, thick + 0.02 * h, thick + 0.05 * h, *np.linspace(thick + 0.1 * h, 0.985 * h, 6), h, h]
     reach = (np.array(heights) - thick) / (h - thick)

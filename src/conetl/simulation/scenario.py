@@ -39,6 +39,8 @@ class Cone:
     dirt: float = 0.2
     fallen: bool = False
     plate_colour: Colour = (0.13, 0.13, 0.13)
+    slimness: float = 1.0
+    """Width of the body's foot as a share of the usual one of this height."""
 
 
 @dataclass(frozen=True)

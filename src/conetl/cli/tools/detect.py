@@ -10,24 +10,27 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from conetl.cli.console import JsonOption, answer, complain, progress_bar, say
+from conetl.cli.console import JsonOption, answer, complain, counted, progress_bar, say
 from conetl.files.atomic import atomic_text_file
 from conetl.model.detector_evidence import DetectorEvidence, calibrated_probability
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
-from conetl.perception.detector import detect_image, load_detector
+from conetl.model.params import DetectionParams
+from conetl.perception.detector import COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX, detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_upright_image
 from conetl.pipeline.settings import read_settings
 from conetl.reports.camera_images import write_annotated_image
 
+#: Boxes of this score and more are used for the map.
+USED_SCORE = DetectionParams().score_threshold
 _SUFFIXES = {".jpg", ".jpeg", ".png"}
 
 
 def detect(
     images: Annotated[list[Path], typer.Argument(help="Images, or folders of images (.jpg, .jpeg, .png).")],
     output: Annotated[Path, typer.Option("--out", help="File to write.")] = Path("detections.json"),
-    score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Lowest score to write.")] = 0.3,
+    score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Lowest score to write.")] = 0.05,
     draw: Annotated[
-        Path | None, typer.Option(help="Folder for annotated copies of the images: boxes, scores, feet and tips.")
+        Path | None, typer.Option(help="Folder for annotated copies of the images: boxes from score 0.3, feet, tips.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -41,6 +44,7 @@ def detect(
     drawn_names = _drawn_names(paths) if draw is not None else []
     detector = load_detector(read_settings().model_path)
     found: list[dict[str, Any]] = []
+    cones = 0
     refused: list[str] = []
     # Opened first, so that a path that cannot be written fails before the detection.
     with atomic_text_file(output) as file, progress_bar("detect", "images") as update:
@@ -52,15 +56,29 @@ def detect(
                 refused.append(str(path))
                 complain(InputError(str(error)))
                 continue
-            boxes = detect_image(detector, image, score_threshold=score)
+            boxes = detect_image(
+                detector, image, score_threshold=score, coarse_from_px=COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX
+            )
             found += [_entry(path, box, detector.card.evidence) for box in boxes]
+            cones += int((boxes[:, 4] >= USED_SCORE).sum())
             if draw is not None:
-                write_annotated_image(draw / drawn_names[number], image, boxes)
+                write_annotated_image(draw / drawn_names[number], image, boxes[boxes[:, 4] >= max(score, USED_SCORE)])
         if len(refused) == len(paths):
             raise InputError("none of the images could be read; nothing was written")
         file.write(json.dumps(found, indent=1) + "\n")
-    facts = {"images": len(paths), "refused": refused, "detections": len(found), "written": str(output)}
-    answer(as_json, facts, f"{len(found)} cones in {len(paths) - len(refused)} images -> {output}")
+    facts = {
+        "images": len(paths),
+        "refused": refused,
+        "detections": len(found),
+        "of_map_score": cones,
+        "written": str(output),
+    }
+    read = counted(len(paths) - len(refused), "image")
+    answer(
+        as_json,
+        facts,
+        f"{counted(len(found), 'detection')} in {read}, {cones} of score {USED_SCORE} and more -> {output}",
+    )
     if draw is not None and not as_json:
         say(f"annotated images -> {draw}")
     if refused:
