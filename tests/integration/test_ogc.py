@@ -77,7 +77,7 @@ def names_at(client, features, **parameters):
 def kinds(client, features, **parameters):
     page = get(client, f"{CHANGES}/items", schema=standard.ITEMS, **parameters)
     return {
-        name: item["properties"]["kind"] for name, item in zip(names(features, page), page["features"], strict=True)
+        name: item["properties"]["change"] for name, item in zip(names(features, page), page["features"], strict=True)
     }
 
 
@@ -196,7 +196,9 @@ def test_changes_between_two_instants(client, features, start):
     assert "is later than to=" in refused
     assert set(kinds(client, features).values()) == {"added"}
     [moved] = [
-        i for i in get(client, f"{CHANGES}/items", **{"from": early})["features"] if i["properties"]["kind"] == "moved"
+        i
+        for i in get(client, f"{CHANGES}/items", **{"from": early})["features"]
+        if i["properties"]["change"] == "moved"
     ]
     assert moved["properties"]["shift_m"] == pytest.approx(1.5)
     at = iso(utc(moved["properties"]["changed_at"]))
@@ -236,7 +238,7 @@ def test_a_change_has_its_own_instant_whatever_confirmed_the_cone_in_between(dat
                 for item in get(client, f"{CHANGES}/items", schema=standard.ITEMS, **asked)["features"]
             }
             assert found == {str(feature.feature_id): utc_from_ns(at_ns(day)) for feature, day in days.items()}
-        seen_last = get(client, f"{CHANGES}/items", **{"from": iso(start + 6 * DAY)}, kind="confirmed")["features"]
+        seen_last = get(client, f"{CHANGES}/items", **{"from": iso(start + 6 * DAY)}, change="confirmed")["features"]
         assert {utc(item["properties"]["changed_at"]) for item in seen_last} == {utc_from_ns(at_ns(15))}
         assert len(seen_last) == 2
 
@@ -247,7 +249,7 @@ def test_values_are_those_of_the_map(client, features, module_database_url, samp
     for item in page["features"]:
         feature = next(f for f in features.values() if str(f.feature_id) == item["id"])
         values = item["properties"]
-        place = (values["easting_m"], values["northing_m"], values["height_m"])
+        place = (values["easting_m"], values["northing_m"], values["ellipsoidal_height_m"])
         lat, lon, height = to_geodetic(samples.SRID, place)
         assert item["geometry"]["coordinates"] == pytest.approx([lon, lat, height], abs=1e-9)
         [row] = execute(
@@ -255,7 +257,7 @@ def test_values_are_those_of_the_map(client, features, module_database_url, samp
             {"id": str(feature.feature_id), "version": values["version"]},
         )  # fmt: skip
         assert (values["seen_count"], values["missed_count"]) == (row["seen_count"], row["missed_count"])
-        assert values["sigma_east_m"] == pytest.approx(feature.cov_m2[0] ** 0.5)
+        assert values["sigma_e_m"] == pytest.approx(feature.cov_m2[0] ** 0.5)
     conn.close()
 
 
@@ -448,7 +450,9 @@ def test_a_layer_of_tiles_is_of_the_instant_asked_for_and_stays_live(client):
 
 
 def test_filters_by_property_order_and_choice_of_properties(client, features):
-    assert names(features, get(client, f"{CHANGES}/items", kind="added", **{"from": "2026-03-01T20:00Z"})) == ["comes"]
+    assert names(features, get(client, f"{CHANGES}/items", change="added", **{"from": "2026-03-01T20:00Z"})) == [
+        "comes"
+    ]
     assert get(client, f"{FEATURES}/items", category="{{order}}{{box}}'")["features"] == []
     low_first = names(features, get(client, f"{FEATURES}/items", sortby="existence_probability,-easting_m"))
     assert low_first == ["comes", "wanders", "stays"]
@@ -589,4 +593,4 @@ def test_qgis_reads_it_as_of_an_instant_and_by_box(module_database_url, client, 
                     places[feature["id"]], abs=1e-9
                 )
             assert read["crs"] == "EPSG:4326"
-            assert {"existence_probability", "valid_from", "sigma_east_m"} <= set(read["fields"])
+            assert {"existence_probability", "valid_from", "sigma_e_m"} <= set(read["fields"])

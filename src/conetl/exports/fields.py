@@ -71,29 +71,15 @@ FIELDS = {
     "old_easting_m": Field("Old easting", "m", "Of the earlier state."),
     "old_northing_m": Field("Old northing", "m", "Of the earlier state."),
     "old_ground_height_m": Field("Old height of the ground", "m", "Of the earlier state, in height_system."),
+    "old_ellipsoidal_height_m": Field("Old ellipsoidal height of the ground", "m", "Of the earlier state (OGC API)."),
     "old_height_m": Field(
         "Old height of the ground (old name)", "m", "The same as old_ground_height_m; kept for programs that read it."
     ),
-}
-
-#: Fields of the OGC API that have other names than in files: name there -> name here. They are part of its contract.
-OGC_NAMES = {
-    "height_m": "ellipsoidal_height_m",
-    "old_height_m": "old_ground_height_m",
-    "cone_height_m": "object_height_m",
-    "cone_height_sigma_m": "height_sigma_m",
-    "sigma_east_m": "sigma_e_m",
-    "sigma_north_m": "sigma_n_m",
-    "sigma_height_m": "sigma_u_m",
-    "cov_xy_m2": "cov_en_m2",
-    "kind": "change",
 }
 
 
 def as_markdown() -> str:
     """The tables of `docs/reference/fields.md`."""
     rows = [f"| `{name}` | {field.unit} | {field.meaning} |" for name, field in FIELDS.items()]
-    ogc = [f"| `{name}` | `{here}` |" for name, here in OGC_NAMES.items()]
     head = ["## Fields", "", "| field | unit | meaning |", "|---|---|---|"]
-    other = ["", "## Names of the OGC API", "", "| OGC API, in ellipsoidal heights | field of the files |", "|---|---|"]
-    return "\n".join([*head, *rows, *other, *ogc, ""])
+    return "\n".join([*head, *rows, ""])
