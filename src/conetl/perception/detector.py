@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from conetl.model.errors import ModelFileError
+from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.decoding import (
     COLUMNS,
     NetworkBoxes,
@@ -65,8 +65,13 @@ class Detector:
     """Whether the network takes several images of one size at once."""
 
 
-def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detector:
-    """Load a model after checking its SHA-256 against the sidecar. Raises ModelFileError before any image is read."""
+def load_detector(model_path: Path | None = None, *, threads: int = 1, providers: str = "CPU") -> Detector:
+    """Load a model after checking its SHA-256 against the sidecar.
+
+    providers: execution providers of onnxruntime, separated by commas, with or without `ExecutionProvider` at the end. Raises
+    ModelFileError or, for providers that cannot be used, InputError, before any image is read.
+    """
+    ordered = _available_providers(providers)
     path = shipped_model_path() if model_path is None else model_path
     try:
         content = path.read_bytes()
@@ -84,9 +89,14 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
     try:
-        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(content, options, providers=ordered)
     except Exception as error:  # onnxruntime raises a dozen unrelated kinds for a file that is no network
         raise ModelFileError(f"{path}: onnxruntime cannot load it as a network: {error}") from error
+    if unusable := [name for name in ordered if name not in session.get_providers()]:
+        raise InputError(
+            f"CONETL_ONNX_PROVIDERS: {unusable[0]} is installed, but does not start on this machine (its driver or libraries are "
+            f"missing): leave it out, or see what `{unusable[0]}` of onnxruntime requires"
+        )
     inputs, outputs = session.get_inputs(), session.get_outputs()
     if len(inputs) != 1 or len(inputs[0].shape) != 4:
         raise ModelFileError(
@@ -114,6 +124,18 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
             )
     several = isinstance(card.head, SideDistributionHead) and not isinstance(inputs[0].shape[0], int)
     return Detector(session, path, card, inputs[0].name, fixed, any_size, several)
+
+
+def _available_providers(names: str) -> list[str]:
+    found = {name.removesuffix("ExecutionProvider").lower(): name for name in onnxruntime.get_available_providers()}
+    wanted = [name.strip().removesuffix("ExecutionProvider") for name in names.split(",")]
+    if missing := [name for name in wanted if name.lower() not in found]:
+        installed = ", ".join(name.removesuffix("ExecutionProvider") for name in found.values())
+        raise InputError(
+            f"CONETL_ONNX_PROVIDERS: the installed onnxruntime has no {missing[0] or 'provider without a name'}, "
+            f"it has {installed}: choose among these, or install the onnxruntime package for that accelerator"
+        )
+    return [found[name.lower()] for name in wanted]
 
 
 def network_input(

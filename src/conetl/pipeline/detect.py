@@ -27,6 +27,7 @@ from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
+from conetl.pipeline.settings import read_settings
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
 
@@ -232,7 +233,7 @@ def _detector(chunk: Chunk) -> detector_io.Detector:
     """One single-threaded session per thread: two of them beat one session with two threads."""
     loaded: tuple[str, detector_io.Detector] | None = getattr(_per_thread, "detector", None)
     if loaded is None or loaded[0] != chunk.detections_sha256:
-        detector = detector_io.load_detector(chunk.model_path, threads=1)
+        detector = detector_io.load_detector(chunk.model_path, providers=read_settings().onnx_providers)
         if detector.card.detections_sha256 != chunk.detections_sha256:  # on another machine, perhaps
             raise ModelFileError(
                 f"{detector.path} on {socket.gethostname()} is another model, or its sidecar another, than that of this run "

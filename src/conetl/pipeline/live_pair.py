@@ -26,7 +26,7 @@ from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.one_pair import SIDES, match_searched, search_image
-from conetl.pipeline.settings import Settings
+from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.live_tracks import Frame, LiveTracks, add_frame
 from conetl.tracking.positions import locate_positions
 
@@ -176,5 +176,7 @@ def _search(detectors: Detectors, rig: Rig, pair: FramePair, side: Side) -> Sear
 def _detector(detectors: Detectors) -> Detector:
     loaded: Detector | None = getattr(detectors.per_thread, "detector", None)
     if loaded is None:
-        loaded = detectors.per_thread.detector = load_detector(detectors.model_path, threads=1)
+        loaded = detectors.per_thread.detector = load_detector(
+            detectors.model_path, providers=read_settings().onnx_providers
+        )
     return loaded

@@ -32,6 +32,8 @@ class Settings(BaseSettings):
     map_name: str = Field(default="default", pattern=f"^{MAP_NAME.pattern}$")
     model_path: Path | None = None
     """ONNX file of the detector; without it the one that is shipped."""
+    onnx_providers: str = "CPU"
+    """What runs the network: execution providers of the installed onnxruntime, the preferred one first, such as `CUDA,CPU`."""
     workers: int = Field(default=os.cpu_count() or 1, ge=1)
     """Detection tasks at the same time, one core each."""
     task_runner: Literal["threads", "processes", "dask"] = "threads"

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
-from conetl.model.errors import ModelFileError
+from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.decoding import (
     boxes_in_image,
     decode_cells,
@@ -274,6 +274,14 @@ def test_one_changed_byte_is_refused(tmp_path: Path) -> None:
     model.write_bytes(content)
     with pytest.raises(ModelFileError, match="SHA-256"):
         load_detector(model)
+
+
+def test_providers_are_those_of_the_installed_onnxruntime() -> None:
+    assert load_detector(providers="cpu").session.get_providers() == ["CPUExecutionProvider"]
+    assert load_detector(providers="CPUExecutionProvider").session.get_providers() == ["CPUExecutionProvider"]
+    for names, missing in (("Abacus,CPU", "no Abacus, it has .*CPU"), ("", "no provider without a name")):
+        with pytest.raises(InputError, match=f"CONETL_ONNX_PROVIDERS: the installed onnxruntime has {missing}"):
+            load_detector(providers=names)
 
 
 def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path: Path) -> None:

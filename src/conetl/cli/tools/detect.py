@@ -42,7 +42,8 @@ def detect(
     """
     paths = _image_files(images)
     drawn_names = _drawn_names(paths) if draw is not None else []
-    detector = load_detector(read_settings().model_path)
+    settings = read_settings()
+    detector = load_detector(settings.model_path, providers=settings.onnx_providers)
     found: list[dict[str, Any]] = []
     cones = 0
     refused: list[str] = []

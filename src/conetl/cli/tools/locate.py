@@ -44,9 +44,10 @@ def locate(
 ) -> None:
     """Compute ground distance and height of each cone in one stereo pair, without trajectory and map."""
     rig = read_rig_for_images(calibration, first_size([left]))
-    params = IngestParams()
+    params, settings = IngestParams(), read_settings()
+    detector = load_detector(settings.model_path, providers=settings.onnx_providers)
     try:
-        found = locate_pair((left, right), rig, load_detector(read_settings().model_path), params)
+        found = locate_pair((left, right), rig, detector, params)
     except ImageFileError as error:
         raise InputError(str(error)) from error
     if as_json:
