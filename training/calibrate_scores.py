@@ -1,8 +1,10 @@
 """What the scores of a model mean: calibration, P(detect | height, hidden), false boxes; into its sidecar.
 
-    python training/calibrate_scores.py MODEL.onnx --cones DIR [--labelled DIR] [--cone-free DIR] [--json OUT] [--write]
+    python training/calibrate_scores.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES] [--labelled DIR]
+        [--cone-free DIR] [--json OUT] [--write]
 
-Run it after `quantise.py`, on pictures that took no part in training. `--labelled` names renders (images/, labels/) with exact
+Run it after `quantise.py`, on pictures that took no part in training. `--left-out` names sources and clips as for `train.py`:
+with them, scores mean something away from the training sources, too. `--labelled` names renders (images/, labels/) with exact
 labels, `--cone-free` a folder of pictures without any cone. With `--write` the figures go into `MODEL.onnx.json` and the
 reliability curve beside the model, `MODEL.reliability.png`; the text for the model card is printed.
 """
@@ -22,7 +24,7 @@ from scipy.optimize import isotonic_regression, least_squares, minimize, minimiz
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import Image, read_cones, read_renders
+from dataset import Image, read_cones, read_left_out, read_renders
 from looks import LEAST_SCORE, MATCH_IOU, SCALES, Looks, look_at_pictures
 from reliability import expected_calibration_error, write_reliability_figure
 
@@ -378,6 +380,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
     parser.add_argument("--cones", type=Path, required=True)
+    parser.add_argument("--more-cones", type=Path)
+    parser.add_argument("--left-out", default="")
     parser.add_argument("--labelled", type=Path)
     parser.add_argument("--cone-free", type=Path)
     parser.add_argument("--json", type=Path)
@@ -392,6 +396,7 @@ def main() -> None:
         copy.with_name(copy.name + ".json").write_text(json.dumps(card))
         detector = load_detector(copy)
     pictures = read_cones(args.cones, "val")
+    pictures += read_left_out(args.more_cones, args.left_out) if args.more_cones else []
     pictures += read_renders(args.labelled, set()) if args.labelled else []
     pictures += read_cone_free(args.cone_free) if args.cone_free else []
     looks = look_at_pictures(

@@ -150,6 +150,12 @@ def read_more_cones(root: Path, left_out: frozenset[str] = frozenset()) -> list[
     return pictures
 
 
+def read_left_out(root: Path, left_out: str) -> list[Image]:
+    """The pictures of those sources and clips, named with commas between them."""
+    names = set(left_out.split(","))
+    return [p for p in read_more_cones(root) if names & {p.source, p.name.rsplit("_", 1)[0]}]
+
+
 def redder(image: np.ndarray) -> np.ndarray:
     """Yellow plastic (hue 16 to 34 of OpenCV's 180) as the orange of road cones (2 to 14)."""
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)

@@ -24,7 +24,7 @@ from pycocotools.cocoeval import COCOeval
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import Image, read_cones, read_more_cones, read_renders
+from dataset import Image, read_cones, read_left_out, read_renders
 from looks import MATCH_IOU, unlabelled_places
 
 from conetl.perception.decoding import intersection_over_union
@@ -130,9 +130,8 @@ def main() -> None:
     args = parser.parse_args()
     detector = load_detector(args.model)
     pictures = read_cones(args.cones, "val") if args.cones else []
-    left_out = frozenset(args.left_out.split(","))
     if args.more_cones:
-        pictures += [p for p in read_more_cones(args.more_cones) if left_out & {p.source, p.name.rsplit("_", 1)[0]}]
+        pictures += read_left_out(args.more_cones, args.left_out)
     if args.labelled:
         pictures += read_renders(args.labelled, set())
     found = [detect_as_still(detector, picture.image) for picture in pictures]
@@ -141,7 +140,7 @@ def main() -> None:
     }
     if args.cones:
         groups["validation split"] = [k for k, p in enumerate(pictures) if p.source in SPLIT]
-    for clip in left_out & {p.name.rsplit("_", 1)[0] for p in pictures}:
+    for clip in set(args.left_out.split(",")) & {p.name.rsplit("_", 1)[0] for p in pictures}:
         groups[clip] = [k for k, p in enumerate(pictures) if p.name.startswith(f"{clip}_")]
     judged = {group: (chosen, found) for group, chosen in groups.items()}
     if args.cones:
