@@ -261,13 +261,22 @@ def draw_drum(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.
 
 
 def draw_tail_lamp(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
-    """A car's rear lamp: a tall red lens with a white or amber part, not narrower at its top, on a dark or painted body."""
+    """A car's rear lamp: a tall red lens with a white or amber part, on a dark or painted body.
+
+    A lens that is narrower at its top has the body all around it: on the road it would be a cone.
+    """
     wide, body = height * rng.uniform(0.3, 0.6), height * rng.uniform(0.6, 2.5)
     paint = rng.choice((12.0, 30.0, 60.0, 130.0, 190.0)) * rng.uniform(0.7, 1.2, 3)
-    corner = (int(x - body * rng.uniform(0.1, 0.9)), int(foot + height * rng.uniform(0.1, 0.8)))
-    cv2.rectangle(canvas, corner, (int(corner[0] + body), int(foot - 1.3 * height)), paint.tolist(), -1)
+    pointed = rng.random() < 0.5
+    if pointed:
+        body = max(body, 1.6 * wide)
+        left, low_edge = x - body * rng.uniform(0.35, 0.65), foot + height * rng.uniform(0.5, 1.2)
+    else:
+        left, low_edge = x - body * rng.uniform(0.1, 0.9), foot + height * rng.uniform(0.1, 0.8)
+    corners = (int(left), int(low_edge)), (int(left + body), int(foot - 1.3 * height))
+    cv2.rectangle(canvas, *corners, paint.tolist(), -1)
     low = rng.uniform(0.3, 1.0)
-    top, lean = low * rng.uniform(0.9, 1.8), rng.normal(0.0, 0.25)  # never narrow at the top: that would be a cone
+    top, lean = low * (rng.uniform(0.1, 0.9) if pointed else rng.uniform(0.9, 1.8)), rng.normal(0.0, 0.25)
     outline = np.array([(-low, 0.0), (low, 0.0), (top + lean, -1.0), (-top + lean, -1.0)]) * (wide / 2, height) + (
         x,
         foot,
@@ -275,12 +284,12 @@ def draw_tail_lamp(canvas: np.ndarray, x: float, foot: float, height: float, rng
     red = (int(rng.integers(10, 60)), int(rng.integers(10, 50)), int(rng.integers(90, 230)))
     cv2.fillPoly(canvas, [outline.astype(np.int32)], red, cv2.LINE_AA)
     share = np.sort(rng.uniform(0.1, 0.9, 2))  # the reversing lamp or indicator between two heights of the lens
-    left, right = (
+    left_side, right_side = (
         outline[0] + (outline[3] - outline[0]) * share[:, None],
         outline[1] + (outline[2] - outline[1]) * share[:, None],
     )
     pale = (200, 205, 215) if rng.random() < 0.7 else (40, 130, 230)
-    band = np.array([left[0], right[0], right[1], left[1]])
+    band = np.array([left_side[0], right_side[0], right_side[1], left_side[1]])
     cv2.fillPoly(canvas, [band.astype(np.int32)], (np.array(pale) * rng.uniform(0.5, 1.1)).tolist(), cv2.LINE_AA)
 
 
@@ -288,7 +297,7 @@ def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
     """Things that are no cones though red, orange or white: posts, panels, lamps, vests, vans, signs, drums."""
     height, width = canvas.shape[:2]
     for _ in range(int(rng.integers(1, 5))):
-        kind = int(rng.integers(8))
+        kind = int(rng.integers(10))
         x, foot = rng.uniform(0, width), rng.uniform(0.3, 1.0) * height
         size = float(np.exp(rng.uniform(np.log(8), np.log(110))))
         warm = (int(rng.integers(0, 70)), int(rng.integers(20, 140)), int(rng.integers(150, 256)))
@@ -298,7 +307,7 @@ def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
             gap = size * (rng.uniform(0.8, 3.0) if kind == 7 else rng.uniform(0.2, 0.8))
             for k in range(int(rng.integers(1, 5))):
                 draw(canvas, x + k * gap, foot, size, rng)
-        elif kind == 6:
+        elif kind in (6, 8, 9):
             draw_tail_lamp(canvas, x, foot, size, rng)
         elif kind == 2:  # lamp or headlight
             shade = (255, 255, 255) if rng.random() < 0.6 else warm
