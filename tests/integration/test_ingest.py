@@ -162,6 +162,7 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
     assert desk.final_tables() == before
     desk.ask("db", "audit")
 
+    check_the_table_of_the_tutorial(outcome["reports"][1]["changes"])
     check_the_feeds_of_three_days(Desk({**desk.environment, "CONETL_MAP_NAME": "demo"}))
 
     # the first drive again under other parameters: its new analysis takes the place of the old one, and later drives follow
@@ -178,6 +179,20 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
     collection = json.loads(export.read_text())
     assert len(collection["features"]) == len(outcome["cones"])
     assert len(desk_demo.features("--as-of", "2026-03-02T23:00")) == truth_changes(DRIVES[0])["added"]
+
+
+def check_the_table_of_the_tutorial(changes: list[dict[str, Any]]) -> None:
+    """The row that docs/tutorial/first_map.md shows is one of the second drive; processors differ in the last digits."""
+    text = (ROOT / "docs/tutorial/first_map.md").read_text()
+    kind, feature, *shown = re.findall(r"^confirmed .*$", text, re.MULTILINE)[0].split()
+    [found] = [one for one in changes if one["feature_id"].startswith(feature)]
+    xyz_m, rest = found["xyz_m"], ("cone_height_m", "sigma_horizontal_m", "existence_probability", "observation_count")
+    assert found["kind"] == kind
+    values = [*xyz_m, *(found[name] for name in rest), found["shift_m"]]
+    assert [float(value) for value in shown] == [
+        pytest.approx(value, abs=most)
+        for value, most in zip(values, (0.01, 0.01, 0.01, 0.02, 0.003, 0.002, 3, 0.01), strict=True)
+    ]
 
 
 def check_the_feeds_of_three_days(desk: Desk) -> None:
