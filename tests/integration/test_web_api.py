@@ -240,7 +240,8 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
     [
         "features?valid_at=yesterday", "features?valid_at=2026", "features?known_at=1772352000", "changes?to_valid_at=20260302",
         "changes?moved_from_m=nan", "changes?moved_from_m=-1", "changes/0", "changes/99999999999999999999999",
-        "features/not-an-id", "search?text=", "downloads/exe", "downloads/csv?box=1,2,3", "x';drop table conetl.map--/features",
+        "features/not-an-id", "search?text=", "downloads/exe", "downloads/csv?box=1,2,3",
+        "downloads/csv?box=3,2,1,4", "x';drop table conetl.map--/features",
         f"drives/{NOBODY}/pictures/-1/0/left.jpg", f"drives/{NOBODY}/pictures/0/0/left.jpg?context=1e9",
         f"drives/{NOBODY}/pictures/0/0/both.jpg",
     ],
@@ -330,6 +331,7 @@ def test_downloads_are_the_state_that_is_shown(client, features, samples):
     assert sorted(line.split(",").count("moved") for line in table.splitlines()).count(1) == 1
     assert client.get(f"{path}/gpkg").content.startswith(b"SQLite format 3")
     assert "publisher" in get(client, f"{path}/wzdx", 400)["detail"]
+    assert "publisher" in get(client, f"{path}/wzdx", 400, publisher=" ", road_name="L 605")["detail"]
     feed = get(client, f"{path}/wzdx", publisher="City", road_name="L 605")
     assert feed["feed_info"]["publisher"] == "City"
     assert "leave out the box" in get(client, f"{path}/csv", 400, from_valid_at=early.isoformat(), box=box)["detail"]

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi import Path as PathParameter
@@ -44,7 +44,7 @@ def base_map(source: str, attribution: str | None = None, max_zoom: int | None =
         return BaseMap(item, None, archive)
     template = re.sub(r"\{(\w+)\}", lambda m: "{" + _SYNONYMS.get(m[1], m[1]) + "}", source)
     parts = urlsplit(template)
-    if parts.scheme not in ("http", "https") or not _HOST.fullmatch(parts.netloc):
+    if parts.scheme not in ("http", "https") or not _HOST.fullmatch(parts.netloc) or not _has_port(parts):
         raise InputError(
             f"--basemap {source}: expected http://HOST/... or https://HOST/... without a login; {{s}} names several hosts"
         )
@@ -58,6 +58,14 @@ def base_map(source: str, attribution: str | None = None, max_zoom: int | None =
         max_zoom=DEFAULT_ZOOM if max_zoom is None else max_zoom,
     )  # fmt: skip
     return BaseMap(item, f"{parts.scheme}://{parts.netloc}", None)
+
+
+def _has_port(parts: SplitResult) -> bool:
+    """Whether the port, if there is one, is one."""
+    try:
+        return parts.port != 0
+    except ValueError:
+        return False
 
 
 @router.get("/basemap/{z}/{x}/{y}", response_class=Response, responses={204: {"description": "No tile there."}})

@@ -95,6 +95,8 @@ def _corners(box: str | None) -> tuple[float, float, float, float] | None:
     if box is None:
         return None
     west, south, east, north = map(float, box.split(","))
+    if west > east or south > north:
+        raise HTTPException(422, f"box={box}: expected west, south, east, north, each in the map's CRS.")
     return west, south, east, north
 
 
@@ -108,6 +110,7 @@ def _write_work_zones(
 ) -> None:
     from conetl.pipeline.maps.work_zones import export_wzdx
 
+    publisher, road_name = (publisher or "").strip(), (road_name or "").strip()
     if not (publisher and road_name):
         raise InputError("A WZDx feed requires the publisher and the name of the road.")
     export_wzdx(

@@ -49,7 +49,7 @@ def test_templates_name_one_host(tmp_path):
     assert found.item.template.endswith("m={z}&c={x}&r={y}") and found.item.max_zoom == 18
     for wrong in (
         "https://{s}.tiles.example/{z}/{x}/{y}.png", "https://me:secret@tiles.example/{z}/{x}/{y}", "ftp://a/{z}/{x}/{y}",
-        "https://a b/{z}/{x}/{y}", "https://tiles.example;script-src/{z}/{x}/{y}", "https://tiles.example/{z}/{x}.png",
+        "https://a b/{z}/{x}/{y}", "https://a:70000/{z}/{x}/{y}", "https://tiles.example;script-src/{z}/{x}/{y}", "https://tiles.example/{z}/{x}.png",
     ):  # fmt: skip
         with pytest.raises(InputError, match="expected"):
             base_map(wrong)
