@@ -36,8 +36,8 @@ def detect(
 ) -> None:
     """Detect cones in images and write their boxes as JSON.
 
-    Each box has file_name, category, bbox [x, y, w, h], score of the network, probability (of a cone, if the model is
-    calibrated), foot and tip [x, y], in pixels of the displayed image (after its orientation tag). Exit code 1 if some images
+    Each box has file_name, category, bbox (x, y, w, h), score of the network, probability (of a cone, if the model is
+    calibrated), foot and tip (x, y), in pixels of the displayed image (after its orientation tag). Exit code 1 if some images
     could not be read; the others are written anyway.
     """
     paths = _image_files(images)
