@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shlex
 import subprocess
 import sys
@@ -31,6 +32,7 @@ def test_every_command_has_help_and_is_listed_with_its_first_paragraph(words: tu
     listed = group.get_command(None, words[-1])  # type: ignore[attr-defined]
     assert loaded.name == listed.name == words[-1]
     assert listed.help and loaded.help.startswith(" ".join(listed.help.split()))
+    assert not re.search(r"\[[a-z]", loaded.help), "Rich takes [words] for its markup"
 
 
 @pytest.mark.parametrize(
