@@ -241,7 +241,7 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
         "features?valid_at=yesterday", "features?valid_at=2026", "features?known_at=1772352000", "changes?to_valid_at=20260302",
         "changes?moved_from_m=nan", "changes?moved_from_m=-1", "changes/0", "changes/99999999999999999999999",
         "features/not-an-id", "search?text=", "downloads/exe", "downloads/csv?box=1,2,3",
-        "downloads/csv?box=3,2,1,4", "x';drop table conetl.map--/features",
+        "downloads/csv?box=3,2,1,4", "downloads/csv?valid_at=0001-01-01T00:00:00Z", "x';drop table conetl.map--/features",
         f"drives/{NOBODY}/pictures/-1/0/left.jpg", f"drives/{NOBODY}/pictures/0/0/left.jpg?context=1e9",
         f"drives/{NOBODY}/pictures/0/0/both.jpg",
     ],

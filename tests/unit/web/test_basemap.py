@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,14 @@ def test_damaged_files_are_refused(tmp_path: Path):
             base_map(str(path))
     with pytest.raises(InputError, match="No such file"):
         base_map(str(tmp_path / "missing.pmtiles"))
+    endless = bytearray(good[:127] + bytes([1, 0, 0, 5, 1]))  # a directory, not compressed, that is its own leaf
+    endless[8:24] = endless[40:56] = struct.pack("<QQ", 127, 5)
+    endless[97] = 1
+    (tmp_path / "endless").write_bytes(endless)
+    looping = base_map(str(tmp_path / "endless")).archive
+    assert looping is not None
+    with pytest.raises(StorageError, match="no end"):
+        looping.tile(2, 1, 1)
     cut = tmp_path / "cut.pmtiles"
     cut.write_bytes(good[:-30])
     archive = base_map(str(cut)).archive
