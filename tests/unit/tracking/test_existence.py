@@ -62,9 +62,9 @@ def test_without_images_the_odds_are_cones_to_false_boxes() -> None:
 
 def test_images_of_one_object_are_correlated() -> None:
     """Many images from one distance add little to the first; from several distances they add more."""
-    prior, one, many = existence([]), existence(images(0.55)), existence(images(*[0.55] * 50))
+    prior, one, many = existence([]), existence(images(0.7)), existence(images(*[0.7] * 50))
     assert 0 < many - one < 0.5 * (one - prior)
-    assert existence(approach(*[0.55] * 50)) > many + 0.01
+    assert existence(approach(*[0.7] * 50)) > many + 0.01
 
 
 def test_a_long_run_of_misses_counts_only_so_far() -> None:
@@ -127,14 +127,14 @@ def on_a_road(score: float, kept_every: int, members: int | None = None) -> floa
 
 
 def test_on_a_road_boxes_are_found_where_the_cone_should_be() -> None:
-    assert on_a_road(0.7, 1) > 0.95
+    assert on_a_road(0.8, 1) > 0.95
     assert on_a_road(0.35, 3) < 0.1
 
 
 def test_boxes_of_another_object_are_no_evidence() -> None:
-    alone, in_all = on_a_road(0.6, 1, members=3), on_a_road(0.6, 1)
+    alone, in_all = on_a_road(0.7, 1, members=3), on_a_road(0.7, 1)
     assert alone < in_all - 0.01, "three pairs of boxes are less evidence than all"
-    pairs = 3 * [ImageEvidence(height_px=60.0, hidden=0.0, score=0.6)]
+    pairs = 3 * [ImageEvidence(height_px=60.0, hidden=0.0, score=0.7)]
     assert alone == pytest.approx(existence(pairs, pairs), abs=0.02), "as without the images of the other boxes"
 
 
