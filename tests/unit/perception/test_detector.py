@@ -139,7 +139,7 @@ def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
     whole = detect_image(detector, image, score_threshold=0.3)
     cropped = detect_image(detector, image, score_threshold=0.3, first_row=96)
     assert len(whole) == len(cropped) == 1
-    np.testing.assert_allclose(cropped[0, :4], whole[0, :4], atol=2.5)  # the drawing is no photograph: 4 % of its height
+    np.testing.assert_allclose(cropped[0, :4], whole[0, :4], atol=2.5)  # 4 % of its height: it is no photograph
 
 
 def test_a_part_of_the_image_shows_what_the_whole_does_there(detector: Detector) -> None:
