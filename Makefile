@@ -27,7 +27,7 @@ down:           ## stop what `make up` started; data are kept
 
 # A file's tests stay on one worker: they share servers, and some build on the one before. tests/conftest.py orders the files.
 test: setup     ## all tests
-	@$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --durations=15
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 
 lint: setup     ## lint, types, import contracts, wording and documentation
 	$(BIN)/ruff check .
@@ -38,7 +38,7 @@ lint: setup     ## lint, types, import contracts, wording and documentation
 	$(BIN)/mkdocs build --quiet --strict
 
 check: lint     ## the same, and the fast tests
-	$(BIN)/python -m pytest -q -n 3 --dist loadfile tests/unit
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/unit
 
 docs: setup     ## the documentation as a site, in build/site
 	@$(BIN)/mkdocs build --strict
