@@ -112,27 +112,17 @@ def warp_into(
 
 
 def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Cones (N, 4 or 8) cut at the area's edge; the boxes of those of which too little is left go to the second (to fade)."""
+    """Cones (N, 4 or more) cut at the area's edge; the boxes of those of which too little is left go to the second (to fade)."""
     if len(boxes) == 0:
         return boxes, np.zeros((0, 4))
-    cut, keep = cut_at(boxes, area), kept_in(boxes, area)
-    inside = (cut[:, 2:4] - cut[:, :2] > 1).all(1)
-    return cut[keep], cut[inside & ~keep, :4]
-
-
-def cut_at(boxes: np.ndarray, area: tuple[int, int, int, int]) -> np.ndarray:
     left, top, right, bottom = area
     cut = boxes.copy()
     cut[:, :4] = np.clip(boxes[:, :4], (left, top, left, top), (right, bottom, right, bottom))
-    return cut
-
-
-def kept_in(boxes: np.ndarray, area: tuple[int, int, int, int]) -> np.ndarray:
-    """(N,) whether enough of a cone lies in the area to teach it."""
-    cut = cut_at(boxes, area)
     size, full = cut[:, 2:4] - cut[:, :2], boxes[:, 2:4] - boxes[:, :2]
+    inside = (size > 1).all(1)
     share = size.prod(1) / full.prod(1)
-    return (size > 1).all(1) & (share > 0.3) & (size[:, 1] >= MIN_CONE_PX) & (size[:, 0] >= 2.5)
+    keep = inside & (share > 0.3) & (size[:, 1] >= MIN_CONE_PX) & (size[:, 0] >= 2.5)
+    return cut[keep], cut[inside & ~keep, :4]
 
 
 def paste_row(
@@ -284,12 +274,12 @@ def draw_tail_lamp(canvas: np.ndarray, x: float, foot: float, height: float, rng
     red = (int(rng.integers(10, 60)), int(rng.integers(10, 50)), int(rng.integers(90, 230)))
     cv2.fillPoly(canvas, [outline.astype(np.int32)], red, cv2.LINE_AA)
     share = np.sort(rng.uniform(0.1, 0.9, 2))  # the reversing lamp or indicator between two heights of the lens
-    left_side, right_side = (
+    edge, other_edge = (
         outline[0] + (outline[3] - outline[0]) * share[:, None],
         outline[1] + (outline[2] - outline[1]) * share[:, None],
     )
     pale = (200, 205, 215) if rng.random() < 0.7 else (40, 130, 230)
-    band = np.array([left_side[0], right_side[0], right_side[1], left_side[1]])
+    band = np.array([edge[0], other_edge[0], other_edge[1], edge[1]])
     cv2.fillPoly(canvas, [band.astype(np.int32)], (np.array(pale) * rng.uniform(0.5, 1.1)).tolist(), cv2.LINE_AA)
 
 
@@ -432,7 +422,6 @@ def make_sample(
         right, bottom = (size - rng.integers(0, PAD_PX, 2)).tolist()
         canvas[:, right:], canvas[bottom:] = canvas[:, right - 1 : right], canvas[bottom - 1 : bottom]
         area = (0, 0, right, bottom)
-        inside = kept_in(boxes, area)
-        boxes, cut = clip_boxes(boxes, area)
-        trust, fades = trust[inside], np.concatenate((clip_boxes(fades, area)[0], cut))
+        kept, cut = clip_boxes(np.column_stack((boxes, trust)), area)
+        boxes, trust, fades = kept[:, :8], kept[:, 8], np.concatenate((clip_boxes(fades, area)[0], cut))
     return canvas, boxes, trust, fades

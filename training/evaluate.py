@@ -28,7 +28,7 @@ from dataset import Image, read_cones, read_left_out, read_renders
 from looks import MATCH_IOU, unlabelled_places
 
 from conetl.perception.decoding import intersection_over_union
-from conetl.perception.detector import COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX, Detector, detect_image, load_detector
+from conetl.perception.detector import detect_image, load_detector
 
 SPLIT = ("rf_traffic_cones", "fs_onboard", "css_safety_cone")
 SCORES = (0.3, 0.5)
@@ -100,10 +100,6 @@ def at_score(pictures: list[Image], found: list[np.ndarray], score: float) -> di
     return {"recall": round(hits / max(cones, 1), 3), "false_a_picture": round(false / max(len(pictures), 1), 3)}
 
 
-def detect_as_still(detector: Detector, image: np.ndarray) -> np.ndarray:
-    return detect_image(detector, image, score_threshold=0.01, coarse_from_px=COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX)
-
-
 def off_unlabelled(picture: Image, found: np.ndarray, places: dict[str, np.ndarray]) -> np.ndarray:
     """Boxes (N, 5 or more) x, y, w, h, score of a picture without those on an unlabelled cone and on no labelled one.
 
@@ -134,7 +130,7 @@ def main() -> None:
         pictures += read_left_out(args.more_cones, args.left_out)
     if args.labelled:
         pictures += read_renders(args.labelled, set())
-    found = [detect_as_still(detector, picture.image) for picture in pictures]
+    found = [detect_image(detector, p.image, score_threshold=0.01, single_image=True) for p in pictures]
     groups = {
         source: [k for k, p in enumerate(pictures) if p.source == source] for source in {p.source for p in pictures}
     }

@@ -106,7 +106,8 @@ def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, two_ma
     left = Settings(home=tmp_path / "home", map_name="old").reports_folder
     left.mkdir(parents=True)
     assert f"{left}: there are reports of an earlier map old" in conetl("map", "rename", "north", "old", code=2)
-    left.rmdir()
+    left.rename(left.with_name("south"))
+    assert "exists already" in conetl("map", "rename", "north", "south", code=2)
     conetl("map", "rename", "north", "old")  # the process of the drive is gone
 
 

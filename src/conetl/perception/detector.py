@@ -35,9 +35,8 @@ MIN_SIDE_PX = 8
 #: At least this many rows are searched, wherever the road begins.
 MIN_ROWS_PX = 120
 #: Images of this shorter side and more are searched at half and a quarter of their size, too: cones taller than about 250 px
-#: are too large for the network. That costs time, so smaller images are searched so only where they are single ones.
-COARSE_PASSES_FROM_PX = 480
-COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX = 160
+#: are too large for the network. That takes time, so small images are searched so only where they are single ones.
+COARSE_PASSES_FROM_PX, COARSE_PASSES_OF_SINGLE_FROM_PX = 480, 160
 LARGE_CONE_PX = 48.0
 #: Margin around a searched part, in pixels of the network's input: boxes then differ from those of the whole image by 0.08 px in
 #: the median (docs/explanation/decisions/detector.md).
@@ -197,7 +196,7 @@ def detect_image(
     first_row: int = 0,
     within: tuple[float, float, float, float] | None = None,
     reach_px: float = 0.0,
-    coarse_from_px: int = COARSE_PASSES_FROM_PX,
+    single_image: bool = False,
 ) -> NDArray[np.float64]:
     """Find the cones of one image (H, W, 3) uint8 BGR.
 
@@ -206,7 +205,7 @@ def detect_image(
     where the network does not give them. The sidecar may enable the small-object pass and, after it, the re-scoring
     pass (`second_passes.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`). within: x0,
     y0, x1, y1 in which boxes must have their centre (None: anywhere), reach_px: how far they may extend beyond it; the network
-    then sees a margin of `CONTEXT_PX` only. coarse_from_px: shorter side from which images are also searched at smaller sizes.
+    then sees a margin of `CONTEXT_PX` only. single_image: not one of many of a drive, so time matters less than large cones.
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
@@ -234,6 +233,7 @@ def detect_image(
         return run_network(detector, [part], part_px, candidate_score, nms_iou)[0][0]
 
     boxes = run_on_part(side_px)
+    coarse_from_px = COARSE_PASSES_OF_SINGLE_FROM_PX if single_image else COARSE_PASSES_FROM_PX
     if detector.fixed_size is None and shortest * side_px / longest >= coarse_from_px:
         for smaller_px in (side_px // 2, side_px // 4):
             again = run_on_part(smaller_px)

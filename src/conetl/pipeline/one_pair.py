@@ -15,12 +15,7 @@ from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.records import Detection, FramePair, Rig, Side, StereoMatch
 from conetl.model.rejections import Rejection
 from conetl.perception.detections import check_boxes
-from conetl.perception.detector import (
-    COARSE_PASSES_FROM_PX,
-    COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX,
-    Detector,
-    detect_image,
-)
+from conetl.perception.detector import Detector, detect_image
 from conetl.perception.rectified_image import read_rig_image
 from conetl.tracking.matching.matches import match_pair
 from conetl.tracking.positions import CameraPosition, locate_in_camera
@@ -33,14 +28,13 @@ def search_image(
 ) -> tuple[NDArray[np.uint8], list[Detection]]:
     """One image and the cones in it. pair: with its pose, the area above the horizon is skipped. Raises ImageFileError."""
     image = read_rig_image(path, rig, side)
-    first_row, coarse_from_px = 0, COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX
+    first_row = 0
     if pair is not None:
-        coarse_from_px = COARSE_PASSES_FROM_PX
         map_R_cam = map_SE3_camera(pair.pose, rig, side)[:3, :3]
         first_row = first_road_row(camera_of(rig, side), [map_R_cam], params.horizon_margin_rad)
     boxes = detect_image(
         detector, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
-        coarse_from_px=coarse_from_px,
+        single_image=pair is None,
     )  # fmt: skip
     frame_index = 0 if pair is None else pair.frame_index
     return image, check_boxes(boxes, frame_index=frame_index, side=side, params=params)[0]

@@ -77,9 +77,9 @@ def rename(
     """Give a map another name. Its history, decisions, receipts and reports are kept."""
     settings = read_settings(name)
     reports, target = settings.reports_folder, settings.reports_folder.with_name(checked_map_name(new_name))
-    if target.exists():
-        raise InputError(f"{target}: there are reports of an earlier map {new_name}; move them away first")
     with open_map(settings) as conn:
+        if target.exists() and find_map(conn, new_name) is None:
+            raise InputError(f"{target}: there are reports of an earlier map {new_name}; move them away first")
         rename_map(conn, name, new_name)
     if reports.is_dir():
         reports.rename(target)

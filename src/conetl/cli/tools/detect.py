@@ -15,7 +15,7 @@ from conetl.files.atomic import atomic_text_file
 from conetl.model.detector_evidence import DetectorEvidence, calibrated_probability
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.params import DetectionParams
-from conetl.perception.detector import COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX, detect_image, load_detector
+from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_upright_image
 from conetl.pipeline.settings import read_settings
 from conetl.reports.camera_images import write_annotated_image
@@ -30,7 +30,8 @@ def detect(
     output: Annotated[Path, typer.Option("--out", help="File to write.")] = Path("detections.json"),
     score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Lowest score to write.")] = 0.05,
     draw: Annotated[
-        Path | None, typer.Option(help="Folder for annotated copies of the images: boxes from score 0.3, feet, tips.")
+        Path | None,
+        typer.Option(help=f"Folder for annotated copies of the images: boxes from score {USED_SCORE}, feet, tips."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -57,9 +58,7 @@ def detect(
                 refused.append(str(path))
                 complain(InputError(str(error)))
                 continue
-            boxes = detect_image(
-                detector, image, score_threshold=score, coarse_from_px=COARSE_PASSES_OF_SINGLE_IMAGES_FROM_PX
-            )
+            boxes = detect_image(detector, image, score_threshold=score, single_image=True)
             found += [_entry(path, box, detector.card.evidence) for box in boxes]
             cones += int((boxes[:, 4] >= USED_SCORE).sum())
             if draw is not None:
@@ -75,11 +74,8 @@ def detect(
         "written": str(output),
     }
     read = counted(len(paths) - len(refused), "image")
-    answer(
-        as_json,
-        facts,
-        f"{counted(len(found), 'detection')} in {read}, {cones} of score {USED_SCORE} and more -> {output}",
-    )
+    text = f"{counted(len(found), 'detection')} in {read}, {cones} of score {USED_SCORE} and more -> {output}"
+    answer(as_json, facts, text)
     if draw is not None and not as_json:
         say(f"annotated images -> {draw}")
     if refused:
