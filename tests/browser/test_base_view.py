@@ -86,8 +86,7 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
     page.keyboard.press("2")
     settle(page)
     assert pixels_of(screenshot(page), LINE) == 0
-    page.wait_for_timeout(200)  # of two choices in one go the second is written when they rest
-    assert "points=0&lines=0" in page.url
+    page.wait_for_url("**points=0&lines=0**")  # of two choices in one go the second is written when they rest
     page.keyboard.press("1")
     page.keyboard.press("2")
     settle(page)
@@ -95,8 +94,7 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
     assert sandy(again) > 3_000 and pixels_of(again, LINE) > 300
     page.evaluate("location.hash += '&colours=safe'")  # of older links: there are no others any more
     page.keyboard.press("2")
-    page.wait_for_timeout(300)
-    assert "lines=0" in page.url and "colours" not in page.url
+    page.wait_for_url(lambda url: "lines=0" in url and "colours" not in url)
 
 
 def test_cones_are_found_among_points_and_each_tile_comes_once(page, address, features):

@@ -77,7 +77,7 @@ def test_the_list_of_changes_has_the_largest_move_first_and_selects_with_the_map
     settle(page)
     click_cone(page, features["stays"])
     page.wait_for_selector("#list-changes .row[data-index='3'][aria-selected=true]")
-    assert "list=changes" in page.url
+    page.wait_for_url("**list=changes**")
     page.reload()
     page.wait_for_selector("#list-changes .row[data-index='3'][aria-selected=true]")
     page.keyboard.press("l")
@@ -94,7 +94,7 @@ def test_columns_sort_and_keys_move_through_the_rows(page, address, features):
     assert [text[:7] for text in rows(page, column=8)] == ["458001.", "458003.", "458006.", "458009."]
     heads.filter(has_text="East m").locator("button").click()
     assert rows(page) == ids(features, "comes", "wanders", "goes", "stays")
-    assert "sort=east-" in page.url
+    page.wait_for_url("**sort=east-**")
     assert page.locator("#list-cones [aria-sort=descending]").inner_text() == "East m"
     page.focus("#list-cones .table")
     for key in ("ArrowDown", "ArrowDown", "End", "ArrowUp"):
@@ -122,7 +122,7 @@ def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, fea
     wait_for_rows(page, 0)
     page.click(".filter-summary >> text=clear")
     wait_for_rows(page, 4)
-    assert "hide" not in page.url and "drive=" not in page.url
+    page.wait_for_url(lambda url: "hide" not in url and "drive=" not in url)
     page.click("button.filter-more")
     for label, value in (
         ("Greatest horizontal sigma in centimetres", "0.1"), ("Greatest height in metres", "0.1"),
@@ -177,7 +177,7 @@ def test_the_search_finds_cones_drives_days_coordinates_and_places(page, address
     assert search("458004 5428010")[0] == "Coordinates"
     page.keyboard.press("Enter")
     page.wait_for_selector(".found-pin")
-    assert "mark=4.00,10.00" in page.url
+    page.wait_for_url("**mark=4.00,10.00**")
     assert search("torf") == [] and "Nothing found for “torf”" in page.locator(".search-status").inner_text()
     assert search("tor") == ["Places", "Durlacher Tor"]
     page.keyboard.press("Enter")

@@ -65,7 +65,7 @@ def test_the_plan_is_orthographic_and_coordinates_are_those_of_pyproj(page, addr
     assert np.abs(np.subtract(expected, (lon, lat))).max() < 1.5e-7  # a centimetre, and the last digit
     page.click("canvas", position={"x": stays[0], "y": stays[1] + 60})  # it stays, to be copied and sent
     shown = page.locator(".cursor").inner_text()
-    assert "at=" in page.url
+    page.wait_for_url("**at=**")
     page.mouse.move(5, 5)
     assert page.locator(".cursor").inner_text() == shown
     page.evaluate("navigator.clipboard.writeText = (text) => { window.copied = text; return Promise.resolve(); }")
@@ -86,7 +86,7 @@ def test_the_plan_is_orthographic_and_coordinates_are_those_of_pyproj(page, addr
     page.evaluate("document.querySelector('#grid').dispatchEvent(new Event('change'))")
     page.wait_for_selector(".grid-labels .east-label")
     assert all(re.fullmatch(r"\d{6}(\.\d)? E", text) for text in page.locator(".east-label").all_inner_texts())
-    assert "grid=labels" in page.url
+    page.wait_for_url("**grid=labels**")
     page.keyboard.press("t")
     page.wait_for_function("() => !location.hash.includes('view=plan')")
 
@@ -116,11 +116,12 @@ def test_distance_width_and_area_have_the_sigma_of_the_cones(page, address, feat
     _, north, _, _ = under_cursor(page, x, y + 120)
     area = float(re.findall(r"\d+\.\d+", page.locator(".measure .total").inner_text())[0])
     assert area == pytest.approx(8.0 * (5_428_010 - north) / 2, abs=0.4)
+    page.wait_for_url("**measure=area:**")
     link = page.url
-    assert "measure=area:" in link
     page.keyboard.press("Escape")
     page.wait_for_selector(".measure", state="hidden")
-    assert "measure" not in page.url and page.locator(".panel").is_hidden()
+    page.wait_for_url(lambda url: "measure" not in url)
+    assert page.locator(".panel").is_hidden()
     page.goto("about:blank")
     page.goto(link)
     page.wait_for_selector(".measure .total")
@@ -171,7 +172,7 @@ def test_two_states_are_compared_by_a_divider(page, address, features):
     settle(page)
     first = screenshot(page)
     assert pixels_of(first, ADDED) < 10 and pixels_of(first, MOVED) > 40
-    assert "swipe=1" in page.url
+    page.wait_for_url("**swipe=1**")
     click_cone(page, features["goes"])  # which stands in the first state
     page.wait_for_selector(f"h2:text-is('{features['goes'][:8]}')")
     page.keyboard.press("Escape")

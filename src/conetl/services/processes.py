@@ -102,6 +102,10 @@ def start_service(
             env={**environment, TOKEN: token},
             preexec_fn=_die_with_parent if die_with_parent and sys.platform == "linux" else None,  # noqa: PLW1509
         )  # fmt: skip
+    # Linux shows no environment for a moment while a program replaces its parent's: without it the service would not be found.
+    deadline = time.monotonic() + 1
+    while process.poll() is None and not _has_token(process.pid, token) and time.monotonic() < deadline:
+        time.sleep(0.001)
     return Service(name, process.pid, token, now.isoformat(timespec="seconds"), str(log.resolve()), address)
 
 
