@@ -1,10 +1,17 @@
-"""Training samples: scale, stretch, paste, hide, blur and relight pictures; boxes always follow the geometry."""
+"""Training samples: scale, stretch, paste, hide, blur and relight pictures; boxes always follow the geometry.
+
+Objects are (N, 9) as in `dataset.py`, fades (M, 5) [x0, y0, x1, y1, sum of 2**class] as in `loss.py`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
+from classes import ALL_CLASSES, CLASSES
 from dataset import Image
+from drawn_objects import CutOut
 
 MIN_CONE_PX = 7.0  # below this a labelled cone is neither taught nor forbidden
 # How far the sides of a source's boxes are believed; renders and cut-outs are exact, hand-drawn boxes leave a margin.
@@ -14,14 +21,13 @@ SIDE_TRUST = {
     "fs_onboard": 0.9,
     "css_safety_cone": 0.5,
     "css_rest": 0.4,
-    "roadwork_clips": 0.5,
-    "roadwork_clips_us": 0.6,
+    "labelled_clips": 0.6,
     "frc_conesandcubes": 0.9,
     "robomagellan_conefinder": 0.9,
 }
 PAD_PX = 32
-CutOut = tuple[np.ndarray, np.ndarray]
-"""A cone to paste (h, w, 4) BGRA with its foot and tip (4,) in its own pixels, NaN where not known."""
+#: Things that stand on the road, in rows.
+STANDING = ("traffic_cone", "tubular_marker", "drum", "vertical_panel", "barricade")
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -32,14 +38,18 @@ def pyramid(image: np.ndarray) -> list[np.ndarray]:
 
 
 def choose_scale(picture: Image, rng: np.random.Generator, stretch: float) -> tuple[float, int]:
-    """Scale that brings one randomly chosen cone to a height drawn log-uniformly, most of them small; and its index."""
+    """Scale that brings one randomly chosen object to a height drawn log-uniformly, most of them small; and its index."""
     if len(picture.boxes) == 0:
         return float(np.exp(rng.uniform(np.log(0.35), np.log(1.3)))), -1
     if picture.source == "renders":
         return float(rng.choice((1.0, rng.uniform(0.7, 1.4)))), int(rng.integers(len(picture.boxes)))
-    index = int(rng.integers(len(picture.boxes)))
+    classes = picture.boxes[:, 8]
+    one = (
+        0 if 0 in classes and rng.random() < 0.5 else rng.choice(np.unique(classes))
+    )  # no class is drowned by the others
+    index = int(rng.choice(np.flatnonzero(classes == one)))
     if (
-        picture.source in ("fs_onboard", "roadwork_clips", "roadwork_clips_us") and rng.random() < 0.5
+        picture.source in ("fs_onboard", "labelled_clips") and rng.random() < 0.5
     ):  # as a camera saw them: most far cones are small already
         return float(rng.uniform(0.85, 1.25)), index
     height = picture.boxes[index, 3] - picture.boxes[index, 1]
@@ -90,11 +100,9 @@ def warp_into(
     cover = cv2.warpAffine(np.full(levels[level].shape[:2], 255, np.uint8), local, size, flags=cv2.INTER_NEAREST)
     canvas[top:bottom, left:right] = cv2.copyTo(drawn, cover, canvas[top:bottom, left:right].copy())
 
-    def follow(boxes: np.ndarray, cone: bool) -> np.ndarray:
-        if len(boxes) == 0:
-            return boxes
+    def follow(boxes: np.ndarray, cones: np.ndarray) -> np.ndarray:
         x0, y0, x1, y1 = boxes[:, :4].T
-        inset = 0.38 * (x1 - x0) if cone else 0.0  # a cone fills its box at the foot only, not at the top corners
+        inset = 0.38 * (x1 - x0) * cones  # a cone fills its box at the foot only, not at the top corners
         points = np.stack(
             [
                 np.stack((x0, y1), 1),
@@ -105,14 +113,27 @@ def warp_into(
             1,
         )
         moved = points @ linear.T + offset
-        ends = boxes[:, 4:].reshape(len(boxes), -1, 2) @ linear.T + offset
-        return np.concatenate((moved.min(1), moved.max(1), ends.reshape(len(boxes), -1)), 1)
+        known = boxes.shape[1] // 8 * 2  # points: none of fades
+        ends = boxes[:, 4:8].reshape(len(boxes), known, 2) @ linear.T + offset
+        return np.concatenate((moved.min(1), moved.max(1), ends.reshape(len(boxes), 2 * known), boxes[:, 8:]), 1)
 
-    return follow(picture.boxes, True), follow(picture.fade, False)
+    fades = follow(picture.fade, np.zeros(len(picture.fade)))
+    return follow(picture.boxes, picture.boxes[:, 8] == 0), fade_rows(fades)
+
+
+def fade_rows(boxes: np.ndarray, classes: int = ALL_CLASSES) -> np.ndarray:
+    """Boxes (M, 4) as fades (M, 5) of these classes."""
+    return np.column_stack((boxes, np.full(len(boxes), float(classes))))
+
+
+def untaught(picture: Image, area: tuple[int, int, int, int]) -> np.ndarray:
+    """The classes that are not labelled in a picture, as a fade of the whole area (0 or 1, 5)."""
+    classes = sum(2**k for k, name in enumerate(CLASSES) if name not in picture.taught)
+    return fade_rows(np.array([area] if classes else []).reshape(-1, 4), classes)
 
 
 def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Cones (N, 4 or more) cut at the area's edge; the boxes of those of which too little is left go to the second (to fade)."""
+    """Objects (N, 4 or more) cut at the area's edge; the second has the boxes of those of which too little is left (to fade)."""
     if len(boxes) == 0:
         return boxes, np.zeros((0, 4))
     left, top, right, bottom = area
@@ -128,7 +149,7 @@ def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.n
 def paste_row(
     canvas: np.ndarray, cutout: CutOut, taken: list[np.ndarray], rng: np.random.Generator
 ) -> list[np.ndarray]:
-    """Paste a row of like cones that recedes from the camera, the farthest first; the cones (N, 8) that found a place."""
+    """Paste a row of like things that recedes from the camera, the farthest first; those (N, 9) that found a place."""
     rows, columns = canvas.shape[:2]
     horizon, aside = rng.uniform(0.1, 0.5) * rows, rng.uniform(0.0, 1.0) * columns
     near_px = float(np.exp(rng.uniform(np.log(25), np.log(220))))
@@ -138,48 +159,51 @@ def paste_row(
         share = 1 / (1 + spacing * number) * rng.uniform(0.96, 1.04)
         place = aside + (x - aside) * share, horizon + (foot - horizon) * share
         if near_px * share >= MIN_CONE_PX + 1:
-            known = np.concatenate(taken + found or [np.zeros((0, 8))])
+            known = np.concatenate(taken + found or [np.zeros((0, 9))])
             found.append(paste_cutout(canvas, cutout, known, rng, near_px * share, place))
     return found
 
 
 def paste_cutout(
     canvas: np.ndarray,
-    cutout_and_ends: CutOut,
+    cutout: CutOut,
     taken: np.ndarray,
     rng: np.random.Generator,
     height_px: float | None = None,
     foot: tuple[float, float] | None = None,
 ) -> np.ndarray:
-    """Paste one cut-out where it hides little of the cones `taken` (N, 8), with a shadow at its foot.
+    """Paste one cut-out where it hides little of the objects `taken` (N, 9), with a shadow at its foot if it stands.
 
-    Height and foot [x, y] px are random where they are not given. Returns it as a cone (1, 8) with an exact box, or (0, 8)
+    Height and foot [x, y] px are random where they are not given. Returns it as an object (1, 9) with an exact box, or (0, 9)
     when the place was taken or does not lie in the picture.
     """
-    cutout, ends = cutout_and_ends
+    picture, stands = cutout.image, cutout.category in STANDING
     if height_px is None:
         height_px = float(np.exp(rng.uniform(np.log(10), np.log(260))))
-    scale = height_px / cutout.shape[0]
-    width = max(round(cutout.shape[1] * scale * rng.uniform(0.6, 1.15)), 4)
+    scale = height_px / picture.shape[0]
+    squeeze = rng.uniform(0.6, 1.15) if cutout.category == "traffic_cone" else rng.uniform(0.85, 1.1)
+    width = max(round(picture.shape[1] * scale * squeeze), 4)
     height = max(round(height_px), 8)
-    patch = cv2.resize(cutout, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-    ends = ends * np.tile((width / cutout.shape[1], height / cutout.shape[0]), 2)
+    patch = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    shrink = np.tile((width / picture.shape[1], height / picture.shape[0]), 2)
+    ends, box = cutout.ends * shrink, cutout.box_or_all * shrink
     if rng.random() < 0.5:
         patch = patch[:, ::-1]
-        ends[[0, 2]] = width - ends[[0, 2]]
+        ends[[0, 2]], box[[0, 2]] = width - ends[[0, 2]], width - box[[2, 0]]
     colour = patch[..., :3].astype(np.float32) * rng.uniform(0.55, 1.25) * rng.uniform(0.9, 1.1, 3)
     x = int(rng.integers(0, max(canvas.shape[1] - width, 1)))
-    y = int(rng.integers(int(0.2 * canvas.shape[0]), max(canvas.shape[0] - height, int(0.2 * canvas.shape[0]) + 1)))
+    top = int((0.2 if stands else 0.0) * canvas.shape[0])
+    y = int(rng.integers(top, max(canvas.shape[0] - height, top + 1)))
     y = min(y, canvas.shape[0] - height)
     if foot is not None:
         x, y = round(foot[0] - width / 2), round(foot[1] - height)
     if x < 0 or y < 0 or x + width > canvas.shape[1] or y + height > canvas.shape[0]:
-        return np.zeros((0, 8))
+        return np.zeros((0, 9))
     low, high = np.maximum(taken[:, :2], (x, y)), np.minimum(taken[:, 2:4], (x + width, y + height))
     hidden = np.clip(high - low, 0, None).prod(1) / np.maximum((taken[:, 2:4] - taken[:, :2]).prod(1), 1.0)
     if (hidden > 0.5).any():
-        return np.zeros((0, 8))
-    if rng.random() < 0.6:
+        return np.zeros((0, 9))
+    if stands and rng.random() < 0.6:
         shadow = canvas.copy()
         cv2.ellipse(
             shadow,
@@ -195,30 +219,26 @@ def paste_cutout(
     alpha = patch[..., 3:].astype(np.float32) / 255
     region = canvas[y : y + height, x : x + width]
     region[:] = np.clip(alpha * colour + (1 - alpha) * region, 0, 255).astype(np.uint8)
-    return np.array([[x, y, x + width, y + height, *(ends + np.array((x, y, x, y)))]])
+    at = np.array((x, y, x, y))
+    return np.array([[*(box + at), *(ends + at), CLASSES.index(cutout.category)]])
 
 
 def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
-    """A bollard or post with bands (red-white, orange-white, black-yellow, plain), shaded like a cylinder."""
+    """A bollard or post with bands (red-white, black-yellow, plain), shaded like a cylinder."""
     width = max(height * rng.uniform(0.05, 0.22), 2.0)
     palettes = (
         ((40, 40, 190), (225, 225, 228)),
         ((30, 30, 150), (210, 212, 215)),
-        ((40, 110, 235), (230, 230, 230)),
         ((30, 200, 235), (30, 30, 30)),
         ((90, 90, 95), (90, 90, 95)),
         ((35, 35, 165), (35, 35, 165)),
     )
-    first, second = palettes[int(rng.choice(6, p=(0.36, 0.22, 0.14, 0.08, 0.1, 0.1)))]
+    first, second = palettes[int(rng.choice(5, p=(0.42, 0.26, 0.1, 0.11, 0.11)))]
     bands = int(rng.integers(2, 9))
     light = rng.uniform(0.35, 1.1)
     over = np.zeros((max(round(height), 3), max(round(width), 2), 3), np.float32)
     for band in range(bands):
         over[band * over.shape[0] // bands : (band + 1) * over.shape[0] // bands] = first if band % 2 == 0 else second
-    if rng.random() < 0.4:  # diagonal stripes
-        u, v = np.meshgrid(np.arange(over.shape[1]), np.arange(over.shape[0]))
-        stripe = ((v + rng.choice((-1, 1)) * u) // max(height / bands, 2)).astype(int) % 2
-        over = np.where(stripe[..., None] == 0, np.float32(first), np.float32(second)).astype(np.float32)
     if rng.random() < 0.5:  # a dark or grey post that has its bands near the top only
         top = rng.uniform(0.0, 0.12) * height
         start, end = int(top), int(top + height * rng.uniform(0.12, 0.45))
@@ -232,22 +252,6 @@ def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.
     cut_y, cut_x = max(y0, 0), max(x0, 0)
     if y1 > cut_y and x1 > cut_x:
         canvas[cut_y:y1, cut_x:x1] = np.clip(over[cut_y - y0 : y1 - y0, cut_x - x0 : x1 - x0], 0, 255)
-
-
-def draw_drum(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
-    """A channelizing drum: a wide barrel, hardly narrower at its top, with orange and white bands on a black ring."""
-    low = height * rng.uniform(0.26, 0.36)
-    top, bands = low * rng.uniform(0.72, 0.92), int(rng.integers(4, 7))
-    orange = np.array((30, 95, 240)) * rng.uniform(0.6, 1.0) + rng.normal(0, 12, 3)
-    ring = np.array([(x - 1.35 * low, foot), (x + 1.35 * low, foot), (x + 1.2 * low, foot - 0.09 * height),
-                     (x - 1.2 * low, foot - 0.09 * height)])  # fmt: skip
-    cv2.fillPoly(canvas, [ring.astype(np.int32)], (25, 25, 25), cv2.LINE_AA)
-    for band in range(bands):
-        shares = np.array((band, band + 1)) / bands
-        half, level = low + (top - low) * shares, foot - height * (0.06 + 0.94 * shares)
-        corners = [(x - half[0], level[0]), (x + half[0], level[0]), (x + half[1], level[1]), (x - half[1], level[1])]
-        colour = orange if band % 2 == 0 else np.full(3, rng.uniform(170, 240))
-        cv2.fillPoly(canvas, [np.array(corners).astype(np.int32)], np.clip(colour, 0, 255).tolist(), cv2.LINE_AA)
 
 
 def draw_tail_lamp(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
@@ -284,20 +288,19 @@ def draw_tail_lamp(canvas: np.ndarray, x: float, foot: float, height: float, rng
 
 
 def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
-    """Things that are no cones though red, orange or white: posts, panels, lamps, vests, vans, signs, drums."""
+    """Things of no class though red, orange or white: posts, lamps, vests, vans, triangles."""
     height, width = canvas.shape[:2]
     for _ in range(int(rng.integers(1, 5))):
-        kind = int(rng.integers(10))
+        kind = int(rng.integers(8))
         x, foot = rng.uniform(0, width), rng.uniform(0.3, 1.0) * height
         size = float(np.exp(rng.uniform(np.log(8), np.log(110))))
         warm = (int(rng.integers(0, 70)), int(rng.integers(20, 140)), int(rng.integers(150, 256)))
         point = (int(x), int(foot))
-        if kind in (0, 1, 7):
-            draw = draw_drum if kind == 7 else draw_post
-            gap = size * (rng.uniform(0.8, 3.0) if kind == 7 else rng.uniform(0.2, 0.8))
+        if kind in (0, 1):
+            gap = size * rng.uniform(0.2, 0.8)
             for k in range(int(rng.integers(1, 5))):
-                draw(canvas, x + k * gap, foot, size, rng)
-        elif kind in (6, 8, 9):
+                draw_post(canvas, x + k * gap, foot, size, rng)
+        elif kind in (4, 6, 7):
             draw_tail_lamp(canvas, x, foot, size, rng)
         elif kind == 2:  # lamp or headlight
             shade = (255, 255, 255) if rng.random() < 0.6 else warm
@@ -308,13 +311,6 @@ def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
             if rng.random() < 0.6:
                 band = int(foot - h * rng.uniform(0.3, 0.8))
                 cv2.rectangle(canvas, (int(x), band), (int(x + w), int(band - h * 0.15)), (220, 225, 225), -1)
-        elif kind == 4:  # sign: disc or diamond
-            r = max(size * 0.3, 2)
-            if rng.random() < 0.5:
-                cv2.circle(canvas, point, int(r), warm, -1 if rng.random() < 0.6 else max(int(r / 4), 1))
-            else:
-                corners = np.array([(x, foot - r), (x + r, foot), (x, foot + r), (x - r, foot)], int)
-                cv2.fillPoly(canvas, [corners], warm)
         else:  # triangle on its tip or lying down: cones point upwards
             r = max(size * 0.4, 3)
             shape = [(-r / 2, -r), (r / 2, -r), (0, 0)] if rng.random() < 0.5 else [(-r, -r / 2), (-r, r / 2), (r, 0)]
@@ -377,15 +373,17 @@ def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def make_sample(
     pick,
     backgrounds: list[tuple[Image, list[np.ndarray]]],
-    cutouts: list[CutOut],
+    cutouts: dict[str, list[CutOut]],
     size: int,
     rng: np.random.Generator,
 ) -> Sample:
-    """One training sample: image (size, size, 3) BGR uint8, cones (N, 8), trust (N,) of their sides, fades (M, 4)."""
+    """One training sample: image (size, size, 3) BGR uint8, objects (N, 9), trust (N,) of their sides, fades (M, 5)."""
     background, levels = backgrounds[int(rng.integers(len(backgrounds)))]
     canvas = cv2.resize(levels[2], (size, size), interpolation=cv2.INTER_LINEAR)  # no black where the warp leaves a gap
-    warp_into(canvas, background, levels, (0, 0, size, size), rng)
-    all_boxes, all_trust, all_fades = [], [], []
+    objects, fades = warp_into(canvas, background, levels, (0, 0, size, size), rng)
+    objects, cut = clip_boxes(objects, (0, 0, size, size))
+    all_boxes, all_trust = [objects], [np.full(len(objects), SIDE_TRUST.get(background.source, 0.5))]
+    all_fades = [fade_rows(cut), fades, untaught(background, (0, 0, size, size))]
     draw = rng.random()
     if draw < 0.38:
         areas = [(0, 0, size, size)]
@@ -396,32 +394,46 @@ def make_sample(
         areas = []  # background with cut-outs only
     for area in areas:
         picture, levels = pick(rng)
+        all_boxes, all_trust = uncovered(all_boxes, all_trust, area)
         boxes, fades = warp_into(canvas, picture, levels, area, rng)
         kept, faded = clip_boxes(boxes, area)
         all_boxes.append(kept)
         all_trust.append(np.full(len(kept), SIDE_TRUST[picture.source] if picture.tight else 0.15))
-        all_fades += [faded, clip_boxes(fades, area)[0]]
+        all_fades += [fade_rows(faded), clip_boxes(fades, area)[0], untaught(picture, area)]
     if rng.random() < 0.5:
         draw_furniture(canvas, rng)
-    if cutouts and (not areas or rng.random() < 0.3):
+    if not areas or rng.random() < 0.35:
         if rng.random() < 0.5:
-            row = paste_row(canvas, cutouts[int(rng.integers(len(cutouts)))], all_boxes, rng)
+            row = paste_row(canvas, one_of(cutouts, rng, STANDING), all_boxes, rng)
             all_boxes += row
             all_trust += [np.ones(len(box)) for box in row]
-        for _ in range(int(rng.integers(1, 5))):
-            taken = np.concatenate(all_boxes or [np.zeros((0, 8))])
-            box = paste_cutout(canvas, cutouts[int(rng.integers(len(cutouts)))], taken, rng)
+        for _ in range(int(rng.integers(1, 6))):
+            box = paste_cutout(canvas, one_of(cutouts, rng, CLASSES), np.concatenate(all_boxes), rng)
             all_boxes.append(box)
             all_trust.append(np.ones(len(box)))
-    boxes = np.concatenate(all_boxes or [np.zeros((0, 8))])
+    boxes, trust, fades = np.concatenate(all_boxes), np.concatenate(all_trust), np.concatenate(all_fades)
     hide_cones(canvas, boxes, rng)
-    fades = np.concatenate([fade.reshape(-1, 4) for fade in all_fades] or [np.zeros((0, 4))])
-    trust = np.concatenate(all_trust or [np.zeros(0)])
     canvas = relight(canvas, rng)
     if rng.random() < 0.3:  # the picture ends before the network's input does, which repeats its last row and column
         right, bottom = (size - rng.integers(0, PAD_PX, 2)).tolist()
         canvas[:, right:], canvas[bottom:] = canvas[:, right - 1 : right], canvas[bottom - 1 : bottom]
         area = (0, 0, right, bottom)
         kept, cut = clip_boxes(np.column_stack((boxes, trust)), area)
-        boxes, trust, fades = kept[:, :8], kept[:, 8], np.concatenate((clip_boxes(fades, area)[0], cut))
+        boxes, trust, fades = kept[:, :9], kept[:, 9], np.concatenate((clip_boxes(fades, area)[0], fade_rows(cut)))
     return canvas, boxes, trust, fades
+
+
+def one_of(cutouts: dict[str, list[CutOut]], rng: np.random.Generator, classes: Sequence[str]) -> CutOut:
+    """A cone in half of the cases, else a thing of any of the other classes."""
+    name = "traffic_cone" if rng.random() < 0.5 else str(rng.choice([name for name in classes if name in cutouts]))
+    return cutouts[name][int(rng.integers(len(cutouts[name])))]
+
+
+def uncovered(
+    boxes: list[np.ndarray], trust: list[np.ndarray], area: tuple[int, int, int, int]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Objects, and the trust of their sides, of which a picture drawn into this area hides nothing or little."""
+    every, trusts = np.concatenate(boxes), np.concatenate(trust)
+    low, high = np.maximum(every[:, :2], area[:2]), np.minimum(every[:, 2:4], area[2:])
+    hidden = np.clip(high - low, 0, None).prod(1) / np.maximum((every[:, 2:4] - every[:, :2]).prod(1), 1.0)
+    return [every[hidden < 0.3]], [trusts[hidden < 0.3]]

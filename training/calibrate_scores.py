@@ -373,7 +373,7 @@ def model_card_text(evidence: DetectorEvidence, figures: dict) -> str:
 
 def read_cone_free(folder: Path) -> list[Image]:
     images = ((path, cv2.imread(str(path))) for path in sorted(folder.iterdir()) if path.suffix in (".jpg", ".png"))
-    return [Image(path.stem, "cone-free", image, np.zeros((0, 8))) for path, image in images if image is not None]
+    return [Image(path.stem, "cone-free", image, np.zeros((0, 9))) for path, image in images if image is not None]
 
 
 def main() -> None:

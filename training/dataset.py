@@ -1,28 +1,35 @@
 """The training pictures: where they come from and how their labels are cleaned.
 
-A `Image` is one image with its cones (N, 8) [x0, y0, x1, y1, foot x, foot y, tip x, tip y] in pixels, the last four NaN
-where they are not known (only renders and drawn cones know them), `fade` = regions where an unlabelled cone
-is likely, so that "background" is not taught there, and `tight` = whether its boxes can be trusted to the pixel.
+An `Image` is one image with its objects (N, 9) [x0, y0, x1, y1, foot x, foot y, tip x, tip y, class] in pixels, foot and tip
+NaN where they are not known (only renders and drawn objects know them), `fade` = regions where an unlabelled object is
+likely, so that "background" is not taught there, `tight` = whether its boxes can be trusted to the pixel, and `taught` = the
+classes that are labelled in it: of the others nothing is taught.
 """
 
 from __future__ import annotations
 
 import csv
-import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
+from classes import CLASSES, IGNORED, NOTHING
+from drawn_objects import CutOut
 
-# Stretches of the clips (name, first and last second, top and bottom as a share of the height) in which a person looked and
-# saw no traffic cone: drums, vertical panels, signs, lorries, houses, sky. They serve as background only.
-CLIP_NEGATIVES = (
-    ("phoenix", 2.0, 12.0, 0.0, 0.93),
-    ("columbus", 9.0, 18.0, 0.0, 0.96),
-    ("boston", 0.0, 15.0, 0.0, 0.50),
-    ("charlotte", 0.0, 17.0, 0.0, 0.50),
-)
+#: Sources of which only some classes are labelled; of the others all are, or none are there.
+CONES_ONLY = frozenset({"traffic_cone"})
+NO_SIGNS = frozenset(CLASSES) - {"traffic_sign", "work_zone_sign"}
+TAUGHT = {
+    "rf_traffic_cones": CONES_ONLY,
+    "css_safety_cone": CONES_ONLY,
+    "css_rest": CONES_ONLY,
+    "renders": frozenset({"traffic_cone", "tubular_marker", "vertical_panel", "arrow_board"}),
+    "highway_tidar_negatives": NO_SIGNS,
+    "otonom_sign_negatives": NO_SIGNS,
+    "robomagellan_conefinder": NO_SIGNS,
+}
 
 
 @dataclass
@@ -34,15 +41,19 @@ class Image:
     fade: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     tight: bool = True
 
+    @property
+    def taught(self) -> frozenset[str]:
+        return TAUGHT.get(self.source, frozenset(CLASSES))
+
 
 def read_labels(path: Path, width: int, height: int) -> np.ndarray:
-    """YOLO text file, with foot and tip behind the box or without -> cones (N, 8). An absent file means no cone."""
+    """YOLO text file, with foot and tip behind the box or without -> objects (N, 9). An absent file means none."""
     if not path.exists() or not path.read_text().strip():
-        return np.zeros((0, 8))
-    rows = np.loadtxt(path, ndmin=2)[:, 1:]
+        return np.zeros((0, 9))
+    classes, rows = np.split(np.loadtxt(path, ndmin=2), [1], axis=1)
     ends = rows[:, 4:8] if rows.shape[1] >= 8 else np.full((len(rows), 4), np.nan)
     rows = np.concatenate((rows[:, :2] - rows[:, 2:4] / 2, rows[:, :2] + rows[:, 2:4] / 2, ends), 1)
-    return rows * np.tile((width, height), 4)
+    return np.column_stack((rows * np.tile((width, height), 4), classes))
 
 
 def black_corner_angle(image: np.ndarray) -> float:
@@ -96,9 +107,16 @@ def turn_upright(picture: Image) -> Image:
             fade.append((cx - hull_w / 2, cy - hull_h / 2, cx + hull_w / 2, cy + hull_h / 2))
         else:
             boxes.append((cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2))
-    cones = np.full((len(boxes), 8), np.nan)
-    cones[:, :4] = np.array(boxes).reshape(-1, 4)
+    cones = objects_from(boxes, [0] * len(boxes))
     return Image(picture.name, picture.source, image, cones, np.array(fade).reshape(-1, 4))
+
+
+def objects_from(boxes: Sequence[Sequence[float]], classes: Sequence[int]) -> np.ndarray:
+    """Boxes (N, 4) and classes (N,) as objects (N, 9) of unknown foot and tip."""
+    objects = np.full((len(boxes), 9), np.nan)
+    objects[:, :4] = np.array(boxes).reshape(-1, 4)
+    objects[:, 8] = classes
+    return objects
 
 
 def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -165,40 +183,39 @@ def redder(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)
 
 
-def read_clip_negatives(root: Path, every_s: float = 0.5) -> list[Image]:
-    """Cone-free cuts of the work-zone clips (see CLIP_NEGATIVES)."""
+def read_labelled_clips(
+    clips: Path, labels: Path, more_cones: Path, left_out: frozenset[str] = frozenset()
+) -> list[Image]:
+    """The labelled frames of the work-zone clips, all classes (labels/README.md).
+
+    Where a frame lies among `more_cones` it is taken from there: its far crowds are blurred.
+    """
     pictures = []
-    for name, start_s, end_s, top, bottom in CLIP_NEGATIVES:
-        clip = cv2.VideoCapture(str(root / f"{name}.mp4"))
-        rate = clip.get(cv2.CAP_PROP_FPS)
+    for path in sorted(labels.glob("*.csv")):
+        if path.stem in left_out:
+            continue
+        with path.open() as lines:
+            rows = list(csv.DictReader(lines))
+        clip = cv2.VideoCapture(str(clips / f"{path.stem}.mp4"))
         for index in range(int(clip.get(cv2.CAP_PROP_FRAME_COUNT))):
             ok, image = clip.read()
             if not ok:
                 break
-            if start_s <= index / rate <= end_s and index % max(round(rate * every_s), 1) == 0:
-                height = image.shape[0]
-                cut = image[round(top * height) : round(bottom * height)]
-                pictures.append(Image(f"{name}_{index}", "roadwork_clips", cut, np.zeros((0, 8))))
-    return pictures
-
-
-def read_labelled_clips(root: Path, labels: Path, every: int = 6) -> list[Image]:
-    """Every so many frames of the clips that `label_clips.py` labelled, with cones; boxes cut at the picture's edge."""
-    pictures = []
-    for name, frames in json.loads(labels.read_text())["clips"].items():
-        clip = cv2.VideoCapture(str(root / f"{name}.mp4"))
-        for index in range(int(clip.get(cv2.CAP_PROP_FRAME_COUNT))):
-            ok, image = clip.read()
-            if not ok:
-                break
-            label = frames.get(str(index))
-            if index % every or label is None or not label["boxes"]:
+            here = [row for row in rows if int(row["frame"]) == index]
+            if not here:
                 continue
-            height, width = image.shape[:2]
-            cones = np.full((len(label["boxes"]), 8), np.nan)
-            cones[:, :4] = np.clip(label["boxes"], 0, (width, height, width, height))
-            fades = np.array(label["fades"]).reshape(-1, 4)
-            pictures.append(Image(f"{name}_{index}", "roadwork_clips", image, cones, fades))
+            boxes = {
+                id(row): [float(row[side]) for side in ("x0", "y0", "x1", "y1")]
+                for row in here
+                if row["class"] != NOTHING
+            }
+            things = [row for row in here if row["class"] in CLASSES]
+            objects = objects_from([boxes[id(row)] for row in things], [CLASSES.index(row["class"]) for row in things])
+            fades = np.array([boxes[id(row)] for row in here if row["class"] == IGNORED]).reshape(-1, 4)
+            name = f"{path.stem}_{index:04d}"
+            blurred = more_cones / "roadwork_clips_us" / "images" / f"{name}.jpg"
+            image = cv2.imread(str(blurred)) if blurred.exists() else image
+            pictures.append(Image(name, "labelled_clips", image, objects, fades))
     return pictures
 
 
@@ -218,11 +235,8 @@ def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[Image]:
     return pictures
 
 
-def cut_out_cones(pictures: list[Image]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """GrabCut cut-outs (h, w, 4) BGRA of whole upright cones, trimmed to the cone's own outline: exact boxes for pasting.
-
-    Each comes with its foot and tip (4,), here NaN: nobody marked them.
-    """
+def cut_out_cones(pictures: list[Image]) -> list[CutOut]:
+    """GrabCut cut-outs of whole upright cones, trimmed to the cone's own outline: exact boxes for pasting."""
     cutouts = []
     for picture in pictures:
         height, width = picture.image.shape[:2]
@@ -249,5 +263,5 @@ def cut_out_cones(pictures: list[Image]) -> list[tuple[np.ndarray, np.ndarray]]:
             if not (0.28 < area / (bw * bh) < 0.72 and bh > 0.8 * frame[3] and 1.1 < bh / bw < 3.5):
                 continue
             alpha = cv2.GaussianBlur((labels == largest).astype(np.uint8) * 255, (3, 3), 0)
-            cutouts.append((np.dstack((patch, alpha))[by : by + bh, bx : bx + bw], np.full(4, np.nan)))
+            cutouts.append(CutOut(np.dstack((patch, alpha))[by : by + bh, bx : bx + bw]))
     return cutouts

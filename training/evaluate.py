@@ -1,9 +1,11 @@
 """Average precision of a model on labelled pictures (pycocotools), by source and by cone height, through conetl's own detector.
 
-    python training/evaluate.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES] [--labelled DIR] [--json OUT.json]
+    python training/evaluate.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES [--clips DIR]] [--labelled DIR]
+        [--json OUT.json]
 
 `--left-out` names the sources and clips of `--more-cones` that `train.py --leave-out` kept aside: they are judged one by one and
-together, which tells more of unknown streets than the validation split, whose sources are those of the training.
+together, which tells more of unknown streets than the validation split, whose sources are those of the training. With `--clips`
+every class is judged on the clips left out (labels/), and how often a cone is called a drum or the reverse.
 `--labelled` names a folder with images/ and labels/ (YOLO text), for instance renders kept out of training. The validation split
 is judged twice: by its labels, and without boxes on the cones that a person saw but nobody labelled (`val_unlabelled.csv`). These
 were looked for among boxes of conetl's own detector, so the second figures flatter it beside others.
@@ -13,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import io
 import json
 import sys
@@ -24,7 +27,8 @@ from pycocotools.cocoeval import COCOeval
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import Image, read_cones, read_left_out, read_renders
+from classes import CLASSES
+from dataset import Image, read_cones, read_labelled_clips, read_left_out, read_renders
 from looks import MATCH_IOU, unlabelled_places
 
 from conetl.perception.decoding import intersection_over_union
@@ -32,6 +36,7 @@ from conetl.perception.detector import detect_image, load_detector
 
 SPLIT = ("rf_traffic_cones", "fs_onboard", "css_safety_cone")
 SCORES = (0.3, 0.5)
+LABELS = Path(__file__).parent / "labels"
 HEIGHTS_PX = {
     "all": (0.0, 1e5),
     ">=20 px": (20.0, 1e5),
@@ -115,9 +120,55 @@ def off_unlabelled(picture: Image, found: np.ndarray, places: dict[str, np.ndarr
     return found[np.array(kept, bool)]
 
 
+def of_class(picture: Image, found: np.ndarray, number: int) -> tuple[Image, np.ndarray]:
+    """A picture with its objects of one class, and the boxes of that class but for those in ignored regions on no object."""
+    objects = picture.boxes[picture.boxes[:, 8] == number]
+    boxes = found[found[:, 9] == number]
+
+    def counts(box: np.ndarray) -> bool:
+        corners = np.concatenate((box[:2], box[:2] + box[2:4]))
+        if (intersection_over_union(corners, objects[:, :4]) >= 0.5).any():
+            return True
+        low, high = np.maximum(picture.fade[:, :2], corners[:2]), np.minimum(picture.fade[:, 2:4], corners[2:])
+        return not (np.clip(high - low, 0, None).prod(1) > 0.5 * box[2:4].prod()).any()
+
+    kept = np.array([counts(box) for box in boxes], bool)
+    return dataclasses.replace(picture, boxes=objects), boxes[kept]
+
+
+def called(pictures: list[Image], found: list[np.ndarray], score: float, one: str, other: str) -> tuple[int, int]:
+    """How many labelled objects of class `one` have a box of class `other`, and how many have a box of either."""
+    wrong = seen = 0
+    for picture, boxes in zip(pictures, found, strict=True):
+        best = boxes[boxes[:, 4] >= score]
+        corners = np.concatenate((best[:, :2], best[:, :2] + best[:, 2:4]), axis=1)
+        for thing in picture.boxes[picture.boxes[:, 8] == CLASSES.index(one)]:
+            classes = best[intersection_over_union(thing[:4], corners) >= 0.5, 9]
+            is_other = bool((classes == CLASSES.index(other)).any())
+            wrong, seen = wrong + is_other, seen + (is_other or bool((classes == CLASSES.index(one)).any()))
+    return wrong, seen
+
+
+def judge_classes(clips: list[Image], found: list[np.ndarray]) -> dict[str, dict[str, dict[str, float]]]:
+    """Tables of every class that is labelled in the clips, and mix-ups of cones and drums."""
+    tables = {}
+    for number, name in enumerate(CLASSES):
+        if not any((clip.boxes[:, 8] == number).any() for clip in clips):
+            continue
+        pictures, boxes = zip(*(of_class(*pair, number) for pair in zip(clips, found, strict=True)), strict=True)
+        tables[f"clips: {name}"] = coco_tables(list(pictures), list(boxes))
+        for score in SCORES:
+            tables[f"clips: {name}"][f"at {score}"] = at_score(list(pictures), list(boxes), score)
+    for pair in (("traffic_cone", "drum"), ("drum", "traffic_cone")):
+        wrong, seen = called(clips, found, SCORES[0], *pair)
+        tables[f"clips: {pair[0]} as {pair[1]}"] = {f"at {SCORES[0]}": {"wrong": wrong, "of": seen}}
+    return tables
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
+    parser.add_argument("--clips", type=Path)
     parser.add_argument("--cones", type=Path)
     parser.add_argument("--more-cones", type=Path)
     parser.add_argument("--left-out", default="", help="sources and clips, with commas between them")
@@ -144,11 +195,21 @@ def main() -> None:
         elsewhere = [off_unlabelled(picture, boxes, places) for picture, boxes in zip(pictures, found, strict=True)]
         judged["the split, off unlabelled"] = groups["validation split"], elsewhere
     tables = {}
+    if args.clips:
+        names = set(args.left_out.split(","))
+        clips = read_labelled_clips(
+            args.clips, LABELS, args.more_cones, frozenset(p.stem for p in LABELS.glob("*.csv")) - names
+        )
+        tables = judge_classes(
+            clips,
+            [detect_image(detector, p.image, score_threshold=0.01, single_image=True, categories=None) for p in clips],
+        )
     for group, (chosen, boxes) in sorted(judged.items()):
         tables[group] = coco_tables([pictures[k] for k in chosen], [boxes[k] for k in chosen])
         for score in SCORES:
             tables[group][f"at {score}"] = at_score([pictures[k] for k in chosen], [boxes[k] for k in chosen], score)
-        for label, row in tables[group].items():
+    for group, table in tables.items():
+        for label, row in table.items():
             print(f"{group:25s} {label:9s} " + " ".join(f"{name} {value}" for name, value in row.items()))
     if args.json:
         args.json.write_text(

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import torch
+from classes import CLASSES
 from network import BINS, STRIDES, ConeNet, fuse_batch_norms
 from torch import Tensor, nn
 from torch.nn import functional
@@ -58,9 +59,9 @@ class PackedStem(nn.Module):
 class CellOutputs(nn.Module):
     """The output layers of one stride, for the cells of the highest scores only: all of them would cost an eighth of the whole.
 
-    Features (P, C, h, w) -> the cells' values (K, 4*BINS + 5) as in `ConeNet`, and their places (K,) in the row-major maps of the
-    pictures, one after the other: the cells are the best of all pictures together. They are chosen by a score that may be rounded
-    to 8 bits; the scores given are not.
+    Features (P, C, h, w) -> the cells' values (K, 4*BINS + 4 + classes) as in `ConeNet`, and their places (K,) in the row-major
+    maps of the pictures, one after the other: the cells are the best of all pictures together. They are chosen by a score that
+    may be rounded to 8 bits; the scores given are not.
     """
 
     def __init__(self, sides: nn.Module, ends: nn.Module, score: nn.Module, count: int) -> None:
@@ -72,7 +73,7 @@ class CellOutputs(nn.Module):
         self.register_buffer("bias", torch.cat((sides.bias, ends.bias, score.bias)).detach())
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        logits = self.score(features).reshape(1, -1)
+        logits = self.score(features).amax(1).reshape(1, -1)
         # A number of cells that depends on the picture's size has to be a tensor, or tracing would freeze it.
         available = torch._shape_as_tensor(logits)[1]
         _, cells = logits.topk(torch.minimum(torch.tensor(self.count), available), 1)
@@ -140,9 +141,10 @@ def main() -> None:
             "side_bins": BINS,
             "strides_px": list(STRIDES),
             "foot_and_tip": True,
+            "class_count": len(CLASSES),
         },
         "pad_multiple_px": max(STRIDES),
-        "class_names": ["traffic_cone"],
+        "class_names": list(CLASSES),
         # As for the shipped weights; others may do better with other numbers, or without (docs/how-to/models.md).
         "closer_look": {"cone_px": 48, "window_px": 96, "scores": [0.25, 0.75], "share": 0.35},
         "enlarged_look": {"below_px": 40, "from_score": 0.25, "around_px": 24, "scale": 2.0, "share": 0.65},

@@ -1,213 +1,220 @@
-"""Label the work-zone clips by the detector itself, with consistency over time and a person's last word.
+"""Label the work-zone clips by eye: key boxes of objects, the frames between them filled in, pictures to look at it all.
 
-    python training/label_clips.py MODEL.onnx --clips DIR --out LABELS.json [--sheet SHEET.png]
+    python training/label_clips.py look KEYS/columbus.csv --clips DIR --frame 67 [--within 360 200 560 310] --out look.png
+    python training/label_clips.py sheet KEYS/columbus.csv --clips DIR --out SHEETS
+    python training/label_clips.py write KEYS/*.csv --clips DIR --out training/labels
 
-One picture alone says little about a weak box; a cone is there in many pictures and moves smoothly through them. Every second
-frame is looked at as it is, mirrored and enlarged; boxes of one place are averaged; chains of such places over time that
-last, score well and move smoothly are cones (`boxes`), also in the frames between where they were missed. What else got a box
-is neither taught nor forbidden (`fades`), except where a person looked at the sheet of chains and saw a thing that is no cone
-(`NO_CONES`): that is taught as background.
+A file of keys has a line `object,class,frame,x0,y0,x1,y1` a box, in pixels; what follows a # is a remark. One object has one
+number in its clip. Between two of its keys every labelled frame gets a box: a standing thing is approached at constant speed,
+then it is registered on the picture. `look` shows a frame, or a part of it enlarged, with ticks in pixels; `sheet` shows every
+box enlarged, filled ones with a ~; `write` writes what `dataset.py` reads.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
-from dataclasses import dataclass, field
+import csv
+from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.signal import savgol_filter
+from classes import CLASSES, IGNORED, NOTHING
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
-
-from conetl.perception.decoding import intersection_over_union
-from conetl.perception.detector import Detector, detect_image, load_detector
-
-CLIPS = ("boston", "charlotte")  # the others show no cone: drums and panels (see CLIP_NEGATIVES in dataset.py)
-EVERY = 2  # frames; the clips have 30 a second
-MAX_GAP = 5  # looks without a box inside a chain
-MIN_LOOKS, MIN_MEAN_SCORE, MIN_BEST_SCORE = 8, 0.2, 0.35
-WEAK_SCORE = 0.08
-
-#: (clip, frame, x, y): a point inside the box of a chain that a person looked at and that is no cone.
-NO_CONES: tuple[tuple[str, int, float, float], ...] = (
-    ("boston", 164, 251, 286),  # yellow hydrants and posts
-    ("boston", 178, 53, 322),
-    ("boston", 186, 87, 331),
-    ("charlotte", 182, 148, 240),  # a red hydrant
-    ("charlotte", 228, 541, 256),  # writing on a van
-    ("charlotte", 172, 36, 199),
-    ("charlotte", 470, 45, 326),  # a cone in a mirror
-)
+EVERY, FIRST = 15, 7  # labelled frames: half a second apart, as the cones of `roadwork_clips_us`
+MIN_CORRELATION = 0.55
+COLOURS = {
+    name: tuple(int(v) for v in cv2.cvtColor(np.uint8([[[22 * k, 255, 255]]]), cv2.COLOR_HSV2BGR)[0, 0])
+    for k, name in enumerate(CLASSES)
+} | {IGNORED: (160, 160, 160)}
+PER_ROW, ROWS, CELL_PX = 12, 8, 110
 
 
-@dataclass
-class Chain:
-    """One thing over time: frame numbers, boxes (N, 4) [x0, y0, x1, y1] px, scores."""
+@dataclass(frozen=True)
+class Labelled:
+    """A box (4,) [x0, y0, x1, y1] px of an object in a frame; filled: not a person's."""
 
-    frames: list[int] = field(default_factory=list)
-    boxes: list[np.ndarray] = field(default_factory=list)
-    scores: list[float] = field(default_factory=list)
-
-    def expected(self, frame: int) -> np.ndarray:
-        """Box at a later frame by constant velocity of the last few looks."""
-        if len(self.frames) < 3:
-            return self.boxes[-1]
-        past = min(len(self.frames), 4)
-        step = (self.boxes[-1] - self.boxes[-past]) / (self.frames[-1] - self.frames[-past])
-        return self.boxes[-1] + step * (frame - self.frames[-1])
-
-    def is_cone(self) -> bool:
-        return (
-            len(self.frames) >= MIN_LOOKS
-            and float(np.mean(self.scores)) >= MIN_MEAN_SCORE
-            and max(self.scores) >= MIN_BEST_SCORE
-        )
-
-    def smooth(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frames of every look from first to last, and the boxes there: gaps filled, edges smoothed over seven looks."""
-        every = np.arange(self.frames[0], self.frames[-1] + 1, EVERY)
-        boxes = np.stack([np.interp(every, self.frames, side) for side in np.array(self.boxes).T], 1)
-        return every, savgol_filter(boxes, min(7, len(every) - (len(every) + 1) % 2), 2, axis=0)
+    frame: int
+    number: int
+    category: str
+    box: np.ndarray
+    filled: bool = False
 
 
-def look_three_ways(detector: Detector, image: np.ndarray) -> np.ndarray:
-    """Boxes of one frame (N, 5) [x0, y0, x1, y1, score]: plain, mirrored, enlarged; those of one place averaged by score."""
-    width = image.shape[1]
-    larger = cv2.resize(image, None, fx=1.6, fy=1.6, interpolation=cv2.INTER_CUBIC)
-    looks = [(image, 1.0, False), (np.ascontiguousarray(image[:, ::-1]), 1.0, True), (larger, 1.6, False)]
-    found = []
-    for seen, scale, mirrored in looks:
-        boxes = detect_image(detector, seen, score_threshold=WEAK_SCORE)[:, :5].copy()
-        boxes[:, :4] /= scale
-        if mirrored:
-            boxes[:, 0] = width - boxes[:, 0] - boxes[:, 2]
-        boxes[:, 2:4] += boxes[:, :2]
-        found.append(boxes)
-    rest = np.concatenate(found)
-    rest = rest[np.argsort(-rest[:, 4])]
-    fused = []
-    while len(rest):
-        same = intersection_over_union(rest[0, :4], rest[:, :4]) > 0.5
-        group = rest[same]
-        box = np.average(group[:, :4], axis=0, weights=group[:, 4])
-        fused.append((*box, group[:, 4].sum() / len(looks)))  # a box in one look of three counts a third
-        rest = rest[~same]
-    return np.array(fused).reshape(-1, 5)
-
-
-def follow(looks: dict[int, np.ndarray]) -> list[Chain]:
-    """Chains of boxes over time: nearest expected box of like height, best pairs first."""
-    alive: list[Chain] = []
-    ended: list[Chain] = []
-    for frame, boxes in looks.items():
-        ended += [c for c in alive if frame - c.frames[-1] > MAX_GAP * EVERY]
-        alive = [c for c in alive if frame - c.frames[-1] <= MAX_GAP * EVERY]
-        pairs = []
-        for k, chain in enumerate(alive):
-            expected = chain.expected(frame)
-            height = max(expected[3] - expected[1], 4.0)
-            for j, box in enumerate(boxes):
-                apart = np.abs(box[:2] + box[2:4] - expected[:2] - expected[2:]).max() / 2
-                ratio = (box[3] - box[1]) / height
-                if apart < 0.35 * height + 3 and 0.7 < ratio < 1.45:
-                    pairs.append((apart / height, k, j))
-        taken_chains, taken_boxes = set(), set()
-        for _, k, j in sorted(pairs):
-            if k in taken_chains or j in taken_boxes:
-                continue
-            taken_chains.add(k)
-            taken_boxes.add(j)
-            alive[k].frames.append(frame)
-            alive[k].boxes.append(boxes[j, :4])
-            alive[k].scores.append(float(boxes[j, 4]))
-        alive += [Chain([frame], [b[:4]], [float(b[4])]) for j, b in enumerate(boxes) if j not in taken_boxes]
-    return ended + alive
-
-
-def refused(name: str, chain: Chain) -> bool:
-    """Whether a person said of this chain that it is no cone."""
-    frames, boxes = np.array(chain.frames), np.array(chain.boxes)
-    for clip, frame, x, y in NO_CONES:
-        if clip != name or not frames[0] <= frame <= frames[-1]:
-            continue
-        x0, y0, x1, y1 = boxes[np.abs(frames - frame).argmin()]
-        if x0 - 2 <= x <= x1 + 2 and y0 - 2 <= y <= y1 + 2:
-            return True
-    return False
-
-
-def read_frames(path: Path) -> dict[int, np.ndarray]:
-    clip = cv2.VideoCapture(str(path))
-    frames = {}
-    for index in range(int(clip.get(cv2.CAP_PROP_FRAME_COUNT))):
-        ok, image = clip.read()
-        if not ok:
-            break
-        if index % EVERY == 0:
+def read_frames(clip: Path) -> dict[int, np.ndarray]:
+    """The labelled frames of a clip."""
+    video, frames = cv2.VideoCapture(str(clip)), {}
+    for index in range(int(video.get(cv2.CAP_PROP_FRAME_COUNT))):
+        ok, image = video.read()
+        if ok and index % EVERY == FIRST:
             frames[index] = image
+    if not frames:
+        raise SystemExit(f"{clip}: no frame can be read")
     return frames
 
 
-def contact_sheet(chains: list[tuple[str, Chain, np.ndarray]]) -> np.ndarray:
-    """The best look of every chain: clip, frame, centre, looks, mean score; a person names those that are no cones."""
-    tiles = []
-    for name, chain, image in chains:
-        best = int(np.argmax([(b[3] - b[1]) * s for b, s in zip(chain.boxes, chain.scores, strict=True)]))
-        x0, y0, x1, y1 = chain.boxes[best]
-        half = max(x1 - x0, y1 - y0)
-        window = [int(v) for v in (max((x0 + x1) / 2 - half, 0), max((y0 + y1) / 2 - half, 0))]
-        cut = image[window[1] : int((y0 + y1) / 2 + half), window[0] : int((x0 + x1) / 2 + half)]
-        tile = cv2.copyMakeBorder(cv2.resize(cut, (118, 118)), 28, 0, 1, 1, cv2.BORDER_CONSTANT)
-        where = f"{name[:4]} {chain.frames[best]} {(x0 + x1) / 2:.0f},{(y0 + y1) / 2:.0f}"
-        for row, text in enumerate((where, f"n{len(chain.frames)} {np.mean(chain.scores):.2f}")):
-            cv2.putText(tile, text, (2, 11 + 13 * row), 0, 0.36, (255, 255, 255), 1, cv2.LINE_AA)
-        tiles.append(tile)
-    blank = np.zeros((146, 120, 3), np.uint8)
-    tiles += [blank] * (-len(tiles) % 12)
-    return np.vstack([np.hstack(tiles[row : row + 12]) for row in range(0, len(tiles), 12)])
+def read_keys(path: Path) -> list[Labelled]:
+    """The lines of a file of keys. Ends with the file and line of the first that is none."""
+    keys = []
+    for number, line in enumerate(path.read_text().splitlines(), 1):
+        cells = line.split("#")[0].strip().split(",")
+        if cells == [""]:
+            continue
+        try:
+            thing, category, frame, *sides = cells
+            key = Labelled(int(frame), int(thing), category.strip(), np.array(sides, float))
+        except ValueError as error:
+            raise SystemExit(f"{path}, line {number}: expected object,class,frame,x0,y0,x1,y1 ({error})") from error
+        x0, y0, x1, y1 = key.box if len(key.box) == 4 else (0, 0, 0, 0)
+        if not (x0 < x1 and y0 < y1 and key.category in COLOURS and key.frame % EVERY == FIRST):
+            raise SystemExit(
+                f"{path}, line {number}: expected a class of {', '.join(COLOURS)}, a frame of {FIRST}, {FIRST + EVERY}, ... "
+                "and x0 < x1, y0 < y1"
+            )
+        keys.append(key)
+    return keys
+
+
+def fill(keys: list[Labelled], frames: dict[int, np.ndarray]) -> list[Labelled]:
+    """Keys and the boxes between them, by frame."""
+    objects: dict[tuple[int, str], dict[int, np.ndarray]] = defaultdict(dict)
+    for key in keys:
+        objects[key.number, key.category][key.frame] = key.box
+    labels = list(keys)
+    for (number, category), boxes in objects.items():
+        for before, after in zip(sorted(boxes), sorted(boxes)[1:], strict=False):
+            for frame in range(before + EVERY, after, EVERY):
+                share = (frame - before) / (after - before)
+                nearer = before if share < 0.5 else after
+                guess = between(boxes[before], boxes[after], share)
+                box = registered(frames[nearer], boxes[nearer], frames[frame], guess)
+                labels.append(Labelled(frame, number, category, box, filled=True))
+    return sorted(labels, key=lambda label: (label.frame, label.number))
+
+
+def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
+    """The box of a standing thing approached at constant speed: 1/height is linear in time, places are linear in height."""
+    low, high = before[3] - before[1], after[3] - after[1]
+    height = 1 / ((1 - share) / low + share / high)
+    if abs(high - low) > 0.03 * max(low, high):
+        share = (height - low) / (high - low)
+    return before + (after - before) * share
+
+
+def registered(key: np.ndarray, box: np.ndarray, image: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """The guess moved and scaled to where the patch of the key's box fits best; unchanged where it fits nowhere."""
+    limits = np.tile(image.shape[1::-1], 2) - 1
+    if min(*box, *guess) < 1 or (np.maximum(box, guess) > limits).any():
+        return guess
+    grey, patch_of = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.cvtColor(key, cv2.COLOR_BGR2GRAY)
+    best, found = MIN_CORRELATION, guess
+    centre, size = (guess[:2] + guess[2:]) / 2, guess[2:] - guess[:2]
+    margin = 0.1 * (box[2:] - box[:2])
+    (x0, y0), (x1, y1) = box[:2] - margin, box[2:] + margin
+    reach = max(8.0, 0.5 * size[1])
+    for scale in (0.88, 0.94, 1.0, 1.06, 1.12):
+        width, height = np.maximum(np.round(size * scale * 1.2), 5).astype(int).tolist()
+        to = np.array([(0, 0), (width, 0), (0, height)], np.float32)
+        matrix = cv2.getAffineTransform(np.array([(x0, y0), (x1, y0), (x0, y1)], np.float32), to)
+        patch = cv2.warpAffine(patch_of, matrix, (width, height), flags=cv2.INTER_AREA)
+        low = np.maximum(np.floor(centre - reach - np.array((width, height)) / 2), 0).astype(int)
+        high = np.ceil(centre + reach + np.array((width, height)) / 2).astype(int)
+        window = grey[low[1] : high[1], low[0] : high[0]]
+        if window.shape[0] < height or window.shape[1] < width:
+            continue
+        _, value, _, place = cv2.minMaxLoc(cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED))
+        if value > best:
+            middle = low + place + np.array((width, height)) / 2
+            best, found = value, np.concatenate((middle - size * scale / 2, middle + size * scale / 2))
+    return found
+
+
+def look(image: np.ndarray, labels: list[Labelled], within: tuple[float, ...]) -> np.ndarray:
+    """A part of a frame, enlarged to about 1440 x 820, with labels and ticks in pixels of the frame."""
+    x0, y0, x1, y1 = within
+    scale = min(1440 / (x1 - x0), 820 / (y1 - y0))
+    matrix = np.array([[scale, 0, -scale * x0], [0, scale, -scale * y0]])
+    size = round(scale * (x1 - x0)), round(scale * (y1 - y0))
+    shown = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_CUBIC)
+    for label in labels:
+        corners = np.round((label.box.reshape(2, 2) - (x0, y0)) * scale).astype(int).tolist()
+        cv2.rectangle(shown, *corners, COLOURS[label.category], 1)
+        text = f"{label.number}{'~' if label.filled else ''} {label.category[:2]}"
+        cv2.putText(shown, text, (corners[0][0], corners[0][1] - 2), 0, 0.4, COLOURS[label.category], 1)
+    shown = cv2.copyMakeBorder(shown, 16, 0, 34, 0, cv2.BORDER_CONSTANT)
+    step = next(step for step, least in ((50, 0), (20, 3), (10, 6), (5, 12))[::-1] if scale >= least)
+    for value in np.arange(np.ceil(x0 / step) * step, x1, step):
+        at = int(34 + scale * (value - x0))
+        shown[16::6, at] = 255
+        cv2.putText(shown, str(int(value)), (at - 10, 11), 0, 0.38, (255, 255, 255), 1)
+    for value in np.arange(np.ceil(y0 / step) * step, y1, step):
+        at = int(16 + scale * (value - y0))
+        shown[at, 34::6] = 255
+        cv2.putText(shown, str(int(value)), (1, at + 4), 0, 0.38, (255, 255, 255), 1)
+    return shown
+
+
+def sheets(labels: list[Labelled], frames: dict[int, np.ndarray]) -> list[np.ndarray]:
+    """Every box enlarged, with its frame and number."""
+    cells = []
+    for label in labels:
+        half = float((label.box[2:] - label.box[:2]).max()) / 2 + 6
+        scale, middle = CELL_PX / 2 / half, (label.box[:2] + label.box[2:]) / 2
+        matrix = np.column_stack((np.eye(2) * scale, CELL_PX / 2 - scale * middle))
+        method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
+        cell = cv2.warpAffine(frames[label.frame], matrix, (CELL_PX, CELL_PX), flags=method)
+        corners = np.round((label.box.reshape(2, 2) - middle) * scale + CELL_PX / 2).astype(int).tolist()
+        cv2.rectangle(cell, *corners, COLOURS[label.category], 1)
+        cell = cv2.copyMakeBorder(cell, 14, 2, 2, 2, cv2.BORDER_CONSTANT)
+        text = f"{label.frame}:{label.number}{'~' if label.filled else ''} {label.category[:5]}"
+        cv2.putText(cell, text, (1, 11), 0, 0.38, COLOURS[label.category], 1)
+        cells.append(cell)
+    pages = []
+    for first in range(0, len(cells), PER_ROW * ROWS):
+        part = cells[first : first + PER_ROW * ROWS]
+        part += [np.zeros_like(cells[0])] * (-len(part) % PER_ROW)
+        pages.append(np.vstack([np.hstack(part[k : k + PER_ROW]) for k in range(0, len(part), PER_ROW)]))
+    return pages
+
+
+def write(path: Path, labels: list[Labelled], frames: dict[int, np.ndarray]) -> None:
+    """The labels of a clip as CSV, boxes cut at the frame's edge; a frame without anything has a line that says so."""
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(("frame", "class", "x0", "y0", "x1", "y1"))
+        for frame, image in sorted(frames.items()):
+            here = [label for label in labels if label.frame == frame]
+            for label in sorted(here, key=lambda label: (label.category, label.box.tolist())):
+                box = np.clip(label.box, 0, np.tile(image.shape[1::-1], 2))
+                rows.writerow((frame, label.category, *(f"{side:.1f}" for side in box)))
+            if not here:
+                rows.writerow((frame, NOTHING, "", "", "", ""))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("model", type=Path)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("task", choices=("look", "sheet", "write"))
+    parser.add_argument("keys", type=Path, nargs="+")
     parser.add_argument("--clips", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--sheet", type=Path, default=None)
+    parser.add_argument("--frame", type=int, default=FIRST)
+    parser.add_argument("--within", type=float, nargs=4)
     args = parser.parse_args()
-    detector = load_detector(args.model)
-    labels: dict[str, dict[str, dict[str, list[list[float]]]]] = {}
-    for_sheet = []
-    for name in CLIPS:
-        frames = read_frames(args.clips / f"{name}.mp4")
-        chains = follow({index: look_three_ways(detector, image) for index, image in frames.items()})
-        kept = labels[name] = {str(index): {"boxes": [], "fades": []} for index in frames}
-        for chain in chains:
-            if refused(name, chain):
-                continue
-            if not chain.is_cone():
-                for frame, box in zip(chain.frames, chain.boxes, strict=True):
-                    grown = box + np.array((-2, -2, 2, 2))
-                    kept[str(frame)]["fades"].append([round(float(v), 1) for v in grown])
-                continue
-            for frame, box in zip(*chain.smooth(), strict=True):
-                kept[str(frame)]["boxes"].append([round(float(v), 1) for v in box])
-        for_sheet += [
-            (
-                name,
-                c,
-                frames[c.frames[int(np.argmax([(b[3] - b[1]) * s for b, s in zip(c.boxes, c.scores, strict=True)]))]],
-            )
-            for c in chains
-            if len(c.frames) >= MIN_LOOKS and not refused(name, c)
-        ]
-        print(f"{name}: {len(frames)} frames, {sum(c.is_cone() for c in chains)} cones", flush=True)
-    args.out.write_text(json.dumps({"model": detector.card.name, "sha256": detector.card.sha256, "clips": labels}))
-    if args.sheet:
-        cv2.imwrite(str(args.sheet), contact_sheet(for_sheet))
+    for path in args.keys:
+        frames = read_frames(args.clips / f"{path.stem}.mp4")
+        labels = fill(read_keys(path), frames)
+        if args.task == "look":
+            image = frames[args.frame]
+            here = [label for label in labels if label.frame == args.frame]
+            cv2.imwrite(str(args.out), look(image, here, args.within or (0, 0, *image.shape[1::-1])))
+        elif args.task == "sheet":
+            args.out.mkdir(parents=True, exist_ok=True)
+            for number, page in enumerate(sheets(labels, frames)):
+                cv2.imwrite(str(args.out / f"{path.stem}_{number}.png"), page)
+        else:
+            args.out.mkdir(parents=True, exist_ok=True)
+            write(args.out / path.name, labels, frames)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Which cell answers for which cone (task-aligned assignment, Feng et al. 2021) and the three losses.
+"""Which cell answers for which object (task-aligned assignment, Feng et al. 2021) and the three losses.
 
 Boxes are [x0, y0, x1, y1] in pixels. `points` (A, 2) are the cells' centres in pixels, `strides` (A,).
 """
@@ -6,6 +6,7 @@ Boxes are [x0, y0, x1, y1] in pixels. `points` (A, 2) are the cells' centres in 
 from __future__ import annotations
 
 import torch
+from classes import ALL_CLASSES, CLASSES
 from network import BINS, STRIDES
 from torch import Tensor
 from torch.nn import functional
@@ -14,14 +15,14 @@ CANDIDATES = 9
 
 
 def flatten_maps(maps: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Raw maps -> side logits (B, A, 4, BINS), ends (B, A, 4), score logits (B, A), points (A, 2) px, strides (A,)."""
+    """Raw maps -> side logits (B, A, 4, BINS), ends (B, A, 4), score logits (B, A, classes), points (A, 2) px, strides (A,)."""
     sides, ends, scores, points, strides = [], [], [], [], []
     for stride, raw in zip(STRIDES, maps, strict=True):
         batch, _, height, width = raw.shape
         flat = raw.float().permute(0, 2, 3, 1).reshape(batch, height * width, -1)
         sides.append(flat[..., : 4 * BINS].reshape(batch, -1, 4, BINS))
         ends.append(flat[..., 4 * BINS : 4 * BINS + 4])
-        scores.append(flat[..., -1])
+        scores.append(flat[..., 4 * BINS + 4 :])
         y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
         points.append(torch.stack((x.reshape(-1), y.reshape(-1)), 1).to(raw.device).float().add(0.5).mul(stride))
         strides.append(torch.full((height * width,), float(stride), device=raw.device))
@@ -77,16 +78,18 @@ def overlap(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
 
 @torch.no_grad()
 def assign(
-    scores: Tensor, boxes: Tensor, points: Tensor, strides: Tensor, truth: Tensor
+    scores: Tensor, boxes: Tensor, points: Tensor, strides: Tensor, truth: Tensor, classes: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """One picture: scores (A,), boxes (A, 4), truth (G, 4) -> cells (P,), their truth index (P,), target score (P,)."""
+    """One picture: scores (A, classes), boxes (A, 4), truth (G, 4) of classes (G,) -> cells (P,), their truth index (P,), target
+    score (P,).
+    """
     iou = overlap(truth[:, None], boxes[None])
-    # A small cone may hold no cell centre: let it grow to two strides for the question "inside?".
+    # A small object may hold no cell centre: let it grow to two strides for the question "inside?".
     centre, half = (truth[:, :2] + truth[:, 2:]) / 2, (truth[:, 2:] - truth[:, :2]) / 2
     half = torch.maximum(half[:, None], strides[None, :, None] * 0.75)
     inside = ((points[None] - centre[:, None]).abs() < half).all(-1)
     reachable = (truth[:, 2:] - truth[:, :2]).amax(1)[:, None] < strides[None] * (BINS - 1) * 1.3
-    align = scores.sigmoid()[None].sqrt() * iou.clamp(min=0) ** 6 * (inside & reachable)
+    align = scores.sigmoid()[:, classes].T.sqrt() * iou.clamp(min=0) ** 6 * (inside & reachable)
     # Ties of nothing (early in training all IoUs are near 0): prefer cells near the centre.
     near = 1e-9 / (1 + (points[None] - centre[:, None]).norm(dim=-1) / strides[None])
     align = align + near * (inside & reachable)
@@ -106,7 +109,8 @@ def detection_loss(
 ) -> tuple[Tensor, dict[str, float]]:
     """Sum of score (BCE against IoU-scaled targets), box (CIoU), side (DFL) and end (smooth L1) losses for a batch.
 
-    truths: (G, 8) box, foot and tip a picture; NaN where foot and tip are not known.
+    truths: (G, 9) box, foot and tip (NaN where not known) and class a picture. fades: (M, 5) box and the sum of 2**class of those
+    classes that are neither taught nor forbidden in it.
     """
     side_logits, end_offsets, score_logits, points, strides = flatten_maps(maps)
     with torch.no_grad():  # only the assigned cells' boxes are differentiated, below
@@ -115,14 +119,16 @@ def detection_loss(
     box_loss = side_loss = end_loss = score_logits.sum() * 0
     for index, (cones, trust, fade) in enumerate(zip(truths, trusts, fades, strict=True)):
         if len(fade):
-            low, high = points[:, None] >= fade[None, :, :2], points[:, None] <= fade[None, :, 2:]
-            # Only fine cells fade: a far cone is small, and large boxes over the band stay forbidden.
-            weights[index][(low & high).all(-1).any(1) & (strides <= 16)] = 0.0
+            inside = (points[:, None] >= fade[None, :, :2]) & (points[:, None] <= fade[None, :, 2:4])
+            faded = (fade[:, 4].long()[:, None] >> torch.arange(len(CLASSES), device=fade.device)) & 1  # (M, classes)
+            # Of places where something may stand only fine cells fade: far things are small, large boxes stay forbidden.
+            reach = (strides[:, None] <= 16) | (fade[None, :, 4] < ALL_CLASSES)
+            weights[index][(inside.all(-1) & reach).float() @ faded.float() > 0] = 0.0
         if len(cones) == 0:
             continue
-        truth, ends = cones[:, :4], cones[:, 4:]
-        cells, owner, target = assign(score_logits[index].detach(), boxes[index], points, strides, truth)
-        targets[index, cells] = target
+        truth, ends, classes = cones[:, :4], cones[:, 4:8], cones[:, 8].long()
+        cells, owner, target = assign(score_logits[index].detach(), boxes[index], points, strides, truth, classes)
+        targets[index, cells, classes[owner]] = target
         weights[index, cells] = 1.0
         amount = target * trust[owner]
         logits = side_logits[index, cells]

@@ -1,4 +1,4 @@
-"""The cone detector's network: a small anchor-free YOLO with outputs at strides 4, 8, 16 and 32.
+"""The detector's network: a small anchor-free YOLO with outputs at strides 4, 8, 16 and 32.
 
 Backbone of C2f blocks (split, bottlenecks, concatenate), a top-down feature pyramid, one decoupled pair of 1x1
 output layer per level after a depthwise 3x3. Each side of a box is a distribution over 16 bins (distribution focal loss,
@@ -12,6 +12,7 @@ import math
 from typing import TypeGuard
 
 import torch
+from classes import CLASSES
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -94,11 +95,12 @@ def doubled(features: Tensor) -> Tensor:
 
 
 class ConeNet(nn.Module):
-    """Image (B, 3, H, W) float in 0..1, RGB, H and W multiples of 32 -> one raw map (B, 4*BINS + 5, H/s, W/s) a stride.
+    """Image (B, 3, H, W) float in 0..1, RGB, H and W multiples of 32 -> one raw map (B, 4*BINS + 4 + classes, H/s, W/s) a
+    stride.
 
     Channels: BINS logits for each of left, top, right, bottom distance in strides from the cell's centre; the offsets of
     foot x, foot y, tip x, tip y in shares of the box's size from the middle of its lower and upper side (`loss.offsets_of`);
-    the logit of "a traffic cone".
+    the logits of CLASSES.
     """
 
     def __init__(self) -> None:
@@ -117,7 +119,7 @@ class ConeNet(nn.Module):
         self.heads = nn.ModuleList(depthwise(width) for width in widths)
         self.sides = nn.ModuleList(nn.Conv2d(width, 4 * BINS, 1) for width in widths)
         self.ends = nn.ModuleList(nn.Conv2d(width, 4, 1) for width in widths)
-        self.score = nn.ModuleList(nn.Conv2d(width, 1, 1) for width in widths)
+        self.score = nn.ModuleList(nn.Conv2d(width, len(CLASSES), 1) for width in widths)
         for stride, score, side in zip(STRIDES, self.score, self.sides, strict=True):
             assert score.bias is not None and side.bias is not None
             nn.init.constant_(score.bias, math.log(5 / (640 / stride) ** 2))

@@ -72,10 +72,10 @@ def take_shipped_weights(network: ConeNet, constants: Constants) -> None:
         norm.bias.copy_(torch.from_numpy(np.ascontiguousarray(bias)))
     for k, layers in enumerate(zip(network.sides, network.ends, network.score, strict=True)):
         weight, bias = constants[f"outputs.{k}.weight"].T, constants[f"outputs.{k}.bias"]
-        edges = (0, 4 * BINS, 4 * BINS + 4, 4 * BINS + 5)
+        edges = (0, 4 * BINS, 4 * BINS + 4, len(weight))  # the last ones of an earlier network may be fewer classes
         for layer, first, last in zip(layers, edges, edges[1:], strict=False):
-            layer.weight.copy_(torch.from_numpy(weight[first:last, :, None, None].copy()))
-            layer.bias.copy_(torch.from_numpy(bias[first:last].copy()))
+            layer.weight[: last - first].copy_(torch.from_numpy(weight[first:last, :, None, None].copy()))
+            layer.bias[: last - first].copy_(torch.from_numpy(bias[first:last].copy()))
 
 
 @torch.no_grad()

@@ -1,4 +1,4 @@
-"""Train the cone detector for a given number of minutes, whatever the machine.
+"""Train the detector for a given number of minutes, whatever the machine.
 
     python training/train.py --cones DIR --clips DIR --renders DIR --minutes 75 --out RUN
 
@@ -24,8 +24,9 @@ import numpy as np
 import torch
 import torch.distributed as dist
 from augment import make_sample, pyramid
-from dataset import cut_out_cones, read_clip_negatives, read_cones, read_labelled_clips, read_more_cones, read_renders
+from dataset import cut_out_cones, read_cones, read_labelled_clips, read_more_cones, read_renders
 from drawn_cones import draw_cone
+from drawn_objects import DRAW, draw_object
 from loss import detection_loss
 from network import ConeNet
 from torch.utils.data import DataLoader, IterableDataset
@@ -35,14 +36,14 @@ SHARES = {
     "fs_onboard": 0.23,
     "css_safety_cone": 0.05,
     "css_rest": 0.06,
-    "roadwork_clips": 0.12,
-    "roadwork_clips_us": 0.18,
+    "labelled_clips": 0.30,
     "frc_conesandcubes": 0.07,
     "robomagellan_conefinder": 0.02,
     "renders": 0.22,
 }
-#: Sources of pictures without cones.
-BACKGROUNDS = ("css_safety_cone", "highway_tidar_negatives", "otonom_sign_negatives", "roadwork_clips_us")
+LABELS = Path(__file__).parent / "labels"
+#: Sources of pictures without cones that others are drawn on.
+BACKGROUNDS = ("css_safety_cone", "highway_tidar_negatives", "otonom_sign_negatives", "labelled_clips")
 
 
 class Samples(IterableDataset):
@@ -56,20 +57,21 @@ class Samples(IterableDataset):
             for picture in pictures:
                 fade = np.array(places[picture.name]).reshape(-1, 4)
                 picture.fade = fade if picture.source == "fs_onboard" else np.concatenate((picture.fade, fade))
-        if args.clip_labels:
-            pictures += read_labelled_clips(Path(args.clips), Path(args.clip_labels))
+        left_out = frozenset(args.leave_out.split(","))
         if args.more_cones:
-            pictures += read_more_cones(Path(args.more_cones), frozenset(args.leave_out.split(",")))
-        self.cutouts = cut_out_cones([p for p in pictures if p.source in ("rf_traffic_cones", "frc_conesandcubes")])
-        drawn = np.random.default_rng(args.seed)
-        self.cutouts += [draw_cone(drawn) for _ in range(1500)]
-        backgrounds = [p for p in pictures if len(p.boxes) == 0 and p.source in BACKGROUNDS]
+            pictures += [p for p in read_more_cones(Path(args.more_cones), left_out) if p.source != "roadwork_clips_us"]
         if args.clips:
-            backgrounds += read_clip_negatives(Path(args.clips)) * 2
+            pictures += read_labelled_clips(Path(args.clips), LABELS, Path(args.more_cones), left_out)
+        cones = cut_out_cones([p for p in pictures if p.source in ("rf_traffic_cones", "frc_conesandcubes")])
+        drawn = np.random.default_rng(args.seed)
+        self.cutouts = {"traffic_cone": cones + [draw_cone(drawn) for _ in range(1500)]}
+        self.cutouts |= {name: [draw_object(drawn, name) for _ in range(300)] for name in DRAW}
+        backgrounds = [p for p in pictures if 0 not in p.boxes[:, 8] and p.source in BACKGROUNDS]
         self.backgrounds = [(p, pyramid(p.image)) for p in backgrounds]
         self.by_source = {name: [(p, pyramid(p.image)) for p in pictures if p.source == name] for name in SHARES}
         print(
-            f"{len(pictures)} pictures, {len(self.cutouts)} cut-outs, {len(self.backgrounds)} backgrounds", flush=True
+            f"{len(pictures)} pictures, {sum(map(len, self.cutouts.values()))} cut-outs, {len(self.backgrounds)} backgrounds",
+            flush=True,
         )
 
     def look_for_renders(self) -> None:
@@ -108,8 +110,7 @@ def read_arguments() -> argparse.Namespace:
     parser.add_argument("--cones", required=True)
     parser.add_argument("--more-cones", default="", help="further labelled sources")
     parser.add_argument("--leave-out", default="", help="sources and clips not to train on, with commas between them")
-    parser.add_argument("--clips", default="")
-    parser.add_argument("--clip-labels", default="", help="what label_clips.py wrote")
+    parser.add_argument("--clips", default="", help="the work-zone clips, whose labels lie in labels/")
     parser.add_argument("--renders", default="")
     parser.add_argument("--unlabelled", default="", help="what find_unlabelled.py wrote")
     parser.add_argument("--start", default="", help="checkpoint whose weights are taken where their shapes agree")
@@ -130,6 +131,9 @@ def read_arguments() -> argparse.Namespace:
 def take_weights(network: ConeNet, checkpoint: Path) -> None:
     """Start from an earlier network: every weight of the same name and shape is taken, the others keep their random start."""
     own, earlier = network.state_dict(), torch.load(checkpoint, map_location="cpu", weights_only=True)["average"]
+    for name in [name for name in earlier if name.startswith("score.")]:  # of fewer classes: the first ones stay
+        if earlier[name].shape != own[name].shape:
+            earlier[name] = torch.cat((earlier[name], own[name][len(earlier[name]) :]))
     taken = {name: value for name, value in earlier.items() if name in own and own[name].shape == value.shape}
     network.load_state_dict(own | taken)
     print(f"{len(taken)} of {len(own)} tensors taken from {checkpoint.name}", flush=True)

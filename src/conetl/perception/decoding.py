@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-#: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y
-COLUMNS = 9
-#: Candidates (N, 9), and the score below which the network may have omitted some (`omitted_below`).
+#: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y, class
+COLUMNS = 10
+#: Candidates (N, 10), and the score below which the network may have omitted some (`omitted_below`).
 NetworkBoxes = tuple[Floats, float]
 
 
@@ -30,26 +30,29 @@ def decode_cells(
     score_threshold: float,
     *,
     foot_and_tip: bool = False,
+    class_count: int = 1,
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Cells of all strides -> candidates (N, 9) in pixels of the network's input, and the image (N,) of each.
+    """Cells of all strides -> candidates (N, 10) in pixels of the network's input, and the image (N,) of each.
 
-    Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y. outputs: in turn values (K, 4*bins + 1), or (K, 4*bins + 5)
-    with `foot_and_tip`, of a stride's cells, and their indices (K,) in the row-major maps of the images, one after the
-    other, each of `size_px` (height, width) over the stride; without `foot_and_tip` the last four columns are NaN. Each side
-    (left, top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the
-    distance (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its
-    lower and upper side; the last value is the score's logit. Cells below the threshold are left out.
+    Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y, class. outputs: in turn values (K, 4*bins + class_count), or
+    (K, 4*bins + 4 + class_count) with `foot_and_tip`, of a stride's cells, and their indices (K,) in the row-major maps of the
+    images, one after the other, each of `size_px` (height, width) over the stride; without `foot_and_tip` its four columns are
+    NaN. Each side (left, top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its
+    expectation is the distance (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the
+    middle of its lower and upper side; the last values are the logits of the classes, of which a cell has the best. Cells below
+    the threshold are left out.
     Raises ValueError on arrays of another head.
     """
-    channels = 4 * bins + (5 if foot_and_tip else 1)
+    channels = 4 * bins + (4 if foot_and_tip else 0) + class_count
     for values, cells in zip(outputs[::2], outputs[1::2], strict=True):
         if values.ndim != 2 or values.shape[1] != channels or cells.shape != values.shape[:1]:
             raise ValueError(f"cells have shapes {values.shape} and {cells.shape}, expected (K, {channels}) and (K,)")
     counts = [len(cells) for cells in outputs[1::2]]
     numbers, cells_at = np.concatenate(outputs[::2]), np.concatenate(outputs[1::2])
-    scores = 1.0 / (1.0 + np.exp(-numbers[:, -1].astype(np.float64)))
+    by_class = numbers[:, -class_count:]
+    scores = 1.0 / (1.0 + np.exp(-by_class.max(axis=1).astype(np.float64)))
     kept = scores >= score_threshold
-    scores, cells_at = scores[kept], cells_at[kept]
+    scores, cells_at, classes = scores[kept], cells_at[kept], by_class[kept].argmax(axis=1)
     stride_px = np.repeat(strides_px, counts)[kept]
     numbers = numbers[kept].astype(np.float64).T
     in_row, in_column = size_px[1] // stride_px, size_px[0] // stride_px
@@ -65,11 +68,14 @@ def decode_cells(
         shares, middle = numbers[4 * bins : 4 * bins + 4], (x0 + x1) / 2
         ends[0], ends[1] = middle + shares[0] * (x1 - x0), y1 - shares[1] * (y1 - y0)
         ends[2], ends[3] = middle + shares[2] * (x1 - x0), y0 + shares[3] * (y1 - y0)
-    return np.stack((x0, y0, x1, y1, scores, *ends), axis=1), images
+    return np.stack((x0, y0, x1, y1, scores, *ends, classes), axis=1), images
 
 
 def omitted_below(
-    outputs: Sequence[NDArray[Any]], images_and_size: tuple[int, int, int], strides_px: Sequence[int]
+    outputs: Sequence[NDArray[Any]],
+    images_and_size: tuple[int, int, int],
+    strides_px: Sequence[int],
+    class_count: int = 1,
 ) -> float:
     """The highest score of cells that the network may have omitted: it returns its best cells of each stride only.
 
@@ -79,7 +85,7 @@ def omitted_below(
     best = 0.0
     for values, stride_px in zip(outputs[::2], strides_px, strict=True):
         if 0 < len(values) < images * (height_px // stride_px) * (width_px // stride_px):
-            best = max(best, float(1.0 / (1.0 + np.exp(-float(values[:, -1].min())))))
+            best = max(best, float(1.0 / (1.0 + np.exp(-float(values[:, -class_count:].max(axis=1).min())))))
     return best
 
 

@@ -197,15 +197,17 @@ def detect_image(
     within: tuple[float, float, float, float] | None = None,
     reach_px: float = 0.0,
     single_image: bool = False,
+    categories: Sequence[str] | None = ("traffic_cone",),
 ) -> NDArray[np.float64]:
-    """Find the cones of one image (H, W, 3) uint8 BGR.
+    """Find the objects of these categories in one image (H, W, 3) uint8 BGR; None: of all that the model knows.
 
-    Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
-    the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
-    where the network does not give them. The sidecar may enable the small-object pass and, after it, the re-scoring
-    pass (`second_passes.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`). within: x0,
-    y0, x1, y1 in which boxes must have their centre (None: anywhere), reach_px: how far they may extend beyond it; the network
-    then sees a margin of `CONTEXT_PX` only. single_image: not one of many of a drive, so time matters less than large cones.
+    Returns (N, 10) [x, y, w, h, score, foot x, foot y, tip x, tip y, index in `card.categories`] by falling score: x, y is the
+    top-left corner, in pixels of the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is
+    0.5). Foot and tip are NaN where the network does not give them. The sidecar may enable the small-object pass and, after it,
+    the re-scoring pass (`second_passes.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`).
+    within: x0, y0, x1, y1 in which boxes must have their centre (None: anywhere), reach_px: how far they may extend beyond it;
+    the network then sees a margin of `CONTEXT_PX` only. single_image: not one of many of a drive, so time matters less than
+    large cones.
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
@@ -217,6 +219,8 @@ def detect_image(
     if within is not None:
         within = (within[0], within[1] - first_row, within[2], within[3] - first_row)
     rescoring, small_objects = detector.card.closer_look, detector.card.enlarged_look
+    names = detector.card.categories
+    wanted_classes = None if categories is None else [k for k, name in enumerate(names) if name in categories]
     # Candidates of a second pass must be found first, whatever the caller's threshold.
     candidate_score = score_threshold if rescoring is None else min(score_threshold, rescoring.scores[0])
     candidate_score = candidate_score if small_objects is None else min(candidate_score, MIN_SCORE)
@@ -230,7 +234,7 @@ def detect_image(
     def run_on_part(longest_px: int) -> NDArray[np.float64]:
         """As if the longer side of the road were scaled to this many pixels."""
         part_px = max(round(longest_px * max(part.shape[:2]) / longest), 1)
-        return run_network(detector, [part], part_px, candidate_score, nms_iou)[0][0]
+        return run_network(detector, [part], part_px, candidate_score, nms_iou, wanted_classes)[0][0]
 
     boxes = run_on_part(side_px)
     coarse_from_px = COARSE_PASSES_OF_SINGLE_FROM_PX if single_image else COARSE_PASSES_FROM_PX
@@ -244,7 +248,7 @@ def detect_image(
     if small_objects is not None:
 
         def run_on_enlarged(image: NDArray[np.uint8]) -> NetworkBoxes:
-            return run_network(detector, [image], max(image.shape[:2]), MIN_SCORE, nms_iou)[0]
+            return run_network(detector, [image], max(image.shape[:2]), MIN_SCORE, nms_iou, wanted_classes)[0]
 
         # Candidates outside `within` do not start the pass, but take its results.
         wanted = None if within is None else _has_centre_in(boxes, within)
@@ -256,7 +260,8 @@ def detect_image(
     if rescoring is not None:
 
         def run_on_windows(windows: list[NDArray[np.uint8]], min_score: float) -> list[NDArray[np.float64]]:
-            return [found for found, _ in run_network(detector, windows, rescoring.window_px, min_score, nms_iou)]
+            found = run_network(detector, windows, rescoring.window_px, min_score, nms_iou, wanted_classes)
+            return [boxes for boxes, _ in found]
 
         boxes = suppress_overlaps(rescore(run_on_windows, whole, boxes, rescoring), SAME_BOX_IOU)
     boxes = boxes[boxes[:, 4] >= score_threshold]  # second passes need candidates below it
@@ -298,15 +303,21 @@ def run_network(
     max_side_px: int,
     score_threshold: float,
     nms_iou: float,
+    classes: Sequence[int] | None = None,
 ) -> list[NetworkBoxes]:
-    """Candidates (N, 9) of each of several images of one size, in pixels of the image and not clipped to it.
+    """Candidates (N, 10) of each of several images of one size, in pixels of the image and not clipped to it.
 
-    At most MAX_BATCH images per run, one where the network takes single images.
+    At most MAX_BATCH images per run, one where the network takes single images. classes: indices of those to return (None: all);
+    the others suppress overlaps all the same, so that a drum is no cone.
     """
     at_once = MAX_BATCH if detector.several else 1
     if len(images_bgr) > at_once:
         parts = [images_bgr[first : first + at_once] for first in range(0, len(images_bgr), at_once)]
-        return [found for part in parts for found in run_network(detector, part, max_side_px, score_threshold, nms_iou)]
+        return [
+            found
+            for part in parts
+            for found in run_network(detector, part, max_side_px, score_threshold, nms_iou, classes)
+        ]
     card = detector.card
     inputs = [
         network_input(
@@ -320,18 +331,22 @@ def run_network(
     rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
     head, omitted = card.head, 0.0
     if isinstance(head, SideDistributionHead):
-        omitted = omitted_below(outputs, (len(images_bgr), rows, columns), head.strides_px)
+        omitted = omitted_below(outputs, (len(images_bgr), rows, columns), head.strides_px, head.class_count)
         boxes, images = decode_cells(
-            outputs, (rows, columns), head.strides_px, head.side_bins, score_threshold, foot_and_tip=head.foot_and_tip
-        )
+            outputs, (rows, columns), head.strides_px, head.side_bins, score_threshold,
+            foot_and_tip=head.foot_and_tip, class_count=head.class_count,
+        )  # fmt: skip
         seen = [suppress_overlaps(boxes[images == number], nms_iou) for number in range(len(images_bgr))]
     else:
         found = decode_head(head, outputs, rows, columns, score_threshold)
         unknown = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
+        unknown[:, -1] = 0.0  # the cone
         boxes = np.concatenate((found, unknown), axis=1)
         if isinstance(head, EndToEndHead):  # the network has suppressed overlaps already
             seen = [boxes[np.argsort(-boxes[:, 4], kind="stable")]]
         else:
             seen = [suppress_overlaps(boxes, nms_iou)]
-    scales = np.array((scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y))
+    if classes is not None:
+        seen = [each[np.isin(each[:, -1], classes)] for each in seen]
+    scales = np.array((scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y, 1.0))
     return [(each / scales, omitted) for each in seen]

@@ -2,8 +2,8 @@
 
 A model's sidecar names one of these heads under the key `head`, so that a network trained elsewhere is used as it was exported.
 Pixels are those of `decoding.py`: an image W wide spans x = 0 .. W. A box's score is the probability of the cone class; other
-classes are ignored. Overlaps are suppressed by the caller (`decoding.suppress_overlaps`), except for the end-to-end head, whose
-network has done so.
+classes are ignored, except by the head of the shipped network. Overlaps are suppressed by the caller
+(`decoding.suppress_overlaps`), except for the end-to-end head, whose network has done so.
 """
 
 from __future__ import annotations
@@ -105,11 +105,13 @@ class SideDistributionHead(_Head):
     strides_px: tuple[PositiveInt, ...] = Field(min_length=1)
     """In the order of the outputs."""
     foot_and_tip: bool = False
-    """Whether the head gives the cone's foot and tip besides its box."""
+    """Whether the head gives the object's foot and tip besides its box."""
+    class_count: PositiveInt = 1
+    """Number of classes, each with a score of its own; they are the sidecar's `class_names`, in this order."""
 
     @property
     def channels(self) -> int:
-        return 4 * self.side_bins + (5 if self.foot_and_tip else 1)
+        return 4 * self.side_bins + (4 if self.foot_and_tip else 0) + self.class_count
 
 
 YoloHead = Annotated[

@@ -88,12 +88,27 @@ class ModelCard(BaseModel):
     """Meaning of scores, boxes and misses of this file, measured by `training/calibrate_scores.py`; None: not measured."""
 
     @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the classes that detections can have, by index. Networks trained elsewhere find cones only."""
+        return self.class_names if isinstance(self.head, SideDistributionHead) else ("traffic_cone",)
+
+    @property
     def detections_sha256(self) -> str:
         """Hash of everything that detections depend on: the weights and the passes, not the evidence."""
         used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
         if self.enlarged_look is not None:  # keeps the hash of models without this pass
             used.add("enlarged_look")
-        return hashlib.sha256(self.model_dump_json(include=used).encode()).hexdigest()
+        of_one_class = isinstance(self.head, SideDistributionHead) and self.head.class_count == 1
+        unused = {"head": {"class_count"}} if of_one_class else None  # keeps the hash of models of one class
+        return hashlib.sha256(self.model_dump_json(include=used, exclude=unused).encode()).hexdigest()
+
+    @model_validator(mode="after")
+    def _every_class_has_a_name(self) -> Self:
+        if isinstance(self.head, SideDistributionHead) and len(self.class_names) != self.head.class_count:
+            raise ValueError(
+                f"head.class_count is {self.head.class_count}, class_names has {len(self.class_names)} names"
+            )
+        return self
 
     @model_validator(mode="after")
     def _window_fits_the_network(self) -> Self:

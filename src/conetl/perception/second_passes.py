@@ -21,9 +21,10 @@ from conetl.perception.model_card import ReScoringPass, SmallObjectPass
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-#: Columns of a candidate that hold x and y in turn; column 4 is the score.
+#: Columns of a candidate that hold x and y in turn; column 4 is the score, column CLASS the class.
 COORDINATES = (0, 1, 2, 3, 5, 6, 7, 8)
-#: Boxes of two passes that overlap at least this much are the same object.
+CLASS = 9
+#: Boxes of one class that overlap at least this much in two passes are the same object.
 MATCH_IOU = 0.4
 #: Scores are clipped to this range before their log-odds are taken; an object that a pass does not find has score 0.
 SCORE_LIMITS = (0.01, 0.99)
@@ -47,7 +48,7 @@ Part = tuple[int, int, int, int]
 def rescore(
     run: Callable[[list[Image], float], list[Floats]], image_bgr: Image, candidates: Floats, settings: ReScoringPass
 ) -> Floats:
-    """Candidates (N, 9) in pixels of the image (H, W, 3), those of medium score with the result of a second pass.
+    """Candidates (N, 10) in pixels of the image (H, W, 3), those of medium score with the result of a second pass.
 
     run: the network on images of one size; returns the candidates of each above a score. The log-odds of both scores are averaged
     with `settings.share`, and so are box, foot and tip where the second pass finds the same object; else its score is 0.
@@ -60,7 +61,7 @@ def rescore(
     for index, (_, left, top, scale), found in zip(medium, windows, found_in_windows, strict=True):
         candidate = candidates[index]
         found[:, COORDINATES] = found[:, COORDINATES] / scale + np.tile((left, top), 4)
-        overlaps = intersection_over_union(candidate[:4], found[:, :4])
+        overlaps = intersection_over_union(candidate[:4], found[:, :4]) * (found[:, CLASS] == candidate[CLASS])
         second_score = 0.0
         if (overlaps >= MATCH_IOU).any():
             # Overlap times score: of two adjacent cones, the one of higher score must not replace the other.
@@ -106,7 +107,7 @@ def detect_small_objects(
     px_per_input_px: float,
     wanted: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Candidates (N, 9) in pixels of the image (H, W, 3) after the small-object pass, overlaps not suppressed.
+    """Candidates (N, 10) in pixels of the image (H, W, 3) after the small-object pass, overlaps not suppressed.
 
     run: the network on an enlarged part; returns candidates in pixels of that part and the score below which it may omit some.
     px_per_input_px: pixels of the image per pixel of the network's input in the first pass. wanted (N,): which candidates may
@@ -148,13 +149,13 @@ def detect_small_objects(
 
 
 def _counterparts(candidates: Floats, among: NDArray[np.bool_], found: Floats) -> NDArray[np.int64]:
-    """(N,) row of the found boxes (M, 9) that matches each candidate (N, 9), -1 for none; the highest score chooses first."""
+    """(N,) row of the found boxes (M, 10) that matches each candidate (N, 10), -1 for none; the highest score chooses first."""
     counterparts = np.full(len(candidates), -1)
     free = np.ones(len(found), bool)
     those = np.flatnonzero(among)
     for index in those[np.argsort(-candidates[those, 4], kind="stable")]:
         overlaps = intersection_over_union(candidates[index, :4], found[:, :4])
-        same = free & (overlaps >= MATCH_IOU)
+        same = free & (overlaps >= MATCH_IOU) & (found[:, CLASS] == candidates[index, CLASS])
         if same.any():
             counterparts[index] = np.where(same, overlaps * found[:, 4], -1.0).argmax()
             free[counterparts[index]] = False
@@ -188,7 +189,7 @@ def enlargement(parts: list[Part], wanted: float, image_px: float) -> float:
 
 
 def _run_on_part(run: Callable[[Image], NetworkBoxes], image_bgr: Image, part: Part, scale: float) -> NetworkBoxes:
-    """Candidates (N, 9) of an enlarged part, in pixels of the image, and the score below which some may be omitted."""
+    """Candidates (N, 10) of an enlarged part, in pixels of the image, and the score below which some may be omitted."""
     x0, y0, x1, y1 = part
     method = cv2.INTER_CUBIC if scale > 1.0 else cv2.INTER_AREA
     size = max(round((x1 - x0) * scale), 1), max(round((y1 - y0) * scale), 1)

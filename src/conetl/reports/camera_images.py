@@ -107,14 +107,16 @@ def _interval(centre: float, size: int, length: int) -> tuple[int, int]:
     return start, min(start + size, length)
 
 
-def write_annotated_image(path: Path, image_bgr: Image, boxes: NDArray[np.float64]) -> None:
-    """Write a JPEG of an image (H, W, 3) with boxes (N, 9) of `detect_image`; makes the folder.
+def write_annotated_image(
+    path: Path, image_bgr: Image, boxes: NDArray[np.float64], categories: Sequence[str] = ("traffic_cone",)
+) -> None:
+    """Write a JPEG of an image (H, W, 3) with boxes (N, 10) of `detect_image` and the names of their classes; makes the folder.
 
     Raises InputError where the file cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(_jpeg(draw_boxes(image_bgr, boxes), 92))
+        path.write_bytes(_jpeg(draw_boxes(image_bgr, boxes, categories), 92))
     except OSError as error:
         raise InputError(f"{path} cannot be written ({error.strerror}): choose another folder.") from error
 
@@ -131,15 +133,18 @@ def pairs_jpeg(rows: Sequence[tuple[Image, Image, str]], *, width_px: int = 1400
     return _jpeg(np.vstack(strips), 80)
 
 
-def draw_boxes(image_bgr: Image, boxes: NDArray[np.float64]) -> Image:
-    """A copy of an image with boxes, scores, feet and tips; boxes as in `write_annotated_image`."""
+def draw_boxes(image_bgr: Image, boxes: NDArray[np.float64], categories: Sequence[str] = ("traffic_cone",)) -> Image:
+    """A copy of an image with boxes, scores, feet and tips, and the class of what is no cone; arguments as in
+    `write_annotated_image`.
+    """
     image = image_bgr.copy()
     width = max(1, round(max(image.shape[:2]) / 900))
     font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.4 * width
-    for x, y, w, h, score, *ends in boxes.tolist():
+    for x, y, w, h, score, *ends, category in boxes.tolist():
+        name = categories[int(category)]
         corner, far = (round(x), round(y)), (round(x + w), round(y + h))
         cv2.rectangle(image, corner, far, _BOX, width)
-        text = f"{score:.2f}"
+        text = f"{score:.2f}" if name == "traffic_cone" else f"{name.replace('_', ' ')} {score:.2f}"
         (text_w, text_h), _ = cv2.getTextSize(text, font, size, width)
         left = min(corner[0], max(image.shape[1] - text_w, 0))
         base = corner[1] - 2 * width if corner[1] > text_h + 2 * width else far[1] + text_h + 2 * width

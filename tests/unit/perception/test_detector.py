@@ -21,6 +21,7 @@ from conetl.perception.decoding import (
     boxes_in_image,
     decode_cells,
     intersection_over_union,
+    omitted_below,
     suppress_overlaps,
     without_parts,
 )
@@ -52,7 +53,7 @@ def test_decode_reads_one_cell_exactly() -> None:
     found, _ = decode_cells([values, second_row_third_of_five], (24, 40), (8,), 4, 0.5)
     # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
     np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
-    assert np.isnan(found[:, 5:]).all()
+    assert np.isnan(found[:, 5:9]).all() and (found[:, 9] == 0).all()
 
 
 def test_decode_reads_foot_and_tip() -> None:
@@ -65,8 +66,17 @@ def test_decode_reads_foot_and_tip() -> None:
     # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
     np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
     np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
-    np.testing.assert_allclose(found[5:], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
+    np.testing.assert_allclose(found[5:9], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
     assert len(decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.74, foot_and_tip=True)[0]) == 0
+
+
+def test_decode_gives_a_cell_the_class_of_its_best_score() -> None:
+    values = np.zeros((2, 4 * 4 + 3), np.float32)
+    values[:, -3:] = ((-2.0, 1.0, 0.5), (2.0, -1.0, 0.0))
+    found, _ = decode_cells([values, np.array([0, 3])], (8, 8), (4,), 4, 0.5, class_count=3)
+    np.testing.assert_allclose(found[:, 4], 1 / (1 + np.exp([-1.0, -2.0])), atol=1e-6)
+    np.testing.assert_array_equal(found[:, 9], [1, 0])
+    assert omitted_below([values, np.array([0, 3])], (1, 8, 8), (4,), 3) == pytest.approx(1 / (1 + np.exp(-1.0)))
 
 
 def test_decode_takes_the_mean_between_two_bins() -> None:
@@ -83,7 +93,7 @@ def test_decode_drops_scores_below_the_threshold_and_keeps_the_order_of_cells() 
     found, _ = decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 0.5)
     np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
     np.testing.assert_allclose(found[:, :2].mean(axis=0), [4 - 6, 4 - 6], atol=1e-6)  # sides of 1.5 strides each
-    assert decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 1.0)[0].shape == (0, 9)
+    assert decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 1.0)[0].shape == (0, 10)
 
 
 def test_decode_tells_images_and_strides_apart() -> None:
@@ -345,7 +355,7 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(
     found = detect_image(detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5)
     scale = 2.0 if fixed else 1.0  # the fixed network sees the image at half its size
     np.testing.assert_allclose(found[:, :5], [[90 * scale, 40 * scale, 20 * scale, 40 * scale, 0.9]], rtol=1e-6)
-    assert np.isnan(found[:, 5:]).all()
+    assert np.isnan(found[:, 5:9]).all() and (found[:, 9] == 0).all()
     if size != ("h", "w"):  # a part of the image would come to it larger than the whole, or not fit
         x, y = 100 * scale, 60 * scale
         seen = detect_image(
@@ -394,7 +404,7 @@ def test_a_faint_cone_keeps_its_box_among_many_clear_ones(detector: Detector) ->
 def test_an_empty_road_holds_no_cone(detector: Detector) -> None:
     image = street(240, 400, 100)
     found = detect_image(detector, image, score_threshold=0.3)
-    assert found.shape == (0, 9)
+    assert found.shape == (0, 10)
 
 
 def test_padding_and_scale_do_not_move_a_cone(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ SETTINGS = ReScoringPass(cone_px=48, window_px=96, scores=(0.25, 0.75), share=0.
 
 
 def candidate(x0: float, y0: float, x1: float, y1: float, score: float) -> NDArray[np.float64]:
-    return np.array([x0, y0, x1, y1, score, (x0 + x1) / 2, y1, (x0 + x1) / 2, y0])
+    return np.array([x0, y0, x1, y1, score, (x0 + x1) / 2, y1, (x0 + x1) / 2, y0, 0.0])
 
 
 @given(st.floats(0.0, 150.0), st.floats(0.0, 100.0), st.floats(6.0, 30.0), st.floats(8.0, 45.0))
@@ -64,7 +64,7 @@ def test_only_middling_scores_are_looked_at_and_the_others_stay() -> None:
 
     def nothing(given: list[NDArray[np.uint8]], least: float) -> list[NDArray[np.float64]]:
         windows.extend(window.shape for window in given)
-        return [np.zeros((0, 9)) for _ in given]
+        return [np.zeros((0, 10)) for _ in given]
 
     result = rescore(nothing, image, rows, SETTINGS)
     assert windows == [(96, 96, 3)]
@@ -88,5 +88,16 @@ def test_of_two_cones_in_the_window_the_candidates_own_counts() -> None:
 
     (found,) = rescore(two, image, row[None], SETTINGS)
     np.testing.assert_allclose(found[:4], 0.65 * row[:4] + 0.35 * np.array([100, 62, 124, 108]))
-    np.testing.assert_allclose(found[5:], 0.65 * row[5:] + 0.35 * np.array([112, 108, 112, 62]))
+    np.testing.assert_allclose(found[5:9], 0.65 * row[5:9] + 0.35 * np.array([112, 108, 112, 62]))
     assert found[4] == pytest.approx(pooled_score(0.5, 0.7, 0.35))
+
+
+def test_what_the_second_look_takes_for_another_class_is_not_found_again() -> None:
+    image = np.zeros((160, 200, 3), np.uint8)
+    row = candidate(100, 60, 124, 108, 0.5)
+    _, left, top, _ = window_around(image, row[:4], SETTINGS)
+    drum = candidate(100 - left, 60 - top, 124 - left, 108 - top, 0.9)
+    drum[9] = 2.0
+    (found,) = rescore(lambda windows, least: [drum[None] for _ in windows], image, row[None], SETTINGS)
+    assert found[4] == pytest.approx(pooled_score(0.5, 0.0, 0.35))
+    np.testing.assert_array_equal(found[[0, 1, 2, 3, 9]], row[[0, 1, 2, 3, 9]])

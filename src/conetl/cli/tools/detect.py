@@ -1,4 +1,4 @@
-"""`conetl detect`: cones in single images."""
+"""`conetl detect`: cones and other road objects in single images."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from conetl.cli.console import JsonOption, answer, complain, counted, progress_bar, say
 from conetl.files.atomic import atomic_text_file
-from conetl.model.detector_evidence import DetectorEvidence, calibrated_probability
+from conetl.model.detector_evidence import calibrated_probability
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.params import DetectionParams
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_upright_image
+from conetl.perception.model_card import ModelCard
 from conetl.pipeline.settings import read_settings
 from conetl.reports.camera_images import write_annotated_image
 
@@ -33,11 +34,14 @@ def detect(
         Path | None,
         typer.Option(help=f"Folder for annotated copies of the images: boxes from score {USED_SCORE}, feet, tips."),
     ] = None,
+    category: Annotated[
+        list[str] | None, typer.Option(help="Only this category, such as traffic_cone; may be repeated.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Detect cones in images and write their boxes as JSON.
+    """Detect cones, and what else the model knows, in images and write their boxes as JSON.
 
-    Each box has file_name, category, bbox (x, y, w, h), score of the network, probability (of a cone, if the model is
+    Each box has file_name, category, bbox (x, y, w, h), score of the network, probability (of cones, if the model is
     calibrated), foot and tip (x, y), in pixels of the displayed image (after its orientation tag). Exit code 1 if some images
     could not be read; the others are written anyway.
     """
@@ -45,8 +49,12 @@ def detect(
     drawn_names = _drawn_names(paths) if draw is not None else []
     settings = read_settings()
     detector = load_detector(settings.model_path, providers=settings.onnx_providers)
+    names = detector.card.categories
+    if category and not set(category) <= set(names):
+        unknown = ", ".join(sorted(set(category) - set(names)))
+        raise InputError(f"the model {detector.card.name} knows no category {unknown}: choose from {', '.join(names)}")
     found: list[dict[str, Any]] = []
-    cones = 0
+    usable = 0
     refused: list[str] = []
     # Opened first, so that a path that cannot be written fails before the detection.
     with atomic_text_file(output) as file, progress_bar("detect", "images") as update:
@@ -58,11 +66,12 @@ def detect(
                 refused.append(str(path))
                 complain(InputError(str(error)))
                 continue
-            boxes = detect_image(detector, image, score_threshold=score, single_image=True)
-            found += [_entry(path, box, detector.card.evidence) for box in boxes]
-            cones += int((boxes[:, 4] >= USED_SCORE).sum())
+            boxes = detect_image(detector, image, score_threshold=score, single_image=True, categories=category or None)
+            found += [_entry(path, box, detector.card) for box in boxes]
+            usable += int((boxes[:, 4] >= USED_SCORE).sum())
             if draw is not None:
-                write_annotated_image(draw / drawn_names[number], image, boxes[boxes[:, 4] >= max(score, USED_SCORE)])
+                shown = boxes[boxes[:, 4] >= max(score, USED_SCORE)]
+                write_annotated_image(draw / drawn_names[number], image, shown, names)
         if len(refused) == len(paths):
             raise InputError("none of the images could be read; nothing was written")
         file.write(json.dumps(found, indent=1) + "\n")
@@ -70,11 +79,11 @@ def detect(
         "images": len(paths),
         "refused": refused,
         "detections": len(found),
-        "of_map_score": cones,
+        "of_map_score": usable,
         "written": str(output),
     }
     read = counted(len(paths) - len(refused), "image")
-    text = f"{counted(len(found), 'detection')} in {read}, {cones} of score {USED_SCORE} and more -> {output}"
+    text = f"{counted(len(found), 'detection')} in {read}, {usable} of score {USED_SCORE} and more -> {output}"
     answer(as_json, facts, text)
     if draw is not None and not as_json:
         say(f"annotated images -> {draw}")
@@ -82,15 +91,16 @@ def detect(
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
-def _entry(path: Path, box: NDArray[np.float64], evidence: DetectorEvidence | None) -> dict[str, Any]:
+def _entry(path: Path, box: NDArray[np.float64], card: ModelCard) -> dict[str, Any]:
+    category = card.categories[int(box[9])]
     entry: dict[str, Any] = {
         "file_name": str(path),
-        "category": "traffic_cone",
+        "category": category,
         "bbox": [round(value, 2) for value in box[:4].tolist()],
         "score": round(float(box[4]), 4),
     }
-    if evidence is not None:
-        entry["probability"] = round(calibrated_probability(evidence.calibration, float(box[4])), 4)
+    if card.evidence is not None and category == "traffic_cone":  # measured of cones
+        entry["probability"] = round(calibrated_probability(card.evidence.calibration, float(box[4])), 4)
     if np.isfinite(box[5:9]).all():  # NaN if the network has no such outputs
         entry["foot"] = [round(value, 2) for value in box[5:7].tolist()]
         entry["tip"] = [round(value, 2) for value in box[7:9].tolist()]
