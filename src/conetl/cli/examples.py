@@ -9,6 +9,7 @@ EXAMPLES = {
     "init": (
         "init recording",
         "init recording --left l.mp4 --right r.mp4 --trajectory log.nmea --date 2026-03-02 --yes",
+        "init recording --every 2 --from 10 --to 70",
     ),
     "inspect": ("inspect drives/2026-03-02", "inspect drives/2026-03-02 --page inspection.html"),
     "drive held": ("drive held", "drive held --map night_survey --json"),

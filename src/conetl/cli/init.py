@@ -50,6 +50,11 @@ def init(
             help="Seconds to add to the right file's times to have the left one's; else found from the images."
         ),
     ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Use every n-th frame pair.")] = 1,
+    from_s: Annotated[
+        float, typer.Option("--from", min=0.0, help="Use the recording from this second of the left file ...")
+    ] = 0.0,
+    to_s: Annotated[float | None, typer.Option("--to", min=0.0, help="... to this one.")] = None,
     trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
     date: Annotated[str | None, typer.Option(help="Day of the recording, for logs without a date.")] = None,
     heights: Annotated[str | None, typer.Option(help="ellipsoidal, or a height system like EPSG:5773.")] = None,
@@ -87,21 +92,31 @@ def init(
         "date": date, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
     }  # fmt: skip
     answers = {key: value for key, value in given.items() if value is not None}
+    if to_s is not None and to_s <= from_s:
+        raise InputError(f"--to {to_s:g} is not after --from {from_s:g}")
+    part = {"every": every} if every > 1 else {}
+    part |= {key: value for key, value in (("from_s", from_s), ("to_s", to_s)) if value}
     asks = sys.stdin.isatty() and not yes and not as_json
-    settings, timing = _settled(root, answers, asks=asks, as_json=as_json)
+    settings, timing = _settled(root, answers, part, asks=asks, as_json=as_json)
     _add_timing(settings, timing)
     _write(root, settings)
     pairs = sum(left is not None and right is not None for left, right in timing.couples)
     _finish(folder, f"{root / DRIVE_YAML} is written: {pairs:,} frame pairs.", settings, as_json)
 
 
-def _settled(root: Path, answers: dict[str, str], *, asks: bool, as_json: bool) -> tuple[dict[str, Any], Timing]:
-    """Settings that are written, and the times that the drive has by them. Raises InputError where an answer is missing."""
+def _settled(
+    root: Path, answers: dict[str, str], part: dict[str, float], *, asks: bool, as_json: bool
+) -> tuple[dict[str, Any], Timing]:
+    """Settings that are written, and the times that the drive has by them. part: which of the images are used.
+
+    Raises InputError where an answer is missing.
+    """
     path = root / DRIVE_YAML
     before = path.read_bytes() if path.exists() else None
     asked = None
     while True:
         proposal = _complete(root, answers, asked, asks=asks, as_json=as_json)
+        proposal.settings["images"] |= part
         if proposal.rig is not None:
             write_rig_yaml(proposal.rig, root / RIG_YAML)
         _write(root, proposal.settings)

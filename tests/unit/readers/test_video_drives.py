@@ -204,6 +204,12 @@ def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: 
     assert len(read_drive(copy)[0].frame_pairs) == COUNT
     again = CliRunner().invoke(app, arguments)
     assert again.exit_code != 0 and "--force" in str(again.exception)
+    part = CliRunner().invoke(app, [*arguments, "--force", "--every", "3", "--from", "0.15", "--to", "1.05"])
+    assert part.exit_code == 0, part.output
+    whole, shorter = sample.frame_pairs[0].captured_at_ns, [p.captured_at_ns for p in read_drive(copy)[0].frame_pairs]
+    assert [round((t - whole) / 1e8) for t in shorter] == [2, 5, 8]  # of frames 0.1 s apart
+    backwards = CliRunner().invoke(app, [*arguments, "--force", "--from", "5", "--to", "2"])
+    assert "--to 2 is not after --from 5" in str(backwards.exception)
     drive = CliRunner().invoke(app, ["init", str(SAMPLE), "--json"])
     assert json.loads(drive.output)["next"][1] == f"conetl ingest {SAMPLE}"
 
