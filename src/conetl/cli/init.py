@@ -94,7 +94,7 @@ def init(
     answers = {key: value for key, value in given.items() if value is not None}
     if to_s is not None and to_s <= from_s:
         raise InputError(f"--to {to_s:g} is not after --from {from_s:g}")
-    part = {"every": every} if every > 1 else {}
+    part: dict[str, float] = {"every": every} if every > 1 else {}
     part |= {key: value for key, value in (("from_s", from_s), ("to_s", to_s)) if value}
     asks = sys.stdin.isatty() and not yes and not as_json
     settings, timing = _settled(root, answers, part, asks=asks, as_json=as_json)

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.records import Positive, Record
 from conetl.model.records import Probability as Fraction
 
@@ -82,8 +83,8 @@ class TrackParams(Params):
     """Limit of the evidence of one score for or against a cone: no set of images holds every object on roads."""
     hidden_run_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """Probability that successive misses have one cause, an undetected object in front (a parked van)."""
-    min_cone_height_m: Positive = 0.25
-    max_cone_height_m: Positive = 1.15
+    min_cone_height_m: Positive = FEATURE_CLASSES[CONE].heights_m[0]
+    max_cone_height_m: Positive = FEATURE_CLASSES[CONE].heights_m[1]
     max_ground_distance_m: Positive = 0.45
     """Of the foot from the road surface, as the drive's other tracks give it."""
     max_range_m: Positive = 20.0

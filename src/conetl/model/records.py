@@ -15,6 +15,7 @@ from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from conetl.model.feature_classes import CONE
 from conetl.model.rejections import Rejection
 
 Side = Literal["left", "right"]
@@ -313,7 +314,7 @@ class Detection(Record):
     side: Side
     detection_index: int = Field(ge=0)
     """Number within its image, by descending score."""
-    category: str = "traffic_cone"
+    category: str = CONE
     x_px: float
     y_px: float
     w_px: Positive
@@ -394,7 +395,7 @@ class Track(Record):
     """All positions of one physical cone in one drive, jointly adjusted."""
 
     track_index: int = Field(ge=0)
-    category: str = "traffic_cone"
+    category: str = CONE
     xyz_m: Vec3
     cov_m2: Cov3
     """Absolute, with the errors of pose and calibration that all observations share."""

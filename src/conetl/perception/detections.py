@@ -9,19 +9,25 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from conetl.model.errors import DriveFolderError
+from conetl.model.feature_classes import CONE
 from conetl.model.params import DetectionParams
 from conetl.model.records import MIN_DETAIL, Detection, Drive, ImageDetail, Side, Vec2
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 
 
 def check_boxes(
-    boxes: NDArray[np.float64], *, frame_index: int, side: Side, params: DetectionParams
+    boxes: NDArray[np.float64],
+    *,
+    frame_index: int,
+    side: Side,
+    params: DetectionParams,
+    categories: Sequence[str] = (CONE,),
 ) -> tuple[list[Detection], list[Rejection]]:
     """Turn one image's boxes into detections, by falling score.
 
-    boxes: (N, 5) x, y, width, height in pixels of the original image (x, y top-left) and score, or (N, 9) with foot x, y and
-    tip x, y in the same coordinates; NaN where the network does not give them. Boxes below the threshold or smaller than
-    `min_height_px` are left out; invalid boxes (NaN, negative size) are rejected.
+    boxes: (N, 5) x, y, width, height in pixels of the original image (x, y top-left) and score, or (N, 10) with foot x, y and
+    tip x, y in the same coordinates (NaN where the network does not give them) and the index in `categories`. Boxes below the
+    threshold or smaller than `min_height_px` are left out; invalid boxes (NaN, negative size) are rejected.
     """
     detections: list[Detection] = []
     rejections: list[Rejection] = []
@@ -35,6 +41,7 @@ def check_boxes(
                     frame_index=frame_index,
                     side=side,
                     detection_index=len(detections),
+                    category=categories[int(row[9])] if len(row) > 9 else CONE,
                     x_px=x,
                     y_px=y,
                     w_px=width,

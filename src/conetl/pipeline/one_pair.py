@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, up_in_left_camera
-from conetl.model.params import DetectionParams, IngestParams
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
+from conetl.model.params import DetectionParams, IngestParams, TrackParams
 from conetl.model.records import Detection, FramePair, Rig, Side, StereoMatch
 from conetl.model.rejections import Rejection
 from conetl.perception.detections import check_boxes
@@ -24,9 +25,17 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 
 def search_image(
-    path: Path, rig: Rig, side: Side, detector: Detector, params: DetectionParams, pair: FramePair | None
+    path: Path,
+    rig: Rig,
+    side: Side,
+    detector: Detector,
+    params: DetectionParams,
+    pair: FramePair | None,
+    categories: Sequence[str] | None = (CONE,),
 ) -> tuple[NDArray[np.uint8], list[Detection]]:
-    """One image and the cones in it. pair: with its pose, the area above the horizon is skipped. Raises ImageFileError."""
+    """One image and the objects of these categories in it (None: of all). pair: with its pose, the area above the horizon is
+    skipped. Raises ImageFileError.
+    """
     image = read_rig_image(path, rig, side)
     first_row = 0
     if pair is not None:
@@ -34,10 +43,10 @@ def search_image(
         first_row = first_road_row(camera_of(rig, side), [map_R_cam], params.horizon_margin_rad)
     boxes = detect_image(
         detector, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
-        single_image=pair is None,
+        single_image=pair is None, categories=categories,
     )  # fmt: skip
-    frame_index = 0 if pair is None else pair.frame_index
-    return image, check_boxes(boxes, frame_index=frame_index, side=side, params=params)[0]
+    frame_index, names = 0 if pair is None else pair.frame_index, detector.card.categories
+    return image, check_boxes(boxes, frame_index=frame_index, side=side, params=params, categories=names)[0]
 
 
 class MatchedPair(NamedTuple):
@@ -51,14 +60,16 @@ class MatchedPair(NamedTuple):
 
 
 class LocatedPair(NamedTuple):
-    """Cones of one pair without a trajectory."""
+    """Cones and other objects of one pair without a trajectory."""
 
     detections: list[list[Detection]]
     matches: list[StereoMatch]
     cones: list[CameraPosition]
     """By distance."""
+    objects: list[CameraPosition]
+    """What is no cone, by distance."""
     misfits: list[CameraPosition]
-    """Objects whose height is not that of a cone."""
+    """Objects whose height is not that of their category."""
     unmatched: dict[Side, int]
     rejections: list[Rejection]
 
@@ -86,16 +97,27 @@ def match_searched(
 
 
 def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams) -> LocatedPair:
-    """Cones of one stereo pair in the frame of the left camera. Raises ImageFileError."""
-    _, detections, matches, refused = match_images(paths, rig, detector, params)
+    """Objects of one stereo pair in the frame of the left camera. Raises ImageFileError."""
+    found = [
+        search_image(path, rig, side, detector, params.detection, None, None)
+        for side, path in zip(SIDES, paths, strict=True)
+    ]
+    _, detections, matches, refused = match_searched(found, rig, params, None)
     located, more = locate_in_camera(matches, rig, params.position)
+    located.sort(key=lambda one: one.ground_distance_m)
     # No second pair distinguishes a cone from a sign, but its height must be that of a cone, as in a drive.
-    lowest_m, highest_m = params.track.min_cone_height_m, params.track.max_cone_height_m
-    cones = [cone for cone in located if lowest_m <= cone.cone_height_m <= highest_m]
+    fits = [one for one in located if is_plausible(one, params.track)]
     unmatched = {
         side: len(found) - len(matches) - sum(r.payload.get("side") == side for r in refused)
         for side, found in zip(SIDES, detections, strict=True)
     }
-    misfits = [cone for cone in located if cone not in cones]
-    cones.sort(key=lambda cone: cone.ground_distance_m)
-    return LocatedPair(detections, matches, cones, misfits, unmatched, [*refused, *more])
+    cones, objects = ([one for one in fits if (one.category == CONE) == is_cone] for is_cone in (True, False))
+    misfits = [one for one in located if one not in fits]
+    return LocatedPair(detections, matches, cones, objects, misfits, unmatched, [*refused, *more])
+
+
+def is_plausible(one: CameraPosition, limits: TrackParams) -> bool:
+    """Whether its height is that of its category; of cones, the parameters say."""
+    of_cones = limits.min_cone_height_m, limits.max_cone_height_m
+    lowest_m, highest_m = of_cones if one.category == CONE else FEATURE_CLASSES[one.category].heights_m
+    return lowest_m <= one.cone_height_m <= highest_m

@@ -55,8 +55,9 @@ class CameraPosition(Record):
 
     frame_index: int
     match_index: int
+    category: str
     xyz_m: Vec3
-    """Foot centre on the ground."""
+    """Foot centre on the ground; of signs and boards the middle of the plate's lower edge."""
     cov_m2: Cov3
     centre_xyz_m: Vec3
     """Box centre, the paper's point."""
@@ -153,6 +154,7 @@ def locate_in_camera(
     def own_fields(i: int) -> dict[str, Any]:
         along = level[i] / ground[i]
         return {
+            "category": matches[i].left.category,
             "cone_height_m": float(height[2, i] - height[0, i]),
             "ground_distance_m": float(ground[i]),
             "ground_distance_sigma_m": float(np.sqrt(along @ foot_cov[i] @ along)),

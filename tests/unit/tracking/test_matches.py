@@ -76,6 +76,19 @@ def test_foot_and_tip_of_the_network_are_used() -> None:
     assert match.centre_left_uv_px[1] == pytest.approx(left.y_px + left.h_px / 2 - 0.5), "of the box, as in the paper"
 
 
+def test_a_match_has_one_category_whose_height_and_foot_count() -> None:
+    rig, *boxes = one_cone()
+    named = {name: [box.model_copy(update={"category": name}) for box in boxes] for name in ("traffic_sign", "plane")}
+    assert match_pair([boxes[0]], named["traffic_sign"][1:], rig, MatchParams(), up_left=UP)[0] == []
+    assert match_pair(*([box] for box in named["plane"]), rig, MatchParams(), up_left=UP)[0] == []
+    (sign,), _ = match_pair(*([box] for box in named["traffic_sign"]), rig, MatchParams(), up_left=UP)
+    assert sign.foot_left_uv_px[1] == pytest.approx(boxes[0].y_px + boxes[0].h_px - 0.5), "a plate has no base"
+    tall = [box.model_copy(update={"y_px": box.y_px - 2 * box.h_px, "h_px": 3 * box.h_px}) for box in boxes]
+    assert match_pair(*([box] for box in tall), rig, MatchParams(), up_left=UP)[0] == []
+    as_board = [box.model_copy(update={"category": "arrow_board"}) for box in tall]
+    assert len(match_pair(*([box] for box in as_board), rig, MatchParams(), up_left=UP)[0]) == 1
+
+
 def test_images_determine_the_disparity_and_its_sigma() -> None:
     pair = cone_pair(9.0, 2)
     camera = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=F_PX, fy_px=F_PX, cx_px=90.0, cy_px=30.0)

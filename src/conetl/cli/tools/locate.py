@@ -1,13 +1,13 @@
-"""`conetl locate`: cones of one stereo pair, without a trajectory."""
+"""`conetl locate`: cones and other road objects of one stereo pair, without a trajectory."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, counted, print_json, print_records, say
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
 from conetl.perception.detector import load_detector
@@ -16,13 +16,15 @@ from conetl.pipeline.one_pair import locate_pair
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives.pairs import first_size
 from conetl.readers.rigs import read_rig_for_images
+from conetl.tracking.positions import CameraPosition
 
 _FIELDS = (
     "ground_distance_m", "cone_height_m", "ground_distance_sigma_m", "xyz_m", "centre_xyz_m", "centre_height_m",
     "residual_rms_px", "score",
 )  # fmt: skip
 _COLUMNS: Columns = {
-    "cone": lambda item: item[0],
+    "object": lambda item: item[0],
+    "category": lambda item: item[1].category,
     "ground distance m": lambda item: item[1].ground_distance_m,
     "sigma m": lambda item: item[1].ground_distance_sigma_m,
     "height m": lambda item: item[1].cone_height_m,
@@ -42,7 +44,10 @@ def locate(
     ],
     as_json: JsonOption = False,
 ) -> None:
-    """Compute ground distance and height of each cone in one stereo pair, without trajectory and map."""
+    """Compute ground distance and height of each cone, and of what else the model knows, in one stereo pair.
+
+    It needs neither trajectory nor map. Of signs and boards, distance and height are those of the plate.
+    """
     rig = read_rig_for_images(calibration, first_size([left]))
     params, settings = IngestParams(), read_settings()
     detector = load_detector(settings.model_path, providers=settings.onnx_providers)
@@ -51,11 +56,14 @@ def locate(
     except ImageFileError as error:
         raise InputError(str(error)) from error
     if as_json:
-        rows = [{name.removeprefix("cone_"): getattr(cone, name) for name in _FIELDS} for cone in found.cones]
-        misfits = [{"ground_distance_m": c.ground_distance_m, "height_m": c.cone_height_m} for c in found.misfits]
+        misfits = [
+            {"category": c.category, "ground_distance_m": c.ground_distance_m, "height_m": c.cone_height_m}
+            for c in found.misfits
+        ]
         print_json(
             {
-                "cones": rows,
+                "cones": [_row(cone) for cone in found.cones],
+                "objects": [{"category": one.category, **_row(one)} for one in found.objects],
                 "without_partner": found.unmatched,
                 "no_cones_by_height": misfits,
                 "rejections": found.rejections,
@@ -63,18 +71,24 @@ def locate(
         )
         return
     count_left, count_right = map(len, found.detections)
-    say(f"{count_left} cones detected left, {count_right} right, {len(found.cones)} located.")
+    located = [*found.cones, *found.objects]
+    cones = f", {counted(len(found.cones), 'cone')} among them" if found.objects else ""
+    say(f"{counted(count_left, 'object')} detected left, {count_right} right, {len(located)} located{cones}.")
     if any(found.unmatched.values()):
         say(
             f"Boxes without a match in the other image: {found.unmatched['left']} left, {found.unmatched['right']} right."
         )
         if not found.matches:
             say("Are the images swapped, or rectified already, or does the calibration belong to another rig?")
-    print_records("", _COLUMNS, enumerate(found.cones, 1))
+    print_records("", _COLUMNS, enumerate(located, 1))
     for misfit in found.misfits:
+        name = misfit.category.replace("_", " ")
         say(
-            f"not used: object {misfit.cone_height_m:.2f} m high at {misfit.ground_distance_m:.1f} m: cones are "
-            f"{params.track.min_cone_height_m} to {params.track.max_cone_height_m} m high"
+            f"not used: {name} {misfit.cone_height_m:.2f} m high at {misfit.ground_distance_m:.1f} m: implausible height"
         )
     for rejection in found.rejections:
         say(f"not used: {rejection.record.removesuffix(' of frame pair 0')}: {rejection.detail}")
+
+
+def _row(one: CameraPosition) -> dict[str, Any]:
+    return {name.removeprefix("cone_"): getattr(one, name) for name in _FIELDS}

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from conetl.geometry.rig import infinity_shift_px
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.params import IngestParams
 from conetl.model.records import Detection, Rig
-from conetl.tracking.matching.matches import HEIGHT_BOUNDS_M, LEAST_DISPARITY_PX, disparity_bounds_px, row_tolerance_px
+from conetl.tracking.matching.matches import LEAST_DISPARITY_PX, disparity_bounds_px, row_tolerance_px
 
 #: Self-calibration may rotate the rig slightly after the search.
 _SLACK_PX = 4.0
@@ -83,7 +84,7 @@ def right_region(found: Iterable[Detection], rig: Rig, params: IngestParams) -> 
     ratio = params.match.max_size_ratio
     # The partner may be larger or smaller by the size ratio.
     least, most = disparity_bounds_px(rig, params.match, width * (1 + ratio**2) / 2)
-    shortest_m, tallest_m = HEIGHT_BOUNDS_M
+    shortest_m, tallest_m = FEATURE_CLASSES[CONE].match_heights_m
     by_height = height * (1 + 1 / ratio) / 2 * rig.baseline_m / tallest_m
     least = np.where(by_height > LEAST_DISPARITY_PX, np.maximum(least, by_height), least)
     most = np.minimum(most, height * (1 + ratio) / 2 * rig.baseline_m / shortest_m)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from conetl.geometry.rig import infinity_shift_px
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.params import MatchParams
 from conetl.model.records import Camera, Detection, Rig, StereoMatch, Vec2
 from conetl.model.rejections import Rejection, RejectionReason
@@ -22,8 +23,6 @@ from conetl.tracking.matching.cone_outline import Outline, find_outline
 
 Image = NDArray[np.uint8]
 Number = TypeVar("Number", float, NDArray[np.float64])
-#: Bounds of the height of a cone, wide because boxes are loose. They keep a cone from being matched with its neighbour.
-HEIGHT_BOUNDS_M = (0.15, 1.8)
 #: Below this disparity the height of an object is undetermined.
 LEAST_DISPARITY_PX = 0.5
 #: A box this near to the image's border (px, or share of the box) may be cut: networks rarely draw boxes up to the edge.
@@ -69,7 +68,7 @@ def match_pair(
 
     up_left: unit vector (3,) pointing up, in the left camera's frame; (0, -1, 0) for a level camera. images: the two rectified
     images, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`). A detection
-    without a partner yields no match; a box cut by the image's border lacks foot or tip and is rejected.
+    without a partner of its category yields no match; a box cut by the image's border lacks foot or tip and is rejected.
     """
     rejections: list[Rejection] = []
     left_whole = [d for d in left if _is_whole(d, rig.left, rejections)]
@@ -174,6 +173,8 @@ def _candidate(
 ) -> tuple[float, AreaMatch | None] | None:
     """Cost of matching two detections, and what matching their images found; None if forbidden."""
     a, at_infinity, row_offset_px, outlines = sought
+    if a.category != b.category or a.category not in FEATURE_CLASSES:
+        return None
     tallest = max(a.h_px, b.h_px)
     row_tolerance = row_tolerance_px(params, tallest)
     row_difference = abs((a.y_px + a.h_px / 2) - (b.y_px + b.h_px / 2) + row_offset_px)
@@ -191,9 +192,10 @@ def _candidate(
     if not least <= disparity <= most:
         return None
     height_m = (a.h_px + b.h_px) / 2 * rig.baseline_m / max(disparity, LEAST_DISPARITY_PX)
-    if not HEIGHT_BOUNDS_M[0] <= height_m <= HEIGHT_BOUNDS_M[1]:
+    lowest_m, highest_m = FEATURE_CLASSES[a.category].match_heights_m
+    if not lowest_m <= height_m <= highest_m:
         return None
-    area = None
+    area, images = None, images if a.category == CONE else None  # the outline is that of a cone
     if images is not None:
         if not outlines:
             outlines.append(find_outline(images[0], a))
@@ -265,7 +267,8 @@ def _foot_tip_centre(detection: Detection, camera: Camera, up: NDArray[np.float6
     """
     axis, bottom = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px + detection.h_px - 0.5
     top = detection.y_px - 0.5
-    u, v = foot_image_point((axis, bottom), detection.w_px, camera, up)
+    round_foot = FEATURE_CLASSES[detection.category].round_foot
+    u, v = foot_image_point((axis, bottom), detection.w_px, camera, up) if round_foot else (axis, bottom)
     if detection.foot_px is not None:
         u, v = (u + detection.foot_px[0] - 0.5) / 2, (v + detection.foot_px[1] - 0.5) / 2
     tip = top if detection.tip_px is None else detection.tip_px[1] - 0.5

@@ -1,0 +1,37 @@
+"""Classes of road objects: what matching and positions must know of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+CONE = "traffic_cone"
+
+
+@dataclass(frozen=True)
+class FeatureClass:
+    """One class. Heights are those of the box: of the whole object, of signs and boards that of the plate alone."""
+
+    heights_m: tuple[float, float]
+    """Plausible heights (MUTCD 2023, chapter 6K; plates with the supplementary ones below them)."""
+    match_heights_m: tuple[float, float]
+    """Bounds of the height that two boxes give: wide because boxes are loose. They keep an object from being matched with its
+    neighbour."""
+    round_foot: bool
+    """Whether the near rim of a round or square base is what the box's lower edge shows; of a flat object it is the object."""
+
+
+FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
+    {
+        CONE: FeatureClass((0.25, 1.15), (0.15, 1.8), round_foot=True),
+        "tubular_marker": FeatureClass((0.4, 1.4), (0.25, 2.0), round_foot=True),
+        "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), round_foot=True),
+        "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), round_foot=False),
+        "barricade": FeatureClass((0.5, 2.0), (0.35, 2.6), round_foot=False),
+        "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), round_foot=False),
+        "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), round_foot=False),
+        "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), round_foot=False),
+    }
+)
+"""By category; of a category that is not here nothing is located."""
