@@ -55,7 +55,7 @@ def read_frames(clip: Path) -> dict[int, np.ndarray]:
 
 
 def read_keys(path: Path) -> list[Labelled]:
-    """The lines of a file of keys. Ends with the file and line of the first that is none."""
+    """The lines of a file of keys. Ends the program at the first line that is not one."""
     keys = []
     for number, line in enumerate(path.read_text().splitlines(), 1):
         cells = line.split("#")[0].strip().split(",")
