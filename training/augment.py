@@ -287,11 +287,42 @@ def draw_tail_lamp(canvas: np.ndarray, x: float, foot: float, height: float, rng
     cv2.fillPoly(canvas, [band.astype(np.int32)], (np.array(pale) * rng.uniform(0.5, 1.1)).tolist(), cv2.LINE_AA)
 
 
+def draw_car_corner(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
+    """The rear corner of a car with a drop-shaped lamp, broad and round below, curved to a point above: window, panel, bumper."""
+    body = height * rng.uniform(1.5, 3.0)
+    paint = rng.choice((10.0, 18.0, 30.0, 60.0, 130.0, 200.0)) * rng.uniform(0.7, 1.2, 3)
+    left, low_edge = x - body * rng.uniform(0.3, 0.7), foot + height * rng.uniform(0.4, 1.4)
+    middle = foot - height * rng.uniform(0.4, 0.9)
+    parts = (
+        (left, middle - height * rng.uniform(0.5, 1.2), left + body, middle, rng.uniform(20, 130, 3)),  # window
+        (left, middle, left + body, low_edge, paint),
+        (left, foot + height * rng.uniform(0.1, 0.4), left + body, low_edge, paint * rng.uniform(0.4, 1.1)),
+    )
+    for x0, y0, x1, y1, colour in parts:
+        cv2.rectangle(canvas, (int(x0), int(y0)), (int(x1), int(y1)), np.clip(colour, 0, 255).tolist(), -1)
+    up = np.linspace(0, 1, 14)
+    wide, lean, bend = height * rng.uniform(0.18, 0.34), height * rng.normal(0, 0.35), rng.uniform(1.2, 2.5)
+    half = (
+        wide * (1 - up ** rng.uniform(0.8, 2.0)) * np.sqrt(np.clip(up / rng.uniform(0.08, 0.3), 0, 1)) + 0.02 * height
+    )
+    line = x + lean * up**bend
+    sides = np.concatenate((np.column_stack((line - half, up)), np.column_stack((line + half, up))[::-1]))
+    outline = np.column_stack((sides[:, 0], foot - height * sides[:, 1]))
+    red = (int(rng.integers(10, 70)), int(rng.integers(10, 60)), int(rng.integers(70, 220)))
+    cv2.fillPoly(canvas, [outline.astype(np.int32)], red, cv2.LINE_AA)
+    for _ in range(int(rng.integers(0, 3))):  # clear or amber glasses in it
+        k = int(rng.integers(2, 11))
+        at = int(line[k]), int(foot - height * up[k])
+        size = max(int(half[k] * rng.uniform(0.4, 0.9)), 1), max(int(height * rng.uniform(0.03, 0.12)), 1)
+        pale = np.array((190, 195, 210) if rng.random() < 0.7 else (40, 120, 225)) * rng.uniform(0.5, 1.1)
+        cv2.ellipse(canvas, at, size, 0, 0, 360, np.clip(pale, 0, 255).tolist(), -1, cv2.LINE_AA)
+
+
 def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
     """Things of no class though red, orange or white: posts, lamps, vests, vans, triangles."""
     height, width = canvas.shape[:2]
     for _ in range(int(rng.integers(1, 5))):
-        kind = int(rng.integers(8))
+        kind = int(rng.integers(9))
         x, foot = rng.uniform(0, width), rng.uniform(0.3, 1.0) * height
         size = float(np.exp(rng.uniform(np.log(8), np.log(110))))
         warm = (int(rng.integers(0, 70)), int(rng.integers(20, 140)), int(rng.integers(150, 256)))
@@ -300,8 +331,10 @@ def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
             gap = size * rng.uniform(0.2, 0.8)
             for k in range(int(rng.integers(1, 5))):
                 draw_post(canvas, x + k * gap, foot, size, rng)
-        elif kind in (4, 6, 7):
+        elif kind in (4, 6):
             draw_tail_lamp(canvas, x, foot, size, rng)
+        elif kind in (7, 8):
+            draw_car_corner(canvas, x, foot, size, rng)
         elif kind == 2:  # lamp or headlight
             shade = (255, 255, 255) if rng.random() < 0.6 else warm
             cv2.ellipse(canvas, point, (max(int(size * 0.2), 2), max(int(size * 0.25), 2)), 0, 0, 360, shade, -1)
