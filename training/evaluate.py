@@ -67,6 +67,8 @@ def coco_tables(pictures: list[Image], found: list[np.ndarray]) -> dict[str, dic
         for k, boxes in enumerate(found)
         for box in boxes
     ]
+    nowhere = {"image_id": 0, "category_id": 1, "bbox": [-9.0, -9.0, 1.0, 1.0], "score": 0.0}
+    rows = rows or [nowhere]  # COCO loads no empty list
     with contextlib.redirect_stdout(io.StringIO()):
         truth.createIndex()
         given = truth.loadRes(rows)

@@ -1,6 +1,6 @@
 """Export a checkpoint to ONNX with its sidecar, and check that the runtime gives what PyTorch gave.
 
-    python training/export.py RUN/last.pt --out RUN/conetl-cone-3.onnx --version 3.0
+    python training/export.py RUN/last.pt --out RUN/conetl-road-4.onnx --version 4.0
 
 The exported network takes pictures of one size as they lie in memory, (P, H, W, 3) BGR 0 to 255: what would have to be done to
 them before is folded into the first convolution.
@@ -149,7 +149,7 @@ def main() -> None:
         "closer_look": {"cone_px": 48, "window_px": 96, "scores": [0.25, 0.75], "share": 0.35},
         "enlarged_look": {"below_px": 40, "from_score": 0.25, "around_px": 24, "scale": 2.0, "share": 0.65},
         "score_scale": "sigmoid 0..1, trained towards the IoU with the true box; not calibrated as a probability",
-        "licence": "as conetl itself; trained on CC BY 4.0 and ODC-By 1.0 pictures, attribution in README.md beside this file",
+        "licence": "as conetl itself; trained on CC BY 4.0 and ODC-By 1.0 images, attribution in the model card beside this file",
     }
     args.out.with_name(args.out.name + ".json").write_text(json.dumps(card, indent=2) + "\n")
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, largest difference {worst:.1e}")

@@ -445,3 +445,26 @@ def test_cone_free_real_frames_are_nearly_empty(detector: Detector) -> None:
     images = [cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg")) for frame in frames]
     count = sum(len(detect_image(detector, image, score_threshold=0.5)) for image in images)
     assert count <= len(images)  # at most one false box an image
+
+
+def test_a_network_of_several_classes_tells_drums_from_cones() -> None:
+    path = SHARED_DATA / "cones_more" / "roadwork_clips_us" / "images" / "houston_0187.jpg"
+    image = cv2.imread(str(path)) if path.exists() else None
+    if image is None:
+        pytest.skip(f"{path} is not there")
+    detector = load_detector(REPOSITORY / "data" / "models" / "conetl-road-4.onnx")
+    names = detector.card.categories
+    found = detect_image(detector, image, score_threshold=0.3, categories=None, single_image=True)
+    drums = found[found[:, 9] == names.index("drum")]
+    assert len(drums) == 3
+    cones = detect_image(detector, image, score_threshold=0.3, single_image=True)
+    assert (cones[:, 9] == names.index("traffic_cone")).all()
+    for box in drums:
+        assert (
+            intersection_over_union(np.concatenate((box[:2], box[:2] + box[2:4])), corners_of(cones)).max(initial=0)
+            < 0.3
+        )
+
+
+def corners_of(boxes: np.ndarray) -> np.ndarray:
+    return np.concatenate((boxes[:, :2], boxes[:, :2] + boxes[:, 2:4]), axis=1)
