@@ -138,6 +138,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("backfill nowhere", 2, "nowhere"),
     ("detect nowhere.png --out x.json", 2, "nowhere.png"),
     ("locate a.png b.png --calibration rig_half.yaml", 2, "a.png|rig_half.yaml"),
+    ("init empty --from 9 --to 3", 2, "--to 3 is not after --from 9"),
     ("rig show notes.txt", 2, "notes.txt"),
     ("rig show rig_half.yaml", 2, "rig_half.yaml: right: is missing"),
     ("rig show rig_text.yaml", 2, "rig_text.yaml: left.width_px: expected a whole number"),
