@@ -174,14 +174,14 @@ def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
         try:
             for side in sides:
                 boxes = [
-                    (d.x_px, d.y_px, d.w_px, d.h_px, d.score, *(np.nan,) * 4)
+                    (d.x_px, d.y_px, d.w_px, d.h_px, d.score, *(np.nan,) * 4, 0.0)
                     for d in records.detections
                     if d.frame_index == index and d.side == side
                 ]
                 image = read_pair_image(pairs[index], side, records.drive.rig)
                 if not whole:
                     image = pixelated(image, [box[:4] for box in boxes])
-                drawn.append(draw_boxes(image, np.array(boxes).reshape(-1, 9)))
+                drawn.append(draw_boxes(image, np.array(boxes).reshape(-1, 10)))
         except (ImageFileError, StorageError):  # vanished since it was read; the drive is on the map already
             continue
         count = sum(match.frame_index == index for match in records.matches)
