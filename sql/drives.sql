@@ -87,8 +87,8 @@ order by d.frame_index, d.side, d.detection_index;
 
 -- name: positions
 -- The positions of a drive, frame by frame.
--- Parameters: drive_uuid; frames (integer[], null: all). Columns: frame_index, easting, northing, height (metres).
-select p.frame_index, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom)
+-- Parameters: drive_uuid; frames (integer[], null: all). Columns: frame_index, category, easting, northing, height (metres).
+select p.frame_index, p.category, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom)
 from conetl.position p
 where p.drive_uuid = %(drive_uuid)s and (%(frames)s::integer[] is null or p.frame_index = any(%(frames)s::integer[]))
 order by p.frame_index, p.match_index;

@@ -37,25 +37,27 @@ def pyramid(image: np.ndarray) -> list[np.ndarray]:
     return [image, half, cv2.resize(half, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)]
 
 
-def choose_scale(picture: Image, rng: np.random.Generator, stretch: float) -> tuple[float, int]:
-    """Scale that brings one randomly chosen object to a height drawn log-uniformly, most of them small; and its index."""
-    if len(picture.boxes) == 0:
-        return float(np.exp(rng.uniform(np.log(0.35), np.log(1.3)))), -1
-    if picture.source == "renders":
-        return float(rng.choice((1.0, rng.uniform(0.7, 1.4)))), int(rng.integers(len(picture.boxes)))
-    classes = picture.boxes[:, 8]
-    one = (
-        0 if 0 in classes and rng.random() < 0.5 else rng.choice(np.unique(classes))
-    )  # no class is drowned by the others
-    index = int(rng.choice(np.flatnonzero(classes == one)))
-    if (
-        picture.source in ("fs_onboard", "labelled_clips") and rng.random() < 0.5
-    ):  # as a camera saw them: most far cones are small already
-        return float(rng.uniform(0.85, 1.25)), index
-    height = picture.boxes[index, 3] - picture.boxes[index, 1]
+def choose_scale(picture: Image, rng: np.random.Generator) -> tuple[float, np.ndarray | None]:
+    """Scale that brings one randomly chosen box to a height drawn log-uniformly, most of them small; and that box (4,)."""
+    if len(picture.false):
+        box, as_seen = picture.false[int(rng.integers(len(picture.false)))], rng.random() < 0.5
+    elif len(picture.boxes) == 0:
+        return float(np.exp(rng.uniform(np.log(0.35), np.log(1.3)))), None
+    elif picture.source == "renders":
+        box = picture.boxes[int(rng.integers(len(picture.boxes))), :4]
+        return float(rng.choice((1.0, rng.uniform(0.7, 1.4)))), box
+    else:
+        classes = picture.boxes[:, 8]
+        # no class is drowned by the others
+        one = 0 if 0 in classes and rng.random() < 0.5 else rng.choice(np.unique(classes))
+        box = picture.boxes[int(rng.choice(np.flatnonzero(classes == one))), :4]
+        # as a camera saw them: most far cones are small already
+        as_seen = picture.source in ("fs_onboard", "labelled_clips") and rng.random() < 0.5
+    if as_seen:
+        return float(rng.uniform(0.85, 1.25)), box
     low, high = (11.0, 64.0) if rng.random() < 0.62 else (50.0, 330.0)
     target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-    return float(np.clip(target / height, 0.05, 2.2)), index
+    return float(np.clip(target / (box[3] - box[1]), 0.05, 2.2)), box
 
 
 def warp_into(
@@ -72,13 +74,12 @@ def warp_into(
         stretch = float(rng.uniform(0.55, 1.3))
     elif picture.source != "renders":
         stretch = float(rng.uniform(0.85, 1.15))
-    scale, index = choose_scale(picture, rng, stretch)
+    scale, box = choose_scale(picture, rng)
     turn = np.deg2rad(rng.normal(0.0, 1.5)) if rng.random() < 0.5 else 0.0
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     height, width = levels[0].shape[:2]
-    if index >= 0:
-        x0, y0, x1, y1 = picture.boxes[index, :4]
-        cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
+    if box is not None:
+        cx, cy = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
     else:
         cx, cy = rng.uniform(0.2, 0.8) * width, rng.uniform(0.3, 0.8) * height
     # Where the chosen point lands: anywhere in the area, but rather fill the area with picture than with nothing.
@@ -431,7 +432,7 @@ def make_sample(
         boxes, fades = warp_into(canvas, picture, levels, area, rng)
         kept, faded = clip_boxes(boxes, area)
         all_boxes.append(kept)
-        all_trust.append(np.full(len(kept), SIDE_TRUST[picture.source] if picture.tight else 0.15))
+        all_trust.append(np.full(len(kept), SIDE_TRUST.get(picture.source, 0.5) if picture.tight else 0.15))
         all_fades += [fade_rows(faded), clip_boxes(fades, area)[0], untaught(picture, area)]
     if rng.random() < 0.5:
         draw_furniture(canvas, rng)

@@ -3,7 +3,8 @@
 An `Image` is one image with its objects (N, 9) [x0, y0, x1, y1, foot x, foot y, tip x, tip y, class] in pixels, foot and tip
 NaN where they are not known (only renders and drawn objects know them), `fade` = regions where an unlabelled object is
 likely, so that "background" is not taught there, `tight` = whether its boxes can be trusted to the pixel, and `taught` = the
-classes that are labelled in it: of the others nothing is taught.
+classes that are labelled in it: of the others nothing is taught. `false` = boxes (N, 4) that an earlier detector found where
+nothing is: samples are centred on them.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ class Image:
     boxes: np.ndarray
     fade: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     tight: bool = True
+    false: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
 
     @property
     def taught(self) -> frozenset[str]:

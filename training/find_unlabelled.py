@@ -1,9 +1,11 @@
-"""Label cleaning: places in the training pictures that an earlier detector takes for a cone and nobody labelled.
+"""What an earlier detector finds in the training pictures where no label is.
 
-    python training/find_unlabelled.py MODEL.onnx --cones DIR --out unlabelled.json
+    python training/find_unlabelled.py MODEL.onnx --cones DIR --more-cones DIR --clips DIR --leave-out NAMES --out unlabelled.json
 
-Such a place is either a cone without a label or a thing that looks like one. Training neither teaches nor forbids a cone
-there (`train.py --unlabelled`), which is narrower than giving up the whole band of far cones (`dataset.far_band`).
+Of `cones`, where labels are missing, such a box is either a cone without a label or a thing that looks like one: training neither
+teaches nor forbids a cone there (`train.py --unlabelled`), which is narrower than giving up the whole band of far cones
+(`dataset.far_band`). In the labelled clips and in the pictures without cones every such box is false: training centres samples
+on them.
 """
 
 from __future__ import annotations
@@ -13,35 +15,64 @@ import json
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import read_cones
+from classes import CLASSES
+from dataset import Image, read_cones, read_labelled_clips, read_more_cones
 
 from conetl.perception.decoding import intersection_over_union
-from conetl.perception.detector import detect_image, load_detector
+from conetl.perception.detector import Detector, detect_image, load_detector
+
+SCALES = (0.6, 1.0, 2.0)  #: at which false boxes are looked for
+
+
+def boxes_without_label(
+    detector: Detector, picture: Image, scale: float, score: float, margin_px: float
+) -> list[list[float]]:
+    """Boxes [x0, y0, x1, y1] px of the classes that are labelled in a picture, where no label and no fade is."""
+    image = picture.image if scale == 1 else cv2.resize(picture.image, None, fx=scale, fy=scale)
+    known, found = np.concatenate((picture.boxes[:, :4], picture.fade)), []
+    wanted = [name for name in CLASSES if name in picture.taught]
+    for x, y, width, height in detect_image(detector, image, score_threshold=score, categories=wanted)[:, :4] / scale:
+        box = np.array([x - margin_px, y - margin_px, x + width + margin_px, y + height + margin_px])
+        if len(known) == 0 or intersection_over_union(box, known).max() <= 0.1:
+            found.append(box.round(1).tolist())
+    return found
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
     parser.add_argument("--cones", type=Path, required=True)
+    parser.add_argument("--more-cones", type=Path)
+    parser.add_argument("--clips", type=Path)
+    parser.add_argument("--leave-out", default="")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--score", type=float, default=0.12)
     args = parser.parse_args()
     detector = load_detector(args.model)
-    places: dict[str, list[list[float]]] = {}
-    for picture in read_cones(args.cones, "train"):
-        found = []
-        for x, y, width, height, _score in detect_image(detector, picture.image, score_threshold=args.score)[:, :5]:
-            box = np.array([x, y, x + width, y + height])
-            if len(picture.boxes) and intersection_over_union(box, picture.boxes[:, :4]).max() > 0.1:
-                continue
-            found.append([round(v, 1) for v in (x - 2, y - 2, x + width + 2, y + height + 2)])
-        places[picture.name] = found
-    args.out.write_text(json.dumps({"model": detector.card.name, "sha256": detector.card.sha256, "places": places}))
-    print(f"{sum(map(len, places.values()))} places in {len(places)} pictures")
+    unlabelled = {
+        p.name: boxes_without_label(detector, p, 1.0, args.score, 2.0) for p in read_cones(args.cones, "train")
+    }
+    complete, left_out = [], frozenset(args.leave_out.split(","))
+    if args.more_cones:
+        complete += [p for p in read_more_cones(args.more_cones, left_out) if p.source.endswith("_negatives")]
+    if args.more_cones and args.clips:
+        labels = Path(__file__).parent / "labels"
+        complete += read_labelled_clips(args.clips, labels, args.more_cones, left_out)
+    false = {
+        p.name: [box for scale in SCALES for box in boxes_without_label(detector, p, scale, args.score, 0.0)]
+        for p in complete
+    }
+    args.out.write_text(
+        json.dumps(
+            {"model": detector.card.name, "sha256": detector.card.sha256, "unlabelled": unlabelled, "false": false}
+        )
+    )
+    print(f"{sum(map(len, unlabelled.values()))} boxes without a label, {sum(map(len, false.values()))} false ones")
 
 
 if __name__ == "__main__":

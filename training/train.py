@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import dataclasses
 import json
 import math
 import os
@@ -40,6 +41,7 @@ SHARES = {
     "frc_conesandcubes": 0.07,
     "robomagellan_conefinder": 0.02,
     "renders": 0.22,
+    "false_boxes": 0.15,
 }
 LABELS = Path(__file__).parent / "labels"
 #: Sources of pictures without cones that others are drawn on.
@@ -52,10 +54,12 @@ class Samples(IterableDataset):
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
         pictures = read_cones(Path(args.cones), "train")
+        false = {}
         if args.unlabelled:
-            places = json.loads(Path(args.unlabelled).read_text())["places"]
+            found = json.loads(Path(args.unlabelled).read_text())
+            false = found["false"]
             for picture in pictures:
-                fade = np.array(places[picture.name]).reshape(-1, 4)
+                fade = np.array(found["unlabelled"][picture.name]).reshape(-1, 4)
                 picture.fade = fade if picture.source == "fs_onboard" else np.concatenate((picture.fade, fade))
         left_out = frozenset(args.leave_out.split(","))
         if args.more_cones:
@@ -69,6 +73,11 @@ class Samples(IterableDataset):
         backgrounds = [p for p in pictures if 0 not in p.boxes[:, 8] and p.source in BACKGROUNDS]
         self.backgrounds = [(p, pyramid(p.image)) for p in backgrounds]
         self.by_source = {name: [(p, pyramid(p.image)) for p in pictures if p.source == name] for name in SHARES}
+        self.by_source["false_boxes"] = [
+            (dataclasses.replace(p, false=np.array(false[p.name])), pyramid(p.image))
+            for p in pictures
+            if false.get(p.name)
+        ]
         print(
             f"{len(pictures)} pictures, {sum(map(len, self.cutouts.values()))} cut-outs, {len(self.backgrounds)} backgrounds",
             flush=True,

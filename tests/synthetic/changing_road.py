@@ -223,7 +223,7 @@ def survey(
     boxes = drive_boxes(road.cones(), true, figures, rng)
     found, matches, positions = locate(boxes, logged, RIG)
     tracks, _ = fuse_logged(logged, RIG, found, matches, positions, params=params, evidence=evidence)
-    view = observations_of_drive(RIG, logged, found, [(p.frame_index, p.xyz_m) for p in positions], figures)
+    view = observations_of_drive(RIG, logged, found, [(p.frame_index, p.category, p.xyz_m) for p in positions], figures)
     content = hashlib.sha256(f"{start_ns}".encode()).hexdigest()
     drive = DriveEvidence(
         key=(start_ns, content, content),

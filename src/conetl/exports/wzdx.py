@@ -26,6 +26,7 @@ from conetl.exports.geojson import coordinates
 from conetl.files.atomic import atomic_text_file
 from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.records import utc_from_ns
@@ -216,7 +217,8 @@ def _description(zone: WorkZone, surveyed: datetime, max_age_days: float | None)
     """max_age_days: of a zone that was surveyed longer ago; else None."""
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
-    state = f"{count} cones over {length:.0f} m, last surveyed by vehicle at {_iso(surveyed)}"
+    devices = "cones" if all(cone.category == CONE for cone in zone.layout.cones) else "devices"
+    state = f"{count} {devices} over {length:.0f} m, last surveyed by vehicle at {_iso(surveyed)}"
     if zone.history.merged_into is not None:
         return f"{state}; now part of work zone {zone.history.merged_into}."
     if zone.history.end_ns is not None:
@@ -240,8 +242,8 @@ def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedConte
         "has_automatic_location": False,
         "road_direction": _direction(zone, context) if zone is not None else None,
         "road_names": list(context.info.road_names),
-        "description": f"Traffic cone, {cone.cone_height_m:.2f} m high, located by survey drives; sigma "
-        f"{_sigma_m(cone):.2f} m; last seen at {_iso(utc_from_ns(cone.last_seen_ns))}.",
+        "description": f"{cone.category.replace('_', ' ').capitalize()}, {cone.cone_height_m:.2f} m high, located by survey "
+        f"drives; sigma {_sigma_m(cone):.2f} m; last seen at {_iso(utc_from_ns(cone.last_seen_ns))}.",
         "is_moving": False,
         "road_event_ids": [event_id] if event_id else None,
     }

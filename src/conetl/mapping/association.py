@@ -111,6 +111,7 @@ def pair(
     share = np.minimum((distance / params.min_gate_m) ** 2, distance2 / params.gate_chi2)
     allowed = (distance <= params.min_gate_m) | ((distance2 <= params.gate_chi2) & (distance <= params.max_offset_m))
     var_z = np.array([track.cov_m2[5] for track in tracks])[i] + np.array([one.cov_m2[5] for one in features])[j]
+    allowed &= _classes(tracks)[i] == _classes(features)[j]
     allowed &= np.abs(z) <= np.maximum(params.max_rise_m, np.sqrt(params.gate_chi2 * var_z))
     return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], unpaired_cost=_GATE_COST)
 
@@ -171,7 +172,12 @@ def _alike_nearby(
     heights = np.array([features[k].cone_height_m for k in of_features])[j]
     alike = np.abs(np.array([tracks[k].cone_height_m for k in of_tracks])[i] - heights)
     allowed = (alike <= params.moved_height_tolerance_m) & (distance <= params.moved_max_m)
+    allowed &= _classes([tracks[k] for k in of_tracks])[i] == _classes([features[k] for k in of_features])[j]
     return rows[j[allowed]], columns[i[allowed]], distance[allowed]
+
+
+def _classes(objects: Sequence[Track | MapFeature]) -> NDArray[np.str_]:
+    return np.array([one.category for one in objects])
 
 
 def _candidates(t: Floats, f: Floats, allowed_m: float) -> Floats:

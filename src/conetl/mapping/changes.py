@@ -19,6 +19,7 @@ from conetl.mapping.deltas import added, changed, confirmed, ended, moved_and_me
 from conetl.mapping.existence_update import is_gone, missed, observed
 from conetl.mapping.fusion import tracks_in_map_frame
 from conetl.mapping.visibility import NotObserved
+from conetl.model.feature_classes import exclude_each_other
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
@@ -150,7 +151,8 @@ def _without_doubles(tracks: Sequence[Track]) -> list[Track]:
     weight = [(track.observation_count, track.existence_probability, -i) for i, track in enumerate(tracks)]
     doubles = set()
     for a, b in zip(*near_pairs(xy_m, xy_m, _WIDEST_BASE_M), strict=True):
-        if weight[a] > weight[b] and float(np.hypot(*(xy_m[a] - xy_m[b]))) < _base_m(tracks[a], tracks[b]):
+        overlap = float(np.hypot(*(xy_m[a] - xy_m[b]))) < _base_m(tracks[a], tracks[b])
+        if overlap and weight[a] > weight[b] and exclude_each_other(tracks[a].category, tracks[b].category):
             doubles.add(int(b))
     return [track for i, track in enumerate(tracks) if i not in doubles]
 
@@ -167,7 +169,8 @@ def _founding(tracks: Sequence[Track], paired: Collection[int], params: Reconcil
     doubtful = set()
     for a, k in zip(*near_pairs(xy_m[free], xy_m, 2 * _WIDEST_BASE_M), strict=True):
         i = free[a]
-        if tracks[k].observation_count <= tracks[i].observation_count:
+        one_kind = exclude_each_other(tracks[k].category, tracks[i].category)
+        if tracks[k].observation_count <= tracks[i].observation_count or not one_kind:
             continue
         apart = xy_m[i] - xy_m[k]
         apart_m = float(np.hypot(*apart))
@@ -194,7 +197,9 @@ def _mergers(
     for a, b in zip(*near_pairs(xyz_m[certain, :2], xyz_m[unseen, :2], _WIDEST_BASE_M), strict=True):
         kept, other = certain[a], unseen[b]
         distance_m = float(np.hypot(*(xyz_m[kept] - xyz_m[other])[:2]))
-        if distance_m < _base_m(features[kept], features[other]):
+        if features[kept].category == features[other].category and distance_m < _base_m(
+            features[kept], features[other]
+        ):
             found[other] = min(found.get(other, (distance_m, kept)), (distance_m, kept))
     return {other: kept for other, (_, kept) in found.items()}
 
@@ -220,7 +225,11 @@ def _halves(
         apart_m = float(np.hypot(*(map_xyz_m[i] - map_xyz_m[pairs[j]])[:2]))
         off_m = float(np.hypot(*((map_xyz_m[i] + map_xyz_m[pairs[j]]) / 2 - np.array(features[j].xyz_m))[:2]))
         together = not {frame for frame, _ in tracks[i].members}.isdisjoint(frame for frame, _ in own.members)
-        beside = apart_m >= _base_m(tracks[i], own) and off_m <= _MIDDLE_SHARE * apart_m
+        beside = (
+            tracks[i].category == own.category
+            and apart_m >= _base_m(tracks[i], own)
+            and off_m <= _MIDDLE_SHARE * apart_m
+        )
         if beside and together and j not in found.values():
             found.setdefault(i, j)
     return found

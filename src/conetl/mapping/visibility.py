@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio
+from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio, evidence_of
+from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Detection, FramePair, Rig, Vec3
@@ -69,8 +70,8 @@ class DriveObservations:
     """Whether the images of a frame pair show enough to say that a cone is gone."""
     detections: Mapping[int, Sequence[Detection]]
     """Of both images, by frame index."""
-    positions_m: Mapping[int, Floats]
-    """(M, 3) observed cones in the drive's map frame, by frame index."""
+    positions_m: Mapping[tuple[int, str], Floats]
+    """(M, 3) observed objects in the drive's map frame, by frame index and class."""
     figures: AbsenceFigures
 
 
@@ -78,16 +79,16 @@ def observations_of_drive(
     rig: Rig,
     frame_pairs: Sequence[FramePair],
     detections: Sequence[Detection],
-    positions: Sequence[tuple[int, Vec3]],
+    positions: Sequence[tuple[int, str, Vec3]],
     figures: AbsenceFigures = UNMEASURED_ABSENCE,
 ) -> DriveObservations:
-    """positions: frame index and map-frame coordinates (m) of every position; figures: of the detector in use."""
+    """positions: frame index, class and map-frame coordinates (m) of every position; figures: of the detector in use."""
     by_frame: dict[int, list[Detection]] = defaultdict(list)
     for detection in detections:
         by_frame[detection.frame_index].append(detection)
-    xyz_m: dict[int, list[Vec3]] = defaultdict(list)
-    for frame_index, one in positions:
-        xyz_m[frame_index].append(one)
+    xyz_m: dict[tuple[int, str], list[Vec3]] = defaultdict(list)
+    for frame_index, category, one in positions:
+        xyz_m[frame_index, category].append(one)
     return DriveObservations(
         rig=rig,
         frames=tuple(pair.frame_index for pair in frame_pairs),
@@ -96,7 +97,7 @@ def observations_of_drive(
         captured_at_ns=np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64),
         shows_absence=tuple(pair.shows_absence for pair in frame_pairs),
         detections=by_frame,
-        positions_m={frame_index: np.array(some) for frame_index, some in xyz_m.items()},
+        positions_m={key: np.array(some) for key, some in xyz_m.items()},
         figures=figures,
     )
 
@@ -106,13 +107,17 @@ def check_visibility(
 ) -> NotObserved | None:
     """Evidence that a feature is absent; None where it was never visible, or observed in at least half of the frame pairs.
 
+    None also where the drive did not search for its class.
+
     offset_m (3,): added to map coordinates it gives the drive's. others_m (M, 3): other cones, in the drive's coordinates; what
     is nearer to one of them is that cone. Frame pairs recorded before the feature was last observed are ignored.
     """
+    if feature.category not in drive.figures.categories:
+        return None
     foot_m = np.array(feature.xyz_m) + offset_m
     seen = [
         pair
-        for pair in visible_pairs(foot_m, feature.cone_height_m, others_m, drive, params)
+        for pair in visible_pairs(foot_m, feature.cone_height_m, others_m, drive, params, feature.category)
         if drive.captured_at_ns[pair.row] > feature.last_seen_ns
     ]
     if not seen:
@@ -121,7 +126,8 @@ def check_visibility(
     if occupied.sum() >= (~occupied).sum():
         return None
     ratio = absence_log_ratio(
-        drive.figures,
+        evidence_of(drive.figures.evidence, feature.category),
+        drive.figures.score_threshold,
         np.array([pair.heights_px for pair in seen]),
         np.array([pair.hidden for pair in seen]),
         occupied,
@@ -133,26 +139,34 @@ def check_visibility(
 
 
 def visible_pairs(
-    foot_m: Floats, cone_height_m: float, others_m: Floats, drive: DriveObservations, params: ReconcileParams
+    foot_m: Floats,
+    cone_height_m: float,
+    others_m: Floats,
+    drive: DriveObservations,
+    params: ReconcileParams,
+    category: str = CONE,
 ) -> list[VisiblePair]:
     """The frame pairs that show whether a cone stands at `foot_m` (3,) in the drive's map frame, in order.
 
-    others_m (M, 3): other cones in the same frame; what is nearer to one of them is that cone.
+    others_m (M, 3): other cones in the same frame; what is nearer to one of them is that cone. category: boxes of other classes
+    are no sign of it, though they may hide it.
     """
+    evidence = evidence_of(drive.figures.evidence, category)
     rows, heights_px, boxes = pairs_in_view(foot_m, cone_height_m, drive, params)
     near_m = others_m[np.hypot(*(others_m - foot_m)[:, :2].T) <= _NEIGHBOUR_M]
     visible = []
     for k, row in enumerate(rows.tolist()):
         frame = drive.frames[row]
         found = drive.detections.get(frame, ())
-        occupied = _is_detected(boxes[k], row, found, near_m, cone_height_m, drive) or _is_occupied(
-            foot_m, drive.positions_m.get(frame), near_m, params.min_gate_m
+        alike = [d for d in found if d.category == category]
+        occupied = _is_detected(boxes[k], row, alike, near_m, cone_height_m, drive) or _is_occupied(
+            foot_m, drive.positions_m.get((frame, category)), near_m, params.min_gate_m
         )
         left, right = (
             hidden_share(box, [d for d in found if d.side == side])
             for side, box in zip(("left", "right"), boxes[k], strict=True)
         )
-        if occupied or (drive.shows_absence[row] and max(left, right) <= drive.figures.evidence.hidden_most):
+        if occupied or (drive.shows_absence[row] and max(left, right) <= evidence.hidden_most):
             heights = float(heights_px[k, 0]), float(heights_px[k, 1])
             visible.append(VisiblePair(row, occupied, heights, (left, right), boxes[k]))
     return visible

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from conetl.model.feature_classes import CONE
 from conetl.model.records import Positive, Record
 
 Share = Annotated[float, Field(gt=0, lt=1)]
@@ -128,10 +129,18 @@ class AbsenceFigures(Record):
 
     evidence: DetectorEvidence
     score_threshold: Share
+    categories: tuple[str, ...] = (CONE,)
+    """The classes that were searched for; of other objects the drive says nothing."""
+
+
+def evidence_of(evidence: DetectorEvidence, category: str) -> DetectorEvidence:
+    """What the boxes of a category say: only those of cones were measured."""
+    return evidence if category == CONE else UNMEASURED_CLASS
 
 
 def absence_log_ratio(
-    figures: AbsenceFigures,
+    evidence: DetectorEvidence,
+    score_threshold: float,
     heights_px: NDArray[np.float64],
     hidden: NDArray[np.float64],
     found: NDArray[np.bool_],
@@ -149,17 +158,13 @@ def absence_log_ratio(
     if len(heights_px) == 0:
         return 0.0
     seen = [
-        detect_probability(figures.evidence, h, s, figures.score_threshold)
+        detect_probability(evidence, h, s, score_threshold)
         for h, s in zip(heights_px.ravel(), hidden.ravel(), strict=True)
     ]
     shown = np.reshape(seen, (-1, 2)).prod(axis=1)
     ratios = np.where(found, np.log(shown / stray_probability), np.log((1 - shown) / (1 - stray_probability)))
-    misses, least_px = figures.evidence.miss_correlation, heights_px.min(axis=1)
-    joint = (
-        joint_log_ratio(figures.evidence, ratios, least_px)
-        if misses is None
-        else _correlated_sum(misses, ratios, least_px)
-    )
+    misses, least_px = evidence.miss_correlation, heights_px.min(axis=1)
+    joint = joint_log_ratio(evidence, ratios, least_px) if misses is None else _correlated_sum(misses, ratios, least_px)
     blind = unseen_occluder_probability
     return min(float(np.logaddexp(np.log(blind), np.log1p(-blind) + joint)), 0.0)
 
@@ -288,5 +293,7 @@ UNMEASURED = DetectorEvidence(
     look_correlation=ImageCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
     joint_scale=1.0,
 )
-#: The same with the default threshold of `DetectionParams`.
+#: For the boxes of other classes than cones: one box in two images, so that several drives must miss an object before it is gone.
+UNMEASURED_CLASS = UNMEASURED.model_copy(update={"detected": (((0.5,),),), "found_again": (0.5,)})
+#: `UNMEASURED` with the default threshold of `DetectionParams`.
 UNMEASURED_ABSENCE = AbsenceFigures(evidence=UNMEASURED, score_threshold=0.3)

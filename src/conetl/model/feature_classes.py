@@ -1,4 +1,4 @@
-"""Classes of road objects: what matching and positions must know of them."""
+"""Classes of road objects: what matching, positions, the map and work zones must know of them."""
 
 from __future__ import annotations
 
@@ -20,18 +20,27 @@ class FeatureClass:
     neighbour."""
     round_foot: bool
     """Whether the near rim of a round or square base is what the box's lower edge shows; of a flat object it is the object."""
+    on_road: bool
+    """Whether the box ends at the road; of signs and boards it ends above it, so that another object may stand below."""
+    in_rows: bool
+    """Whether rows of it close a lane: a channelizing device (MUTCD 2023, chapter 6K)."""
 
 
 FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
     {
-        CONE: FeatureClass((0.25, 1.15), (0.15, 1.8), round_foot=True),
-        "tubular_marker": FeatureClass((0.4, 1.4), (0.25, 2.0), round_foot=True),
-        "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), round_foot=True),
-        "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), round_foot=False),
-        "barricade": FeatureClass((0.5, 2.0), (0.35, 2.6), round_foot=False),
-        "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), round_foot=False),
-        "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), round_foot=False),
-        "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), round_foot=False),
+        CONE: FeatureClass((0.25, 1.15), (0.15, 1.8), round_foot=True, on_road=True, in_rows=True),
+        "tubular_marker": FeatureClass((0.4, 1.4), (0.25, 2.0), round_foot=True, on_road=True, in_rows=True),
+        "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), round_foot=True, on_road=True, in_rows=True),
+        "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), round_foot=False, on_road=True, in_rows=True),
+        "barricade": FeatureClass((0.5, 2.0), (0.35, 2.6), round_foot=False, on_road=True, in_rows=True),
+        "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), round_foot=False, on_road=False, in_rows=False),
+        "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), round_foot=False, on_road=True, in_rows=False),
+        "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), round_foot=False, on_road=False, in_rows=False),
     }
 )
 """By category; of a category that is not here nothing is located."""
+
+
+def exclude_each_other(a: str, b: str) -> bool:
+    """Whether objects of two categories cannot be at one place. Detectors confuse classes; but plates hang above what stands."""
+    return FEATURE_CLASSES[a].on_road == FEATURE_CLASSES[b].on_road

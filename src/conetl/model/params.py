@@ -10,7 +10,7 @@ import hashlib
 import json
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.records import Positive, Record
@@ -22,6 +22,9 @@ class Params(Record):
 
 
 class DetectionParams(Params):
+    categories: tuple[str, ...] = tuple(FEATURE_CLASSES)
+    """Classes of objects that are searched for, of those that the model knows. A drive is no evidence that an object of another
+    class is gone."""
     score_threshold: Fraction = 0.3
     """Deliberately low: a track needs several boxes that agree in space."""
     nms_iou: Fraction = 0.5
@@ -31,6 +34,13 @@ class DetectionParams(Params):
     search_right: Literal["along_epipolar_lines", "everywhere"] = "along_epipolar_lines"
     """Search the right images along the epipolar lines of the left boxes only (`tracking/matching/epipolar_search.py`), or
     everywhere, which takes up to 50 % longer for the same positions."""
+
+    @field_validator("categories")
+    @classmethod
+    def _known(cls, categories: tuple[str, ...]) -> tuple[str, ...]:
+        if unknown := set(categories) - set(FEATURE_CLASSES):
+            raise ValueError(f"{', '.join(sorted(unknown))}: expected some of {', '.join(FEATURE_CLASSES)}")
+        return tuple(name for name in FEATURE_CLASSES if name in categories)  # in one order: they are part of a hash
 
 
 class MatchParams(Params):
@@ -89,6 +99,12 @@ class TrackParams(Params):
     """Of the foot from the road surface, as the drive's other tracks give it."""
     max_range_m: Positive = 20.0
     """A cone must have been observed nearer than this at least once to become a feature."""
+
+    def heights_m(self, category: str) -> tuple[float, float]:
+        """Least and largest height of an object: of cones these parameters, of other classes `FEATURE_CLASSES`."""
+        if category == CONE:
+            return self.min_cone_height_m, self.max_cone_height_m
+        return FEATURE_CLASSES[category].heights_m
 
 
 class ReconcileParams(Params):

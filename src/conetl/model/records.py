@@ -363,6 +363,7 @@ class Position(Record):
 
     frame_index: int = Field(ge=0)
     match_index: int = Field(ge=0)
+    category: str = CONE
     xyz_m: Vec3
     """Foot centre on the ground; `geom` of the map."""
     cov_m2: Cov3

@@ -52,6 +52,8 @@ class Identity(Record):
     model_sha256: str
     evidence: DetectorEvidence | None
     """What is measured of the model's boxes."""
+    categories: tuple[str, ...]
+    """Classes of objects that were searched for."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,10 @@ def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity
     key = result_key(
         "changeset", drive.content_sha256, parameters, card.detections_sha256, measured, str(drive.map_srid)
     )
-    return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence)
+    return Identity(
+        idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence,
+        categories=tuple(name for name in params.detection.categories if name in card.categories),
+    )  # fmt: skip
 
 
 def already_committed(
@@ -139,6 +144,7 @@ def commit(
             params,
             map_name=settings.map_name,
             evidence=identity.evidence,
+            categories=identity.categories,
             run=run,
             hold=holding(analysed.health),
         )

@@ -152,11 +152,13 @@ def _detect(
             payload={"frame_index": pair.frame_index, "side": side, "path": pair.image(side)[0]},
         )
         return None, [], [unread]
+    detector = _detector(chunk)
     boxes = detector_io.detect_image(
-        _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
-        within=None if region is None else region[:4], reach_px=0.0 if region is None else region.reach_px,
+        detector, image, categories=params.categories, score_threshold=params.score_threshold, nms_iou=params.nms_iou,
+        first_row=first_row, within=None if region is None else region[:4], reach_px=0.0 if region is None else region.reach_px,
     )  # fmt: skip
-    return image, *check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params)
+    names = detector.card.categories
+    return image, *check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params, categories=names)
 
 
 def match(chunk: Chunk, rig: Rig, *detected: Path) -> Path:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, up_in_left_camera
-from conetl.model.feature_classes import CONE, FEATURE_CLASSES
+from conetl.model.feature_classes import CONE
 from conetl.model.params import DetectionParams, IngestParams, TrackParams
 from conetl.model.records import Detection, FramePair, Rig, Side, StereoMatch
 from conetl.model.rejections import Rejection
@@ -31,11 +31,8 @@ def search_image(
     detector: Detector,
     params: DetectionParams,
     pair: FramePair | None,
-    categories: Sequence[str] | None = (CONE,),
 ) -> tuple[NDArray[np.uint8], list[Detection]]:
-    """One image and the objects of these categories in it (None: of all). pair: with its pose, the area above the horizon is
-    skipped. Raises ImageFileError.
-    """
+    """One image and the objects in it. pair: with its pose, the area above the horizon is skipped. Raises ImageFileError."""
     image = read_rig_image(path, rig, side)
     first_row = 0
     if pair is not None:
@@ -43,7 +40,7 @@ def search_image(
         first_row = first_road_row(camera_of(rig, side), [map_R_cam], params.horizon_margin_rad)
     boxes = detect_image(
         detector, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
-        single_image=pair is None, categories=categories,
+        single_image=pair is None, categories=params.categories,
     )  # fmt: skip
     frame_index, names = 0 if pair is None else pair.frame_index, detector.card.categories
     return image, check_boxes(boxes, frame_index=frame_index, side=side, params=params, categories=names)[0]
@@ -99,8 +96,7 @@ def match_searched(
 def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams) -> LocatedPair:
     """Objects of one stereo pair in the frame of the left camera. Raises ImageFileError."""
     found = [
-        search_image(path, rig, side, detector, params.detection, None, None)
-        for side, path in zip(SIDES, paths, strict=True)
+        search_image(path, rig, side, detector, params.detection, None) for side, path in zip(SIDES, paths, strict=True)
     ]
     _, detections, matches, refused = match_searched(found, rig, params, None)
     located, more = locate_in_camera(matches, rig, params.position)
@@ -117,7 +113,6 @@ def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: 
 
 
 def is_plausible(one: CameraPosition, limits: TrackParams) -> bool:
-    """Whether its height is that of its category; of cones, the parameters say."""
-    of_cones = limits.min_cone_height_m, limits.max_cone_height_m
-    lowest_m, highest_m = of_cones if one.category == CONE else FEATURE_CLASSES[one.category].heights_m
+    """Whether its height is that of its category."""
+    lowest_m, highest_m = limits.heights_m(one.category)
     return lowest_m <= one.cone_height_m <= highest_m

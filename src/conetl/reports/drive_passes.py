@@ -66,6 +66,7 @@ def passes_of(
     xyz_m: Vec3,
     cone_height_m: float,
     *,
+    category: str,
     drive_uuids: Collection[UUID] | None = None,
     max_drives: int,
 ) -> list[DrivePass]:
@@ -78,7 +79,7 @@ def passes_of(
     found = []
     for row in rows:
         kind, frames = observed.get(row["drive_uuid"]) or (None, set[int]())
-        in_view = _frames_in_view(conn, row, feature_id, np.array(xyz_m), cone_height_m, frames)
+        in_view = _frames_in_view(conn, row, feature_id, np.array(xyz_m), cone_height_m, category, frames)
         if in_view:
             found.append(
                 DrivePass(
@@ -100,6 +101,7 @@ def _frames_in_view(
     feature_id: UUID,
     foot_m: NDArray[np.float64],
     height_m: float,
+    category: str,
     observed: Collection[int],
 ) -> tuple[FrameInView, ...]:
     rig, params = Rig.model_validate(header["rig"]), ReconcileParams.model_validate(header["reconcile"])
@@ -113,7 +115,7 @@ def _frames_in_view(
         AbsenceFigures.model_validate(figures) if figures else UNMEASURED_ABSENCE,
     )  # fmt: skip
     others_m = store.tracks_near(conn, header["drive_uuid"], (easting_m, northing_m), _NEIGHBOUR_M, feature_id)
-    visible = {pair.row: pair.occupied for pair in visible_pairs(foot_m, height_m, others_m, drive, params)}
+    visible = {pair.row: pair.occupied for pair in visible_pairs(foot_m, height_m, others_m, drive, params, category)}
     states: dict[int, FrameState] = {}
     for row in pairs_in_view(foot_m, height_m, drive, params)[0].tolist():
         states[row] = "hidden" if row not in visible else "occupied" if visible[row] else "empty"
@@ -182,8 +184,9 @@ def _range_of_absence(
     """Nearest and farthest distance from which a drive had the position in view; None where its records were pruned."""
     xyz_m = (row["easting_m"], row["northing_m"], row["height_m"])
     found = passes_of(
-        conn, map_name, feature_id, xyz_m, row["cone_height_m"], drive_uuids=[row["drive_uuid"]], max_drives=1
-    )
+        conn, map_name, feature_id, xyz_m, row["cone_height_m"], category=row["category"], drive_uuids=[row["drive_uuid"]],
+        max_drives=1,
+    )  # fmt: skip
     if not found:
         return None
     frames = found[0].frames

@@ -1,4 +1,4 @@
-"""Positions of single frame pairs -> chains, one per physical cone, by tracking each cone from frame to frame.
+"""Positions of single frame pairs -> chains, one per physical cone (or other object), by tracking each from frame to frame.
 
 Absolute coordinates do not suffice: without a GNSS fix they drift by more than a metre. So a chain lives in the left camera's
 frame and is predicted by the *relative* motion, whose error grows with the distance driven. The next position must fit the
@@ -21,6 +21,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import cov_matrix
+from conetl.model.feature_classes import exclude_each_other
 from conetl.model.params import TrackParams
 from conetl.model.records import Position
 
@@ -120,6 +121,8 @@ def extend_chains(
     costs = np.full((len(chains), len(found)), _FORBIDDEN)
     for i, (mean, cov) in enumerate(carried):
         for j, position in enumerate(found):
+            if not exclude_each_other(chains[i].members[-1].category, position.category):
+                continue
             innovation = np.array(position.camera_xyz_m) - mean
             spread = cov + cov_matrix(position.camera_cov_m2)
             distance2 = float(innovation @ np.linalg.solve(spread, innovation))
@@ -229,7 +232,7 @@ def misfit_of(
     motion: MotionError | None,
 ) -> float | None:
     """Squared Mahalanobis distance of two groups, or None if they cannot be one cone."""
-    nearest = _nearest_in_time(a, b)
+    nearest = _nearest_in_time(a, b) if exclude_each_other(a[0].category, b[0].category) else None
     if nearest is None or (motion is None and not _within_reach(*nearest, map_SE3_left, params)):
         return None
     one, other = nearest

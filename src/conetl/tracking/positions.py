@@ -127,6 +127,7 @@ def locate_positions(
 
     def own_fields(i: int) -> dict[str, Any]:
         return {
+            "category": matches[i].left.category,
             "cone_height_m": float(xyz[2, i, 2] - xyz[0, i, 2]),
             "camera_xyz_m": vec3(located.xyz[0, i]),
             "camera_cov_m2": cov3(located.foot_cov[i]),

@@ -13,7 +13,8 @@ from conetl.geometry.calibration.covariance import jacobian_of
 from conetl.geometry.joint_fit import fit_point, image_constants
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, evidence_of
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import IngestParams, TrackParams
 from conetl.model.records import Detection, FramePair, Position, Rig, Side, StereoMatch, Track
 from conetl.model.rejections import Rejection, RejectionReason
@@ -144,17 +145,20 @@ def fuse_group(
             + 2 * min(p.sigma_outline_m for p in group) ** 2
         )
     )
-    if not limits.min_cone_height_m <= height_m <= limits.max_cone_height_m:
-        bounds = f"{limits.min_cone_height_m} to {limits.max_cone_height_m} m"
-        return _reject(RejectionReason.HEIGHT_IMPLAUSIBLE, group, f"{height_m:.2f} m tall, expected {bounds}")
+    category = _category_of(group)
+    least_m, most_m = limits.heights_m(category)
+    if not least_m <= height_m <= most_m:
+        detail = f"{category.replace('_', ' ')} {height_m:.2f} m tall, expected {least_m} to {most_m} m"
+        return _reject(RejectionReason.HEIGHT_IMPLAUSIBLE, group, detail)
     own = set(_boxes_of(group, data.matches))
 
     def is_of_other(box: Detection) -> bool:
         return (key := _box_key(box)) in in_use and key not in own
 
     existence = existence_probability(
-        group, height_m, rig, data.map_SE3_left, data.detections, data.params, data.evidence, is_of_other
-    )
+        group, height_m, rig, data.map_SE3_left, data.detections, data.params,
+        evidence_of(data.evidence, category), is_of_other,
+    )  # fmt: skip
     if existence < limits.min_existence_probability:
         detail = f"existence probability {existence:.2f}, expected at least {limits.min_existence_probability}"
         return _reject(RejectionReason.EXISTENCE_UNLIKELY, group, detail)
@@ -164,6 +168,7 @@ def fuse_group(
     first, last = (data.frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
+        category=category,
         xyz_m=vec3(foot.xyz_m),
         cov_m2=cov3(own_cov + common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)),
         relative_cov_m2=cov3(own_cov + np.outer(drift_m, drift_m)),
@@ -179,6 +184,14 @@ def fuse_group(
         members=tuple((p.frame_index, p.match_index) for p in group),
         shared_jacobian=jacobian_of(moved_by_calibration(group, foot.shares, rig, data.map_SE3_left), rig),
     )
+
+
+def _category_of(group: Sequence[Position]) -> str:
+    """The class that the boxes of one object speak for most: that of the greatest sum of scores."""
+    scores: defaultdict[str, float] = defaultdict(float)
+    for position in group:
+        scores[position.category] += position.score
+    return max(sorted(scores), key=scores.__getitem__)
 
 
 def _motion_sigmas(group: tuple[Position, ...], nearest: Position, left: Floats, data: DriveData) -> Floats:
@@ -218,18 +231,19 @@ def _check_ground(
     """Reject tracks whose foot is off the road surface, as given by the drive's other tracks.
 
     The height of a camera above the road is not part of a calibration: it is the median drop from the path (at its point
-    nearest to the cone) to the foot. Fewer than three tracks are not checked.
+    nearest to the cone) to the foot. Fewer than three tracks are not checked, nor are plates of signs.
     """
-    if len(tracks) < 3:
+    standing = np.array([FEATURE_CLASSES[track.category].on_road for track in tracks], dtype=bool)
+    if standing.sum() < 3:
         return tracks, rejections
     path = np.stack([pose[:3, 3] for pose in map_SE3_left.values()])
     feet = np.array([t.xyz_m for t in tracks])
     abeam = np.linalg.norm(path[None, :, :2] - feet[:, None, :2], axis=2).argmin(axis=1)
     drops = path[abeam, 2] - feet[:, 2]
-    usual = float(np.median(drops))
+    usual = float(np.median(drops[standing]))
     kept: list[Track] = []
-    for track, drop in zip(tracks, drops.tolist(), strict=True):
-        if abs(drop - usual) <= limits.max_ground_distance_m:
+    for track, drop, on_road in zip(tracks, drops.tolist(), standing.tolist(), strict=True):
+        if not on_road or abs(drop - usual) <= limits.max_ground_distance_m:
             kept.append(track.model_copy(update={"track_index": len(kept)}))
         else:
             rejections.append(

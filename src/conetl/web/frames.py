@@ -33,9 +33,10 @@ def passes(map_name: MapName, feature_id: UUID, conn: Reader, version: Version =
     if not states:
         raise HTTPException(404, f"The map {map_name} has no feature {feature_id} of this version.")
     xyz_m = _position(states[-1])
-    height_m = states[-1]["cone_height_m"]
+    height_m, category = states[-1]["cone_height_m"], states[-1]["category"]
     found, truncated = cut(
-        passes_of(conn, map_name, feature_id, xyz_m, height_m, max_drives=_MAX_PASSES + 1), _MAX_PASSES
+        passes_of(conn, map_name, feature_id, xyz_m, height_m, category=category, max_drives=_MAX_PASSES + 1),
+        _MAX_PASSES,
     )
     return m.Passes(
         feature_id=feature_id,

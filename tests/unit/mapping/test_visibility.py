@@ -97,7 +97,7 @@ def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_ce
 
 
 def observed(positions: list[Position]) -> DriveObservations:
-    return observations_of_drive(RIG, PAIRS, [], [(p.frame_index, p.xyz_m) for p in positions])
+    return observations_of_drive(RIG, PAIRS, [], [(p.frame_index, p.category, p.xyz_m) for p in positions])
 
 
 def empty_frames(positions: list[Position], offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> int:

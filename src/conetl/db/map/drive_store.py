@@ -58,8 +58,8 @@ class StoredView:
 
     frame_pairs: list[FramePair]
     detections: list[Detection]
-    spots: list[tuple[int, Vec3]]
-    """Frame index and xyz of every position."""
+    spots: list[tuple[int, str, Vec3]]
+    """Frame index, class and xyz of every position."""
 
 
 def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
@@ -100,7 +100,7 @@ def read_view(conn: Connection, drive_uuid: UUID, near: Square | None = None) ->
                 Detection.model_construct(**dict(zip(_DETECTION, row, strict=True)))
                 for row in stream(conn, load_sql("drives.detections"), parameters)
             ],
-            spots=[(row[0], row[1:]) for row in stream(conn, load_sql("drives.positions"), parameters)],
+            spots=[(row[0], row[1], row[2:]) for row in stream(conn, load_sql("drives.positions"), parameters)],
         )
 
 

@@ -113,6 +113,7 @@ def position_columns(drive_uuid: UUID, srid: int, positions: Sequence[Position])
     return {
         "drive_uuid": binary.constant_uuid(drive_uuid, len(positions)),
         **_attributes(positions, binary.integers, "frame_index", "match_index", "iterations"),
+        **_attributes(positions, binary.texts, "category"),
         "geom": binary.points([p.xyz_m for p in positions], srid),
         **_covariance("cov", [p.cov_m2 for p in positions]),
         "centre_geom": binary.points([p.centre_xyz_m for p in positions], srid),

@@ -12,12 +12,16 @@ from conetl.db.connection import Connection
 from conetl.db.map.map_store import require_map
 from conetl.db.zone_store import read_lanes_near, read_paths, read_versions
 from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.records import utc_from_ns
 from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
 from conetl.workzones.work_zones import zones_over_time
 from conetl.workzones.zone_layout import describe, layout_of
+
+#: Objects of other classes, as signs, neither found nor end a work zone.
+_IN_ROWS = frozenset(name for name, one in FEATURE_CLASSES.items() if one.in_rows)
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ def read_zones(
 ) -> MapZones:
     """Current and ended work zones of a map until a time (None: now). Raises InputError if the map does not exist."""
     info = require_map(conn, map_name)
-    versions = read_versions(conn, map_name=map_name, until=as_of)
+    versions = [v for v in read_versions(conn, map_name=map_name, until=as_of) if v.feature.category in _IN_ROWS]
     paths = read_paths(conn, map_name=map_name, until=as_of)
     at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
     histories = zones_over_time(versions, paths, params, map_name=info.id_name, at_ns=at_ns)

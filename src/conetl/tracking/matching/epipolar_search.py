@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from conetl.geometry.rig import infinity_shift_px
-from conetl.model.feature_classes import CONE, FEATURE_CLASSES
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import IngestParams
 from conetl.model.records import Detection, Rig
 from conetl.tracking.matching.matches import LEAST_DISPARITY_PX, disparity_bounds_px, row_tolerance_px
@@ -58,7 +58,7 @@ def has_right_only_cone(found: Sequence[Detection], rig: Rig, params: IngestPara
         if box.side == "left" or box.h_px < limits.visible_min_height_px:
             continue
         u_px, v_px = box.x_px + box.w_px / 2, box.y_px + box.h_px / 2
-        least_disparity_px = box.h_px * rig.baseline_m / params.track.max_cone_height_m
+        least_disparity_px = box.h_px * rig.baseline_m / params.track.heights_m(box.category)[1]
         right_edge_px = box.x_px + box.w_px + least_disparity_px + rig.left.cx_px - rig.right.cx_px
         in_view = right_edge_px <= rig.left.width_px - limits.visible_border_px
         if in_view and not any(is_within(u_px, v_px, region) for region in regions):
@@ -84,7 +84,7 @@ def right_region(found: Iterable[Detection], rig: Rig, params: IngestParams) -> 
     ratio = params.match.max_size_ratio
     # The partner may be larger or smaller by the size ratio.
     least, most = disparity_bounds_px(rig, params.match, width * (1 + ratio**2) / 2)
-    shortest_m, tallest_m = FEATURE_CLASSES[CONE].match_heights_m
+    shortest_m, tallest_m = np.array([FEATURE_CLASSES[d.category].match_heights_m for d in left]).T
     by_height = height * (1 + 1 / ratio) / 2 * rig.baseline_m / tallest_m
     least = np.where(by_height > LEAST_DISPARITY_PX, np.maximum(least, by_height), least)
     most = np.minimum(most, height * (1 + ratio) / 2 * rig.baseline_m / shortest_m)
