@@ -48,7 +48,7 @@ order by c.changeset_no desc;
 -- added; position, sigma_m (along the major axis of the horizontal error ellipse) and values after the change, of a
 -- removed feature the last ones.
 select
-    x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id,
+    x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id, n.category,
     ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
     ST_X(n.geom) as easting_m, ST_Y(n.geom) as northing_m, ST_Z(n.geom) as height_m,
     sqrt((n.cov_xx + n.cov_yy) / 2 + sqrt(((n.cov_xx - n.cov_yy) / 2) ^ 2 + n.cov_xy ^ 2)) as sigma_m, n.cone_height_m,

@@ -41,6 +41,11 @@ FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
 """By category; of a category that is not here nothing is located."""
 
 
+def noun_of(category: str) -> str:
+    """For messages: `cone`, `work zone sign`."""
+    return "cone" if category == CONE else category.replace("_", " ")
+
+
 def exclude_each_other(a: str, b: str) -> bool:
     """Whether objects of two categories cannot be at one place. Detectors confuse classes; but plates hang above what stands."""
     return FEATURE_CLASSES[a].on_road == FEATURE_CLASSES[b].on_road

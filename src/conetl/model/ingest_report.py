@@ -7,6 +7,7 @@ from typing import Literal
 from uuid import UUID
 
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError
+from conetl.model.feature_classes import CONE
 from conetl.model.health import HealthCheck, HoldChange, what_to_do
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import Record, Vec3
@@ -18,6 +19,7 @@ class ChangeLine(Record):
 
     kind: DeltaKind
     feature_id: UUID
+    category: str = CONE
     xyz_m: Vec3
     cone_height_m: float
     sigma_horizontal_m: float

@@ -222,6 +222,7 @@ def _line(delta: Delta) -> ChangeLine:
     return ChangeLine(
         kind=delta.kind,
         feature_id=delta.feature_id,
+        category=feature.category,
         xyz_m=feature.xyz_m,
         cone_height_m=feature.cone_height_m,
         sigma_horizontal_m=((feature.cov_m2[0] + feature.cov_m2[3]) / 2) ** 0.5,

@@ -14,7 +14,7 @@ from conetl.geometry.joint_fit import fit_point, image_constants
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, evidence_of
-from conetl.model.feature_classes import FEATURE_CLASSES
+from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
 from conetl.model.params import IngestParams, TrackParams
 from conetl.model.records import Detection, FramePair, Position, Rig, Side, StereoMatch, Track
 from conetl.model.rejections import Rejection, RejectionReason
@@ -148,7 +148,7 @@ def fuse_group(
     category = _category_of(group)
     least_m, most_m = limits.heights_m(category)
     if not least_m <= height_m <= most_m:
-        detail = f"{category.replace('_', ' ')} {height_m:.2f} m tall, expected {least_m} to {most_m} m"
+        detail = f"{noun_of(category)} {height_m:.2f} m tall, expected {least_m} to {most_m} m"
         return _reject(RejectionReason.HEIGHT_IMPLAUSIBLE, group, detail)
     own = set(_boxes_of(group, data.matches))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from operator import attrgetter
 from typing import Annotated, Any
@@ -24,12 +25,14 @@ from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, FeatureLogEntry
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import CONE, noun_of
 from conetl.model.health import HoldEvent
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.settings import read_settings
 
 _FEATURES: Columns = {
     "feature": lambda v: v.feature.feature_id,
+    "class": lambda v: v.feature.category,
     "version": lambda v: v.feature.version,
     "easting m": lambda v: v.feature.xyz_m[0],
     "northing m": lambda v: v.feature.xyz_m[1],
@@ -52,10 +55,13 @@ def show(
     provisional: Annotated[
         bool, typer.Option("--provisional", help="Show the provisional cones of drives being recorded instead.")
     ] = False,
+    category: Annotated[
+        list[str] | None, typer.Option(help="Only objects of this class, such as drum; may be repeated.")
+    ] = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the cones on the map."""
+    """List the cones and other objects on the map."""
     settings = read_settings(map_name)
     if provisional:
         if as_of:
@@ -67,6 +73,8 @@ def show(
     with open_map(settings) as conn:
         summary = map_summary(conn, settings.map_name)
         versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name))
+    if category:
+        versions = [version for version in versions if version.feature.category in category]
     if as_json:
         features = [
             v.feature.model_dump(mode="json") | {"seen_count": v.seen_count, "missed_count": v.missed_count}
@@ -76,8 +84,13 @@ def show(
     elif summary is not None:
         when = f" as of {as_of}" if as_of else ""
         changesets = counted(summary.changeset_count, "changeset")
-        say(f"Map {summary.map_name}, EPSG:{summary.srid}: {counted(len(versions), 'cone')}{when}, {changesets}.")
-        print_records("", _FEATURES, versions)
+        classes = Counter(version.feature.category for version in versions)
+        objects = ", ".join(counted(count, noun_of(name)) for name, count in classes.most_common()) or counted(
+            0, "cone"
+        )
+        say(f"Map {summary.map_name}, EPSG:{summary.srid}: {objects}{when}, {changesets}.")
+        columns = {name: value for name, value in _FEATURES.items() if name != "class" or set(classes) - {CONE}}
+        print_records("", columns, versions)
 
 
 def log(
