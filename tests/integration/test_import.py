@@ -665,7 +665,7 @@ def test_new_ids_warn_where_the_cones_of_the_map_stand(conn, tmp_path):
     assert done.committed and done.same_place == len(read_current_features(conn))
 
 
-def test_the_command_line(conetl, tmp_path, surveyed):
+def test_the_command_line(conetl, tmp_path, surveyed, monkeypatch):
     folder, features = surveyed
     assert "row 2: longitude" not in conetl("map", "import", geojson(tmp_path / "a.geojson", [GOOD]), code=2)
     done = json.loads(conetl("map", "import", folder / "map.gpkg", "--json"))
@@ -677,3 +677,12 @@ def test_the_command_line(conetl, tmp_path, surveyed):
     written = json.loads(conetl("map", "export", "--format", "geoparquet", "--out", tmp_path / "a.parquet", "--json"))
     assert (written["features"], written["manifest"]["licence"]) == (len(features) + 1, "CC0")
     assert "export of this map" in conetl("map", "import", tmp_path / "a.parquet")
+    notes = []
+    monkeypatch.setattr("conetl.cli.map.exchange.note", notes.append)
+    classes = [(GOOD[0], SEEN | {"category": "Leitkegel"}), (OTHER, SEEN | {"category": "drum"})]
+    other = ("--map", "classes")
+    conetl("map", "import", geojson(tmp_path / "classes.geojson", classes), "--map-srid", 32632, *other)
+    assert "1 of 2 objects are of a class that drives neither confirm nor remove: Leitkegel;" in notes[0]
+    assert "1 Leitkegel, 1 drum" in conetl("map", "show", *other)
+    [drum] = json.loads(conetl("map", "show", "--category", "drum", "--json", *other))["features"]
+    assert drum["category"] == "drum"

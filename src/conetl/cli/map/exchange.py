@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
@@ -23,6 +24,7 @@ from conetl.files.documents import first_message
 from conetl.geometry.geodesy import check_map_srid
 from conetl.geometry.heights import map_crs
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import ImportParams
 from conetl.pipeline.maps.work_zones import export_wzdx
 from conetl.pipeline.settings import read_settings
@@ -173,6 +175,12 @@ def import_(
         note(
             f"{done.same_place} of {counted(total, 'cone')} stand exactly where cones of the map stand. If the file was made "
             "from this map, its evidence counts twice now: undo the import with `conetl map revert`"
+        )
+    others = Counter(one.feature.category for one in imported.statements if one.feature.category not in FEATURE_CLASSES)
+    if others:
+        note(
+            f"{others.total()} of {counted(total, 'object')} are of a class that drives neither confirm nor remove: "
+            f"{', '.join(sorted(others))}; the classes that they do: {', '.join(FEATURE_CLASSES)}"
         )
     if done.committed:
         counts = ", ".join(f"{count} {kind}" for kind, count in done.counts.items() if count)

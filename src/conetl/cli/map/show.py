@@ -85,10 +85,8 @@ def show(
         when = f" as of {as_of}" if as_of else ""
         changesets = counted(summary.changeset_count, "changeset")
         classes = Counter(version.feature.category for version in versions)
-        objects = ", ".join(counted(count, noun_of(name)) for name, count in classes.most_common()) or counted(
-            0, "cone"
-        )
-        say(f"Map {summary.map_name}, EPSG:{summary.srid}: {objects}{when}, {changesets}.")
+        objects = [counted(count, noun_of(name)) for name, count in sorted(classes.items())] or [counted(0, "cone")]
+        say(f"Map {summary.map_name}, EPSG:{summary.srid}: {', '.join(objects)}{when}, {changesets}.")
         columns = {name: value for name, value in _FEATURES.items() if name != "class" or set(classes) - {CONE}}
         print_records("", columns, versions)
 
