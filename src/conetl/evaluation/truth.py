@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from conetl.files.documents import first_message
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import MapFeature
 from conetl.model.records import Positive, Record, Track, Vec3
 
@@ -30,6 +31,7 @@ class TruthCone(Record):
     """One surveyed cone: centre of the foot on the ground, in the map's CRS with ellipsoidal height."""
 
     cone_id: str
+    category: str = CONE
     xyz_m: Vec3
     cone_height_m: Positive
 
@@ -40,6 +42,7 @@ class TruthRow(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     cone_id: str = Field(min_length=1)
+    category: Literal[tuple(FEATURE_CLASSES)] = CONE  # type: ignore[valid-type]
     easting_m: float
     northing_m: float
     height_ellipsoidal_m: float
@@ -81,6 +84,7 @@ def read_truth_cones(path: Path) -> tuple[list[TruthCone], int]:
     cones = [
         TruthCone(
             cone_id=row.cone_id,
+            category=row.category,
             xyz_m=(row.easting_m, row.northing_m, row.height_ellipsoidal_m),
             cone_height_m=row.cone_height_m,
         )
@@ -128,14 +132,19 @@ def compare_with_truth(
 ) -> tuple[list[TruthLine[Found]], list[Found]]:
     """One line per cone of the truth, by cone id, and the false features.
 
-    path_m: (F, 2 or 3) path of the left camera. Features or tracks are paired with cones one-to-one at the least total distance,
-    at most 0.75 m each. Cones farther than within_m from the path are left out.
+    path_m: (F, 2 or 3) path of the left camera. Features or tracks are paired with cones of their class one-to-one at the least
+    total distance, at most 0.75 m each. Cones farther than within_m from the path are left out, and features of classes of which
+    the truth has none.
     """
-    pairs = paired(
-        np.array([cone.xyz_m for cone in truth]).reshape(-1, 3),
-        np.array([f.xyz_m for f in features]).reshape(-1, 3),
-        _GATE_M,
-    )
+    pairs: dict[int, int] = {}
+    classes = {cone.category for cone in truth}
+    features = [feature for feature in features if feature.category in classes]
+    for category in classes:
+        rows = [i for i, cone in enumerate(truth) if cone.category == category]
+        columns = [j for j, feature in enumerate(features) if feature.category == category]
+        truth_m = np.array([truth[i].xyz_m for i in rows]).reshape(-1, 3)
+        found_m = np.array([features[j].xyz_m for j in columns]).reshape(-1, 3)
+        pairs |= {rows[i]: columns[j] for i, j in paired(truth_m, found_m, _GATE_M).items()}
     lines = []
     for i, cone in enumerate(truth):
         truth_range_m = _range(cone.xyz_m, path_m)

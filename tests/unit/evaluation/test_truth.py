@@ -38,3 +38,12 @@ def test_far_cones_are_not_asked_for_but_their_features_are_not_false() -> None:
     lines, false = compare_with_truth([cone("far", 5.0, 30.0)], [feature(1, 5.0, 30.0)], PATH)
     assert lines == []
     assert false == []
+
+
+def test_objects_are_compared_with_the_truth_of_their_class() -> None:
+    drum = cone("drum", 5.0, 3.0).model_copy(update={"category": "drum"})
+    found = [feature(1, 5.0, 3.0), feature(2, 15.0, 3.0), feature(3, 12.0, 3.0)]
+    sign = found[2].model_copy(update={"category": "traffic_sign"})
+    lines, false = compare_with_truth([drum, cone("cone", 15.0, 3.0)], [*found[:2], sign], PATH)
+    assert [(line.truth.cone_id, line.feature is not None) for line in lines] == [("cone", True), ("drum", False)]
+    assert [f.feature_id.int for f in false] == [1], "a cone where a drum stands is false, a sign is not judged"
