@@ -200,6 +200,7 @@ def _change_row(line: ChangeLine) -> dict[str, Any]:
     return {
         "change": str(line.kind),
         "feature": str(line.feature_id),
+        "category": line.category,
         "easting_m": round(east_m, 3),
         "northing_m": round(north_m, 3),
         "height_m": round(height_m, 3),

@@ -6,7 +6,7 @@ import json
 import logging
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from datetime import UTC, datetime, timedelta
@@ -25,6 +25,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
+from conetl.model.feature_classes import CONE
 from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, what_to_do
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
@@ -216,6 +217,11 @@ def spinner(text: str) -> Iterator[Callable[[str], object]]:
         return
     with err.status(text) as status:
         yield status.update
+
+
+def class_if_mixed(columns: Columns, categories: Collection[str]) -> Columns:
+    """The columns, without that of the class where all objects are cones."""
+    return {name: value for name, value in columns.items() if name != "class" or set(categories) - {CONE}}
 
 
 def counted(count: int, noun: str) -> str:

@@ -18,6 +18,7 @@ from conetl.cli.console import (
     MapOption,
     MapSridOption,
     ParamsOption,
+    class_if_mixed,
     complain,
     counted,
     note_unmeasured,
@@ -35,6 +36,7 @@ from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
+from conetl.model.feature_classes import CONE
 from conetl.model.health import CALIBRATION, Verdict
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
@@ -185,6 +187,7 @@ _USUAL = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOV
 _CHANGES: Columns = {
     "change": "kind",
     "feature": "feature_id",
+    "class": "category",
     "easting m": lambda line: line.xyz_m[0],
     "northing m": lambda line: line.xyz_m[1],
     "height m": lambda line: line.xyz_m[2],
@@ -212,9 +215,11 @@ def print_report(report: IngestReport) -> None:
         out.print(f"{drive}: no changes, {known}{state}.")
         return
     changed = counts if report.on_hold is None else "on hold, the map is as it was"
+    categories = {change.category for change in report.changes}
+    objects = "objects" if categories - {CONE} else "cones"
     out.print(
         f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
-        f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} cones."
+        f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} {objects}."
     )
     if report.trajectory:
         out.print(f"Trajectory: {report.trajectory}.")
@@ -227,7 +232,7 @@ def print_report(report: IngestReport) -> None:
         out.print(f"{later} over the same roads compared with the map again.")
     for change in report.hold_changes:
         say(change.sentence)
-    print_records("", _CHANGES, report.changes, numbers_from=2)
+    print_records("", class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
     rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]
     print_table("Quarantined", ("reason", "records"), rows)
     out.print()

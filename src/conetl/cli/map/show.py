@@ -14,6 +14,7 @@ from conetl.cli.console import (
     JsonOption,
     MapOption,
     cell,
+    class_if_mixed,
     counted,
     parse_instant,
     print_json,
@@ -25,7 +26,7 @@ from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, FeatureLogEntry
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import CONE, noun_of
+from conetl.model.feature_classes import noun_of
 from conetl.model.health import HoldEvent
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.settings import read_settings
@@ -87,8 +88,7 @@ def show(
         classes = Counter(version.feature.category for version in versions)
         objects = [counted(count, noun_of(name)) for name, count in sorted(classes.items())] or [counted(0, "cone")]
         say(f"Map {summary.map_name}, EPSG:{summary.srid}: {', '.join(objects)}{when}, {changesets}.")
-        columns = {name: value for name, value in _FEATURES.items() if name != "class" or set(classes) - {CONE}}
-        print_records("", columns, versions)
+        print_records("", class_if_mixed(_FEATURES, classes), versions)
 
 
 def log(
