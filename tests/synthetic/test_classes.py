@@ -25,7 +25,7 @@ DAY_NS = 86_400_000_000_000
 ROW = [(CONE, Cone((15.0 + 4.0 * k, 2.5, 0.0))) for k in range(4)]
 DRUM = ("drum", Cone((35.0, 3.0, 0.0), 0.95, 0.55))
 SIGN = ("work_zone_sign", Cone((35.0, 3.05, 1.5), 0.9, 0.8))
-BARRICADE = ("barricade", Cone((38.0, -3.0, 0.0), 1.2, 0.9))
+BARRICADE = ("barricade", Cone((38.0, -3.0, 0.0), 1.1, 1.6))
 Objects = Sequence[tuple[str, Cone]]
 Boxes = dict[tuple[int, Side], list[Detection]]
 

@@ -22,6 +22,7 @@ from mcap.writer import Writer
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.exports.source import Source, What
 from conetl.exports.text_files import iso_utc
+from conetl.model.feature_classes import CONE, width_over_height
 from conetl.model.map_records import DeltaKind
 
 FRAME = "map"
@@ -88,13 +89,15 @@ def _scene(rows: list[Object], origin: Point, what: What) -> Object:
 def _entity(row: Object, origin: Point) -> Object:
     x, y, z = row["easting_m"] - origin[0], row["northing_m"] - origin[1], row["ellipsoidal_height_m"] - origin[2]
     height_m = row["height_m"]
-    width_m = _FOOT_WIDTH * height_m
+    category = row["category"]
+    width, top_share = (_FOOT_WIDTH, _TOP_SHARE) if category == CONE else (width_over_height(category), 1.0)
+    width_m = width * height_m
     colour = _colour(row["change"], row["existence_probability"])
     cone = {
         "pose": {"position": {"x": x, "y": y, "z": z + height_m / 2}, "orientation": _NO_ROTATION},
         "size": {"x": width_m, "y": width_m, "z": height_m},
         "bottom_scale": 1.0,
-        "top_scale": _TOP_SHARE,
+        "top_scale": top_share,
         "color": colour,
     }
     arrows = []

@@ -19,11 +19,10 @@ from conetl.mapping.deltas import added, changed, confirmed, ended, moved_and_me
 from conetl.mapping.existence_update import is_gone, missed, observed
 from conetl.mapping.fusion import tracks_in_map_frame
 from conetl.mapping.visibility import NotObserved
-from conetl.model.feature_classes import exclude_each_other
+from conetl.model.feature_classes import exclude_each_other, width_over_height
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
-from conetl.tracking.apparent_boxes import WIDTH_OVER_HEIGHT
 
 Floats = NDArray[np.float64]
 #: (feature, offset_m, others_m) -> evidence that the feature is absent; see `visibility.check_visibility`.
@@ -138,8 +137,8 @@ def height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -
 
 
 def _base_m(a: Track | MapFeature, b: Track | MapFeature) -> float:
-    """Width of the smaller base plate of two cones."""
-    return WIDTH_OVER_HEIGHT * min(a.cone_height_m, b.cone_height_m)
+    """Width of the smaller of two objects."""
+    return min(width_over_height(one.category) * one.cone_height_m for one in (a, b))
 
 
 def _without_doubles(tracks: Sequence[Track]) -> list[Track]:

@@ -152,14 +152,14 @@ def visible_pairs(
     are no sign of it, though they may hide it.
     """
     evidence = evidence_of(drive.figures.evidence, category)
-    rows, heights_px, boxes = pairs_in_view(foot_m, cone_height_m, drive, params)
+    rows, heights_px, boxes = pairs_in_view(foot_m, cone_height_m, drive, params, category)
     near_m = others_m[np.hypot(*(others_m - foot_m)[:, :2].T) <= _NEIGHBOUR_M]
     visible = []
     for k, row in enumerate(rows.tolist()):
         frame = drive.frames[row]
         found = drive.detections.get(frame, ())
         alike = [d for d in found if d.category == category]
-        occupied = _is_detected(boxes[k], row, alike, near_m, cone_height_m, drive) or _is_occupied(
+        occupied = _is_detected(boxes[k], row, alike, near_m, cone_height_m, drive, category) or _is_occupied(
             foot_m, drive.positions_m.get((frame, category)), near_m, params.min_gate_m
         )
         left, right = (
@@ -173,7 +173,7 @@ def visible_pairs(
 
 
 def pairs_in_view(
-    foot_m: Floats, cone_height_m: float, drive: DriveObservations, params: ReconcileParams
+    foot_m: Floats, cone_height_m: float, drive: DriveObservations, params: ReconcileParams, category: str = CONE
 ) -> tuple[NDArray[np.intp], Floats, list[tuple[Box, Box]]]:
     """The frame pairs in which both images would contain a cone at `foot_m` (3,) in the drive's map frame, hidden or not.
 
@@ -184,7 +184,7 @@ def pairs_in_view(
     for poses, camera in ((drive.map_SE3_left, drive.rig.left), (drive.map_SE3_right, drive.rig.right)):
         to_camera = np.swapaxes(poses[:, :3, :3], 1, 2)
         foot, tip = (np.einsum("nij,nj->ni", to_camera, point - poses[:, :3, 3]) for point in (foot_m, tip_m))
-        box = apparent_boxes(foot, tip, camera)
+        box = apparent_boxes(foot, tip, camera, category)
         inside &= are_in_view(box, camera, params)
         boxes.append(box)
     rows = np.flatnonzero(inside)
@@ -200,6 +200,7 @@ def _is_detected(
     others_m: Floats,
     cone_height_m: float,
     drive: DriveObservations,
+    category: str,
 ) -> bool:
     """Whether an image has a detection at the expected box that fits no other cone better; number: row of the frame pair.
 
@@ -213,7 +214,7 @@ def _is_detected(
             pose = poses[number]
             feet = (others_m - pose[:3, 3]) @ pose[:3, :3]
             tips = (others_m + np.array([0.0, 0.0, cone_height_m]) - pose[:3, 3]) @ pose[:3, :3]
-            others = [_box(other) for other in apparent_boxes(feet, tips, camera) if not np.isnan(other[0])]
+            others = [_box(other) for other in apparent_boxes(feet, tips, camera, category) if not np.isnan(other[0])]
             own = [(d, share) for d, share in own if all(iou(other, d) <= share for other in others)]
         if own:
             return True

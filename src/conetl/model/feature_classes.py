@@ -18,6 +18,8 @@ class FeatureClass:
     match_heights_m: tuple[float, float]
     """Bounds of the height that two boxes give: wide because boxes are loose. They keep an object from being matched with its
     neighbour."""
+    width_over_height: float
+    """Of the box, seen from the front; common road cones have 0.5 to 0.6."""
     round_foot: bool
     """Whether the near rim of a round or square base is what the box's lower edge shows; of a flat object it is the object."""
     on_road: bool
@@ -28,17 +30,22 @@ class FeatureClass:
 
 FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
     {
-        CONE: FeatureClass((0.25, 1.15), (0.15, 1.8), round_foot=True, on_road=True, in_rows=True),
-        "tubular_marker": FeatureClass((0.4, 1.4), (0.25, 2.0), round_foot=True, on_road=True, in_rows=True),
-        "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), round_foot=True, on_road=True, in_rows=True),
-        "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), round_foot=False, on_road=True, in_rows=True),
-        "barricade": FeatureClass((0.5, 2.0), (0.35, 2.6), round_foot=False, on_road=True, in_rows=True),
-        "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), round_foot=False, on_road=False, in_rows=False),
-        "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), round_foot=False, on_road=True, in_rows=False),
-        "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), round_foot=False, on_road=False, in_rows=False),
+        CONE: FeatureClass((0.25, 1.15), (0.15, 1.8), 0.55, round_foot=True, on_road=True, in_rows=True),
+        "tubular_marker": FeatureClass((0.4, 1.4), (0.25, 2.0), 0.3, round_foot=True, on_road=True, in_rows=True),
+        "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), 0.65, round_foot=True, on_road=True, in_rows=True),
+        "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), 0.4, round_foot=False, on_road=True, in_rows=True),
+        "barricade": FeatureClass((0.5, 2.0), (0.35, 2.6), 1.2, round_foot=False, on_road=True, in_rows=True),
+        "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), 1.0, round_foot=False, on_road=False, in_rows=False),
+        "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), 1.5, round_foot=False, on_road=True, in_rows=False),
+        "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), 0.9, round_foot=False, on_road=False, in_rows=False),
     }
 )
 """By category; of a category that is not here nothing is located."""
+
+
+def width_over_height(category: str) -> float:
+    """As of `FeatureClass`; objects of unknown classes are drawn like cones."""
+    return FEATURE_CLASSES.get(category, FEATURE_CLASSES[CONE]).width_over_height
 
 
 def noun_of(category: str) -> str:

@@ -17,6 +17,7 @@ from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.mapping.reasons import ChangeFacts, why
 from conetl.mapping.visibility import observations_of_drive, pairs_in_view, visible_pairs
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
+from conetl.model.feature_classes import CONE
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Pose, Rig, Side, Vec3
@@ -117,7 +118,7 @@ def _frames_in_view(
     others_m = store.tracks_near(conn, header["drive_uuid"], (easting_m, northing_m), _NEIGHBOUR_M, feature_id)
     visible = {pair.row: pair.occupied for pair in visible_pairs(foot_m, height_m, others_m, drive, params, category)}
     states: dict[int, FrameState] = {}
-    for row in pairs_in_view(foot_m, height_m, drive, params)[0].tolist():
+    for row in pairs_in_view(foot_m, height_m, drive, params, category)[0].tolist():
         states[row] = "hidden" if row not in visible else "occupied" if visible[row] else "empty"
     states |= {row: "observed" for row, frame in enumerate(drive.frames) if frame in observed}
     cameras_m = drive.map_SE3_left[:, :3, 3]
@@ -133,12 +134,14 @@ def _frames_in_view(
     )
 
 
-def expected_box(xyz_m: Vec3, cone_height_m: float, pose: Pose, rig: Rig, side: Side) -> Box | None:
-    """x, y, width, height (px, from the image's edge) of a cone at a position; None behind the camera."""
+def expected_box(
+    xyz_m: Vec3, cone_height_m: float, pose: Pose, rig: Rig, side: Side, category: str = CONE
+) -> Box | None:
+    """x, y, width, height (px, from the image's edge) of an object at a position; None behind the camera."""
     camera_SE3_map = se3.invert(map_SE3_camera(pose, rig, side))
     ends = np.array([xyz_m, (*xyz_m[:2], xyz_m[2] + cone_height_m)])
     foot, tip = ends @ camera_SE3_map[:3, :3].T + camera_SE3_map[:3, 3]
-    x0, y0, x1, y1 = apparent_boxes(foot[None], tip[None], camera_of(rig, side))[0].tolist()
+    x0, y0, x1, y1 = apparent_boxes(foot[None], tip[None], camera_of(rig, side), category)[0].tolist()
     return None if np.isnan(x0) else (x0 + 0.5, y0 + 0.5, x1 - x0, y1 - y0)
 
 

@@ -1,4 +1,4 @@
-"""The box of a cone at a known position in an image, and overlap and occlusion of boxes."""
+"""The box of an object at a known position in an image, and overlap and occlusion of boxes."""
 
 from __future__ import annotations
 
@@ -7,26 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.feature_classes import CONE, width_over_height
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Camera, Detection
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in pixels"""
-#: Width of a cone's base plate over its height; common road cones have 0.5 to 0.6.
-WIDTH_OVER_HEIGHT = 0.55
 _NEAREST_M = 0.5
 #: Sampling grid for the hidden share of a box, in shares of its side.
 _GRID = (np.arange(24) + 0.5) / 24
 
 
-def apparent_boxes(foot_m: Floats, tip_m: Floats, camera: Camera) -> Floats:
-    """(N, 4) boxes x0, y0, x1, y1 (px) of cones with feet and tips (N, 3) in the camera's frame; NaN behind the camera."""
+def apparent_boxes(foot_m: Floats, tip_m: Floats, camera: Camera, category: str = CONE) -> Floats:
+    """(N, 4) boxes x0, y0, x1, y1 (px) of objects with feet and tips (N, 3) in the camera's frame; NaN behind the camera."""
     in_front = np.minimum(foot_m[:, 2], tip_m[:, 2]) >= _NEAREST_M
     foot_z, tip_z = (np.where(in_front, points[:, 2], np.nan) for points in (foot_m, tip_m))
     y1 = camera.cy_px + camera.fy_px * foot_m[:, 1] / foot_z
     y0 = camera.cy_px + camera.fy_px * tip_m[:, 1] / tip_z
-    half = (y1 - y0) * WIDTH_OVER_HEIGHT / 2
+    half = (y1 - y0) * width_over_height(category) / 2
     u = camera.cx_px + camera.fx_px * foot_m[:, 0] / foot_z
     return np.column_stack([u - half, y0, u + half, y1])
 

@@ -27,6 +27,7 @@ from conetl.model.detector_evidence import (
     joint_log_ratio,
     miss_log_ratio,
 )
+from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
 from conetl.model.records import Camera, Detection, Position, Rig, Side
 from conetl.tracking.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
@@ -56,8 +57,9 @@ def existence_probability(
     params: IngestParams,
     evidence: DetectorEvidence,
     is_of_other: Callable[[Detection], bool],
+    category: str = CONE,
 ) -> float:
-    """Probability (0 to 1) that the positions of `group` are a cone.
+    """Probability (0 to 1) that the positions of `group` are an object of a category.
 
     Every left image in which it should be fully visible counts, and every right one that was searched there. The expected
     location is transformed from the nearest frame of the group by the relative motion, so that a drifting trajectory causes no
@@ -65,7 +67,7 @@ def existence_probability(
     another group.
     """
     images: dict[Side, list[ImageEvidence]] = {"left": [], "right": []}
-    for side, in_view in _boxes(group, cone_height_m, rig, map_SE3_left, params).items():
+    for side, in_view in _boxes(group, cone_height_m, rig, map_SE3_left, params, category).items():
         for frame_index, box in in_view:
             of_pair = detections.get(frame_index, ())
             middle = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
@@ -131,6 +133,7 @@ def _boxes(
     rig: Rig,
     map_SE3_left: Mapping[int, Floats],
     params: IngestParams,
+    category: str,
 ) -> dict[Side, list[tuple[int, Box]]]:
     """Frame indices, rising, and boxes where the cone should be in a camera's image."""
     frames = np.array(sorted(map_SE3_left))
@@ -150,7 +153,7 @@ def _boxes(
     rotation, translation = right_SE3_left[:3, :3], right_SE3_left[:3, 3]
 
     def shown(points: tuple[Floats, Floats], camera: Camera) -> list[tuple[int, Box]]:
-        boxes = apparent_boxes(*points, camera)
+        boxes = apparent_boxes(*points, camera, category)
         rows = np.flatnonzero(are_in_view(boxes, camera, params.reconcile))
         return [
             (n, (x0, y0, x1, y1))

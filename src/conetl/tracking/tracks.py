@@ -157,7 +157,7 @@ def fuse_group(
 
     existence = existence_probability(
         group, height_m, rig, data.map_SE3_left, data.detections, data.params,
-        evidence_of(data.evidence, category), is_of_other,
+        evidence_of(data.evidence, category), is_of_other, category,
     )  # fmt: skip
     if existence < limits.min_existence_probability:
         detail = f"existence probability {existence:.2f}, expected at least {limits.min_existence_probability}"

@@ -86,7 +86,9 @@ def frame_image(
         boxes = store.read_frame_boxes(conn, drive_uuid, frame_index)[side]
         history = [] if feature_id is None else read_feature_history(conn, map_name, feature_id)
     rig, pose = Rig.model_validate(row["rig"]), to.pose_of(row)
-    expected = {expected_box(_position(state), state["cone_height_m"], pose, rig, side) for state in history}
+    expected = {
+        expected_box(_position(state), state["cone_height_m"], pose, rig, side, state["category"]) for state in history
+    }
     sharp = [(box["x_px"], box["y_px"], box["w_px"], box["h_px"]) for box in boxes]
     sharp += [box for box in expected if box is not None and _is_near(box, rig)]
     path = image_file(row["source_path"], row[f"{side}_path"])
