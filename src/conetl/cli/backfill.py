@@ -12,6 +12,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from conetl.cli.console import (
+    CategoryOption,
     Columns,
     JsonOption,
     MapOption,
@@ -55,6 +56,7 @@ def backfill(
     recheck: Annotated[bool, typer.Option(help="Compare the content of drives that are on the map already.")] = False,
     here: Annotated[bool, typer.Option("--here", help="Run in this process even if workers are running.")] = False,
     params: ParamsOption = None,
+    category: CategoryOption = None,
     map_srid: MapSridOption = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
@@ -65,7 +67,7 @@ def backfill(
     are tried again. Exit code 2 if drives failed (the others are on the map), 3 if services were unavailable.
     """
     settings = read_settings(map_name)
-    parameters = read_params(params)
+    parameters = read_params(params, category, settings)
     os.environ.update(prefect_environment(settings.home))
     from conetl.pipeline.backfill_plan import plan_as_dict, plan_drives
 

@@ -219,6 +219,15 @@ def spinner(text: str) -> Iterator[Callable[[str], object]]:
         yield status.update
 
 
+CategoryOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--category",
+        help="Class of objects to search for, such as drum, or `all` of the model; may be repeated; default: traffic_cone.",
+    ),
+]
+
+
 def class_if_mixed(columns: Columns, categories: Collection[str]) -> Columns:
     """The columns, without that of the class where all objects are cones."""
     return {name: value for name, value in columns.items() if name != "class" or set(categories) - {CONE}}

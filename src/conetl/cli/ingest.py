@@ -11,8 +11,10 @@ from tempfile import TemporaryFile
 from typing import Annotated
 
 import typer
+from pydantic import ValidationError
 
 from conetl.cli.console import (
+    CategoryOption,
     Columns,
     JsonOption,
     MapOption,
@@ -32,15 +34,16 @@ from conetl.cli.console import (
     spinner,
 )
 from conetl.files.atomic import sweep
+from conetl.files.documents import first_message
 from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
-from conetl.model.feature_classes import CONE
+from conetl.model.feature_classes import CONE, known_of
 from conetl.model.health import CALIBRATION, Verdict
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
-from conetl.model.params import IngestParams
+from conetl.model.params import DetectionParams, IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings, prefect_environment, read_settings
 from conetl.readers.drives import drive_format, read_drive
@@ -52,6 +55,7 @@ _log = logging.getLogger(__name__)
 def ingest(
     drives: Annotated[list[Path], typer.Argument(help="Drive folders, in any order.")],
     params: ParamsOption = None,
+    category: CategoryOption = None,
     map_srid: MapSridOption = None,
     refine: Annotated[bool, typer.Option(help="Refine the recorded poses by visual odometry where possible.")] = True,
     self_calibrate: Annotated[
@@ -60,14 +64,15 @@ def ingest(
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Detect the cones of stereo drives and merge them into the map, one changeset per drive.
+    """Detect the cones of stereo drives, or other objects, and merge them into the map, one changeset per drive.
 
     A drive that is on the map already changes nothing. A drive that cannot be used is reported and skipped.
     """
+    settings = read_settings(map_name)
     reports, exit_code = ingest_drives(
         drives,
-        read_settings(map_name),
-        _with_refinement(read_params(params), refine=refine, self_calibrate=self_calibrate),
+        settings,
+        _with_refinement(read_params(params, category, settings), refine=refine, self_calibrate=self_calibrate),
         map_srid=map_srid,
         show=(lambda _: None) if as_json else print_report,
     )
@@ -170,9 +175,19 @@ def _problem_of(header: DriveHeader) -> ConetlError | None:
     return None
 
 
-def read_params(path: Path | None) -> IngestParams:
-    """Parameters from a YAML file; the defaults without one. Raises InputError naming what is wrong."""
-    return read_yaml_model(path, IngestParams, "parameters")
+def read_params(path: Path | None, categories: Sequence[str] | None, settings: Settings) -> IngestParams:
+    """Parameters from a YAML file, or the defaults, and the classes to search for. Raises InputError naming what is wrong."""
+    params = read_yaml_model(path, IngestParams, "parameters")
+    if not categories:
+        return params
+    card = read_model_card(settings.model_path)
+    wanted = known_of(card.categories) if "all" in categories else categories
+    card.require_categories(wanted)
+    try:
+        detection = DetectionParams.model_validate(params.detection.model_dump() | {"categories": wanted})
+    except ValidationError as error:
+        raise InputError(f"--category: {first_message(error)}") from error
+    return params.model_copy(update={"detection": detection})
 
 
 def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool) -> IngestParams:

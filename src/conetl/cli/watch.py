@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from conetl.cli.console import (
+    CategoryOption,
     Columns,
     JsonOption,
     MapOption,
@@ -55,6 +56,7 @@ def watch(
         bool, typer.Option("--poll", help="Poll the file system: for NFS and SMB, which do not report changes.")
     ] = False,
     params: ParamsOption = None,
+    category: CategoryOption = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -65,10 +67,11 @@ def watch(
     from conetl.pipeline.watch import watch_drive
 
     settings, stop = read_settings(map_name), threading.Event()
+    chosen = read_params(params, category, settings)
     before = signal.signal(signal.SIGINT, lambda *_: stop.set())
     try:
         report = watch_drive(
-            drive, settings, read_params(params), stop=stop, idle_s=idle_seconds, max_behind_s=max_behind, poll=poll,
+            drive, settings, chosen, stop=stop, idle_s=idle_seconds, max_behind_s=max_behind, poll=poll,
             progress=_print_ready if as_json else _print_progress,
         )  # fmt: skip
     finally:

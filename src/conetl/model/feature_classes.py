@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -41,6 +41,12 @@ FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
     }
 )
 """By category; of a category that is not here nothing is located."""
+
+
+def known_of(categories: Iterable[str]) -> tuple[str, ...]:
+    """Those of them that conetl knows, each once, in the order of `FEATURE_CLASSES`."""
+    given = set(categories)
+    return tuple(name for name in FEATURE_CLASSES if name in given)
 
 
 def width_over_height(category: str) -> float:

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from conetl.model.feature_classes import CONE, FEATURE_CLASSES
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_of
 from conetl.model.records import Positive, Record
 from conetl.model.records import Probability as Fraction
 
@@ -22,9 +22,8 @@ class Params(Record):
 
 
 class DetectionParams(Params):
-    categories: tuple[str, ...] = tuple(FEATURE_CLASSES)
-    """Classes of objects that are searched for, of those that the model knows. A drive is no evidence that an object of another
-    class is gone."""
+    categories: tuple[str, ...] = (CONE,)
+    """Classes of objects that are searched for. A drive is no evidence that an object of another class is gone."""
     score_threshold: Fraction = 0.3
     """Deliberately low: a track needs several boxes that agree in space."""
     nms_iou: Fraction = 0.5
@@ -40,7 +39,7 @@ class DetectionParams(Params):
     def _known(cls, categories: tuple[str, ...]) -> tuple[str, ...]:
         if unknown := set(categories) - set(FEATURE_CLASSES):
             raise ValueError(f"{', '.join(sorted(unknown))}: expected some of {', '.join(FEATURE_CLASSES)}")
-        return tuple(name for name in FEATURE_CLASSES if name in categories)  # in one order: they are part of a hash
+        return known_of(categories)  # in one order: they are part of a hash
 
 
 class MatchParams(Params):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -91,6 +92,13 @@ class ModelCard(BaseModel):
     def categories(self) -> tuple[str, ...]:
         """Names of the classes that detections can have, by index. Networks trained elsewhere find cones only."""
         return self.class_names if isinstance(self.head, SideDistributionHead) else ("traffic_cone",)
+
+    def require_categories(self, categories: Iterable[str]) -> None:
+        """Raise InputError for classes that the model does not know."""
+        if unknown := sorted(set(categories) - set(self.categories)):
+            raise InputError(
+                f"the model {self.name} knows no category {', '.join(unknown)}: choose from {', '.join(self.categories)}"
+            )
 
     @property
     def detections_sha256(self) -> str:

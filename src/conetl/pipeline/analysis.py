@@ -99,7 +99,8 @@ def analyse(
     drive = drive.model_copy(update={"rig": rig})
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
-        evidence = read_model_card(settings.model_path).evidence
+        card = read_model_card(settings.model_path)
+        card.require_categories(params.detection.categories)
         chunks = chunks_of(drive, settings, _for_corrected_rows(params) if rig != given else params)
         detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, executor, progress)
         drive = drive.model_copy(update={"rig": rig})
@@ -113,12 +114,14 @@ def analyse(
         health += check_poses(drive, motion_paths, trajectory, params.trajectory)
         matches, refused_matches = load_results(match_paths, StereoMatch)
         positions, refused_positions = load_results(position_paths, Position)
-        tracks, refused_tracks = executor.run(fuse, drive, detections, matches, positions, params, evidence, trajectory)
+        tracks, refused_tracks = executor.run(
+            fuse, drive, detections, matches, positions, params, card.evidence, trajectory
+        )
         if trajectory.covariance is not None:
             # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
             matches, positions, refused_positions = executor.run(weigh, drive, matches, tracks, params, trajectory)
             tracks, refused_tracks = executor.run(
-                fuse, drive, detections, matches, positions, params, evidence, trajectory
+                fuse, drive, detections, matches, positions, params, card.evidence, trajectory
             )
     refused = [*rejections, *refused_detections, *without_detail, *refused_matches, *refused_positions, *refused_tracks]
     records = DriveRecords(drive, detections, matches, positions, tracks, refused)

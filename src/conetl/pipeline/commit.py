@@ -71,13 +71,14 @@ class CommittedDrive:
 def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity:
     """Hashes of content, parameters and model with its evidence; the same on the same map are the same changeset."""
     card = read_model_card(settings.model_path)
+    card.require_categories(params.detection.categories)
     parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
     key = result_key(
         "changeset", drive.content_sha256, parameters, card.detections_sha256, measured, str(drive.map_srid)
     )
     return Identity(
         idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence,
-        categories=tuple(name for name in params.detection.categories if name in card.categories),
+        categories=params.detection.categories,
     )  # fmt: skip
 
 

@@ -49,10 +49,7 @@ def detect(
     drawn_names = _drawn_names(paths) if draw is not None else []
     settings = read_settings()
     detector = load_detector(settings.model_path, providers=settings.onnx_providers)
-    names = detector.card.categories
-    if category and not set(category) <= set(names):
-        unknown = ", ".join(sorted(set(category) - set(names)))
-        raise InputError(f"the model {detector.card.name} knows no category {unknown}: choose from {', '.join(names)}")
+    detector.card.require_categories(category or ())
     found: list[dict[str, Any]] = []
     usable = 0
     refused: list[str] = []
@@ -71,7 +68,7 @@ def detect(
             usable += int((boxes[:, 4] >= USED_SCORE).sum())
             if draw is not None:
                 shown = boxes[boxes[:, 4] >= max(score, USED_SCORE)]
-                write_annotated_image(draw / drawn_names[number], image, shown, names)
+                write_annotated_image(draw / drawn_names[number], image, shown, detector.card.categories)
         if len(refused) == len(paths):
             raise InputError("none of the images could be read; nothing was written")
         file.write(json.dumps(found, indent=1) + "\n")

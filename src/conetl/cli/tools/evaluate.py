@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from conetl.cli.console import (
+    CategoryOption,
     JsonOption,
     ParamsOption,
     note_unmeasured,
@@ -55,6 +56,7 @@ def evaluate(
         ),
     ] = None,
     params: ParamsOption = None,
+    category: CategoryOption = None,
     within_m: Annotated[
         float, typer.Option(min=0.1, help="Ignore surveyed cones farther than this from the drive path.")
     ] = 20.0,
@@ -67,7 +69,7 @@ def evaluate(
     """
     truths = _truths_of(drives, truth)
     settings = read_settings()
-    chosen = read_params(params)
+    chosen = read_params(params, category, settings)
     folder = output or settings.exports_folder / "evaluate"
     done: dict[str, DriveEvaluation] = {}
     answers: list[dict[str, object]] = []

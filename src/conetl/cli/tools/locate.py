@@ -9,7 +9,8 @@ import typer
 
 from conetl.cli.console import Columns, JsonOption, counted, print_json, print_records, say
 from conetl.model.errors import InputError
-from conetl.model.params import IngestParams
+from conetl.model.feature_classes import known_of
+from conetl.model.params import DetectionParams, IngestParams
 from conetl.perception.detector import load_detector
 from conetl.perception.images import ImageFileError
 from conetl.pipeline.one_pair import locate_pair
@@ -49,8 +50,9 @@ def locate(
     It needs neither trajectory nor map. Of signs and boards, distance and height are those of the plate.
     """
     rig = read_rig_for_images(calibration, first_size([left]))
-    params, settings = IngestParams(), read_settings()
+    settings = read_settings()
     detector = load_detector(settings.model_path, providers=settings.onnx_providers)
+    params = IngestParams(detection=DetectionParams(categories=known_of(detector.card.categories)))
     try:
         found = locate_pair((left, right), rig, detector, params)
     except ImageFileError as error:
