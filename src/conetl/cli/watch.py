@@ -11,7 +11,6 @@ import numpy as np
 import typer
 
 from conetl.cli.console import (
-    CategoryOption,
     Columns,
     JsonOption,
     MapOption,
@@ -56,7 +55,6 @@ def watch(
         bool, typer.Option("--poll", help="Poll the file system: for NFS and SMB, which do not report changes.")
     ] = False,
     params: ParamsOption = None,
-    category: CategoryOption = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -67,7 +65,7 @@ def watch(
     from conetl.pipeline.watch import watch_drive
 
     settings, stop = read_settings(map_name), threading.Event()
-    chosen = read_params(params, category, settings)
+    chosen = read_params(params, None, settings)
     before = signal.signal(signal.SIGINT, lambda *_: stop.set())
     try:
         report = watch_drive(

@@ -19,6 +19,7 @@ from conetl.db.connection import Connection
 from conetl.db.live_store import WatchedDrive, write_live
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.errors import StorageError
+from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
 from conetl.model.records import Detection, FramePair, Rig, Side, Track
 from conetl.model.rejections import RejectionReason
@@ -99,9 +100,10 @@ def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detecto
     """Load the detector once for each side and run it once. Raises ModelFileError.
 
     Both images of a pair are searched everywhere, at the same time: the right one does not wait for what the left one shows.
+    They are searched for cones: provisional features have no class.
     """
-    everywhere: dict[str, object] = {"search_right": "everywhere"}
-    params = params.model_copy(update={"detection": params.detection.model_copy(update=everywhere)})
+    cones_everywhere: dict[str, object] = {"search_right": "everywhere", "categories": (CONE,)}
+    params = params.model_copy(update={"detection": params.detection.model_copy(update=cones_everywhere)})
     card = read_model_card(settings.model_path)
     ready = threading.Barrier(len(SIDES))
     with ThreadPoolExecutor(len(SIDES)) as pool:
