@@ -11,6 +11,7 @@ import numpy as np
 
 from conetl.mapping.history import DriveEvidence
 from conetl.mapping.visibility import NotObserved
+from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from tests import records
@@ -87,6 +88,7 @@ def random_drive(
         tracks.append(
             records.track(
                 len(tracks),
+                category="drum" if i % 4 == 3 else CONE,
                 **standing_at(xyz, cone.height_m, (sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, 0.1))
                 | {"cone_height_m": cone.height_m + float(rng.normal(0, 0.01))},
                 relative_cov_m2=(1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3),
