@@ -49,7 +49,7 @@ with doubts as (
         d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
 )
 select
-    v.feature_id, v.version, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
+    v.feature_id, v.version, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
     sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
     v.cone_height_m, coalesce(b.existence_after, v.existence_probability) as existence_probability,
     v.observation_count, v.last_seen_ns, c.changeset_no
@@ -86,13 +86,13 @@ select
     ST_X(coalesce(a.geom, b.geom)) as easting_m, ST_Y(coalesce(a.geom, b.geom)) as northing_m,
     ST_Z(coalesce(a.geom, b.geom)) as height_m,
     sqrt((s.cov_xx + s.cov_yy) / 2 + sqrt(((s.cov_xx - s.cov_yy) / 2) ^ 2 + s.cov_xy ^ 2)) as sigma_m,
-    s.cone_height_m, s.existence_probability, s.observation_count, s.version, s.last_seen_ns, c.changeset_no
+    s.category, s.cone_height_m, s.existence_probability, s.observation_count, s.version, s.last_seen_ns, c.changeset_no
 from before b
 full outer join after a using (feature_id)
 cross join lateral (
     select
         coalesce(a.cov_xx, b.cov_xx) as cov_xx, coalesce(a.cov_xy, b.cov_xy) as cov_xy, coalesce(a.cov_yy, b.cov_yy) as cov_yy,
-        coalesce(a.cone_height_m, b.cone_height_m) as cone_height_m,
+        coalesce(a.category, b.category) as category, coalesce(a.cone_height_m, b.cone_height_m) as cone_height_m,
         coalesce(a.existence_probability, b.existence_probability) as existence_probability,
         coalesce(a.observation_count, b.observation_count) as observation_count, coalesce(a.version, b.version) as version,
         coalesce(a.last_seen_ns, b.last_seen_ns) as last_seen_ns, coalesce(a.changeset_id, b.changeset_id) as changeset_id

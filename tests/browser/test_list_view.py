@@ -137,6 +137,37 @@ def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, fea
     page.wait_for_url("**show=removed**")
 
 
+def test_classes_have_a_legend_a_filter_and_words(page, address, conn, features):
+    def set_category(category: str) -> None:
+        with conn, conn.cursor() as cursor:
+            update = "update conetl.feature_version set category = %s where feature_id = %s"
+            cursor.execute(update, (category, features["comes"]))
+
+    open_view(page, address, "#list=cones")
+    wait_for_rows(page, 4)
+    assert page.locator("#list-cones [role=columnheader]").all_inner_texts()[:2] == ["Cone", "Kind"]
+    assert page.locator(".classes").is_hidden() and page.locator("#list-tab-cones").inner_text() == "Cones4"
+    set_category("work_zone_sign")
+    try:
+        page.reload()
+        wait_for_rows(page, 4)
+        assert page.locator(".classes label").all_inner_texts() == ["Traffic cone\n3", "Work-zone sign\n1"]
+        assert page.locator("#list-tab-cones").inner_text() == "Objects4"
+        assert sorted(rows(page, column=1)) == ["Traffic cone"] * 3 + ["Work-zone sign"]
+        page.uncheck("#class-traffic_cone")
+        page.wait_for_selector('html[data-cones="1"]', state="attached")
+        page.wait_for_url("**hideclass=traffic_cone**")
+        page.reload()
+        wait_for_rows(page, 1)
+        assert "3 objects hidden by filters" in page.locator(".filter-summary").inner_text()
+        page.click("#list-cones .row[data-index='0']")
+        page.wait_for_selector(".panel dd:text-is('Work-zone sign')")
+        page.click(".filter-summary >> text=clear")
+        wait_for_rows(page, 4)
+    finally:
+        set_category("traffic_cone")
+
+
 def test_only_in_view_follows_the_camera(page, address, features):
     open_view(page, address, f"#list=cones&feature={features['stays']}")
     page.wait_for_selector(".panel >> text=Evidence")

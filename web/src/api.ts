@@ -70,6 +70,7 @@ export interface Timeline {
 export interface Feature {
   feature_id: string;
   version: number;
+  category: string;
   xyz_m: Vec3;
   cone_height_m: number;
   existence_probability: number;

@@ -1,10 +1,11 @@
-// The cones: true-size bodies (instanced), markers of fixed size above them, translucent old positions and arrows.
+// The cones, and objects of other classes: bodies in true size (instanced), markers of fixed size above them, translucent old positions, arrows.
 import {
-  BoxGeometry, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DynamicDrawUsage, Group, InstancedMesh,
+  BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, CylinderGeometry, DynamicDrawUsage, Group, InstancedMesh,
   Matrix4, Mesh, Points, Quaternion, ShaderMaterial, Vector3,
 } from "three";
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 import type { Vec3 } from "./api";
+import { classOrder, CONE, GLYPHS, onlyCones } from "./classes";
 import { isGone, STYLES, type Cone } from "./kinds";
 import type { Stage } from "./scene";
 import { colourOf, colours } from "./theme";
@@ -14,25 +15,23 @@ const PICK_PX = 18;
 const MIN_BODY_PX = 4;
 /** Marker's height above the tip; in the plan it is on the cone. */
 const MARKER_LIFT_PX = 13;
-const lift = (stage: Stage) => (stage.plan ? 0 : MARKER_LIFT_PX);
+const lift = (stage: Stage) => (stage.plan ? 0 : onlyCones() ? MARKER_LIFT_PX : 1.4 * MARKER_LIFT_PX);
 
 export function createCones(stage: Stage) {
-  const body = coneGeometry();
   const solid = shaded(1);
   const ghost = shaded(0.3);
   const group = new Group();
   stage.scene.add(group);
   const markers = markerPoints(stage);
-  stage.scene.add(markers.points);
   let cones: Cone[] = [];
   const seen = new Matrix4();
 
-  const standing = bodies(body, solid);
-  const gone = bodies(body, ghost);
+  const standing = bodies(solid);
+  const gone = bodies(ghost);
   const arrows = new Mesh(new BufferGeometry(), solid); // all in one: each draw call costs
   arrows.frustumCulled = false;
   arrows.visible = false;
-  group.add(standing.mesh, gone.mesh, arrows);
+  group.add(standing.holder, gone.holder, arrows, markers.group);
   stage.beforeDraw(() => {
     standing.cull(stage);
     gone.cull(stage);
@@ -41,11 +40,12 @@ export function createCones(stage: Stage) {
   function show(next: Cone[]): void {
     cones = next;
     const colour = (c: Cone) => colourOf(c.kind);
-    standing.set(cones.filter((c) => !isGone(c.kind)).map((c) => ({ at: c.xyz, height: c.height_m, colour: colour(c) })));
+    const bodyAt = (c: Cone, at: Vec3): Body => ({ category: c.category, at, height: c.height_m, colour: colour(c) });
+    standing.set(cones.filter((c) => !isGone(c.kind)).map((c) => bodyAt(c, c.xyz)));
     gone.set(
       cones.flatMap((c) => {
         const at = isGone(c.kind) ? c.xyz : c.kind === "moved" ? c.old : null;
-        return at ? [{ at, height: c.height_m, colour: colour(c) }] : [];
+        return at ? [bodyAt(c, at)] : [];
       }),
     );
     const made = cones.flatMap((c) => (c.kind === "moved" && c.old ? arrow(c.old, c.xyz, 0.32 * c.height_m, colour(c)) : []));
@@ -88,53 +88,61 @@ export function createCones(stage: Stage) {
   return {
     show, pick,
     /** Whether they are drawn: the comparison by swipe draws two sets, one on each side. */
-    setVisible: (on: boolean) => void (group.visible = markers.points.visible = on),
+    setVisible: (on: boolean) => void (group.visible = on),
   };
 }
 
 interface Body {
+  category: string;
   at: Vec3;
   height: number;
   colour: string;
 }
 
-/** Cones of one material. Those smaller than a few pixels are left out: their marker represents them. */
-function bodies(geometry: BufferGeometry, material: ShaderMaterial) {
-  let items: Body[] = [];
+/** Objects of one material, a mesh for each class. Those smaller than a few pixels are left out: their marker represents them. */
+function bodies(material: ShaderMaterial) {
   const matrix = new Matrix4();
+  const scale = new Vector3();
   const colour = new Color();
-  let mesh = make(1);
-  const holder = new Group().add(mesh);
+  const holder = new Group();
+  let classes: { items: Body[]; mesh: InstancedMesh; turned: boolean }[] = [];
 
-  function make(capacity: number): InstancedMesh {
-    const made = new InstancedMesh(geometry, material, capacity);
-    made.frustumCulled = false;
-    made.count = 0;
-    made.setColorAt(0, colour); // with colours from the start: it is compiled once
-    return made;
+  function set(next: Body[]): void {
+    for (const { mesh } of classes) mesh.dispose();
+    const others = onlyCones() ? [] : [...new Set(next.map((item) => item.category))].filter((category) => category !== CONE);
+    const of = (category: string): [string, Body[]] => [category, others.length ? next.filter((item) => item.category === category) : next];
+    // Cones are always there: their shader is compiled at the start.
+    classes = [CONE, ...others].map(of).map(([category, items]) => {
+      const mesh = new InstancedMesh(bodyOf(category), material, Math.max(items.length, 1));
+      mesh.frustumCulled = false;
+      mesh.count = 0;
+      mesh.setColorAt(0, colour); // with colours from the start: it is compiled once
+      return { items, mesh, turned: category !== CONE };
+    });
+    holder.clear().add(...classes.map((c) => c.mesh));
   }
+  set([]);
 
   return {
-    mesh: holder,
-    set(next: Body[]): void {
-      items = next;
-      holder.remove(mesh);
-      mesh.dispose();
-      mesh = make(Math.max(items.length, 1));
-      holder.add(mesh);
-    },
+    holder, set,
     cull(stage: Stage): void {
-      let count = 0;
-      for (const { at, height, colour: css } of items) {
-        if (!stage.sees(at, height, MIN_BODY_PX)) continue;
-        mesh.setMatrixAt(count, matrix.makeScale(height, height, height).setPosition(...at));
-        mesh.setColorAt(count, colour.set(css));
-        count += 1;
+      const azimuth = stage.pose()[3];
+      for (const { items, mesh, turned } of classes) {
+        let count = 0;
+        for (const { at, height, colour: css } of items) {
+          if (!stage.sees(at, height, MIN_BODY_PX)) continue;
+          // The map does not hold which way a sign or a board faces: it faces the viewer.
+          if (turned) matrix.makeRotationZ(azimuth).scale(scale.setScalar(height));
+          else matrix.makeScale(height, height, height);
+          mesh.setMatrixAt(count, matrix.setPosition(...at));
+          mesh.setColorAt(count, colour.set(css));
+          count += 1;
+        }
+        mesh.count = count;
+        mesh.visible = count > 0;
+        mesh.instanceMatrix.needsUpdate = true;
+        if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
       }
-      mesh.count = count;
-      mesh.visible = count > 0;
-      mesh.instanceMatrix.needsUpdate = true;
-      if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
     },
   };
 }
@@ -147,18 +155,44 @@ function distanceToSegment(x: number, y: number, ax: number, ay: number, bx: num
   return Math.hypot(x - ax - t * dx, y - ay - t * dy);
 }
 
-/** A cone of height 1 with its foot's centre at the origin and z up; shades of one colour, a light band as on the road. */
-function coneGeometry(): BufferGeometry {
-  const radius = (z: number) => 0.2 - 0.165 * z;
-  const plate = new BoxGeometry(0.56, 0.56, 0.05).translate(0, 0, 0.025);
-  const part = (from: number, to: number) =>
-    new CylinderGeometry(radius(to), radius(from), to - from, 20, 1, false)
-      .rotateX(Math.PI / 2)
-      .translate(0, 0, (from + to) / 2);
-  const parts: [BufferGeometry, number][] = [
-    [plate, 0.62], [part(0.05, 0.45), 1.0], [part(0.45, 0.7), 1.9], [part(0.7, 1.0), 1.0],
-  ];
-  return mergeGeometries(parts.map(([geometry, shade]) => tinted(geometry, new Color(shade, shade, shade))));
+type Part = [BufferGeometry, number];
+
+function box(width: number, depth: number, from: number, to: number, shade = 1, x = 0): Part {
+  return [new BoxGeometry(width, depth, to - from).translate(x, 0, (from + to) / 2), shade];
+}
+
+function tube(below: number, above: number, from: number, to: number, shade = 1): Part {
+  return [new CylinderGeometry(above, below, to - from, 20, 1, false).rotateX(Math.PI / 2).translate(0, 0, (from + to) / 2), shade];
+}
+
+/** A square on its corner, or a disc, of height 1. */
+const diamond = (size: number, depth: number, shade: number): Part => [new BoxGeometry(size * Math.SQRT1_2, depth, size * Math.SQRT1_2).rotateY(Math.PI / 4).translate(0, 0, 0.5), shade];
+const disc = (size: number, depth: number, shade: number): Part => [new CylinderGeometry(size / 2, size / 2, depth, 32).translate(0, 0, 0.5), shade];
+const [DARK, LIGHT] = [0.62, 1.9];
+
+/** Objects of height 1 with their foot's centre at the origin and z up, plates facing south; shades of one colour, light bands as on the road. */
+const PARTS = new Map<string, () => Part[]>(Object.entries({
+  traffic_cone: () => {
+    const radius = (z: number) => 0.2 - 0.165 * z;
+    const part = (from: number, to: number, shade?: number) => tube(radius(from), radius(to), from, to, shade);
+    return [box(0.56, 0.56, 0, 0.05, DARK), part(0.05, 0.45), part(0.45, 0.7, LIGHT), part(0.7, 1.0)];
+  },
+  tubular_marker: () => [tube(0.16, 0.13, 0, 0.06, DARK), tube(0.055, 0.055, 0.06, 0.55), tube(0.055, 0.055, 0.55, 0.68, LIGHT), tube(0.055, 0.055, 0.68, 0.78), tube(0.055, 0.055, 0.78, 0.91, LIGHT), tube(0.055, 0.05, 0.91, 1)],
+  drum: () => [tube(0.33, 0.32, 0, 0.07, DARK), tube(0.28, 0.275, 0.07, 0.3), tube(0.275, 0.265, 0.3, 0.47, LIGHT), tube(0.265, 0.26, 0.47, 0.64), tube(0.26, 0.25, 0.64, 0.81, LIGHT), tube(0.25, 0.22, 0.81, 1)],
+  vertical_panel: () => [box(0.42, 0.3, 0, 0.06, DARK), box(0.06, 0.03, 0.06, 0.2, DARK), box(0.3, 0.03, 0.2, 1), box(0.3, 0.035, 0.36, 0.52, LIGHT), box(0.3, 0.035, 0.68, 0.84, LIGHT)],
+  barricade: () => [-0.45, 0.45].flatMap((x) => [box(0.06, 0.5, 0, 0.06, DARK, x), box(0.06, 0.06, 0.06, 0.75, DARK, x)])
+    .concat([0.75, 0.4].flatMap((z) => [box(1.2, 0.05, z, z + 0.25), box(0.24, 0.055, z, z + 0.25, LIGHT, -0.3), box(0.24, 0.055, z, z + 0.25, LIGHT, 0.3)])),
+  work_zone_sign: () => [diamond(1, 0.03, LIGHT), diamond(0.88, 0.035, 1)],
+  arrow_board: () => [box(0.5, 0.3, 0.05, 0.16, DARK), box(0.06, 0.06, 0.16, 0.45, DARK), box(1.2, 0.06, 0.45, 1), box(0.7, 0.065, 0.7, 0.76, LIGHT), [new BoxGeometry(0.2, 0.065, 0.2).rotateY(Math.PI / 4).translate(0.3, 0, 0.73), LIGHT]],
+  traffic_sign: () => [disc(1, 0.03, LIGHT), disc(0.86, 0.035, 1)],
+})); // prettier-ignore
+const made = new Map<string, BufferGeometry>();
+
+function bodyOf(category: string): BufferGeometry {
+  const parts = () => (PARTS.get(category)?.() ?? [box(0.4, 0.4, 0, 1)]).map(([geometry, shade]) => tinted(geometry, new Color(shade, shade, shade)));
+  const body = made.get(category) ?? mergeGeometries(parts());
+  made.set(category, body);
+  return body;
 }
 
 function tinted(geometry: BufferGeometry, { r, g, b }: Color): BufferGeometry {
@@ -250,40 +284,87 @@ void main() {
   #include <colorspace_fragment>
 }`;
 
-function markerPoints(stage: Stage): { points: Points; set(cones: Cone[]): void } {
+/** Silhouettes of classes, side by side: opaque where drawn, red where the colour of the kind is full. */
+function glyphAtlas(): CanvasTexture {
+  const px = 64;
+  const canvas = document.createElement("canvas");
+  [canvas.width, canvas.height] = [px * GLYPHS.length, px];
+  const pen = canvas.getContext("2d");
+  GLYPHS.forEach((d, i) => {
+    if (!pen) return;
+    pen.setTransform(px / 18, 0, 0, px / 18, (i + 1 / 18) * px, px / 18);
+    pen.lineJoin = "round";
+    for (const [width, red] of [[2, 0], [1, 255]] as const) {
+      [pen.lineWidth, pen.strokeStyle] = [width, `rgb(${red} 0 0)`];
+      pen.stroke(new Path2D(d));
+    }
+    pen.fillStyle = "rgb(130 0 0)";
+    pen.fill(new Path2D(d));
+  });
+  return new CanvasTexture(canvas);
+}
+
+const GLYPH_FRAGMENT = /* glsl */ `
+uniform vec3 halo;
+uniform sampler2D glyphs;
+varying vec3 vTint;
+varying float vShape;
+void main() {
+  vec4 texel = texture2D(glyphs, vec2((vShape + gl_PointCoord.x) / ${GLYPHS.length.toFixed(1)}, 1.0 - gl_PointCoord.y));
+  if (texel.a < 0.5) discard;
+  gl_FragColor = vec4(mix(halo, vTint, texel.r), 1.0);
+  #include <colorspace_fragment>
+}`;
+
+/** The marker of the kind, and under it the glyph of the class unless it is a cone. */
+function markerPoints(stage: Stage): { group: Group; set(cones: Cone[]): void } {
+  const group = new Group();
+  const kinds = pointsOf(stage, group, 5, 17, FRAGMENT);
+  let classes: ReturnType<typeof pointsOf> | null = null; // made when it is first needed
+  function set(cones: Cone[]): void {
+    // Important ones last, on top.
+    const order = [...cones].sort((a, b) => STYLES[a.kind].shape - STYLES[b.kind].shape);
+    kinds(order, (c) => STYLES[c.kind].shape);
+    const others = onlyCones() ? [] : order.filter((c) => c.category !== CONE);
+    if (others.length) classes ??= pointsOf(stage, group, 4, 30, GLYPH_FRAGMENT, glyphAtlas());
+    classes?.(others, (c) => classOrder(c.category));
+  }
+  set([]);
+  return { group, set };
+}
+
+/** Points of `size_px`; the function that is returned sets them. */
+function pointsOf(stage: Stage, group: Group, renderOrder: number, size_px: number, fragmentShader: string, glyphs: CanvasTexture | null = null) {
   const material = new ShaderMaterial({
     vertexShader: VERTEX,
-    fragmentShader: FRAGMENT,
-    uniforms: { size: { value: 17 }, lift: { value: 0 }, halo: { value: new Color() } },
+    fragmentShader,
+    uniforms: { size: { value: size_px }, lift: { value: 0 }, halo: { value: new Color() }, glyphs: { value: glyphs } },
     depthTest: false,
   });
   const points = new Points(new BufferGeometry(), material);
+  group.add(points);
   points.frustumCulled = false;
-  points.renderOrder = 5;
+  points.renderOrder = renderOrder;
   points.onBeforeRender = (renderer) => {
     const ratio = renderer.getPixelRatio();
-    material.uniforms["size"]!.value = 17 * ratio;
+    material.uniforms["size"]!.value = size_px * ratio;
     (material.uniforms["halo"]!.value as Color).set(colours().halo);
     material.uniforms["lift"]!.value = (2 * lift(stage)) / Math.max(renderer.domElement.clientHeight, 1);
     material.uniformsNeedUpdate = true;
   };
   const colour = new Color();
-  function set(cones: Cone[]): void {
-    // Important ones last, on top.
-    const order = [...cones].sort((a, b) => STYLES[a.kind].shape - STYLES[b.kind].shape);
-    const [position, tint, shape] = [new Float32Array(order.length * 3), new Float32Array(order.length * 3), new Float32Array(order.length)];
-    order.forEach((cone, i) => {
+  return (cones: Cone[], shapeOf: (cone: Cone) => number): void => {
+    const [position, tint, shape] = [new Float32Array(cones.length * 3), new Float32Array(cones.length * 3), new Float32Array(cones.length)];
+    cones.forEach((cone, i) => {
       position.set([cone.xyz[0], cone.xyz[1], cone.xyz[2] + cone.height_m], i * 3);
       tint.set(colour.set(colourOf(cone.kind)).toArray(), i * 3);
-      shape[i] = STYLES[cone.kind].shape;
+      shape[i] = shapeOf(cone);
     });
     points.geometry.dispose();
     points.geometry = new BufferGeometry()
       .setAttribute("position", new BufferAttribute(position, 3).setUsage(DynamicDrawUsage))
       .setAttribute("tint", new BufferAttribute(tint, 3))
       .setAttribute("shape", new BufferAttribute(shape, 1));
-    points.visible = order.length > 0;
-  }
-  set([]);
-  return { points, set };
+    points.visible = cones.length > 0;
+  };
 }

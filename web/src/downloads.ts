@@ -1,6 +1,7 @@
 // The menu “Download”: files of the state that is shown, the picture of the view, the drive's report.
 import { api, ApiError, type Instant, type TimelineItem } from "./api";
-import { el, fill, messageOf, plural, utc } from "./dom";
+import { countOf } from "./classes";
+import { el, fill, messageOf, utc } from "./dom";
 
 export interface Shown {
   map: string;
@@ -61,7 +62,7 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
     inBox.addEventListener("change", drawLinks);
     drawLinks();
     fill(menu,
-      el("p", {}, el("strong", { textContent: shown.map }), ` ${shown.title}`), el("p", { class: "hint", textContent: `${plural(shown.coneCount, "cone")} on the road, whatever the filters` }),
+      el("p", {}, el("strong", { textContent: shown.map }), ` ${shown.title}`), el("p", { class: "hint", textContent: `${countOf(shown.coneCount)} on the road, whatever the filters` }),
       shown.box && el("label", { class: "check" }, inBox, "Only what is in the view (its box)"), links,
       feedForm(shown),
       el("button", { type: "button", class: "download-link", onclick: () => void picture(shown) }, "Picture of the view", el("small", { textContent: "PNG" })),

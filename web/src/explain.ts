@@ -5,7 +5,7 @@ import { createFrameCache } from "./frame_cache";
 import { createPane, type Picture } from "./image_pane";
 import { bestFrame, judging, type PassFrame, type Side } from "./judging";
 import { isGone } from "./kinds";
-import { coneOutline, project, type Point } from "./projection";
+import { outlineOf, project, type Point } from "./projection";
 import type { Start } from "./viewer";
 
 const SIDES: Side[] = ["left", "right"];
@@ -34,7 +34,7 @@ export function createEmptyPosition(host: HTMLElement, open: (start: Start) => v
     if (mine !== key || wanted !== frames[at]) return;
     SIDES.forEach((side, i) => {
       const own = frame[side];
-      const outline = coneOutline(own, now.xyz_m, now.cone_height_m) ?? [];
+      const outline = outlineOf(own, now) ?? [];
       const middle: Point = project(own, [now.xyz_m[0], now.xyz_m[1], now.xyz_m[2] + now.cone_height_m / 2]) ?? [0, 0];
       const rows = outline.map(([, v]) => v);
       const picture: Picture = {

@@ -1,6 +1,7 @@
 // Which cones are shown, on the map and in the lists: the filter in the address, what it accepts, and its controls.
 import type { TimelineItem } from "./api";
-import { el, fill, plural, utc } from "./dom";
+import { countOf } from "./classes";
+import { el, fill, utc } from "./dom";
 import { icon, KIND_ORDER, STYLES, type Cone, type Kind } from "./kinds";
 import type { State } from "./state";
 
@@ -15,10 +16,11 @@ export interface Filter {
   /** Days of the last observation, YYYY-MM-DD in UTC. */
   seenFrom: string | null;
   seenTo: string | null;
+  /** Categories that are not shown. */
+  hiddenClasses: string[] | null;
 }
 
-type Name = keyof Filter;
-type NumberName = Exclude<Name, "seenFrom" | "seenTo">;
+type NumberName = Exclude<keyof Filter, "seenFrom" | "seenTo" | "hiddenClasses">;
 
 /** Names in the address, and the bounds of numbers. */
 const NUMBERS: [NumberName, string, number][] = [
@@ -26,10 +28,11 @@ const NUMBERS: [NumberName, string, number][] = [
   ["drive", "drive", 1e15],
 ]; // prettier-ignore
 const DAYS: ["seenFrom" | "seenTo", string][] = [["seenFrom", "seenfrom"], ["seenTo", "seento"]];
+const CLASSES = "hideclass";
 const DAY_MS = 86_400_000;
 
 export const anyCone = (): Filter => ({
-  maxProbability: null, maxSigma_cm: null, minHeight_m: null, maxHeight_m: null, drive: null, seenFrom: null, seenTo: null,
+  maxProbability: null, maxSigma_cm: null, minHeight_m: null, maxHeight_m: null, drive: null, seenFrom: null, seenTo: null, hiddenClasses: null,
 }); // prettier-ignore
 
 const isDay = (text: string) => /^\d{4}-\d\d-\d\d$/.test(text) && !Number.isNaN(Date.parse(text));
@@ -49,11 +52,12 @@ export function parseFilter(p: URLSearchParams, wrong: (name: string, expected: 
     if (isDay(text)) filter[field] = text;
     else wrong(name, "a day such as 2026-03-02");
   }
+  filter.hiddenClasses = p.get(CLASSES)?.split(",") ?? null;
   return filter;
 }
 
 export function formatFilter(filter: Filter, p: URLSearchParams): void {
-  for (const [field, name] of [...NUMBERS, ...DAYS]) if (filter[field] !== null) p.set(name, String(filter[field]));
+  for (const [field, name] of [...NUMBERS, ...DAYS, ["hiddenClasses", CLASSES] as const]) if (filter[field] !== null) p.set(name, String(filter[field]));
 }
 
 /** Whether a cone is shown. */
@@ -64,8 +68,9 @@ export function acceptedBy(state: State): (cone: Cone) => boolean {
   const maxP = f.maxProbability ?? 1;
   const maxSigma_m = (f.maxSigma_cm ?? Infinity) / 100;
   const [low, high] = [f.minHeight_m ?? 0, f.maxHeight_m ?? Infinity];
+  const classes = f.hiddenClasses;
   return (c) =>
-    !hidden.has(c.kind) && c.probability >= minProbability && c.probability <= maxP && c.sigma_m <= maxSigma_m &&
+    !hidden.has(c.kind) && !classes?.includes(c.category) && c.probability >= minProbability && c.probability <= maxP && c.sigma_m <= maxSigma_m &&
     c.height_m >= low && c.height_m <= high && (f.drive === null || c.changeset === f.drive) && c.seenAt >= from && c.seenAt < to; // prettier-ignore
 }
 
@@ -80,6 +85,13 @@ export function onlyKind(state: State, kind: Kind): Set<Kind> {
   const others = KIND_ORDER.filter((k) => k !== kind);
   const isOnly = !state.hidden.has(kind) && others.every((k) => state.hidden.has(k));
   return new Set(isOnly ? [] : others);
+}
+
+/** The filter with this class hidden, or shown again. */
+export function toggleClass(filter: Filter, category: string): Filter {
+  const { hiddenClasses } = filter;
+  const hidden = hiddenClasses?.includes(category) ? hiddenClasses.filter((c) => c !== category) : [...(hiddenClasses ?? []), category];
+  return { ...filter, hiddenClasses: hidden.length ? hidden : null };
 }
 
 export interface FilterActions {
@@ -141,7 +153,7 @@ export function createFilterBar(actions: FilterActions) {
       const focused = chips.contains(document.activeElement) ? (document.activeElement as HTMLElement).dataset["kind"] : undefined;
       fill(chips, ...KIND_ORDER.filter((kind) => counts.has(kind)).map((kind) => chip(next, kind, counts.get(kind) ?? 0)));
       if (focused) chips.querySelector<HTMLElement>(`[data-kind="${focused}"]`)?.focus();
-      const set = filterCount(next) - Number(next.hidden.size > 0);
+      const set = filterCount(next) - Number(next.hidden.size > 0) - Number(next.filter.hiddenClasses !== null);
       more.textContent = set ? `Filters (${set})` : "Filters";
       inView.checked = next.inView;
       if (items !== drives) {
@@ -153,7 +165,7 @@ export function createFilterBar(actions: FilterActions) {
       for (const field of [minP, maxP, sigma, low, high, from, to]) field.show();
       const left = cones.length - shownCount;
       const why = next.inView ? (filterCount(next) ? "by filters or outside of the view" : "outside of the view") : "by filters";
-      fill(summary, left ? `${plural(left, "cone")} hidden ${why}` : plural(cones.length, "cone"), filterCount(next) > 0 && " – ", filterCount(next) > 0 && clear);
+      fill(summary, left ? `${countOf(left)} hidden ${why}` : countOf(cones.length), filterCount(next) > 0 && " – ", filterCount(next) > 0 && clear);
     },
   };
 

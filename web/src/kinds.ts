@@ -3,8 +3,10 @@ import type { ChangeKind } from "./api";
 
 export type Kind = ChangeKind | "standing" | "suppressed";
 
+/** An object of any class. */
 export interface Cone {
   id: string;
+  category: string;
   kind: Kind;
   xyz: [number, number, number];
   /** Position before the change, of moved ones. */
@@ -55,14 +57,17 @@ const PATHS = [
 ];
 
 /** The marker of a kind as an icon, the same shape as in the scene. */
-export function icon(kind: Kind): SVGSVGElement {
+export const icon = (kind: Kind): SVGSVGElement => svgOf(PATHS[STYLES[kind].shape] ?? "", `var(--kind-${kind})`);
+
+/** A path of 16 x 16. */
+export function svgOf(d: string, fill: string): SVGSVGElement {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", "0 0 16 16");
   svg.setAttribute("class", "icon");
   svg.setAttribute("aria-hidden", "true");
   const path = document.createElementNS(SVG, "path");
-  path.setAttribute("d", PATHS[STYLES[kind].shape] ?? "");
-  path.style.fill = `var(--kind-${kind})`;
+  path.setAttribute("d", d);
+  path.style.fill = fill;
   svg.append(path);
   return svg;
 }

@@ -2,8 +2,8 @@
 import { el, plural } from "./dom";
 
 export interface Tab {
-  /** Number beside the name; null hides it. */
-  count(number: number | null): void;
+  /** Number beside the name, or beside another word; null hides it. */
+  count(number: number | null, called?: string): void;
   /** Open the pane at this tab. */
   show(): void;
   /** Draw it again now if it is visible, else when it is opened. */
@@ -119,7 +119,8 @@ export function createListPane(host: HTMLElement, toggleButton: HTMLButtonElemen
       tabs.append(button);
       bodies.append(body);
       return {
-        count: (number) => {
+        count: (number, called = name) => {
+          if (button.firstChild) button.firstChild.nodeValue = called;
           count.textContent = number === null ? "" : number.toLocaleString("en");
           button.title = number === null ? "" : plural(number, "row");
         },

@@ -1,5 +1,6 @@
 // The tabs “Cones” and “Changes”: what the map shows, as tables.
 import type { TimelineItem, Vec3 } from "./api";
+import { classCounts, classIcon, classOf, classOrder, onlyCones } from "./classes";
 import { el, shortId, utc } from "./dom";
 import { acceptedBy, createFilterBar, kindLabel, type FilterActions } from "./filters";
 import { icon, KIND_ORDER, type Cone, type Kind } from "./kinds";
@@ -37,6 +38,7 @@ export function createLists(pane: ListPane, actions: ListActions) {
 
   const columns: Column<Cone>[] = [
     { id: "id", title: "Cone", hint: "First characters of the id", width: "80px", value: (c) => c.id, text: (c) => shortId(c.id) },
+    { id: "class", title: "Class", width: "minmax(136px, 1fr)", value: (c) => classOrder(c.category), text: (c) => classOf(c.category).label, icon: (c) => classIcon(c.category) },
     { id: "kind", title: "Kind", width: "minmax(116px, 1fr)", value: (c) => KIND_ORDER.indexOf(c.kind), text: (c) => (state ? kindLabel(c.kind, state) : ""), icon: (c) => icon(c.kind) },
     { id: "existence", title: "Existence", hint: "Existence probability", width: "84px", number: true, value: (c) => c.probability, text: (c) => c.probability.toFixed(3) },
     { id: "sigma", title: "Sigma cm", hint: "Horizontal sigma, along the major axis of the error ellipse", width: "92px", number: true, descending: true, value: (c) => c.sigma_m, text: (c) => (c.sigma_m * 100).toFixed(1) },
@@ -53,11 +55,13 @@ export function createLists(pane: ListPane, actions: ListActions) {
   const lists = { cones: list("Cones", "cones"), changes: list("Changes", "changes") };
 
   function list(title: string, name: Name) {
-    const shown = name === "cones" ? columns.filter((c) => c.id !== "shift") : columns;
+    const withClass = name === "cones" ? columns.filter((c) => c.id !== "shift") : columns;
+    const withoutClass = withClass.filter((c) => c.id !== "class");
+    const shown = () => (classCounts().size > 1 ? withClass : withoutClass);
     let [sortedFrom, sortedBy]: [Cone[] | null, string] = [null, ""];
     let [sorted, rows]: [Cone[], Cone[]] = [[], []];
     const table = createTable<Cone>({
-      label: title, columns: shown, id: (c) => c.id,
+      label: title, id: (c) => c.id,
       sort: (sort) => actions.change({ sort: sort === DEFAULT_SORT[name] ? null : sort }, false),
       chosen: (cone) => {
         scrollToChosen = false;
@@ -70,12 +74,12 @@ export function createLists(pane: ListPane, actions: ListActions) {
       if (!state) return;
       update();
       bar.show(state, sorted, rows.length, items);
-      table.show(rows, sortOf());
+      table.show(rows, sortOf(), shown());
       table.choose(state.feature, true);
     });
     const sortOf = () => {
       const given = state?.sort ?? null;
-      return given !== null && shown.some((c) => c.id === given.replace(/-$/, "")) ? given : DEFAULT_SORT[name];
+      return given !== null && shown().some((c) => c.id === given.replace(/-$/, "")) ? given : DEFAULT_SORT[name];
     };
 
     /** Sorted once for all filters. */
@@ -83,7 +87,7 @@ export function createLists(pane: ListPane, actions: ListActions) {
       if (!state) return;
       if (sortedFrom !== all || sortedBy !== sortOf()) {
         [sortedFrom, sortedBy] = [all, sortOf()];
-        sorted = inOrder(name === "cones" ? all : all.filter((c) => isChange(c.kind)), shown, sortedBy);
+        sorted = inOrder(name === "cones" ? all : all.filter((c) => isChange(c.kind)), withClass, sortedBy);
       }
       const accepts = acceptedBy(state);
       rows = sorted.filter((c) => accepts(c) && (!state?.inView || actions.inView(c.xyz)));
@@ -109,7 +113,7 @@ export function createLists(pane: ListPane, actions: ListActions) {
         coneCount += 1;
         if (isChange(cone.kind)) changeCount += 1;
       }
-      lists.cones.tab.count(coneCount);
+      lists.cones.tab.count(coneCount, onlyCones() ? "Cones" : "Objects");
       lists.changes.tab.count(changeCount);
       for (const { tab } of Object.values(lists)) tab.redraw();
     },

@@ -1,9 +1,10 @@
 // State of the page -> requests -> drawing.
 import { api, requestEarly, type Decisions, type MapItem, type Sighting, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createBase } from "./base";
+import { countClasses, countOf } from "./classes";
 import { createCones } from "./cones";
 import { aboutFeature, createDecisionList } from "./decisions";
-import { el, fill, messageOf, plural, shortId } from "./dom";
+import { el, fill, messageOf, shortId } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
 import { createDownloads, pictureOf } from "./downloads";
 import { acceptedBy, onlyKind } from "./filters";
@@ -368,7 +369,7 @@ async function refresh(): Promise<void> {
     if (mine !== refreshNo) return;
     layout.card(null);
     if (chosen && chosenKnown !== shownState(state, timeline.changesets).known) void select(chosen.id);
-    layout.notice(truncated ? `Only the first ${plural(next.length, "cone")} are shown: the map exceeds the limit of one view.` : null);
+    layout.notice(truncated ? `Only the first ${countOf(next.length)} are shown: the map exceeds the limit of one view.` : null);
     show(next, drives);
   } catch (error) {
     if (mine === refreshNo) fail(error, refresh);
@@ -391,6 +392,7 @@ function show(next: Cone[], drives: Trajectory[]): void {
   // A drive is shown as it was committed; later decisions are marked.
   const suppressed = state.mode === "drive" ? (decisions?.decisions ?? []).filter((d) => d.kind === "suppress") : [];
   all = suppressed.length ? next.map((c) => (aboutFeature(suppressed, c.id, c.xyz).length ? { ...c, kind: "suppressed" } : c)) : next;
+  countClasses(all);
   overlays.showPaths(drives);
   stage.start();
   const heights = all.map((c) => c.xyz[2]).sort((a, b) => a - b);

@@ -1,5 +1,6 @@
 // Right: details of the selected cone.
 import { api, ApiError, type Decisions, type HistoryItem, type Sighting } from "./api";
+import { classOf } from "./classes";
 import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
 import { el, fill, messageOf, plural, shortId, utc } from "./dom";
 import { createEmptyPosition, sentenceOf } from "./explain";
@@ -120,6 +121,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
       isGone(now.kind) && el("p", { class: "hint", textContent: "The values below are its last ones." }),
       el(
         "dl", {},
+        ...row("Class", classOf(now.category).label),
         ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
         ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
         ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${cm(now.cov_m2[0])}, ${cm(now.cov_m2[3])}, ${cm(now.cov_m2[5])}` })),

@@ -1,5 +1,6 @@
 // From the map into an image. Image points count from the image's edge: the centre of the first pixel is 0.5.
-import type { Vec3 } from "./api";
+import type { HistoryItem, Vec3 } from "./api";
+import { classOf, CONE } from "./classes";
 import type { FrameView } from "./judging";
 import { ellipse95 } from "./overlays";
 
@@ -27,14 +28,16 @@ function all(points: (Point | null)[]): Point[] | null {
   return points.every((p): p is Point => p !== null) ? points : null;
 }
 
-/** Outline of a cone that stands at `foot`, facing the camera: base plate, body, tip. */
-export function coneOutline(view: FrameView, foot: Vec3, height_m: number): Point[] | null {
+/** Outline of an object, facing the camera: base plate, body and tip of a cone, of other classes a rectangle. */
+export function outlineOf(view: FrameView, { category, xyz_m: foot, cone_height_m: height_m }: HistoryItem): Point[] | null {
   const [dx, dy] = [foot[0] - view.xyz_m[0], foot[1] - view.xyz_m[1]];
   const range = Math.hypot(dx, dy) || 1;
   const aside = (share: number, up: number): Point | null => {
     const half = (share * height_m) / 2;
     return project(view, [foot[0] + (dy / range) * half, foot[1] - (dx / range) * half, foot[2] + up * height_m]);
   };
+  const { width } = classOf(category);
+  if (category !== CONE) return all([aside(-width, 0), aside(-width, 1), aside(width, 1), aside(width, 0)]);
   return all([aside(-BASE_SHARE, 0), aside(-BASE_SHARE, 0.05), aside(-0.62 * BASE_SHARE, 0.05), aside(-TIP_SHARE, 1), aside(TIP_SHARE, 1),
     aside(0.62 * BASE_SHARE, 0.05), aside(BASE_SHARE, 0.05), aside(BASE_SHARE, 0)]); // prettier-ignore
 }

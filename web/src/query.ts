@@ -10,7 +10,7 @@ export function changesetOf(items: TimelineItem[], no: number | null): TimelineI
 }
 
 export const standing = (f: Feature): Cone => ({
-  id: f.feature_id, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
+  id: f.feature_id, category: f.category, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
   probability: f.existence_probability, observations: f.observation_count, sigma_m: f.sigma_m, seenAt: Date.parse(f.last_seen_at),
   changeset: f.changeset_no,
 });

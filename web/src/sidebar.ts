@@ -1,7 +1,8 @@
 // Left: map, sites, and the legend, which is also the filter.
 import type { BaseLayer, MapItem } from "./api";
+import { classCounts, classIcon, classOf, countOf, onlyCones } from "./classes";
 import { el, fill, plural } from "./dom";
-import { filterCount, kindLabel, noFilters } from "./filters";
+import { filterCount, kindLabel, noFilters, toggleClass } from "./filters";
 import { icon, KIND_ORDER, type Cone, type Kind } from "./kinds";
 import type { State } from "./state";
 
@@ -23,7 +24,10 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
     return el("label", { class: "check" }, box, ...label);
   }
   const sites = el("div", { class: "sites-host" });
+  const heading = el("h2");
   const legend = el("div", { class: "legend" });
+  const classes = el("div", { class: "classes" });
+  const classSection = el("section", { hidden: true }, el("h2", { textContent: "Classes" }), classes);
   const clear = el("button", { type: "button", class: "link", textContent: "clear", onclick: () => actions.change(noFilters(), false) });
   const probability = el("input", { id: "probability", type: "range", min: "0", max: "1", step: "0.01", value: "0" });
   const probabilityText = el("output", { htmlFor: "probability" } as never);
@@ -35,7 +39,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
   host.append(
     el("section", {}, el("label", { htmlFor: "map", textContent: "Map" }), maps),
     sites,
-    el("section", {}, el("h2", { textContent: "Cones shown" }), legend),
+    el("section", {}, heading, legend), classSection,
     el("section", {}, el("label", { htmlFor: "probability" }, "Existence probability ≥ ", probabilityText), probability),
     baseSection,
     el("section", {}, switchRow("trajectory", "way", el("i", { class: "swatch path" }), "Camera path (left)"),
@@ -43,13 +47,19 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
   ); // prettier-ignore
 
   function legendRow(state: State, kind: Kind, count: number): HTMLLabelElement {
-    const box = el("input", { type: "checkbox", checked: !state.hidden.has(kind) });
-    box.addEventListener("change", () => {
+    const onchange = () => {
       const hidden = new Set(state.hidden);
       if (!hidden.delete(kind)) hidden.add(kind);
       actions.change({ hidden }, false);
-    });
+    };
+    const box = el("input", { type: "checkbox", id: `kind-${kind}`, checked: !state.hidden.has(kind), onchange });
     return el("label", { class: "check", data: { kind } }, box, icon(kind), kindLabel(kind, state), el("b", { textContent: String(count) }));
+  }
+
+  function classRow({ filter }: State, category: string, count: number): HTMLLabelElement {
+    const onchange = () => actions.change({ filter: toggleClass(filter, category) }, false);
+    const box = el("input", { type: "checkbox", id: `class-${category}`, checked: !filter.hiddenClasses?.includes(category), onchange });
+    return el("label", { class: "check" }, box, classIcon(category), classOf(category).label, el("b", { textContent: String(count) }));
   }
 
   return {
@@ -72,10 +82,13 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       const counts = new Map<Kind, number>();
       for (const cone of cones) counts.set(cone.kind, (counts.get(cone.kind) ?? 0) + 1);
       const rows = KIND_ORDER.filter((kind) => counts.has(kind)).map((kind) => legendRow(state, kind, counts.get(kind) ?? 0));
-      const hint = !rows.length ? "No cones on the road at this time." : shownCount < cones.length ? `${plural(cones.length - shownCount, "cone")} hidden by filters` : "";
-      const focused = document.activeElement instanceof HTMLInputElement ? document.activeElement.closest("label")?.dataset["kind"] : undefined;
+      const hint = !rows.length ? "No cones on the road at this time." : shownCount < cones.length ? `${countOf(cones.length - shownCount)} hidden by filters` : "";
+      const focused = document.activeElement?.id ?? "";
+      heading.textContent = onlyCones() ? "Cones shown" : "Objects shown";
+      classSection.hidden = classCounts().size < 2 && state.filter.hiddenClasses === null;
+      fill(classes, ...[...classCounts()].map(([category, n]) => classRow(state, category, n)));
       fill(legend, ...rows, Boolean(hint) && el("p", { class: "hint" }, hint, filterCount(state) > 0 && " – ", filterCount(state) > 0 && clear));
-      if (focused) legend.querySelector<HTMLInputElement>(`[data-kind="${focused}"] input`)?.focus();
+      document.getElementById(focused)?.focus();
       if (document.activeElement !== probability) probability.value = String(state.minProbability);
       probabilityText.textContent = state.minProbability.toFixed(2);
       for (const field of Object.keys(boxes) as Switch[]) boxes[field].checked = state[field];

@@ -1,6 +1,7 @@
 // Sites: groups of cones that are far from each other, to jump from one to the next.
 import type { Vec3 } from "./api";
-import { el, fill, plural } from "./dom";
+import { countOf } from "./classes";
+import { el, fill } from "./dom";
 import type { Cone } from "./kinds";
 
 /** Cones of different sites are at least about this far apart. */
@@ -95,6 +96,6 @@ export function createSites(host: HTMLElement, fly: (points: Vec3[]) => void) {
     fill(list, ...(section.hidden || !first ? [] : sites.map((site, i) =>
       el("li", {}, el("button", { type: "button", onclick: () => fly(site.points) },
         el("span", { textContent: i === 0 ? "Site 1, the largest" : `Site ${i + 1}, ${bearing(middle(first), middle(site))}` }),
-        el("b", { textContent: plural(site.points.length, "cone") })))))); // prettier-ignore
+        el("b", { textContent: countOf(site.points.length) })))))); // prettier-ignore
   };
 }

@@ -22,14 +22,13 @@ export type Sort = string;
 
 export interface Table<T> {
   node: HTMLElement;
-  show(rows: T[], sort: Sort): void;
+  show(rows: T[], sort: Sort, columns: Column<T>[]): void;
   /** Highlight a row; with `scroll` it is scrolled into view. */
   choose(id: string | null, scroll: boolean): void;
 }
 
 export interface TableOptions<T> {
   label: string;
-  columns: Column<T>[];
   id(row: T): string;
   sort(sort: Sort): void;
   /** A row was clicked, or reached by key. */
@@ -44,8 +43,9 @@ const REST_MS = 140;
 let tables = 0;
 
 export function createTable<T>(options: TableOptions<T>): Table<T> {
-  const { columns } = options;
   const name = `table-${++tables}`;
+  let columns: Column<T>[] = [];
+  let heads: HTMLElement[] = [];
   let rows: T[] = [];
   let sorted: Sort = "";
   let chosenId: string | null = null;
@@ -53,21 +53,29 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
   let pending = false;
   let timer = 0;
 
-  const heads = columns.map((column) => {
-    const button = el("button", { type: "button", textContent: column.title, title: column.hint ?? "", onclick: () => options.sort(nextSort(column, sorted)) });
-    return el("div", { class: column.number ? "cell number" : "cell", role: "columnheader" }, button);
-  });
+  const headRow = el("div", { class: "row", role: "row", aria: { rowindex: "1" } });
   const space = el("div", { class: "table-space", role: "rowgroup" });
   const none = el("p", { class: "table-none hint", hidden: true });
-  const node = el("div", { class: "table", role: "grid", tabIndex: 0, aria: { label: options.label, colcount: String(columns.length) } },
-    el("div", { class: "table-head", role: "rowgroup" }, el("div", { class: "row", role: "row", aria: { rowindex: "1" } }, ...heads)), space); // prettier-ignore
-  node.style.setProperty("--columns", columns.map((c) => c.width).join(" "));
-  // Header and rows are grids of their own: of the same width, they have the same columns.
-  node.style.setProperty("--least", `calc(20px + ${columns.map((c) => /\d+px/.exec(c.width)?.[0] ?? "0px").join(" + ")})`);
+  const node = el("div", { class: "table", role: "grid", tabIndex: 0, aria: { label: options.label } },
+    el("div", { class: "table-head", role: "rowgroup" }, headRow), space); // prettier-ignore
   const wrap = el("div", { class: "table-wrap" }, node, none);
 
   const first = () => Math.max(0, Math.floor(node.scrollTop / ROW_PX) - SPARE);
   const indexOf = (id: string | null) => (id === null ? -1 : rows.findIndex((row) => options.id(row) === id));
+
+  function setColumns(next: Column<T>[]): void {
+    columns = next;
+    heads = columns.map((column) => {
+      const button = el("button", { type: "button", textContent: column.title, title: column.hint ?? "", onclick: () => options.sort(nextSort(column, sorted)) });
+      return el("div", { class: column.number ? "cell number" : "cell", role: "columnheader" }, button);
+    });
+    fill(headRow, ...heads);
+    node.setAttribute("aria-colcount", String(columns.length));
+    node.style.setProperty("--columns", columns.map((c) => c.width).join(" "));
+    // Header and rows are grids of their own: of the same width, they have the same columns.
+    node.style.setProperty("--least", `calc(20px + ${columns.map((c) => /\d+px/.exec(c.width)?.[0] ?? "0px").join(" + ")})`);
+    for (const slot of slots.splice(0)) slot.node.remove();
+  }
 
   function draw(): void {
     const count = Math.min(rows.length, Math.ceil(node.clientHeight / ROW_PX) + 2 * SPARE);
@@ -135,7 +143,8 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
 
   return {
     node: wrap,
-    show(next, sort) {
+    show(next, sort, shown) {
+      if (shown !== columns) setColumns(shown);
       rows = next;
       sorted = sort;
       space.style.height = `${rows.length * ROW_PX}px`;

@@ -4,6 +4,7 @@ import { createBasemap } from "./basemap";
 import { createCones } from "./cones";
 import { createCursor } from "./cursor";
 import { messageOf, utc } from "./dom";
+import { acceptedBy } from "./filters";
 import type { Cone, Kind } from "./kinds";
 import { createLayers } from "./layers";
 import { createMeasure } from "./measure";
@@ -106,9 +107,9 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
   let shown: { of: unknown; by: string; cones: [Cone[], Cone[]] } | null = null;
   function filtered(state: State): [Cone[], Cone[]] | null {
     if (!states) return null;
-    const by = `${[...state.hidden].join()} ${state.minProbability}`;
+    const by = JSON.stringify([[...state.hidden], state.minProbability, state.filter]);
     if (shown?.of !== states || shown.by !== by) {
-      const visible = (c: Cone) => !state.hidden.has(c.kind) && c.probability >= state.minProbability;
+      const visible = acceptedBy(state);
       shown = { of: states, by, cones: [states[0].filter(visible), states[1].filter(visible)] };
     }
     return shown.cones;

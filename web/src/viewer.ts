@@ -6,7 +6,7 @@ import { createFrameCache, type LoadedImage } from "./frame_cache";
 import { createPane, type Pane, type Picture, type Shape, type View } from "./image_pane";
 import { bestFrame, judging, type DrivePass, type Frame, type PassFrame, type Side } from "./judging";
 import { isGone, STYLES } from "./kinds";
-import { coneOutline, ellipseOutline, epipolarLine, project, type Point } from "./projection";
+import { ellipseOutline, epipolarLine, outlineOf, project, type Point } from "./projection";
 import "./viewer.css";
 
 /** A cone, or with null a whole drive. */
@@ -151,7 +151,7 @@ export function createViewer(host: HTMLElement) {
 
   function zoomToCone(): void {
     const first = shown[0];
-    const outline = first && subject?.now && coneOutline(first.frame[first.side], subject.now.xyz_m, subject.now.cone_height_m);
+    const outline = first && subject?.now && outlineOf(first.frame[first.side], subject.now);
     if (!outline) return;
     const rows = outline.map(([, v]) => v);
     const most = Math.min(CONE_PX, 0.6 * (panes[0]?.node.clientHeight || CONE_PX));
@@ -346,9 +346,9 @@ export function createViewer(host: HTMLElement) {
     if (now && on("cone")) {
       const style = matches.size ? "cone" : "cone dashed";
       const add = (points: Point[] | null, name: string, label?: string) => points && shapes.push({ points, style: name, ...(label ? { text: label } : {}) });
-      add(coneOutline(own, now.xyz_m, now.cone_height_m), style, matches.size ? undefined : isGone(now.kind) ? "removed" : "expected");
+      add(outlineOf(own, now), style, matches.size ? undefined : isGone(now.kind) ? "removed" : "expected");
       add(ellipseOutline(own, now.xyz_m, now.cov_m2), "ellipse");
-      if (before) add(coneOutline(own, before.xyz_m, before.cone_height_m), "cone dashed old", "before the move");
+      if (before) add(outlineOf(own, before), "cone dashed old", "before the move");
     }
     if (on("epipolar")) shapes.push(...epipolar(frame, side));
     return shapes;

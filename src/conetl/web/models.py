@@ -121,6 +121,7 @@ class Timeline(Answer):
 class Feature(Answer):
     feature_id: UUID
     version: int
+    category: str
     xyz_m: Vec3
     sigma_m: float
     """Along the major axis of the horizontal error ellipse."""

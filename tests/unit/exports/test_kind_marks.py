@@ -12,6 +12,7 @@ import pytest
 
 from conetl.exports import qgis_project
 from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, STANDING
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import DeltaKind
 
 WEB = Path(__file__).resolve().parents[3] / "web" / "src"
@@ -29,6 +30,11 @@ def test_colours_and_labels_equal_those_of_the_web_view() -> None:
         kind.value: shown[kind.value] for kind in DeltaKind
     }
     assert (STANDING.colour, STANDING.label) == shown["standing"]
+
+
+def test_the_web_view_has_words_for_every_class() -> None:
+    names = re.findall(r"^  \[\"?(\w+)\"?, { label: ", (WEB / "classes.ts").read_text(), re.M)
+    assert [CONE, *names[1:]] == list(FEATURE_CLASSES)
 
 
 def test_base_layers_have_the_colours_of_the_web_view() -> None:
