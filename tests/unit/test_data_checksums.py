@@ -12,7 +12,7 @@ FOR_PEOPLE = {
     "SHA256SUMS",
     "models/README.md",
     "models/conetl-cone-3.reliability.png",
-    "models/conetl-road-4.md",
+    "models/conetl-road-5.md",
 }
 
 

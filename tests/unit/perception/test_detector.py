@@ -452,7 +452,7 @@ def test_a_network_of_several_classes_tells_drums_from_cones() -> None:
     image = cv2.imread(str(path)) if path.exists() else None
     if image is None:
         pytest.skip(f"{path} is not there")
-    detector = load_detector(REPOSITORY / "data" / "models" / "conetl-road-4.onnx")
+    detector = load_detector(REPOSITORY / "data" / "models" / "conetl-road-5.onnx")
     names = detector.card.categories
     found = detect_image(detector, image, score_threshold=0.3, categories=None, single_image=True)
     drums = found[found[:, 9] == names.index("drum")]
