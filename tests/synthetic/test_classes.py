@@ -113,6 +113,7 @@ def test_a_drum_in_the_place_of_a_cone_is_a_new_object() -> None:
     history = replay_drives([before, after], Decisions())
     assert standing(history) == sorted([*((CONE, 25) for _ in ROW[:-1]), ("drum", 25), ("drum", 30)])
     assert changes(history, after) == {"added": ["drum"], "removed": [""]}
+    assert standing(replay_drives([after, before], Decisions())) == standing(history), "in any order"
 
 
 def test_what_a_drive_did_not_search_for_stays() -> None:

@@ -27,6 +27,8 @@ _MAX_CANDIDATES = 200
 _MAX_TRACKS = 2000
 #: Candidates nearer to each other than this are one.
 _CANDIDATE_CELL_M = 0.1
+#: Distance of two classes in the search for the common offset; above the size of any map.
+_CLASSES_APART_M = 1e8
 #: Cost of a forbidden pair in the assignment; far above any distance.
 _FORBIDDEN = 1e6
 #: Cost of a pair at the edge of the gate, and of leaving a track and a feature unpaired: chi-square of 3 sigma.
@@ -38,9 +40,9 @@ def common_offset(
 ) -> tuple[Floats, float]:
     """Offset (3,) of the drive against the map in metres, and the share of it that the drive's own variance explains.
 
-    It minimises the squared distances of all tracks to their nearest features, each capped at the gate, plus the squared offset
-    over its stated variance. The cap keeps new and moved cones from pulling; the ends of a row of equal distances decide
-    against a shift by one cone. Fewer than two agreeing pairs, or an offset beyond the stated sigmas, give zero: one moved cone
+    It minimises the squared distances of all tracks to their nearest features of their class, each capped at the gate, plus the
+    squared offset over its stated variance. The cap keeps new and moved cones from pulling; the ends of a row of equal distances
+    decide against a shift by one cone. Fewer than two agreeing pairs, or an offset beyond the stated sigmas, give zero: one moved cone
     must not shift the drive.
     """
     zero = np.zeros(3)
@@ -52,12 +54,14 @@ def common_offset(
     map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
     total_var = drive_var + map_var
     allowed_m = min(params.max_offset_m, 4 * float(np.sqrt(total_var)))
-    tree = cKDTree(f[:, :2])
+    codes = np.unique(np.concatenate((_classes(tracks), _classes(features))), return_inverse=True)[1] * _CLASSES_APART_M
+    t_code, f_code = codes[: len(tracks)][:: 1 + len(tracks) // _MAX_TRACKS], codes[len(tracks) :]
+    tree = cKDTree(np.column_stack((f[:, :2], f_code)))  # a third coordinate keeps classes apart
     scale_m = params.min_gate_m / 3
 
     def cost_of(offset: Floats) -> tuple[float, Floats]:
         """Cost, and the differences (K, 3) of the pairs within the gate."""
-        misfits, nearest = (np.asarray(found) for found in tree.query(t[:, :2] - offset[:2]))
+        misfits, nearest = (np.asarray(found) for found in tree.query(np.column_stack((t[:, :2] - offset[:2], t_code))))
         close = misfits <= params.min_gate_m
         costs = np.minimum((misfits / scale_m) ** 2, _GATE_COST)
         return float(costs.sum() + offset[:2] @ offset[:2] / total_var), t[close] - f[nearest[close]]

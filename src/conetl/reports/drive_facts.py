@@ -55,6 +55,7 @@ class DriveChange:
     xyz_m: tuple[float, float, float]
     sigma_m: float
     """Along the major axis of the horizontal error ellipse."""
+    category: str
     cone_height_m: float
     existence_probability: float
     observation_count: int

@@ -72,6 +72,16 @@ def test_one_moved_one_removed_and_two_added_are_distinguished() -> None:
     assert len(found[DeltaKind.ADDED]) == 2
 
 
+def test_drums_beside_cones_are_not_the_cones_of_a_shifted_drive() -> None:
+    features = [feature(i, *at, sigma_m=NO_FIX) for i, at in enumerate(ROW)]
+    tracks = [track(i, east, north + 0.4, sigma_m=NO_FIX) for i, (east, north) in enumerate(ROW)]
+    drums = [one.model_copy(update={"category": "drum"}) for one in tracks]
+    assert common_offset(tracks, features, PARAMS)[0][1] == pytest.approx(0.4, abs=0.01)
+    assert not common_offset(drums, features, PARAMS)[0].any()
+    found = changes(drums, features)
+    assert (len(found[DeltaKind.ADDED]), len(found[DeltaKind.CONFIRMED])) == (5, 0)
+
+
 def test_a_cone_out_of_view_stays() -> None:
     found = changes([track(0, *ROW[0])], [feature(i, *at) for i, at in enumerate(ROW)], hidden=[1, 2, 3, 4])
     assert not found[DeltaKind.REMOVED]
