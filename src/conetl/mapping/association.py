@@ -41,9 +41,9 @@ def common_offset(
     """Offset (3,) of the drive against the map in metres, and the share of it that the drive's own variance explains.
 
     It minimises the squared distances of all tracks to their nearest features of their class, each capped at the gate, plus the
-    squared offset over its stated variance. The cap keeps new and moved cones from pulling; the ends of a row of equal distances
-    decide against a shift by one cone. Fewer than two agreeing pairs, or an offset beyond the stated sigmas, give zero: one moved cone
-    must not shift the drive.
+    squared offset over its stated variance. The cap keeps new and moved cones from pulling; the ends of a row of equal
+    distances decide against a shift by one cone. Fewer than two agreeing pairs, or an offset beyond the stated sigmas, give
+    zero: one moved cone must not shift the drive.
     """
     zero = np.zeros(3)
     if len(tracks) < 2 or len(features) < 2:
