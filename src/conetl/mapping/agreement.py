@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
-from conetl.mapping.association import assign, common_offset, near_pairs
+from conetl.mapping.association import assign, classes_of, common_offset, near_pairs
 from conetl.model.health import AGREEMENT, HealthCheck, Verdict
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
@@ -72,6 +72,8 @@ def _displaced(
     offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
     for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
         rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
+        alike = classes_of(tracks)[rows] == classes_of(features)[columns]  # a sign may hang above a cone
+        rows, columns = rows[alike], columns[alike]
         pairs = assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
         if pairs and 2 * len(pairs) >= len(near):
             i, j = list(pairs), list(pairs.values())

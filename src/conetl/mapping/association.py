@@ -54,7 +54,9 @@ def common_offset(
     map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
     total_var = drive_var + map_var
     allowed_m = min(params.max_offset_m, 4 * float(np.sqrt(total_var)))
-    codes = np.unique(np.concatenate((_classes(tracks), _classes(features))), return_inverse=True)[1] * _CLASSES_APART_M
+    codes = (
+        np.unique(np.concatenate((classes_of(tracks), classes_of(features))), return_inverse=True)[1] * _CLASSES_APART_M
+    )
     t_code, f_code = codes[: len(tracks)][:: 1 + len(tracks) // _MAX_TRACKS], codes[len(tracks) :]
     tree = cKDTree(np.column_stack((f[:, :2], f_code)))  # a third coordinate keeps classes apart
     scale_m = params.min_gate_m / 3
@@ -115,7 +117,7 @@ def pair(
     share = np.minimum((distance / params.min_gate_m) ** 2, distance2 / params.gate_chi2)
     allowed = (distance <= params.min_gate_m) | ((distance2 <= params.gate_chi2) & (distance <= params.max_offset_m))
     var_z = np.array([track.cov_m2[5] for track in tracks])[i] + np.array([one.cov_m2[5] for one in features])[j]
-    allowed &= _classes(tracks)[i] == _classes(features)[j]
+    allowed &= classes_of(tracks)[i] == classes_of(features)[j]
     allowed &= np.abs(z) <= np.maximum(params.max_rise_m, np.sqrt(params.gate_chi2 * var_z))
     return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], unpaired_cost=_GATE_COST)
 
@@ -176,11 +178,12 @@ def _alike_nearby(
     heights = np.array([features[k].cone_height_m for k in of_features])[j]
     alike = np.abs(np.array([tracks[k].cone_height_m for k in of_tracks])[i] - heights)
     allowed = (alike <= params.moved_height_tolerance_m) & (distance <= params.moved_max_m)
-    allowed &= _classes([tracks[k] for k in of_tracks])[i] == _classes([features[k] for k in of_features])[j]
+    allowed &= classes_of([tracks[k] for k in of_tracks])[i] == classes_of([features[k] for k in of_features])[j]
     return rows[j[allowed]], columns[i[allowed]], distance[allowed]
 
 
-def _classes(objects: Sequence[Track | MapFeature]) -> NDArray[np.str_]:
+def classes_of(objects: Sequence[Track | MapFeature]) -> NDArray[np.str_]:
+    """(N,) categories."""
     return np.array([one.category for one in objects])
 
 
