@@ -182,7 +182,7 @@ def test_a_blind_drive_is_found_on_maps_of_any_size() -> None:
 
 def test_a_sign_above_a_cone_is_no_cone_of_a_higher_drive() -> None:
     cones = features_at(ZONE[:1])
-    above = tracks_at(ZONE[:1] + (0.0, 0.1, 2.0))
+    above = tracks_at(ZONE[:1] + np.array([0.0, 0.1, 2.0]))
     assert "higher" in str(contradiction(above, cones, (), PARAMS))
     signs = [track.model_copy(update={"category": "work_zone_sign"}) for track in above]
     assert contradiction(signs, cones, (), PARAMS) is None
