@@ -11,7 +11,6 @@ from pydantic import ValidationError
 
 from conetl.model.detector_evidence import (
     UNMEASURED,
-    AbsenceFigures,
     DetectorEvidence,
     ImageCorrelation,
     ScoreCalibration,
@@ -97,9 +96,8 @@ def test_joint_ratio_has_the_design_effect_of_kish() -> None:
 
 
 def absent(evidence: DetectorEvidence, frames: int) -> float:
-    figures = AbsenceFigures(evidence=evidence, score_threshold=0.3)
     return absence_log_ratio(
-        figures, np.full((frames, 2), 40.0), np.zeros((frames, 2)), np.zeros(frames, bool),
+        evidence, 0.3, np.full((frames, 2), 40.0), np.zeros((frames, 2)), np.zeros(frames, bool),
         stray_probability=0.02, unseen_occluder_probability=1e-60,
     )  # fmt: skip
 
