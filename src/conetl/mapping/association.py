@@ -48,22 +48,22 @@ def common_offset(
     zero = np.zeros(3)
     if len(tracks) < 2 or len(features) < 2:
         return zero, 0.0
-    t = np.array([track.xyz_m for track in tracks[:: 1 + len(tracks) // _MAX_TRACKS]])
+    some = tracks[:: 1 + len(tracks) // _MAX_TRACKS]
+    t = np.array([track.xyz_m for track in some])
     f = np.array([feature.xyz_m for feature in features])
     drive_var = float(np.mean([track.cov_m2[0] + track.cov_m2[3] for track in tracks])) / 2
     map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
     total_var = drive_var + map_var
     allowed_m = min(params.max_offset_m, 4 * float(np.sqrt(total_var)))
-    codes = (
-        np.unique(np.concatenate((classes_of(tracks), classes_of(features))), return_inverse=True)[1] * _CLASSES_APART_M
-    )
-    t_code, f_code = codes[: len(tracks)][:: 1 + len(tracks) // _MAX_TRACKS], codes[len(tracks) :]
-    tree = cKDTree(np.column_stack((f[:, :2], f_code)))  # a third coordinate keeps classes apart
+    # A third coordinate keeps classes apart.
+    apart_m = np.unique(classes_of([*some, *features]), return_inverse=True)[1] * _CLASSES_APART_M
+    by_class = np.column_stack((t[:, :2], apart_m[: len(some)]))
+    tree = cKDTree(np.column_stack((f[:, :2], apart_m[len(some) :])))
     scale_m = params.min_gate_m / 3
 
     def cost_of(offset: Floats) -> tuple[float, Floats]:
         """Cost, and the differences (K, 3) of the pairs within the gate."""
-        misfits, nearest = (np.asarray(found) for found in tree.query(np.column_stack((t[:, :2] - offset[:2], t_code))))
+        misfits, nearest = (np.asarray(found) for found in tree.query(by_class - (*offset[:2], 0.0)))
         close = misfits <= params.min_gate_m
         costs = np.minimum((misfits / scale_m) ** 2, _GATE_COST)
         return float(costs.sum() + offset[:2] @ offset[:2] / total_var), t[close] - f[nearest[close]]

@@ -52,8 +52,6 @@ class Identity(Record):
     model_sha256: str
     evidence: DetectorEvidence | None
     """What is measured of the model's boxes."""
-    categories: tuple[str, ...]
-    """Classes of objects that were searched for."""
 
 
 @dataclass(frozen=True)
@@ -71,15 +69,11 @@ class CommittedDrive:
 def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity:
     """Hashes of content, parameters and model with its evidence; the same on the same map are the same changeset."""
     card = read_model_card(settings.model_path)
-    card.require_categories(params.detection.categories)
     parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
     key = result_key(
         "changeset", drive.content_sha256, parameters, card.detections_sha256, measured, str(drive.map_srid)
     )
-    return Identity(
-        idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence,
-        categories=params.detection.categories,
-    )  # fmt: skip
+    return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence)
 
 
 def already_committed(
@@ -145,7 +139,6 @@ def commit(
             params,
             map_name=settings.map_name,
             evidence=identity.evidence,
-            categories=identity.categories,
             run=run,
             hold=holding(analysed.health),
         )

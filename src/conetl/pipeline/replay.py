@@ -34,7 +34,6 @@ from conetl.db.retention import require_comparable
 from conetl.mapping.history import DriveEvidence, Floats, MapHistory, MapUpdate, apply_drive, replay_drives
 from conetl.mapping.visibility import DriveObservations, NotObserved, check_visibility, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
-from conetl.model.feature_classes import CONE
 from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MapFeature, MissedObservation
 from conetl.model.params import IngestParams, ReconcileParams
@@ -83,20 +82,20 @@ def merge_drive(
     *,
     map_name: str,
     evidence: DetectorEvidence | None = None,
-    categories: Sequence[str] = (CONE,),
     run: RunInfo | None = None,
     hold: Sequence[HealthCheck] = (),
 ) -> Merged:
     """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
 
     changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
-    the detector (None: nothing); the weight of a cone that it did not find follows from it. categories: the classes of objects
-    that it searched for. hold: the checks for which the
+    the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: the checks for which the
     recording must not count; it is stored and changes nothing until a person accepts it.
     """
     drive, held_before = records.drive, held_drives(conn, map_name=map_name)
-    threshold = params.detection.score_threshold
-    figures = AbsenceFigures(evidence=evidence or UNMEASURED, score_threshold=threshold, categories=tuple(categories))
+    searched = params.detection
+    figures = AbsenceFigures(
+        evidence=evidence or UNMEASURED, score_threshold=searched.score_threshold, categories=searched.categories
+    )
     drive_uuid = place_drive(
         conn,
         drive,

@@ -32,9 +32,10 @@ def test_colours_and_labels_equal_those_of_the_web_view() -> None:
     assert (STANDING.colour, STANDING.label) == shown["standing"]
 
 
-def test_the_web_view_has_words_for_every_class() -> None:
-    names = re.findall(r"^  \[\"?(\w+)\"?, { label: ", (WEB / "classes.ts").read_text(), re.M)
-    assert [CONE, *names[1:]] == list(FEATURE_CLASSES)
+def test_the_web_view_knows_every_class_and_its_width() -> None:
+    rows = re.findall(r"^  \[\"?(\w+)\"?, { label: .*?, width: ([\d.]+)", (WEB / "classes.ts").read_text(), re.M)
+    assert [CONE, *(name for name, _ in rows[1:])] == list(FEATURE_CLASSES)
+    assert [float(width) for _, width in rows] == [one.width_over_height for one in FEATURE_CLASSES.values()]
 
 
 def test_base_layers_have_the_colours_of_the_web_view() -> None:
