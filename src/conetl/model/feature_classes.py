@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal
 
 CONE = "traffic_cone"
+LANE_MARKING = "lane_marking"
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,8 @@ class FeatureClass:
     """Whether the box ends at the road; of signs and boards it ends above it, so that another object may stand below."""
     in_rows: bool
     """Whether rows of it close a lane: a channelizing device (MUTCD 2023, chapter 6K)."""
+    geometry: Literal["point", "line"] = "point"
+    """Point objects are found by the detector, lines by `perception/lane_markings.py`, which needs no network."""
 
 
 FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
@@ -38,9 +42,14 @@ FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
         "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), 1.0, round_foot=False, on_road=False, in_rows=False),
         "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), 1.5, round_foot=False, on_road=True, in_rows=False),
         "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), 0.9, round_foot=False, on_road=False, in_rows=False),
+        LANE_MARKING: FeatureClass(
+            (0.0005, 0.006), (0.0, 0.02), 30.0, round_foot=False, on_road=True, in_rows=False, geometry="line"
+        ),
     }
 )
-"""By category; of a category that is not here nothing is located."""
+"""By category; of a category that is not here nothing is located. The height of a marking is the thickness of its paint."""
+POINT_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "point")
+LINE_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "line")
 
 
 def known_of(categories: Iterable[str]) -> tuple[str, ...]:

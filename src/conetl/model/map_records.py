@@ -10,6 +10,7 @@ from uuid import UUID
 
 from pydantic import Field, model_validator
 
+from conetl.model.markings import Marking
 from conetl.model.records import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec2, Vec3
 
 #: Not an option of a command, whatever stands before it.
@@ -33,6 +34,8 @@ class MapFeature(Record):
     last_seen_ns: int
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
     """Part of `cov_m2` shared with later drives of the same rig; None where unknown. Not part of JSON."""
+    marking: Marking | None = None
+    """Shape of a line; `xyz_m` is the middle vertex then. None of point objects."""
 
 
 class DeltaKind(StrEnum):

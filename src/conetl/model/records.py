@@ -10,13 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from conetl.model.feature_classes import CONE
 from conetl.model.rejections import Rejection
+
+if TYPE_CHECKING:
+    from conetl.model.markings import MarkingTrack
 
 Side = Literal["left", "right"]
 Vec2 = tuple[float, float]
@@ -427,6 +430,7 @@ class DriveRecords(NamedTuple):
     positions: Sequence[Position] = ()
     tracks: Sequence[Track] = ()
     rejections: Sequence[Rejection] = ()
+    markings: Sequence[MarkingTrack] = ()
 
 
 def utc_from_ns(nanoseconds: int) -> datetime:

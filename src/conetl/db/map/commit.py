@@ -139,7 +139,7 @@ def commit_changeset(
     drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     committed_at = system_time(conn, info, now)
-    counts = RecordCounts(len(drive.frame_pairs), *(len(kind) for kind in records[1:]))
+    counts = RecordCounts(len(drive.frame_pairs), *(len(kind) for kind in records[1:6]))
     insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
     copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
@@ -219,7 +219,7 @@ def made_ahead(source: Iterable[T], *, ahead: int) -> Iterator[Iterator[T]]:
 
 def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
     """Checks that foreign keys would make row by row, at a tenth of their cost. Raises MapMismatchError."""
-    drive, detections, matches, positions, tracks, _ = records
+    drive, detections, matches, positions, tracks, _, _ = records
     frames = {pair.frame_index for pair in drive.frame_pairs}
     boxes = {(d.frame_index, d.side, d.detection_index) for d in detections}
     positioned = {(p.frame_index, p.match_index) for p in positions}

@@ -1,0 +1,60 @@
+"""Records of lane markings: one marking in one drive, and the shape that a stretch of it has on the map.
+
+Units and frames as in `records.py`.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from conetl.model.records import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec3
+
+MarkingColour = Literal["white", "yellow", "other"]
+MarkingPattern = Literal["solid", "dashed"]
+
+
+class Marking(Record):
+    """Shape of a lane marking: the centre line of the paint, on the road surface. A dashed line runs through its gaps."""
+
+    vertices_m: tuple[Vec3, ...] = Field(min_length=2)
+    """Easting, northing, ellipsoidal height, in the direction of travel of the drive that first observed it."""
+    cov_m2: tuple[Cov3, ...] = Field(min_length=2)
+    """Absolute, one per vertex. Along the line a vertex is where it was put, without error: the part along the line is that of
+    the drive's pose only."""
+    width_m: Positive
+    width_sigma_m: Positive
+    colour: MarkingColour
+    pattern: MarkingPattern
+    dash_m: Positive | None = None
+    """Length of a dash; None of solid lines."""
+    gap_m: Positive | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Marking:
+        if len(self.cov_m2) != len(self.vertices_m):
+            raise ValueError(f"{len(self.vertices_m)} vertices have {len(self.cov_m2)} covariances")
+        dashed = self.pattern == "dashed"
+        if (self.dash_m is not None, self.gap_m is not None) != (dashed, dashed):
+            raise ValueError("dashed markings have the lengths of dash and gap, solid ones have not")
+        return self
+
+
+class MarkingTrack(Record):
+    """One lane marking in one drive: all observations of it, adjusted. As long as the drive shows it without a break."""
+
+    marking_index: int = Field(ge=0)
+    category: str
+    marking: Marking
+    relative_cov_m2: tuple[Cov3, ...] = Field(min_length=2)
+    """Of the vertices, without the errors of pose and calibration that all of them share."""
+    existence_probability: Probability
+    observation_count: int = Field(ge=1)
+    """Frame pairs in which it was observed."""
+    first_seen_ns: int
+    last_seen_ns: int
+    contrast: NonNegative
+    """Median grey levels between paint and road."""
+    shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
+    """Of the calibration's part in the covariances, at the middle vertex; None where unknown."""
