@@ -15,7 +15,7 @@ select
     (c.height_changed_count + e.height_changed)::integer as height_changed_count,
     (c.split_count + e.split)::integer as split_count,
     (c.merged_count + e.merged)::integer as merged_count,
-    c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.rejection_count,
+    c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.marking_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns,
     h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
     h.reason as hold

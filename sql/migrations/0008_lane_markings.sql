@@ -2,7 +2,7 @@
 
 alter table conetl.feature_version
     add column line              geometry(LineStringZ),
-    add column line_cov          real[],             -- line_cov[vertex][xx, xy, xz, yy, yz, zz], m^2
+    add column line_cov          float8[],           -- line_cov[vertex][xx, xy, xz, yy, yz, zz], m^2
     add column width_m           float8 check (width_m > 0),
     add column width_sigma_m     float8 check (width_sigma_m > 0),
     add column colour            text,
@@ -30,8 +30,8 @@ create table conetl.marking_track (
     marking_index         integer not null,
     category              text not null,
     line                  geometry(LineStringZ) not null,
-    line_cov              real[] not null,
-    relative_cov          real[] not null,            -- without the errors that all vertices share
+    line_cov              float8[] not null,
+    relative_cov          float8[] not null,          -- without the errors that all vertices share
     width_m               float8 not null check (width_m > 0),
     width_sigma_m         float8 not null check (width_sigma_m > 0),
     colour                text not null,
@@ -48,3 +48,6 @@ create table conetl.marking_track (
     primary key (drive_uuid, marking_index)
 );
 comment on table conetl.marking_track is 'The lane markings that a drive observed: what the fold of the map compares.';
+
+alter table conetl.changeset add column marking_count integer not null default 0;
+alter table conetl.changeset alter column marking_count drop default;
