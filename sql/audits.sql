@@ -41,6 +41,8 @@ cross join lateral (
         ('positions', case when d.pruned_at is null then c.position_count else 0 end,
             (select count(*) from conetl.position r where r.drive_uuid = c.drive_uuid)),
         ('tracks', c.track_count, (select count(*) from conetl.track r where r.drive_uuid = c.drive_uuid)),
+        ('lane markings', c.marking_count,
+            (select count(*) from conetl.marking_track r where r.drive_uuid = c.drive_uuid)),
         ('rejections', c.rejection_count, (select count(*) from conetl.quarantine r where r.changeset_id = c.changeset_id))
 ) counted (what, stated, found)
 where counted.stated <> counted.found;

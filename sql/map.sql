@@ -105,6 +105,7 @@ select
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability) as existence_probability,
     v.observation_count, v.first_seen_ns, v.last_seen_ns, array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
     coalesce(e.seen_count, 0) as seen_count, coalesce(e.missed_count, 0) as missed_count
 from v
@@ -160,6 +161,7 @@ select
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
     array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
     v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns,
     case
         when upper_inf(v.valid_period) then null

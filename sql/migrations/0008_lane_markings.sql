@@ -2,7 +2,7 @@
 
 alter table conetl.feature_version
     add column line              geometry(LineStringZ),
-    add column line_cov          real[],             -- line_cov[vertex][xx, xy, xz, yy, yz, zz], m^2
+    add column line_cov          float8[],           -- line_cov[vertex][xx, xy, xz, yy, yz, zz], m^2
     add column width_m           float8 check (width_m > 0),
     add column width_sigma_m     float8 check (width_sigma_m > 0),
     add column colour            text,
@@ -30,8 +30,8 @@ create table conetl.marking_track (
     marking_index         integer not null,
     category              text not null,
     line                  geometry(LineStringZ) not null,
-    line_cov              real[] not null,
-    relative_cov          real[] not null,            -- without the errors that all vertices share
+    line_cov              float8[] not null,
+    relative_cov          float8[] not null,          -- without the errors that all vertices share
     width_m               float8 not null check (width_m > 0),
     width_sigma_m         float8 not null check (width_sigma_m > 0),
     colour                text not null,
@@ -49,11 +49,13 @@ create table conetl.marking_track (
 );
 comment on table conetl.marking_track is 'The lane markings that a drive observed: what the fold of the map compares.';
 
+alter table conetl.changeset add column marking_count integer not null default 0;
+alter table conetl.changeset alter column marking_count drop default;
 -- Lane markings for other programs -----------------------------------------------------------------------------------------------
 
 create index feature_version_of_line on conetl.feature_version using gist (line) where line is not null;
 
-create function conetl.lateral_sigma_m(line geometry, line_cov real[]) returns float8
+create function conetl.lateral_sigma_m(line geometry, line_cov float8[]) returns float8
 language sql immutable strict
 as $$
     select sqrt(max(
@@ -69,6 +71,39 @@ as $$
 $$;
 comment on function conetl.lateral_sigma_m is
     'Largest standard deviation across a line (m): of the vertex with the largest one, at right angles to the line there.';
+
+create function conetl.marking_json(
+    line geometry, line_cov float8[], width_m float8, width_sigma_m float8, colour text, pattern text, dash_m float8, gap_m float8
+) returns json
+language sql immutable
+as $$
+    select case when line is not null then json_build_object(
+        'line_m', (ST_AsGeoJSON(line, 4)::json) -> 'coordinates', 'width_m', width_m, 'width_sigma_m', width_sigma_m,
+        'colour', colour, 'pattern', pattern, 'dash_m', dash_m, 'gap_m', gap_m,
+        'sigma_lateral_m', conetl.lateral_sigma_m(line, line_cov)
+    ) end
+$$;
+comment on function conetl.marking_json is 'The shape of a lane marking for the web view; null of point objects. line_m is in the map''s CRS.';
+
+-- The collections of points list no lines.
+do $$
+declare
+    old record;
+    body text;
+begin
+    for old in
+        select pg_get_functiondef(p.oid) as definition
+        from pg_proc p
+        where p.pronamespace = 'conetl_ogc'::regnamespace and p.proname in ('standing', 'changes')
+    loop
+        body = regexp_replace(old.definition, 'm\.map_name = \$1 and ([abv])\.present', 'm.map_name = $1 and \1.line is null and \1.present', 'g');
+        if body = old.definition then
+            raise exception 'unknown definition of a function of conetl_ogc';
+        end if;
+        execute body;
+    end loop;
+end
+$$;
 
 -- Like conetl_ogc.features, for lines. A line is in a box that it touches.
 create function conetl_ogc.lane_markings(

@@ -139,7 +139,15 @@ def commit_changeset(
     drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     committed_at = system_time(conn, info, now)
-    counts = RecordCounts(len(drive.frame_pairs), *(len(kind) for kind in records[1:6]))
+    counts = RecordCounts(
+        frame_pair_count=len(drive.frame_pairs),
+        detection_count=len(records.detections),
+        match_count=len(records.matches),
+        position_count=len(records.positions),
+        track_count=len(records.tracks),
+        marking_count=len(records.markings),
+        rejection_count=len(records.rejections),
+    )
     insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
     copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
@@ -219,12 +227,13 @@ def made_ahead(source: Iterable[T], *, ahead: int) -> Iterator[Iterator[T]]:
 
 def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
     """Checks that foreign keys would make row by row, at a tenth of their cost. Raises MapMismatchError."""
-    drive, detections, matches, positions, tracks, _, _ = records
+    drive, detections, matches, positions, tracks, _, markings = records
     frames = {pair.frame_index for pair in drive.frame_pairs}
     boxes = {(d.frame_index, d.side, d.detection_index) for d in detections}
     positioned = {(p.frame_index, p.match_index) for p in positions}
     matched = {(m.frame_index, m.match_index) for m in matches}
     numbered = {track.track_index for track in tracks}
+    lines = {line.marking_index for line in markings}
     problems = [
         *([f"a changeset of drive {changeset.drive_id}"] if changeset.drive_id != drive.drive_id else ()),
         *(f"detection of frame {f}, which the drive lacks" for f in {d.frame_index for d in detections} - frames),
@@ -244,7 +253,7 @@ def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
         *(
             f"delta of feature {d.feature_id} with the unknown track {d.track_index}"
             for d in changeset.deltas
-            if d.track_index is not None and d.track_index not in numbered
+            if d.track_index is not None and d.track_index not in (lines if d.state_after.marking else numbered)
         ),
         *(
             f"{count} deltas of feature {feature_id}, where one is allowed"
@@ -277,6 +286,7 @@ def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iter
         _blocks("conetl.position", records.positions, partial(columns.position_columns, drive_uuid, srid)),
         _blocks("conetl.track", records.tracks, partial(columns.track_columns, drive_uuid, srid)),
         _blocks("conetl.track_member", records.tracks, partial(columns.track_member_columns, drive_uuid)),
+        _blocks("conetl.marking_track", records.markings, partial(columns.marking_track_columns, drive_uuid, srid)),
     )
 
 

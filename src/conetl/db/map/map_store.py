@@ -112,7 +112,7 @@ def read_features_as_of(
     }  # fmt: skip
     with database_errors(f"The features of map {map_name} cannot be read"):
         for row in stream(conn, load_sql("map.features_as_of"), parameters):
-            yield FeatureAtInstant(feature_of(row), *row[22:27])
+            yield FeatureAtInstant(feature_of(row), *row[30:35])
 
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:

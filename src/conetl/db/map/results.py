@@ -36,6 +36,7 @@ class RecordCounts(NamedTuple):
     match_count: int = 0
     position_count: int = 0
     track_count: int = 0
+    marking_count: int = 0
     rejection_count: int = 0
 
 
@@ -79,6 +80,7 @@ class CommittedChangeset:
     match_count: int
     position_count: int
     track_count: int
+    marking_count: int
     rejection_count: int
     captured_from_ns: int
     captured_to_ns: int
