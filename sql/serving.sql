@@ -164,6 +164,10 @@ with seen as materialized (
     join conetl.track_member t on t.drive_uuid = d.drive_uuid and t.track_index = x.track_index
     where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s
     and upper_inf(x.system_period)
+    and not exists (  -- the track of a lane marking has no stereo matches
+        select from conetl.feature_version v
+        where v.cell = x.cell and v.feature_id = x.feature_id and v.line is not null
+    )
     order by c.changeset_no, t.frame_index
     limit %(max_rows)s
 )
