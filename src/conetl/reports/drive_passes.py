@@ -168,8 +168,9 @@ def reasons_of(
     with_range = {id(row) for row in absences}
     sentences = []
     for row in rows:
-        key = (row["drive_uuid"], None if row["category"] in LINE_CLASSES else row["track_index"])
-        near_m, far_m, frames = ranges.get(key, (None, None, None))
+        is_line = row["category"] in LINE_CLASSES  # its track is another one's number
+        found = None if is_line else ranges.get((row["drive_uuid"], row["track_index"]))
+        near_m, far_m, frames = found or (None, None, None)
         range_m = (near_m, far_m) if near_m is not None and far_m is not None else None
         if id(row) in with_range:
             range_m = _range_of_absence(conn, map_name, feature_id or row["feature_id"], row)
