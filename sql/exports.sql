@@ -204,7 +204,7 @@ join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and upper_inf(v.system_period);
 
 -- name: qgis_now
--- Layer of a QGIS project: the standing features, with the last change of each. Parameters: map_name.
+-- Layer of a QGIS project: the standing point objects, with the last change of each. Parameters: map_name.
 -- Columns: as below (metres, UTC); sigma_m is the mean horizontal one; seen_count, missed_count: drives that saw and
 -- that missed it, existence_probability is the value after them.
 select
@@ -217,10 +217,28 @@ from conetl.feature_version v
 join conetl.map m using (map_id)
 join conetl.delta x on x.changeset_id = v.changeset_id and x.feature_id = v.feature_id and upper_inf(x.system_period)
 cross join lateral conetl.feature_evidence(v.feature_id, v.version) e
-where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period) and v.present;
+where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period) and v.present and v.line is null;
+
+-- name: qgis_markings
+-- Layer of a QGIS project: the standing lane markings, with the last change of each. Parameters: map_name.
+-- Columns: as below (metres, UTC); sigma_lateral_m is that across the line; seen_count, missed_count and
+-- existence_probability as in qgis_now.
+select
+    v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category,
+    coalesce(e.existence_after, v.existence_probability) as existence_probability, e.seen_count, e.missed_count,
+    v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    conetl.lateral_sigma_m(v.line, v.line_cov) as sigma_lateral_m, ST_3DLength(v.line) as length_m,
+    v.observation_count, to_timestamp(v.first_seen_ns / 1e9) as first_seen_at, to_timestamp(v.last_seen_ns / 1e9) as last_seen_at,
+    lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.line as geom
+from conetl.feature_version v
+join conetl.map m using (map_id)
+join conetl.delta x on x.changeset_id = v.changeset_id and x.feature_id = v.feature_id and upper_inf(x.system_period)
+cross join lateral conetl.feature_evidence(v.feature_id, v.version) e
+where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period) and v.present
+and v.line is not null;
 
 -- name: qgis_over_time
--- Layer of a QGIS project: all current versions, for the temporal controller.
+-- Layer of a QGIS project: all current versions of point objects, for the temporal controller.
 -- Parameters: map_name. Columns: as below (metres, UTC); sigma_m is the mean horizontal one.
 select
     v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category, v.existence_probability,
@@ -231,5 +249,5 @@ select
 from conetl.feature_version v
 join conetl.map m using (map_id)
 join conetl.delta x on x.changeset_id = v.changeset_id and x.feature_id = v.feature_id and upper_inf(x.system_period)
-where m.map_name = %(map_name)s and upper_inf(v.system_period)
+where m.map_name = %(map_name)s and upper_inf(v.system_period) and v.line is null
 and (v.present or x.kind in ('removed', 'merged'));
