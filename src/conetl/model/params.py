@@ -140,6 +140,25 @@ class ReconcileParams(Params):
     """A cone counts as visible when it would appear at least this tall ..."""
     visible_border_px: Positive = 12.0
     """... and at least this far inside both images."""
+    marking_gate_m: Positive = 0.25
+    """Lane markings nearer than this across their direction, after the drive's common offset, are the same one."""
+    marking_moved_max_m: Positive = 1.0
+    """A lane marking that is not observed although visible, and a new one at most this far beside it, are one that was painted
+    anew."""
+    marking_least_m: Positive = 2.5
+    """Parts of a drive's lane marking that the map lacks are added from this length on: the ends of markings are found to about
+    the distance of their vertices."""
+    marking_missed_probability: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    """Probability that a drive does not observe a lane marking that it had in view: dirt, shadow, a lorry beside it. The frame
+    pairs of one drive are not independent in that."""
+    marking_blind_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    """The same for a drive that shows less than half as much of lane markings as it does not observe (a wet road at night)."""
+    marking_min_frames: int = Field(default=3, ge=1)
+    """A vertex of a lane marking that so many frame pairs had in view, and the drive did not observe, is missed."""
+    marking_view_from_m: Positive = 4.0
+    """Lane markings are in view from this distance in front of the camera ..."""
+    marking_view_to_m: Positive = 12.0
+    """... to this one: where they are searched for."""
 
 
 class TrajectoryParams(Params):
