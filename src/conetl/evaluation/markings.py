@@ -20,12 +20,12 @@ from pyproj import Transformer
 from conetl.files.documents import first_message
 from conetl.geometry.camera import project as image_points
 from conetl.geometry.consistency import Consistency, consistency
+from conetl.geometry.linear_reference import directions_at, project, stations
 from conetl.geometry.packing import cov_matrices
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.model.errors import InputError
 from conetl.model.markings import Marking, MarkingColour, MarkingPattern
 from conetl.model.records import Drive, NonNegative, Positive, Record, Vec3
-from conetl.workzones.linear_reference import directions_at, project, stations
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

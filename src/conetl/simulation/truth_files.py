@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
+from conetl.geometry.linear_reference import resampled
 from conetl.simulation.scenario import PAINT_HEIGHT_M, RoadMarking, ScenarioPass
 from conetl.simulation.trajectory import MAP_SRID, map_SE3_road
-from conetl.workzones.linear_reference import resampled
 
 Array = NDArray[np.float64]
 
