@@ -217,7 +217,7 @@ class MarkingParams(Params):
     """A frame pair is searched for markings when the rig has moved this far since the last one that was."""
     min_range_m: Positive = 4.0
     """Depths in front of the camera between which the road is searched ..."""
-    max_range_m: Positive = 16.0
+    max_range_m: Positive = 17.0
     max_offset_m: Positive = 8.0
     """... and how far to the left and to the right."""
     min_width_m: Positive = 0.07

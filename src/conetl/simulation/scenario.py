@@ -12,9 +12,9 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry import linear_reference
 from conetl.model.errors import InputError
 from conetl.model.markings import MarkingColour
-from conetl.workzones import linear_reference
 
 Colour = tuple[float, float, float]
 """sRGB, 0..1."""

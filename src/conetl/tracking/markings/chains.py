@@ -21,11 +21,15 @@ _BIN_M, _CELL_M = 0.5, 0.02
 #: Smoothing of the density across the path: what points of one marking scatter.
 _SPREAD_M = 0.03
 #: Nodes have at least the weight of so many points of usual weight, and this share of the densest one within `_BESIDE_M`.
-_LEAST_POINTS, _LEAST_SHARE, _BESIDE_M = 1.5, 0.2, 0.15
+_LEAST_POINTS, _LEAST_SHARE, _BESIDE_M = 1.0, 0.2, 0.15
+#: Nodes are at least so far apart: two lines of paint and the road between them.
+_APART_M = 0.12
 #: A chain is continued by the line through its nodes of this length; shorter than `_LEAST_FIT_M` it runs along the path.
 _FIT_M, _LEAST_FIT_M = 6.0, 1.5
 #: Largest distance of a node from it: at once, and more for every metre of a gap, with and without a known direction.
 _GATE_M, _GATE_PER_M, _GATE_PER_M_WITHOUT, _WIDEST_GATE_M = 0.1, 0.02, 0.08, 0.4
+#: Of two chains the one that was lost for longer has to be nearer by so much per metre.
+_PER_GAP = 0.03
 #: Points belong to the chain that is nearest, at most this far.
 _MEMBER_M = 0.15
 
@@ -57,7 +61,7 @@ def chains_of(points: LocatedPoints, max_gap_m: float) -> list[Ints]:
         active = [chain for chain in active if station - chain.station_m[-1] <= max_gap_m]
         expected = [chain.expected_m(station) for chain in active]
         pairs = sorted(
-            (abs(offset - at) / gate, k, n)
+            (abs(offset - at) + _PER_GAP * (station - active[k].station_m[-1]), k, n)
             for k, (at, gate) in enumerate(expected)
             for n, offset in enumerate(offsets)
             if abs(offset - at) <= gate
@@ -86,7 +90,7 @@ def _nodes(points: LocatedPoints) -> list[tuple[float, list[float]]]:
     # So that one point alone has its own weight at its peak.
     density = gaussian_filter1d(density, sigma, axis=1, mode="constant") * sigma * np.sqrt(2 * np.pi)
     highest = maximum_filter1d(density, 2 * int(_BESIDE_M / _CELL_M) + 1, axis=1)
-    peaks = (density >= maximum_filter1d(density, 5, axis=1)) & (
+    peaks = (density >= maximum_filter1d(density, 2 * int(_APART_M / _CELL_M) + 1, axis=1)) & (
         density >= np.maximum(_LEAST_POINTS, _LEAST_SHARE * highest)
     )
     found = []

@@ -30,6 +30,8 @@ _LEAST_GAP_M, _LEAST_RUN_M = 0.5, 0.4
 _LONGEST_DASH_M, _LONGEST_HOLE_M = 8.0, 4.0
 #: Dashes and gaps of one line have at most this relative scatter (median absolute deviation).
 _REGULAR = 0.3
+#: A line with paint on more than this share of its length is solid, though worn.
+_WORN = 0.75
 #: The chain is drawn by points so far apart for its projection into the images.
 _DRAWN_M = 0.25
 
@@ -111,7 +113,7 @@ def pieces_of(searched: Searched, min_length_m: float) -> list[Piece]:
         gaussian_filter1d(np.bincount(cell, values, size), sigma, mode="constant")
         for values in (searched.weight, searched.weight * searched.hit)
     )
-    known = seen > 0.05 * np.median(seen[seen > 0])
+    known = seen > 0.02 * np.median(seen[seen > 0])
     share = np.where(known, hits / np.maximum(seen, 1e-12), 0.0)
     at = low + (np.arange(size) + 0.5) * _CELL_M
     usual = float(np.percentile(share[share > 0.05], 75)) if (share > 0.05).any() else 0.0
@@ -162,46 +164,49 @@ def _groups(runs: list[Run]) -> list[list[Run]]:
     """Runs that belong together: parts of a solid line with each other, dashes with dashes."""
     groups: list[list[Run]] = []
     for run in runs:
-        if groups and not (_is_long(run) or _is_solid(groups[-1])):
+        short = run.length_m <= _LONGEST_DASH_M
+        if groups and short and all(one.length_m <= _LONGEST_DASH_M for one in groups[-1]):
             groups[-1].append(run)
         else:
             groups.append([run])
     whole: list[list[Run]] = []
     for group in groups:
-        # One or two short runs beside a solid line are what is left between worn or hidden parts of it, more are dashes.
+        # One or two short runs beside a solid line are what is left between worn or hidden parts of it, more may be dashes.
         parts = (whole[-1], group) if whole else ()
+        solid = [_dashes(part) is None for part in parts]
         near = bool(whole) and group[0].start_m - whole[-1][-1].end_m <= _LONGEST_HOLE_M
-        if near and any(map(_is_solid, parts)) and all(_is_solid(part) or len(part) <= 2 for part in parts):
+        if near and any(solid) and all(one or len(part) <= 2 for one, part in zip(solid, parts, strict=True)):
             whole[-1] = whole[-1] + group
         else:
             whole.append(group)
     return whole
 
 
-def _is_long(run: Run) -> bool:
-    return run.length_m > _LONGEST_DASH_M
-
-
-def _is_solid(runs: list[Run]) -> bool:
-    return any(map(_is_long, runs))
+def _dashes(runs: list[Run]) -> tuple[float, float] | None:
+    """Lengths of dashes and gaps (m) of a dashed line; None of a solid one, which may be worn."""
+    if len(runs) == 1 or any(run.length_m > _LONGEST_DASH_M for run in runs):
+        return None
+    gaps = np.array([b.start_m - a.end_m for a, b in pairwise(runs)])
+    whole = [run.length_m for run in runs if run.empty_before and run.empty_after]
+    dashes = np.array(whole or [run.length_m for run in runs])
+    worn = sum(run.length_m for run in runs) > _WORN * (runs[-1].end_m - runs[0].start_m)
+    irregular = len(runs) > 2 and max(_scatter(gaps), _scatter(dashes)) > _REGULAR
+    return None if worn or irregular else (float(np.median(dashes)), float(np.median(gaps)))
 
 
 def _piece(runs: list[Run], searched: Searched) -> Piece | None:
-    """The piece that runs make; None for one short run by itself."""
-    start, end = runs[0].start_m, runs[-1].end_m
+    """The piece that runs make; None where they are too far apart for a solid line and too irregular for a dashed one."""
     painted = sum(run.length_m for run in runs)
     inside = np.zeros(len(searched.station_m), dtype=bool)
     for run in runs:
         inside |= (searched.station_m >= run.start_m) & (searched.station_m <= run.end_m)
     share = float(searched.hit[inside].mean()) if inside.any() else 0.0
-    if len(runs) == 1 or _is_solid(runs):
-        return Piece(start, end, "solid", painted, share)
-    gaps = np.array([b.start_m - a.end_m for a, b in pairwise(runs)])
-    whole = [run.length_m for run in runs if run.empty_before and run.empty_after]
-    dashes = np.array(whole or [run.length_m for run in runs])
-    if painted / (end - start) > 0.75 or (len(runs) > 2 and max(map(_scatter, (gaps, dashes))) > _REGULAR):
-        return Piece(start, end, "solid", painted, share) if gaps.max() <= _LONGEST_HOLE_M else None
-    return Piece(start, end, "dashed", painted, share, float(np.median(dashes)), float(np.median(gaps)))
+    ends, dashes = (runs[0].start_m, runs[-1].end_m), _dashes(runs)
+    if dashes is not None:
+        return Piece(*ends, "dashed", painted, share, *dashes)
+    if max((b.start_m - a.end_m for a, b in pairwise(runs)), default=0.0) > _LONGEST_HOLE_M:
+        return None
+    return Piece(*ends, "solid", painted, share)
 
 
 def _scatter(lengths: Floats) -> float:

@@ -48,6 +48,8 @@ _FAR_PERCENT = 67.0
 _WIDTH_SIGMA_M = 0.006
 #: White paint outshines the road by equal shares in all colours, within this; yellow paint less in blue.
 _WHITE, _YELLOW = 0.2, -0.25
+#: A point that is so high above the road beside it is no paint: bands of cones, cars.
+_MAX_ABOVE_M = 0.12
 #: Existence: prior probability of a chain that was found, grey levels at which a frame pair's evidence is half of the most, and
 #: that evidence (logarithm of odds).
 _PRIOR, _HALF_CONTRAST, _EVIDENCE = 0.2, 20.0, 0.6
@@ -75,6 +77,10 @@ def fuse_markings(
     """All lane markings of a drive with its final poses and rig. poses: the covariance of these poses."""
     points = locate_points(found, drive, params.max_range_m)
     if points is None:
+        return []
+    above = np.fmax(points.columns.above_left_m, points.columns.above_right_m)
+    points = points.some(~(above > _MAX_ABOVE_M))
+    if not len(points.frame):
         return []
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     tracks: list[MarkingTrack] = []
