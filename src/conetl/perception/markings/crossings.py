@@ -37,7 +37,7 @@ _INSIDE_M = 0.02
 #: A band's edges and its middle are at least this many sigmas of the row's noise above the road ...
 _NOISE_SIGMAS = 4.0
 #: ... and this share of the road's grey level; the two sides differ by at most this share of the contrast.
-_LEAST_RELATIVE, _SIDE_SHARE = 0.15, 0.5
+_LEAST_RELATIVE, _SIDE_SHARE = 0.25, 0.5
 #: Bands of both images are one marking if they are this near on the road plane (it may lie 0.3 m higher or lower) ...
 _PARALLAX_M = 0.15
 #: ... and their widths and contrasts have at most these ratios.

@@ -33,10 +33,10 @@ _ROBUST, _ROUNDS = 2.0, 4
 #: Weight of the squared bend (m per vertex) of a course against that of one point.
 _STIFFNESS = 3.0
 #: Neighbouring rows see the same blur and texture: so many count as one.
-_ROWS_AS_ONE = 3.0
+_ROWS_AS_ONE = 1.5
 #: Sigmas of what all points of one frame pair have in common (glare, shadows, the motion during exposure), and of what all points
 #: of a marking have (shape of its edges, disparities).
-_FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.1, 0.03
+_FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
 #: Frame pairs of less weight than this share of the largest do not move a vertex.
 _LEAST_SHARE = 0.02
 #: Largest scatter of the points about the course (m) and of the widths (share).
