@@ -229,7 +229,7 @@ class MarkingParams(Params):
     """Of the paint above the road on either side of it: kerbs are at least 0.06 m high."""
     max_gap_m: Positive = 12.5
     """Longest gap between the dashes of one line: 9 m (Germany, other roads) to 12 m (motorways)."""
-    min_length_m: Positive = 4.0
+    min_length_m: Positive = 3.0
     """Least length of the paint of one marking."""
     min_frames: int = Field(default=3, ge=1)
     """Least number of frame pairs that show it."""

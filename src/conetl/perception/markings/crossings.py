@@ -34,6 +34,8 @@ _EDGE_SIGMA_M = 0.02
 _BESIDE_M = (0.04, 0.14)
 #: Inside of a band: at least this far from its edges.
 _INSIDE_M = 0.02
+#: Where their mean grey levels are sampled, as shares of the width.
+_SAMPLES = np.linspace(0.0, 1.0, 9)
 #: A band's edges and its middle are at least this many sigmas of the row's noise above the road ...
 _NOISE_SIGMAS = 4.0
 #: ... and this share of the road's grey level; the two sides differ by at most this share of the contrast.
@@ -182,12 +184,7 @@ def find_bands(grey: Grid, params: MarkingParams) -> Bands:
     width = (fall[after] - rise) * _STEP_M
     fits = (fall_row[after] == rise_row) & (width >= params.min_width_m) & (width <= params.max_width_m)
     row, rise, fall = rise_row[fits], rise[fits], fall[after[fits]]
-    sums = np.zeros((grey.shape[0], columns + 1))
-    np.cumsum(np.where(valid, grey, 0.0), axis=1, out=sums[:, 1:])
-    inset = _INSIDE_M / _STEP_M
-    near, far = _BESIDE_M[0] / _STEP_M, _BESIDE_M[1] / _STEP_M
-    inside = _mean(sums, row, rise + inset, fall - inset)
-    before, behind = _mean(sums, row, rise - far, rise - near), _mean(sums, row, fall + near, fall + far)
+    inside, before, behind = _inside_and_beside(grey, row, rise, fall)
     contrast = inside - (before + behind) / 2
     darkest = np.maximum(before, behind)
     good = inside - darkest >= np.maximum(params.min_contrast, _NOISE_SIGMAS * noise[row])
@@ -210,11 +207,20 @@ def _peaks(slope: Grid, least: Floats) -> tuple[Ints, Floats]:
     return row, column + 1 + 0.5 * (a - c) / (a - 2 * b + c)
 
 
-def _mean(sums: Floats, row: Ints, start: Floats, end: Floats) -> Floats:
-    """Means between two columns each, of rows with these running sums; at least one column."""
-    first = np.clip(np.rint(start), 0, sums.shape[1] - 2).astype(np.intp)
-    last = np.clip(np.maximum(np.rint(end).astype(np.intp), first + 1), None, sums.shape[1] - 1)
-    return np.asarray((sums[row, last] - sums[row, first]) / (last - first))
+def _inside_and_beside(
+    image: NDArray[np.generic], row: Ints, rise: Floats, fall: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """(N, ...) mean values of a resampled image (R, C, ...) in bands with these edges, and on their left and right."""
+    inset, near, far = _INSIDE_M / _STEP_M, _BESIDE_M[0] / _STEP_M, _BESIDE_M[1] / _STEP_M
+    parts = ((rise + inset, fall - inset), (rise - far, rise - near), (fall + near, fall + far))
+
+    def mean(start: Floats, end: Floats) -> Floats:
+        columns = np.rint(start[:, None] + (end - start)[:, None] * _SAMPLES).astype(np.intp)
+        values = image[row[:, None], np.clip(columns, 0, image.shape[1] - 1)]
+        return np.asarray(values.mean(axis=1, dtype=np.float64))
+
+    inside, before, behind = (mean(*part) for part in parts)
+    return inside, before, behind
 
 
 def matched(ours: Bands, theirs: Bands) -> tuple[Ints, Ints]:
@@ -260,12 +266,6 @@ def _tints(colours: NDArray[np.uint8], bands: Bands, chosen: Ints) -> tuple[Floa
 
     Ratios of paint to road do not depend on the white balance; of white paint they are equal in all colours.
     """
-    row, rise, fall = bands.row[chosen], bands.rise[chosen], bands.fall[chosen]
-    near, far, inset = _BESIDE_M[0] / _STEP_M, _BESIDE_M[1] / _STEP_M, _INSIDE_M / _STEP_M
-    ratios = []
-    for channel in range(3):
-        sums = np.zeros((colours.shape[0], colours.shape[1] + 1))
-        np.cumsum(colours[:, :, channel], axis=1, out=sums[:, 1:])
-        road = (_mean(sums, row, rise - far, rise - near) + _mean(sums, row, fall + near, fall + far)) / 2
-        ratios.append(np.log(np.maximum(_mean(sums, row, rise + inset, fall - inset), 1) / np.maximum(road, 1)))
-    return ratios[0] - ratios[1], ratios[2] - ratios[1]
+    paint, before, behind = _inside_and_beside(colours, bands.row[chosen], bands.rise[chosen], bands.fall[chosen])
+    blue, green, red = np.log(np.maximum(paint, 1) / np.maximum((before + behind) / 2, 1)).T
+    return blue - green, red - green
