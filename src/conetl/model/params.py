@@ -229,6 +229,32 @@ class TrajectoryParams(Params):
     """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
 
 
+class MarkingParams(Params):
+    """How lane markings are found; only used where they are searched for (`DetectionParams.categories`)."""
+
+    pair_spacing_m: Positive = 1.0
+    """A frame pair is searched for markings when the rig has moved this far since the last one that was."""
+    min_range_m: Positive = 4.0
+    """Depths in front of the camera between which the road is searched ..."""
+    max_range_m: Positive = 17.0
+    max_offset_m: Positive = 8.0
+    """... and how far to the left and to the right."""
+    min_width_m: Positive = 0.07
+    """Bounds of the width of paint: 0.10 to 0.30 m by most standards, measured with noise."""
+    max_width_m: Positive = 0.35
+    min_contrast: Positive = 8.0
+    """Least grey levels between paint and road."""
+    max_above_road_m: Positive = 0.04
+    """Of the paint above the road on either side of it: kerbs are at least 0.06 m high."""
+    max_gap_m: Positive = 12.5
+    """Longest gap between the dashes of one line: 9 m (Germany, other roads) to 12 m (motorways)."""
+    min_length_m: Positive = 3.0
+    """Least length of the paint of one marking."""
+    min_frames: int = Field(default=3, ge=1)
+    """Least number of frame pairs that show it."""
+    vertex_spacing_m: Positive = 2.5
+
+
 class IngestParams(Params):
     """All parameters of one ingest."""
 
@@ -238,6 +264,7 @@ class IngestParams(Params):
     track: TrackParams = TrackParams()
     reconcile: ReconcileParams = ReconcileParams()
     trajectory: TrajectoryParams = TrajectoryParams()
+    marking: MarkingParams = MarkingParams()
     chunk_pairs: int = Field(default=256, ge=1)
     """Frame pairs per chunk, half of which are one detection task: a task costs Prefect about 10 ms."""
     max_rejected_fraction: Fraction = 0.10
