@@ -39,7 +39,7 @@ from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
-from conetl.model.feature_classes import CONE, known_of
+from conetl.model.feature_classes import CONE, LINE_CLASSES, known_of
 from conetl.model.health import CALIBRATION, Verdict
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
@@ -181,8 +181,8 @@ def read_params(path: Path | None, categories: Sequence[str] | None, settings: S
     if not categories:
         return params
     card = read_model_card(settings.model_path)
-    wanted = known_of(card.categories) if "all" in categories else categories
-    card.require_categories(wanted)
+    wanted = known_of({*card.categories, *LINE_CLASSES}) if "all" in categories else categories
+    card.require_categories(set(wanted) - set(LINE_CLASSES))
     try:
         detection = DetectionParams.model_validate(params.detection.model_dump() | {"categories": wanted})
     except ValidationError as error:
