@@ -131,8 +131,8 @@ order by
 -- Features that differ between the map of one instant on the road and that of a later one, both as the database knew
 -- them at one instant.
 -- Parameters: map_name; from_valid_at, to_valid_at, known_at (timestamptz; 'infinity' = latest); moved_from_m: a
--- position that differs by more (horizontally, of lines across the line) was moved, by less it was only measured better;
--- spatial_order, time_order (both false: by feature_id); lines: lane markings instead of point objects; category (null:
+-- position that differs by more (horizontally) was moved, by less it was only measured better; line_moved_from_m: the same
+-- of lane markings, across the line; spatial_order, time_order (both false: by feature_id); lines: lane markings instead of point objects; category (null:
 -- all).
 -- Columns: as exports.versions, of the later state (of removed features: of the earlier one, with valid_to when they
 -- were removed, whatever confirmed them in between), change (added, moved, confirmed, removed) and shift_m;
@@ -174,7 +174,8 @@ select
     case
         when (c.old).feature_id is null then 'added'
         when (c.new).feature_id is null then 'removed'
-        when ST_Distance(coalesce((c.old).line, (c.old).geom), (c.new).geom) > %(moved_from_m)s then 'moved'
+        when ST_Distance((c.old).geom, (c.new).geom) > %(moved_from_m)s and (c.old).line is null then 'moved'
+        when ST_Distance((c.old).line, (c.new).geom) > %(line_moved_from_m)s then 'moved'
         else 'confirmed'
     end as change,
     ST_Distance(coalesce((c.old).line, (c.old).geom), (c.new).geom) as shift_m, (c.old).version as old_version,

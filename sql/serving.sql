@@ -64,10 +64,11 @@ limit %(max_rows)s;
 -- name: changes_between
 -- How the map of one instant differs from that of another, each as the database knew it at its own instant.
 -- Parameters: map_name; from_valid_at, from_known_at, to_valid_at, to_known_at (timestamptz; 'infinity' = latest);
--- moved_from_m: horizontal distance (m) from which a feature counts as moved; max_rows.
+-- moved_from_m: horizontal distance (m) from which a feature counts as moved; line_moved_from_m: the same of lane markings,
+-- across the line; max_rows.
 -- Columns: as history.changes_of_changeset; changed_at is the beginning of the later state (null for removed); kind
 -- 'confirmed' means the same position with other values, 'unchanged' the same version; changeset_no: of the changeset
--- that wrote the version which is shown. The shift of a lane marking is that across the line.
+-- that wrote the version which is shown.
 with before as (
     select * from conetl.map_as_of(%(map_name)s, %(from_valid_at)s::timestamptz, %(from_known_at)s::timestamptz)
 ),
@@ -79,7 +80,8 @@ select
     case
         when b.feature_id is null then 'added'
         when a.feature_id is null then 'removed'
-        when ST_Distance(a.geom, coalesce(b.line, b.geom)) >= %(moved_from_m)s then 'moved'
+        when ST_Distance(a.geom, b.geom) >= %(moved_from_m)s and b.line is null then 'moved'
+        when ST_Distance(a.geom, b.line) >= %(line_moved_from_m)s then 'moved'
         when a.version <> b.version or not ST_Equals(a.geom, b.geom) then 'confirmed'
         else 'unchanged'
     end as kind,

@@ -20,10 +20,13 @@ from conetl.db.connection import address, execute
 from conetl.db.map.map_store import read_current_features
 from conetl.exports.export import export_map
 from conetl.exports.geojson import export_geojson
+from conetl.exports.kind_marks import KIND_MARKS
+from conetl.exports.markings import PAINT
 from conetl.exports.qgis_project import _iso, write_qgis_project
 from conetl.exports.source import ExportRequest, What
 from conetl.exports.text_files import iso_utc
 from conetl.model.errors import InputError
+from conetl.model.map_records import DeltaKind
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_place
 from tests.integration.drives_of_days import merge, survey
@@ -204,7 +207,11 @@ def test_qgis_opens_and_draws_it(surveyed, tmp_path):
     assert layers["cones_over_time"]["temporal"] and layers["cones_over_time"]["fields"] == ["valid_from", "valid_to"]
     assert layers["cones_standing_now"]["renderer"] == "categorizedSymbol"
     pixels = np.asarray(Image.open(image).convert("RGB")).reshape(-1, 3).astype(int)
-    shown = {"confirmed": (127, 151, 178), "moved": (168, 50, 127), "removed": (31, 41, 51), "yellow": (242, 183, 5)}
+    shown = {
+        "confirmed": KIND_MARKS[DeltaKind.CONFIRMED].colour,
+        "moved": KIND_MARKS[DeltaKind.MOVED].colour,
+        "paint": PAINT["yellow"],
+    }
     for kind, colour in shown.items():
-        near = (np.abs(pixels - colour).max(axis=1) < 24).sum()
+        near = (np.abs(pixels - list(bytes.fromhex(colour[1:]))).max(axis=1) < 24).sum()
         assert near > 20, f"{kind} is not to be seen"

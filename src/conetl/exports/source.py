@@ -223,6 +223,7 @@ class Source:
             "from_valid_at": "-infinity" if request.since is None else request.since.isoformat(),
             "to_valid_at": _instant(request.until),
             "moved_from_m": ReconcileParams().min_gate_m,
+            "line_moved_from_m": ReconcileParams().marking_gate_m,
             "with_change": self._has_change,
             "srid": self.info.srid,
             **dict(zip(("west_m", "south_m", "east_m", "north_m"), request.box_m or (None,) * 4, strict=True)),
