@@ -109,6 +109,11 @@ class Delta(Record):
         return state
 
     @property
+    def is_of_line(self) -> bool:
+        """Whether the feature is a line."""
+        return self.state_after.marking is not None
+
+    @property
     def is_change(self) -> bool:
         """False for a miss, and for a confirmation that changes no stored value: these make no version."""
         if self.kind is DeltaKind.MISSED:

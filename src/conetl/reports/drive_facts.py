@@ -19,6 +19,7 @@ from conetl.db.serve_store import read_changeset_changes
 from conetl.db.statements import load_sql
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import LINE_CLASSES
 from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import FramePair, Rig, Track
@@ -142,7 +143,8 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         header = execute(conn, load_sql("reports.changeset"), parameters)[0]
         if header["rig"] is None:
             raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
-        rows = read_changeset_changes(conn, map_name, changeset.changeset_no)
+        all_rows = read_changeset_changes(conn, map_name, changeset.changeset_no)
+        rows = [row for row in all_rows if row["category"] not in LINE_CLASSES]
         rejections = execute(conn, load_sql("reports.rejections"), parameters)
         residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
         events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
