@@ -15,6 +15,7 @@ select
     (c.height_changed_count + e.height_changed)::integer as height_changed_count,
     (c.split_count + e.split)::integer as split_count,
     (c.merged_count + e.merged)::integer as merged_count,
+    case when e.at is null then c.line_counts else coalesce(e.of_lines, '{}') end as line_counts,
     c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.marking_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns,
     h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
@@ -26,14 +27,22 @@ left join conetl.on_hold h on h.changeset_id = c.changeset_id
 cross join lateral (
     select
         min(lower(x.system_period)) as at,
-        count(*) filter (where x.kind = 'added') as added,
-        count(*) filter (where x.kind = 'confirmed') as confirmed,
-        count(*) filter (where x.kind = 'moved') as moved,
-        count(*) filter (where x.kind = 'removed') as removed,
-        count(*) filter (where x.kind = 'missed') as missed,
-        count(*) filter (where x.kind = 'height_changed') as height_changed,
-        count(*) filter (where x.kind = 'split') as split,
-        count(*) filter (where x.kind = 'merged') as merged
+        case when min(lower(x.system_period)) is not null then (
+            select jsonb_object_agg(k.kind, k.count)
+            from (
+                select y.kind, count(*) as count from conetl.delta y
+                where y.changeset_id = c.changeset_id and y.of_line and upper_inf(y.system_period)
+                group by y.kind
+            ) k
+        ) end as of_lines,
+        count(*) filter (where x.kind = 'added' and not x.of_line) as added,
+        count(*) filter (where x.kind = 'confirmed' and not x.of_line) as confirmed,
+        count(*) filter (where x.kind = 'moved' and not x.of_line) as moved,
+        count(*) filter (where x.kind = 'removed' and not x.of_line) as removed,
+        count(*) filter (where x.kind = 'missed' and not x.of_line) as missed,
+        count(*) filter (where x.kind = 'height_changed' and not x.of_line) as height_changed,
+        count(*) filter (where x.kind = 'split' and not x.of_line) as split,
+        count(*) filter (where x.kind = 'merged' and not x.of_line) as merged
     from conetl.delta x
     where x.changeset_id = c.changeset_id and upper_inf(x.system_period)
     and exists (select from conetl.hold k where k.changeset_id = c.changeset_id and lower(k.system_period) = c.committed_at)

@@ -68,7 +68,7 @@ group by m.map_id;
 -- name: features_as_of
 -- The features that stood on a map at one instant on the road, as the database knew it at another instant.
 -- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); west_m, south_m, east_m, north_m (map
--- CRS; all null: everywhere); srid; max_rows (null: all).
+-- CRS; all null: everywhere); srid; max_rows (null: all); lines (true: lane markings, too).
 -- Columns: as MapFeature (metres, m^2, UTC nanoseconds), then valid_from, valid_to (null while open), changeset_id,
 -- seen_count, missed_count (drives until then; an import saw nothing). existence_probability is the value after the
 -- last drive to which the feature was visible.
@@ -77,9 +77,11 @@ group by m.map_id;
 with v as materialized (
     select v.*
     from conetl.map_as_of(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) v
-    where
+    where (v.line is null or %(lines)s)
+    and (
         %(west_m)s::float8 is null
         or v.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+    )
 ),
 evidence as (
     select

@@ -78,7 +78,7 @@ with steps as (
     cross join lateral (
         values (lower(v.system_period), 1), (upper(v.system_period), -1)
     ) e (at, change)
-    where m.map_name = %(map_name)s and v.present and upper_inf(v.valid_period) and v.line is null and e.at is not null
+    where m.map_name = %(map_name)s and v.line is null and v.present and upper_inf(v.valid_period) and e.at is not null
     group by e.at
 )
 select at, sum(change) over (order by at)::bigint as standing
@@ -150,7 +150,7 @@ join lateral (
     limit 1
 ) v on true
 where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
-and v.line is not null and upper_inf(x.system_period)
+and x.of_line and upper_inf(x.system_period)
 group by x.kind
 order by x.kind;
 
@@ -168,7 +168,7 @@ join conetl.feature_version v
     on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
     and upper_inf(v.system_period) and upper_inf(v.valid_period)
 where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
-and x.kind in ('removed', 'merged') and upper_inf(x.system_period) and v.line is null
+and x.kind in ('removed', 'merged') and not x.of_line and upper_inf(x.system_period)
 order by c.changeset_no, x.feature_id
 limit %(max_rows)s;
 

@@ -49,6 +49,13 @@ create table conetl.marking_track (
 );
 comment on table conetl.marking_track is 'The lane markings that a drive observed: what the fold of the map compares.';
 
+-- The counts of changes are those of point objects; lines have their own.
+alter table conetl.delta add column of_line boolean not null default false;
+alter table conetl.delta alter column of_line drop default;
+comment on column conetl.delta.of_line is 'Whether the feature is a line.';
+
+alter table conetl.changeset add column line_counts jsonb not null default '{}';
+comment on column conetl.changeset.line_counts is 'Number of changes of stretches of lane markings by kind, as committed; the other counts are of point objects.';
 alter table conetl.changeset add column marking_count integer not null default 0;
 alter table conetl.changeset alter column marking_count drop default;
 -- Lane markings for other programs -----------------------------------------------------------------------------------------------

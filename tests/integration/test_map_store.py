@@ -93,7 +93,7 @@ def test_lane_markings_come_back_to_the_last_bit(conn, samples):
     result = samples.commit(conn, samples.added(line), samples.added(cone), key="1", markings=[track])
     assert result.changeset.marking_count == 1
     assert load_stored_drive(conn, result.changeset.drive_uuid).markings == [track]
-    assert {f.feature_id: f for f in read_current_features(conn)} == {f.feature_id: f for f in (line, cone)}
+    assert {f.feature_id: f for f in read_current_features(conn, lines=True)} == {f.feature_id: f for f in (line, cone)}
 
     wider = samples.changed(
         "confirmed", line, samples.START_NS + samples.DAY_NS, marking=dashed.model_copy(update={"width_m": 0.15})
@@ -103,7 +103,9 @@ def test_lane_markings_come_back_to_the_last_bit(conn, samples):
     assert read_open_version(conn, "default", line.feature_id).feature == wider.new
     samples.commit(conn, gone, key="3", start_ns=samples.START_NS + 2 * samples.DAY_NS)
     [before] = [
-        v.feature for v in read_features_as_of(conn, utc_from_ns(gone.changed_at_ns) - DAY / 2) if v.feature.marking
+        v.feature
+        for v in read_features_as_of(conn, utc_from_ns(gone.changed_at_ns) - DAY / 2, lines=True)
+        if v.feature.marking
     ]
     assert before == wider.new and read_current_features(conn) == [cone]
     versions = read_versions(conn, [result.changeset.drive_uuid])

@@ -218,11 +218,12 @@ def print_report(report: IngestReport) -> None:
     """What one drive changed."""
     kinds = [kind for kind in DeltaKind if kind in _USUAL or report.counts[kind]]
     counts = ", ".join(f"{report.counts[kind]} {kind.replace('_', ' ')}" for kind in kinds)
+    lines = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in report.line_counts.items())
     drive = f"[bold]{report.drive_id}[/] ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
     if report.is_known:
         known = f"on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"
         if report.counts_on_map:
-            state = f" ({counts})"
+            state = f" ({counts}{f'; stretches of lane markings: {lines}' if lines else ''})"
         elif report.on_hold is not None:
             state = ", but on hold (see `conetl drive held`)"
         else:
@@ -236,6 +237,8 @@ def print_report(report: IngestReport) -> None:
         f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} {objects}."
     )
+    if lines:
+        out.print(f"{counted(report.markings, 'lane marking')}: stretches {lines}.")
     if report.trajectory:
         out.print(f"Trajectory: {report.trajectory}.")
     told = {check.name for check in report.health if check.verdict is not Verdict.PASS}

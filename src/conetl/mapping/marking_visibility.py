@@ -12,6 +12,8 @@ from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.params import ReconcileParams
 
 Floats = NDArray[np.float64]
+#: As `MarkingParams.pair_spacing_m`.
+_STEP_M = 1.0
 
 
 class MarkingView(NamedTuple):
@@ -40,13 +42,15 @@ def not_in_view(vertices_m: Floats) -> MarkingView:
 def markings_in_view(vertices_m: Floats, drive: DriveObservations, params: ReconcileParams) -> MarkingView:
     """Where vertices (n, 3), in the drive's map frame, lie inside both images at the ranges in which markings are searched.
 
-    Empty for a drive that did not search for markings. A vertex inside the box of a detection is hidden, and images that show
+    Of frame pairs recorded nearer to each other than `_STEP_M` one is searched. Empty for a drive that did not search for
+    markings. A vertex inside the box of a detection is hidden, and images that show
     too little show no absence.
     """
     rows = np.flatnonzero(drive.shows_absence) if LANE_MARKING in drive.figures.categories else np.empty(0, np.int64)
     middle_m = vertices_m.mean(axis=0)
     reach_m = 2 * params.marking_view_to_m + float(np.linalg.norm(vertices_m - middle_m, axis=1).max())
     rows = rows[np.linalg.norm(drive.map_SE3_left[rows, :3, 3] - middle_m, axis=1) <= reach_m]
+    rows = rows[_spread(drive.map_SE3_left[rows, :3, 3])]
     in_view = np.ones((len(vertices_m), len(rows)), bool)
     for poses, camera, side in (
         (drive.map_SE3_left[rows], drive.rig.left, "left"),
@@ -54,6 +58,7 @@ def markings_in_view(vertices_m: Floats, drive: DriveObservations, params: Recon
     ):
         x, y, z = np.einsum("knj,kji->ink", vertices_m[None] - poses[:, None, :3, 3], poses[:, :3, :3])
         in_view &= (z >= params.marking_view_from_m) & (z <= params.marking_view_to_m)
+        in_view &= np.abs(x) <= params.marking_view_aside_m
         depth = np.where(in_view, z, 1.0)
         u, v = camera.cx_px + camera.fx_px * x / depth, camera.cy_px + camera.fy_px * y / depth
         border = params.visible_border_px
@@ -65,3 +70,12 @@ def markings_in_view(vertices_m: Floats, drive: DriveObservations, params: Recon
                     in_view[:, k] &= ~(inside & (v[:, k] >= box.y_px) & (v[:, k] <= box.y_px + box.h_px))
     shown = in_view.any(axis=0)
     return MarkingView(drive.captured_at_ns[rows[shown]], in_view[:, shown])
+
+
+def _spread(positions_m: Floats) -> list[int]:
+    """Rows of positions (N, 3) in order of time: the first, and each that is `_STEP_M` from the last one chosen."""
+    chosen: list[int] = []
+    for row, at_m in enumerate(positions_m):
+        if not chosen or float(np.linalg.norm(at_m - positions_m[chosen[-1]])) >= _STEP_M:
+            chosen.append(row)
+    return chosen

@@ -158,7 +158,8 @@ class ReconcileParams(Params):
     marking_view_from_m: Positive = 4.0
     """Lane markings are in view from this distance in front of the camera ..."""
     marking_view_to_m: Positive = 12.0
-    """... to this one: where they are searched for."""
+    """... to this one, and so far to the left and right: inside of where they are searched for (`MarkingParams`)."""
+    marking_view_aside_m: Positive = 7.0
 
 
 class TrajectoryParams(Params):

@@ -173,6 +173,10 @@ def import_(
         _require_map_srid(imported.srid)
         total = len(imported.statements)
         done = import_map(conn, imported, params, map_name=settings.map_name)
+    if imported.lines_left_out:
+        note(
+            f"{counted(imported.lines_left_out, noun_of(LANE_MARKING))} of {file} left out: only point objects are imported"
+        )
     text = f"{file} is on the map {settings.map_name} already: no changes."
     if done.own:
         note(f"{done.own} of {counted(total, 'cone')} of {file} are an export of this map: no new evidence, left out")

@@ -179,7 +179,9 @@ def insert_changeset(
         facts = None if run.facts is None else json_text(dict(run.facts))
         kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
         execute(conn, load_sql("commit.insert_run"), vars(run) | kept)
-    kinds = Counter(delta.kind for delta in changeset.deltas)
+    kinds, line_kinds = (
+        Counter(delta.kind for delta in changeset.deltas if delta.is_of_line is of_line) for of_line in (False, True)
+    )
     parameters = {
         "changeset_id": changeset.changeset_id,
         "map_id": info.map_id,
@@ -191,6 +193,7 @@ def insert_changeset(
         "code_version": changeset.code_version,
         "committed_at": committed_at,
         **{f"{kind.value}_count": kinds[kind] for kind in DeltaKind},
+        "line_counts": json_text({kind.value: count for kind, count in sorted(line_kinds.items())}),
         **counts._asdict(),
     }
     execute(conn, load_sql("commit.insert_changeset"), parameters)

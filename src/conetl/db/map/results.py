@@ -75,6 +75,8 @@ class CommittedChangeset:
     height_changed_count: int
     split_count: int
     merged_count: int
+    line_counts: Mapping[DeltaKind, int]
+    """Changes of stretches of lane markings, of each kind that there is; the counts before are of point objects."""
     frame_pair_count: int
     detection_count: int
     match_count: int

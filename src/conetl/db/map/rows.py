@@ -185,6 +185,7 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
     return {
         "changeset_id": binary.uuids([changeset_id for changeset_id, _ in changes]),
         "new_version": binary.integers([version_after(d) for d in deltas]),
+        "of_line": binary.booleans([d.is_of_line for d in deltas]),
         **_change_columns(deltas),
     }
 
