@@ -218,5 +218,6 @@ def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
         {"what": name.replace("_", " "), "count": getattr(report, name)}
         for name in ("frame_pairs", "frame_pairs_rejected", "detections", "matches", "positions", "tracks")
     ]
+    rows += [{"what": f"lane markings: stretches {kind}", "count": count} for kind, count in report.line_counts.items()]
     rows += [{"what": f"rejected: {reason}", "count": count} for reason, count in report.rejections.items()]
     return rows

@@ -15,7 +15,7 @@ from prefect.utilities.annotations import opaque
 
 from conetl.db.run_store import StepTime
 from conetl.model.errors import InputError, is_of_storage
-from conetl.pipeline import analysis, commit, detect, ingest, odometry
+from conetl.pipeline import analysis, commit, detect, ingest, markings, odometry
 from conetl.pipeline.executor import StepClock
 from conetl.pipeline.settings import Settings
 from flows import artifacts
@@ -32,6 +32,8 @@ _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     analysis.locate: ("locate", None),
     analysis.fuse: ("fuse", None),
     analysis.weigh: ("weigh", None),
+    markings.marking_points: ("find markings", "find markings {chunk.frame_pairs[0].frame_index} {part}"),
+    markings.mark: ("mark", None),
     commit.commit: ("merge", None),
     artifacts.publish_drive: ("publish", None),
     artifacts.publish_pending: ("publish what is pending", None),

@@ -7,14 +7,15 @@
 with delta_counts as (
     select
         x.changeset_id,
-        count(*) filter (where x.kind = 'added') as added,
-        count(*) filter (where x.kind = 'confirmed') as confirmed,
-        count(*) filter (where x.kind = 'moved') as moved,
-        count(*) filter (where x.kind = 'removed') as removed,
-        count(*) filter (where x.kind = 'missed') as missed,
-        count(*) filter (where x.kind = 'height_changed') as height_changed,
-        count(*) filter (where x.kind = 'split') as split,
-        count(*) filter (where x.kind = 'merged') as merged
+        count(*) filter (where x.kind = 'added' and not x.of_line) as added,
+        count(*) filter (where x.kind = 'confirmed' and not x.of_line) as confirmed,
+        count(*) filter (where x.kind = 'moved' and not x.of_line) as moved,
+        count(*) filter (where x.kind = 'removed' and not x.of_line) as removed,
+        count(*) filter (where x.kind = 'missed' and not x.of_line) as missed,
+        count(*) filter (where x.kind = 'height_changed' and not x.of_line) as height_changed,
+        count(*) filter (where x.kind = 'split' and not x.of_line) as split,
+        count(*) filter (where x.kind = 'merged' and not x.of_line) as merged,
+        count(*) filter (where x.of_line) as of_lines
     from conetl.delta x
     join conetl.changeset c on c.changeset_id = x.changeset_id and c.committed_at = lower(x.system_period)
     group by x.changeset_id
@@ -33,6 +34,7 @@ cross join lateral (
         ('height changed', c.height_changed_count, coalesce(x.height_changed, 0)),
         ('split', c.split_count, coalesce(x.split, 0)),
         ('merged', c.merged_count, coalesce(x.merged, 0)),
+        ('changes of lines', (select coalesce(sum(n.value::bigint), 0) from jsonb_each_text(c.line_counts) n), coalesce(x.of_lines, 0)),
         ('frame pairs', c.frame_pair_count, (select count(*) from conetl.frame_pair r where r.drive_uuid = c.drive_uuid)),
         ('detections', case when d.pruned_at is null then c.detection_count else 0 end,
             (select count(*) from conetl.detection r where r.drive_uuid = c.drive_uuid)),
@@ -41,6 +43,8 @@ cross join lateral (
         ('positions', case when d.pruned_at is null then c.position_count else 0 end,
             (select count(*) from conetl.position r where r.drive_uuid = c.drive_uuid)),
         ('tracks', c.track_count, (select count(*) from conetl.track r where r.drive_uuid = c.drive_uuid)),
+        ('lane markings', c.marking_count,
+            (select count(*) from conetl.marking_track r where r.drive_uuid = c.drive_uuid)),
         ('rejections', c.rejection_count, (select count(*) from conetl.quarantine r where r.changeset_id = c.changeset_id))
 ) counted (what, stated, found)
 where counted.stated <> counted.found;
@@ -145,6 +149,36 @@ from point
 where ST_SRID(geom) <> srid
 or ST_IsEmpty(geom)
 or not (ST_X(geom) between -1e9 and 1e9 and ST_Y(geom) between -1e9 and 1e9 and ST_Z(geom) between -1e6 and 1e6);
+
+-- name: lines
+-- Every line has its own covariance per vertex, and the position of its feature is its middle vertex; what is said of a line is
+-- said of a feature that is one.
+-- Columns: table_name, record, problem.
+select 'feature_version' as table_name, v.feature_id || ' version ' || v.version as record, p.problem
+from conetl.feature_version v
+cross join lateral (select ST_PointN(v.line, ST_NPoints(v.line) / 2 + 1) as geom, ST_NPoints(v.line) / 2 + 1 as number) middle
+cross join lateral (
+    select case
+        when array_ndims(v.line_cov) <> 2 or array_length(v.line_cov, 1) <> ST_NPoints(v.line) or array_length(v.line_cov, 2) <> 6
+            then 'has not one covariance per vertex'
+        when not ST_3DDWithin(middle.geom, v.geom, 1e-6) or not ST_3DDWithin(v.centre_geom, v.geom, 1e-6)
+            then 'is not at its middle vertex'
+        when v.line_cov[middle.number][1] <> v.cov_xx or v.line_cov[middle.number][4] <> v.cov_yy or v.line_cov[middle.number][6] <> v.cov_zz
+            then 'has another covariance than its middle vertex'
+        when (v.pattern = 'dashed') <> (v.dash_m is not null) then 'has lengths of dashes that do not fit its pattern'
+    end as problem
+) p
+where v.line is not null and p.problem is not null
+union all
+select 'marking_track', t.drive_uuid || ' marking ' || t.marking_index, 'has not one covariance per vertex'
+from conetl.marking_track t
+where array_length(t.line_cov, 1) <> ST_NPoints(t.line) or array_length(t.relative_cov, 1) <> ST_NPoints(t.line)
+union all
+select 'delta', x.changeset_id || ' feature ' || x.feature_id, 'is not of a feature of its kind'
+from conetl.delta x
+join conetl.feature_version v on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
+    and v.system_period && x.system_period
+where x.of_line <> (v.line is not null);
 
 -- name: open_versions
 -- Every feature with current versions has exactly one open version, and every feature has a version.

@@ -42,14 +42,14 @@ select exists (select from conetl.changeset c where c.changeset_id = %(changeset
 insert into conetl.changeset (
     changeset_id, map_id, changeset_no, drive_uuid, run_id, idempotency_key, params_sha256, model_sha256, code_version, committed_at,
     added_count, confirmed_count, moved_count, removed_count, missed_count, height_changed_count, split_count, merged_count,
-    frame_pair_count, detection_count, match_count, position_count, track_count, rejection_count
+    line_counts, frame_pair_count, detection_count, match_count, position_count, track_count, marking_count, rejection_count
 ) values (
     %(changeset_id)s, %(map_id)s,
     (select coalesce(max(c.changeset_no), 0) + 1 from conetl.changeset c where c.map_id = %(map_id)s), %(drive_uuid)s, %(run_id)s, %(idempotency_key)s, %(params_sha256)s, %(model_sha256)s,
     %(code_version)s, %(committed_at)s,
     %(added_count)s, %(confirmed_count)s, %(moved_count)s, %(removed_count)s,
     %(missed_count)s, %(height_changed_count)s, %(split_count)s, %(merged_count)s,
-    %(frame_pair_count)s, %(detection_count)s, %(match_count)s, %(position_count)s, %(track_count)s, %(rejection_count)s
+    %(line_counts)s, %(frame_pair_count)s, %(detection_count)s, %(match_count)s, %(position_count)s, %(track_count)s, %(marking_count)s, %(rejection_count)s
 )
 returning changeset_no;
 
@@ -62,7 +62,7 @@ select
     other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty,
     present, suppressed, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count, first_seen_ns, last_seen_ns,
-    calibrations, shared_jacobian_m
+    calibrations, shared_jacobian_m, line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m
 from conetl.delta
 join conetl.feature_version using (cell, feature_id)
 with no data;
@@ -146,7 +146,8 @@ where v.version_row_id = any(
 insert into conetl.feature_version (
     cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
-    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m
+    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m,
+    line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m
 )
 select
     v.cell, v.feature_id, v.version, v.map_id, v.srid, v.changeset_id, v.present, v.category, v.geom,
@@ -154,7 +155,8 @@ select
     v.centre_geom, v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count,
     v.first_seen_ns, v.last_seen_ns, v.valid_from_ns,
     tstzrange(o.valid_from, greatest(s.changed_at, o.valid_from + interval '1 microsecond')),
-    tstzrange(%(committed_at)s, null), v.suppressed, v.calibrations, v.shared_jacobian_m
+    tstzrange(%(committed_at)s, null), v.suppressed, v.calibrations, v.shared_jacobian_m,
+    v.line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m
 from open_version o
 join delta_stage s using (feature_id)
 cross join lateral (select w.* from conetl.feature_version w where w.version_row_id = o.version_row_id offset 0) v
@@ -167,7 +169,8 @@ order by v.cell, s.feature_id;
 insert into conetl.feature_version (
     cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
-    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m
+    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m,
+    line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m
 )
 select
     coalesce(o.cell, (select f.cell from conetl.feature f where f.feature_id = s.feature_id and f.map_id > 0)),
@@ -176,7 +179,8 @@ select
     s.centre_geom, s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count,
     s.first_seen_ns, s.last_seen_ns, greatest(s.changed_at_ns, o.valid_from_ns + 1000),
     tstzrange(greatest(s.changed_at, o.valid_from + interval '1 microsecond'), null), tstzrange(%(committed_at)s, null),
-    s.suppressed, s.calibrations, s.shared_jacobian_m
+    s.suppressed, s.calibrations, s.shared_jacobian_m,
+    s.line, s.line_cov, s.width_m, s.width_sigma_m, s.colour, s.pattern, s.dash_m, s.gap_m
 from delta_stage s
 left join open_version o using (feature_id)
 where s.is_change
@@ -186,14 +190,14 @@ order by 1, s.feature_id;
 -- Write the staged deltas, in the order of cells. Parameters: changeset_id; committed_at (timestamptz).
 insert into conetl.delta (
     cell, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
-    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, system_period
+    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, of_line, system_period
 )
 select
     coalesce(o.cell, (select f.cell from conetl.feature f where f.feature_id = s.feature_id and f.map_id > 0)),
     %(changeset_id)s, s.feature_id, s.kind, s.old_version,
     case when s.is_change then coalesce(o.version, 0) + 1 else s.old_version end,
     s.track_index, s.changed_at_ns, s.changed_at, s.shift_m,
-    s.other_feature_id, s.log_likelihood_ratio, s.existence_after, s.frames_seen, s.frames_empty,
+    s.other_feature_id, s.log_likelihood_ratio, s.existence_after, s.frames_seen, s.frames_empty, s.line is not null,
     tstzrange(%(committed_at)s, null)
 from delta_stage s
 left join open_version o using (feature_id)
@@ -228,7 +232,7 @@ where m.map_name = %(map_name)s and d.kind = 'drive'
 order by c.changeset_no;
 
 -- name: removed_features
--- Features that a changeset removed, as committed. Parameters: changeset_id.
+-- Point objects that a changeset removed, as committed. Parameters: changeset_id.
 -- Columns: feature_id; easting_m, northing_m, height_m (map CRS), cone_height_m: the last known ones.
 select x.feature_id, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m, v.cone_height_m
 from conetl.delta x
@@ -240,5 +244,5 @@ join lateral (
     order by o.system_period @> c.committed_at desc, o.version_row_id desc
     limit 1
 ) v on true
-where x.changeset_id = %(changeset_id)s and x.kind = 'removed' and x.system_period @> c.committed_at
+where x.changeset_id = %(changeset_id)s and x.kind = 'removed' and not x.of_line and x.system_period @> c.committed_at
 order by x.feature_id;

@@ -45,7 +45,7 @@ select
     s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,
     ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom) + s.cone_height_m / 2,
     s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count, s.first_seen_ns, s.last_seen_ns,
-    null::bytea, s.valid_from_ns
+    null::bytea, null, null, null, null, null, null, null, null, s.valid_from_ns
 from conetl.statement s
 where s.drive_uuid = %(drive_uuid)s
 order by s.statement_index;
@@ -113,6 +113,17 @@ select
 from conetl.track t
 where t.drive_uuid = %(drive_uuid)s
 order by t.track_index;
+
+-- name: marking_tracks
+-- The lane markings of a drive. Parameters: drive_uuid.
+-- Columns: as MarkingTrack (metres, m^2, ns), the last nine as in map.features_as_of from shared_jacobian on.
+select
+    t.marking_index, t.category, t.relative_cov, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
+    t.contrast, array_send(t.calibrations) || array_send(t.shared_jacobian_m),
+    ST_AsBinary(t.line, 'NDR'), t.line_cov, t.width_m, t.width_sigma_m, t.colour, t.pattern, t.dash_m, t.gap_m
+from conetl.marking_track t
+where t.drive_uuid = %(drive_uuid)s
+order by t.marking_index;
 
 -- name: paths_of_map
 -- The paths of the active drives of a map, without points on straight lines.

@@ -9,6 +9,10 @@ set transaction isolation level repeatable read, read only;
 -- Parameters: work_mem (for example '64MB').
 set local work_mem = %(work_mem)s;
 
+-- name: has_lines
+-- Whether a map has or had lane markings. Parameters: map_id. Columns: found.
+select exists (select from conetl.feature_version v where v.map_id = %(map_id)s and v.line is not null) as found;
+
 -- name: facts
 -- What a manifest states about a map. Parameters: map_name.
 -- Columns: licence (null where none was set), changeset_count, schema_version (the last migration).
@@ -25,8 +29,9 @@ where m.map_name = %(map_name)s;
 -- = latest); known_at (timestamptz; 'infinity' = current versions; null: also superseded ones); with_change: what made
 -- each version (else change and shift_m are null); west_m, south_m, east_m, north_m (map CRS; all null: everywhere) and
 -- srid; spatial_order (Hilbert curve, PostGIS's order of geometries),
--- time_order (both false: by feature_id).
--- Columns: the exported names (metres, m^2, probabilities, UTC) in the order of every file. seen_count, missed_count:
+-- time_order (both false: by feature_id); lines: lane markings instead of point objects; category (null: all).
+-- Columns: the exported names (metres, m^2, probabilities, UTC) in the order of every file; the position of a line is that
+-- of its middle vertex, and line its well-known binary in the map's CRS, in hexadecimal digits. seen_count, missed_count:
 -- drives that saw and that missed the feature until valid_at (of a version: until it ended), and existence_probability
 -- is the value after the last of them, all as of the end of the version's system period.
 with judged as not materialized (  -- until the instant; for all features at once, because a call per feature takes too long
@@ -91,6 +96,9 @@ select
     v.cone_height_sigma_m as height_sigma_m, v.cov_xy as cov_en_m2, v.cov_xz as cov_eu_m2, v.cov_yz as cov_nu_m2,
     x.kind as change, x.shift_m, v.present, v.suppressed,
     lower(v.system_period) as system_from, upper(v.system_period) as system_to,
+    v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    conetl.lateral_sigma_m(v.line, v.line_cov) as sigma_lateral_m, ST_3DLength(v.line) as length_m,
+    encode(ST_AsBinary(v.line), 'hex') as line,
     ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as ellipsoidal_height_m
 from conetl.feature_version v
 left join conetl.delta x on %(with_change)s and x.changeset_id = v.changeset_id and x.feature_id = v.feature_id
@@ -99,12 +107,20 @@ left join counts n on n.feature_id = v.feature_id
 left join doubts b on b.feature_id = v.feature_id and b.version = v.version
 left join counts_of_versions vn on vn.version_row_id = v.version_row_id
 left join doubts_of_versions vb on vb.version_row_id = v.version_row_id
-where v.map_id = %(map_id)s
+where v.map_id = %(map_id)s and (v.line is not null) = %(lines)s
+and (%(category)s::text is null or v.category = %(category)s)
 and (%(every_version)s or (v.present and v.valid_period @> %(valid_at)s::timestamptz))
 and (%(known_at)s::timestamptz is null or v.system_period @> %(known_at)s::timestamptz)
 and (
     %(west_m)s::float8 is null
-    or v.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+    or v.geom && ST_Expand(
+        ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s),
+        case when %(lines)s then 10 else 0 end  -- no stretch is longer
+    )
+    and (
+        v.line is null
+        or v.line && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+    )
 )
 order by
     case when %(spatial_order)s then v.geom end,
@@ -115,8 +131,9 @@ order by
 -- Features that differ between the map of one instant on the road and that of a later one, both as the database knew
 -- them at one instant.
 -- Parameters: map_name; from_valid_at, to_valid_at, known_at (timestamptz; 'infinity' = latest); moved_from_m: a
--- position that differs by more (horizontally) was moved, by less it was only measured better; spatial_order,
--- time_order (both false: by feature_id).
+-- position that differs by more (horizontally) was moved, by less it was only measured better; line_moved_from_m: the same
+-- of lane markings, across the line; spatial_order, time_order (both false: by feature_id); lines: lane markings instead of point objects; category (null:
+-- all).
 -- Columns: as exports.versions, of the later state (of removed features: of the earlier one, with valid_to when they
 -- were removed, whatever confirmed them in between), change (added, moved, confirmed, removed) and shift_m;
 -- old_easting_m, old_northing_m, old_height_m, old_version: of the earlier state (null for added); seen_count,
@@ -157,16 +174,21 @@ select
     case
         when (c.old).feature_id is null then 'added'
         when (c.new).feature_id is null then 'removed'
-        when ST_Distance((c.old).geom, (c.new).geom) > %(moved_from_m)s then 'moved'
+        when ST_Distance((c.old).geom, (c.new).geom) > %(moved_from_m)s and (c.old).line is null then 'moved'
+        when ST_Distance((c.old).line, (c.new).geom) > %(line_moved_from_m)s then 'moved'
         else 'confirmed'
     end as change,
-    ST_Distance((c.old).geom, (c.new).geom) as shift_m, (c.old).version as old_version,
+    ST_Distance(coalesce((c.old).line, (c.old).geom), (c.new).geom) as shift_m, (c.old).version as old_version,
     ST_X((c.old).geom) as old_easting_m, ST_Y((c.old).geom) as old_northing_m, ST_Z((c.old).geom) as old_height_m,
+    (c.state).width_m, (c.state).width_sigma_m, (c.state).colour, (c.state).pattern, (c.state).dash_m, (c.state).gap_m,
+    conetl.lateral_sigma_m((c.state).line, (c.state).line_cov) as sigma_lateral_m, ST_3DLength((c.state).line) as length_m,
+    encode(ST_AsBinary((c.state).line), 'hex') as line,
     ST_X((c.state).geom) as easting_m, ST_Y((c.state).geom) as northing_m, ST_Z((c.state).geom) as ellipsoidal_height_m
 from both_states c
 cross join lateral conetl.feature_evidence(
     (c.state).feature_id, (c.state).version, %(to_valid_at)s::timestamptz, %(known_at)s::timestamptz
 ) e
+where ((c.state).line is not null) = %(lines)s and (%(category)s::text is null or (c.state).category = %(category)s)
 order by
     case when %(spatial_order)s then (c.state).geom end,
     case when %(time_order)s then lower((c.state).valid_period) end,
@@ -183,7 +205,7 @@ join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and upper_inf(v.system_period);
 
 -- name: qgis_now
--- Layer of a QGIS project: the standing features, with the last change of each. Parameters: map_name.
+-- Layer of a QGIS project: the standing point objects, with the last change of each. Parameters: map_name.
 -- Columns: as below (metres, UTC); sigma_m is the mean horizontal one; seen_count, missed_count: drives that saw and
 -- that missed it, existence_probability is the value after them.
 select
@@ -196,10 +218,28 @@ from conetl.feature_version v
 join conetl.map m using (map_id)
 join conetl.delta x on x.changeset_id = v.changeset_id and x.feature_id = v.feature_id and upper_inf(x.system_period)
 cross join lateral conetl.feature_evidence(v.feature_id, v.version) e
-where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period) and v.present;
+where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period) and v.present and v.line is null;
+
+-- name: qgis_markings
+-- Layer of a QGIS project: the standing lane markings, with the last change of each. Parameters: map_name.
+-- Columns: as below (metres, UTC); sigma_lateral_m is that across the line; seen_count, missed_count and
+-- existence_probability as in qgis_now.
+select
+    v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category,
+    coalesce(e.existence_after, v.existence_probability) as existence_probability, e.seen_count, e.missed_count,
+    v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    conetl.lateral_sigma_m(v.line, v.line_cov) as sigma_lateral_m, ST_3DLength(v.line) as length_m,
+    v.observation_count, to_timestamp(v.first_seen_ns / 1e9) as first_seen_at, to_timestamp(v.last_seen_ns / 1e9) as last_seen_at,
+    lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.line as geom
+from conetl.feature_version v
+join conetl.map m using (map_id)
+join conetl.delta x on x.changeset_id = v.changeset_id and x.feature_id = v.feature_id and upper_inf(x.system_period)
+cross join lateral conetl.feature_evidence(v.feature_id, v.version) e
+where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period) and v.present
+and v.line is not null;
 
 -- name: qgis_over_time
--- Layer of a QGIS project: all current versions, for the temporal controller.
+-- Layer of a QGIS project: all current versions of point objects, for the temporal controller.
 -- Parameters: map_name. Columns: as below (metres, UTC); sigma_m is the mean horizontal one.
 select
     v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category, v.existence_probability,
@@ -210,5 +250,5 @@ select
 from conetl.feature_version v
 join conetl.map m using (map_id)
 join conetl.delta x on x.changeset_id = v.changeset_id and x.feature_id = v.feature_id and upper_inf(x.system_period)
-where m.map_name = %(map_name)s and upper_inf(v.system_period)
+where m.map_name = %(map_name)s and upper_inf(v.system_period) and v.line is null
 and (v.present or x.kind in ('removed', 'merged'));

@@ -15,7 +15,8 @@ select
     (c.height_changed_count + e.height_changed)::integer as height_changed_count,
     (c.split_count + e.split)::integer as split_count,
     (c.merged_count + e.merged)::integer as merged_count,
-    c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.rejection_count,
+    case when e.at is null then c.line_counts else coalesce(e.of_lines, '{}') end as line_counts,
+    c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.marking_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns,
     h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
     h.reason as hold
@@ -26,14 +27,22 @@ left join conetl.on_hold h on h.changeset_id = c.changeset_id
 cross join lateral (
     select
         min(lower(x.system_period)) as at,
-        count(*) filter (where x.kind = 'added') as added,
-        count(*) filter (where x.kind = 'confirmed') as confirmed,
-        count(*) filter (where x.kind = 'moved') as moved,
-        count(*) filter (where x.kind = 'removed') as removed,
-        count(*) filter (where x.kind = 'missed') as missed,
-        count(*) filter (where x.kind = 'height_changed') as height_changed,
-        count(*) filter (where x.kind = 'split') as split,
-        count(*) filter (where x.kind = 'merged') as merged
+        case when min(lower(x.system_period)) is not null then (
+            select jsonb_object_agg(k.kind, k.count)
+            from (
+                select y.kind, count(*) as count from conetl.delta y
+                where y.changeset_id = c.changeset_id and y.of_line and upper_inf(y.system_period)
+                group by y.kind
+            ) k
+        ) end as of_lines,
+        count(*) filter (where x.kind = 'added' and not x.of_line) as added,
+        count(*) filter (where x.kind = 'confirmed' and not x.of_line) as confirmed,
+        count(*) filter (where x.kind = 'moved' and not x.of_line) as moved,
+        count(*) filter (where x.kind = 'removed' and not x.of_line) as removed,
+        count(*) filter (where x.kind = 'missed' and not x.of_line) as missed,
+        count(*) filter (where x.kind = 'height_changed' and not x.of_line) as height_changed,
+        count(*) filter (where x.kind = 'split' and not x.of_line) as split,
+        count(*) filter (where x.kind = 'merged' and not x.of_line) as merged
     from conetl.delta x
     where x.changeset_id = c.changeset_id and upper_inf(x.system_period)
     and exists (select from conetl.hold k where k.changeset_id = c.changeset_id and lower(k.system_period) = c.committed_at)
@@ -46,14 +55,16 @@ order by c.changeset_no desc;
 -- earlier drive that arrived later may have replaced it since, see feature_log. Parameters: map_name; changeset_no.
 -- Columns: kind 'missed': visible but not observed, and still standing; track_index: null where not seen; old_*: null for
 -- added; position, sigma_m (along the major axis of the horizontal error ellipse) and values after the change, of a
--- removed feature the last ones.
+-- removed feature the last ones; marking, old_marking: as serving.features.
 select
     x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id, n.category,
     ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
     ST_X(n.geom) as easting_m, ST_Y(n.geom) as northing_m, ST_Z(n.geom) as height_m,
     sqrt((n.cov_xx + n.cov_yy) / 2 + sqrt(((n.cov_xx - n.cov_yy) / 2) ^ 2 + n.cov_xy ^ 2)) as sigma_m, n.cone_height_m,
     coalesce(x.existence_after, n.existence_probability) as existence_probability, n.observation_count, n.version,
-    n.last_seen_ns, c.changeset_no
+    n.last_seen_ns, c.changeset_no,
+    conetl.marking_json(n.line, n.line_cov, n.width_m, n.width_sigma_m, n.colour, n.pattern, n.dash_m, n.gap_m) as marking,
+    conetl.marking_json(o.line, o.line_cov, o.width_m, o.width_sigma_m, o.colour, o.pattern, o.dash_m, o.gap_m) as old_marking
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.map m using (map_id)
@@ -70,7 +81,7 @@ join lateral (
     limit 1
 ) n on true
 left join lateral (
-    select v.geom from conetl.feature_version v
+    select v.* from conetl.feature_version v
     where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.old_version
     order by v.system_period @> e.at desc, v.version_row_id desc
     limit 1

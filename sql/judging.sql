@@ -93,7 +93,7 @@ with found as (
     join conetl.delta x
         on x.cell = v.cell and x.feature_id = v.feature_id and x.changeset_id = v.changeset_id and upper_inf(x.system_period)
     where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period)
-    and v.present = (x.kind <> 'removed') and not v.suppressed and x.kind = %(change)s
+    and v.line is null and v.present = (x.kind <> 'removed') and not v.suppressed and x.kind = %(change)s
     and (x.kind <> 'moved' or x.shift_m >= %(moved_from_m)s)
     and not exists (
         select from conetl.active_decision a
@@ -125,7 +125,7 @@ found as (
     select v.feature_id, coalesce(d.existence_after, v.existence_probability) as existence
     from conetl.current_feature v
     left join doubted d using (feature_id, version)
-    where v.map_name = %(map_name)s and not v.suppressed
+    where v.map_name = %(map_name)s and v.line is null and not v.suppressed
     and coalesce(d.existence_after, v.existence_probability) between %(least)s and %(most)s
     and not exists (
         select from conetl.active_decision a

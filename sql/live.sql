@@ -25,7 +25,7 @@ select
     (
         select f.feature_id
         from conetl.current_feature f
-        where f.map_name = %(map_name)s and f.srid = %(srid)s and f.geom && ST_Expand(p.geom, %(reach_m)s)
+        where f.map_name = %(map_name)s and f.line is null and f.srid = %(srid)s and f.geom && ST_Expand(p.geom, %(reach_m)s)
         and ST_Distance(f.geom, p.geom) <= %(reach_m)s
         order by ST_Distance(f.geom, p.geom), f.feature_id
         limit 1

@@ -68,7 +68,7 @@ group by m.map_id;
 -- name: features_as_of
 -- The features that stood on a map at one instant on the road, as the database knew it at another instant.
 -- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); west_m, south_m, east_m, north_m (map
--- CRS; all null: everywhere); srid; max_rows (null: all).
+-- CRS; all null: everywhere); srid; max_rows (null: all); lines (true: lane markings, too).
 -- Columns: as MapFeature (metres, m^2, UTC nanoseconds), then valid_from, valid_to (null while open), changeset_id,
 -- seen_count, missed_count (drives until then; an import saw nothing). existence_probability is the value after the
 -- last drive to which the feature was visible.
@@ -77,9 +77,11 @@ group by m.map_id;
 with v as materialized (
     select v.*
     from conetl.map_as_of(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) v
-    where
+    where (v.line is null or %(lines)s)
+    and (
         %(west_m)s::float8 is null
         or v.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+    )
 ),
 evidence as (
     select
@@ -105,6 +107,7 @@ select
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability) as existence_probability,
     v.observation_count, v.first_seen_ns, v.last_seen_ns, array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
     coalesce(e.seen_count, 0) as seen_count, coalesce(e.missed_count, 0) as missed_count
 from v
@@ -160,6 +163,7 @@ select
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
     array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
     v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns,
     case
         when upper_inf(v.valid_period) then null

@@ -56,8 +56,8 @@ from (select distinct on (srid) area from conetl.drive order by srid) d;
 -- Parameters: $1 limit, $2 offset; $3, $4 text before and after the id in the links of each item; $5 map name; $6, $7,
 -- $8 from_at, to_at, known_at (text of instants); then those of the box, or nothing for all of the map, or the rows of
 -- versions that {{where}} names.
--- Placeholders: {{source}} (conetl_ogc.standing, or conetl_ogc.features where the condition or the order needs its
--- evidence), {{box}} (its named arguments, each after a comma), {{where}}, {{order}}, {{properties}} (columns of p, n
+-- Placeholders: {{source}} (conetl_ogc.lane_markings; of points conetl_ogc.standing, or conetl_ogc.features where the
+-- condition or the order needs its evidence), {{box}} (its named arguments, each after a comma), {{where}}, {{order}}, {{properties}} (columns of p, n
 -- and e). Columns: items (with commas, in order; null: none), returned (number of items).
 -- Evidence is that of conetl.feature_evidence, looked up after the limit and for all items at once; existence after a
 -- miss only where there is a miss. The full join finds what a left join would, because n has no other features, but it

@@ -52,6 +52,7 @@ select distinct on (v.feature_id)
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
     array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
     v.changeset_id, true, v.suppressed, v.valid_from_ns, null::bigint
 from conetl.drive d
 cross join lateral conetl.pieces(d.area) piece
@@ -100,6 +101,7 @@ select
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
     array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
     v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns,
     lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)),
     v.version_row_id, d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
@@ -153,7 +155,7 @@ create temporary table version_stage on commit drop as
 select
     feature_id, version, changeset_id, present, suppressed, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count, first_seen_ns, last_seen_ns,
-    calibrations, shared_jacobian_m,
+    calibrations, shared_jacobian_m, line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m,
     valid_from_ns, lower(valid_period) as valid_from, upper(valid_period) as valid_to, true as is_open
 from conetl.feature_version
 with no data;
@@ -162,7 +164,7 @@ with no data;
 -- Where the deltas are loaded that hold from now on, of drives that were compared with the map again.
 create temporary table replayed_delta_stage on commit drop as
 select changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
-    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty
+    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, of_line
 from conetl.delta
 with no data;
 
@@ -191,7 +193,8 @@ where x.delta_row_id = any(%(row_ids)s);
 insert into conetl.feature_version (
     cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
-    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m
+    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m,
+    line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m
 )
 select
     f.cell, s.feature_id, s.version, %(map_id)s, %(srid)s, s.changeset_id, s.present, s.category, s.geom,
@@ -199,7 +202,8 @@ select
     s.centre_geom, s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count,
     s.first_seen_ns, s.last_seen_ns, s.valid_from_ns,
     tstzrange(s.valid_from, case when not s.is_open then s.valid_to end), tstzrange(%(committed_at)s, null),
-    s.suppressed, s.calibrations, s.shared_jacobian_m
+    s.suppressed, s.calibrations, s.shared_jacobian_m,
+    s.line, s.line_cov, s.width_m, s.width_sigma_m, s.colour, s.pattern, s.dash_m, s.gap_m
 from version_stage s
 left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less
 order by f.cell, s.feature_id, s.version;
@@ -208,11 +212,11 @@ order by f.cell, s.feature_id, s.version;
 -- Write the staged deltas with a system period from now on. Parameters: committed_at (timestamptz).
 insert into conetl.delta (
     cell, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
-    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, system_period
+    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, of_line, system_period
 )
 select
     f.cell, s.changeset_id, s.feature_id, s.kind, s.old_version, s.new_version, s.track_index, s.changed_at_ns, s.changed_at,
-    s.shift_m, s.other_feature_id, s.log_likelihood_ratio, s.existence_after, s.frames_seen, s.frames_empty,
+    s.shift_m, s.other_feature_id, s.log_likelihood_ratio, s.existence_after, s.frames_seen, s.frames_empty, s.of_line,
     tstzrange(%(committed_at)s, null)
 from replayed_delta_stage s
 left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less

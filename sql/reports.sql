@@ -69,7 +69,7 @@ order by d.captured_from_ns desc, c.changeset_no desc
 limit 1;
 
 -- name: map_size
--- Number of cones on a map after each instant at which it changed, as the database knew it then. Parameters: map_name.
+-- Number of cones and other point objects on a map after each instant at which it changed, as the database knew it then. Parameters: map_name.
 -- A present version that is open on the road is on the map during its system period.
 with steps as (
     select e.at, sum(e.change) as change
@@ -78,7 +78,7 @@ with steps as (
     cross join lateral (
         values (lower(v.system_period), 1), (upper(v.system_period), -1)
     ) e (at, change)
-    where m.map_name = %(map_name)s and v.present and upper_inf(v.valid_period) and e.at is not null
+    where m.map_name = %(map_name)s and v.line is null and v.present and upper_inf(v.valid_period) and e.at is not null
     group by e.at
 )
 select at, sum(change) over (order by at)::bigint as standing
@@ -136,8 +136,26 @@ from last_receipt w
 where w.state in ('failed', 'crashed', 'started')
 order by w.receipt_no;
 
+-- name: night_markings
+-- Stretches of lane markings that drives committed in a time span changed, as the database knows it now, by kind of change.
+-- Parameters: map_name; since; until. Columns: kind, count, length_m.
+select x.kind, count(*) as count, sum(ST_3DLength(v.line)) as length_m
+from conetl.delta x
+join conetl.changeset c using (changeset_id)
+join conetl.map m using (map_id)
+join lateral (
+    select w.line from conetl.feature_version w
+    where w.cell = x.cell and w.feature_id = x.feature_id and w.version = x.new_version
+    order by w.version_row_id desc
+    limit 1
+) v on true
+where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
+and x.of_line and upper_inf(x.system_period)
+group by x.kind
+order by x.kind;
+
 -- name: night_removed
--- Cones that drives committed in a time span removed or merged, as the database knows it now; total: of all rows.
+-- Cones and other point objects that drives committed in a time span removed or merged, as the database knows it now; total: of all rows.
 -- Parameters: map_name; since; until; max_rows.
 select
     x.feature_id, x.kind, c.changeset_no, d.drive_id, x.changed_at, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m,
@@ -150,7 +168,7 @@ join conetl.feature_version v
     on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
     and upper_inf(v.system_period) and upper_inf(v.valid_period)
 where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
-and x.kind in ('removed', 'merged') and upper_inf(x.system_period)
+and x.kind in ('removed', 'merged') and not x.of_line and upper_inf(x.system_period)
 order by c.changeset_no, x.feature_id
 limit %(max_rows)s;
 

@@ -35,7 +35,8 @@ limit 1;
 -- list of them shows: map.features_as_of has the rest, and takes ten times as long.
 -- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); max_rows.
 -- Columns: sigma_m: along the major axis of the horizontal error ellipse; existence_probability: after the last drive to
--- which the feature was visible; changeset_no: of the changeset that wrote this version.
+-- which the feature was visible; changeset_no: of the changeset that wrote this version; marking: shape of a lane marking
+-- (conetl.marking_json), whose position is that of the middle vertex; null of point objects.
 with doubts as (
     select distinct on (x.feature_id, x.old_version) x.feature_id, x.old_version as version, x.existence_after
     from conetl.changeset c
@@ -52,7 +53,8 @@ select
     v.feature_id, v.version, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
     sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
     v.cone_height_m, coalesce(b.existence_after, v.existence_probability) as existence_probability,
-    v.observation_count, v.last_seen_ns, c.changeset_no
+    v.observation_count, v.last_seen_ns, c.changeset_no,
+    conetl.marking_json(v.line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m) as marking
 from conetl.map_as_of(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) v
 join conetl.changeset c using (changeset_id)
 left join doubts b using (feature_id, version)
@@ -62,7 +64,8 @@ limit %(max_rows)s;
 -- name: changes_between
 -- How the map of one instant differs from that of another, each as the database knew it at its own instant.
 -- Parameters: map_name; from_valid_at, from_known_at, to_valid_at, to_known_at (timestamptz; 'infinity' = latest);
--- moved_from_m: horizontal distance (m) from which a feature counts as moved; max_rows.
+-- moved_from_m: horizontal distance (m) from which a feature counts as moved; line_moved_from_m: the same of lane markings,
+-- across the line; max_rows.
 -- Columns: as history.changes_of_changeset; changed_at is the beginning of the later state (null for removed); kind
 -- 'confirmed' means the same position with other values, 'unchanged' the same version; changeset_no: of the changeset
 -- that wrote the version which is shown.
@@ -77,16 +80,22 @@ select
     case
         when b.feature_id is null then 'added'
         when a.feature_id is null then 'removed'
-        when ST_Distance(a.geom, b.geom) >= %(moved_from_m)s then 'moved'
+        when ST_Distance(a.geom, b.geom) >= %(moved_from_m)s and b.line is null then 'moved'
+        when ST_Distance(a.geom, b.line) >= %(line_moved_from_m)s then 'moved'
         when a.version <> b.version or not ST_Equals(a.geom, b.geom) then 'confirmed'
         else 'unchanged'
     end as kind,
-    lower(a.valid_period) as changed_at, ST_Distance(a.geom, b.geom) as shift_m,
+    lower(a.valid_period) as changed_at, ST_Distance(a.geom, coalesce(b.line, b.geom)) as shift_m,
     ST_X(b.geom) as old_easting_m, ST_Y(b.geom) as old_northing_m, ST_Z(b.geom) as old_height_m,
     ST_X(coalesce(a.geom, b.geom)) as easting_m, ST_Y(coalesce(a.geom, b.geom)) as northing_m,
     ST_Z(coalesce(a.geom, b.geom)) as height_m,
     sqrt((s.cov_xx + s.cov_yy) / 2 + sqrt(((s.cov_xx - s.cov_yy) / 2) ^ 2 + s.cov_xy ^ 2)) as sigma_m,
-    s.category, s.cone_height_m, s.existence_probability, s.observation_count, s.version, s.last_seen_ns, c.changeset_no
+    s.category, s.cone_height_m, s.existence_probability, s.observation_count, s.version, s.last_seen_ns, c.changeset_no,
+    coalesce(
+        conetl.marking_json(a.line, a.line_cov, a.width_m, a.width_sigma_m, a.colour, a.pattern, a.dash_m, a.gap_m),
+        conetl.marking_json(b.line, b.line_cov, b.width_m, b.width_sigma_m, b.colour, b.pattern, b.dash_m, b.gap_m)
+    ) as marking,
+    conetl.marking_json(b.line, b.line_cov, b.width_m, b.width_sigma_m, b.colour, b.pattern, b.dash_m, b.gap_m) as old_marking
 from before b
 full outer join after a using (feature_id)
 cross join lateral (
@@ -118,9 +127,10 @@ select
     v.cone_height_m, v.cone_height_sigma_m,
     coalesce(x.existence_after, v.existence_probability) as existence_probability,
     v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    conetl.marking_json(v.line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m) as marking,
     (
         select count(*) from conetl.track_member t
-        where t.drive_uuid = d.drive_uuid and t.track_index = x.track_index
+        where t.drive_uuid = d.drive_uuid and t.track_index = x.track_index and v.line is null
     ) as sighting_count,
     count(*) filter (where x.kind not in ('missed', 'removed', 'merged') and d.kind = 'drive') over on_the_road as seen_count,
     count(*) filter (where x.kind in ('missed', 'removed')) over on_the_road as missed_count
@@ -156,6 +166,10 @@ with seen as materialized (
     join conetl.track_member t on t.drive_uuid = d.drive_uuid and t.track_index = x.track_index
     where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s
     and upper_inf(x.system_period)
+    and not exists (  -- the track of a lane marking has no stereo matches
+        select from conetl.feature_version v
+        where v.cell = x.cell and v.feature_id = x.feature_id and v.line is not null
+    )
     order by c.changeset_no, t.frame_index
     limit %(max_rows)s
 )

@@ -57,13 +57,17 @@ COLLECTION = obj(
 )  # fmt: skip
 #: 7.13.3
 COLLECTIONS = obj("links collections", links=with_links("self"), collections=array(COLLECTION, 0))
-#: 7.16, and RFC 7946: a feature with an identifier, a point in longitude, latitude and height.
+_PLACE = array({"type": "number"}, 3, 3, prefixItems=LON_LAT)
+#: 7.16, and RFC 7946: a feature with an identifier, a point or a line in longitude, latitude and height.
 FEATURE = obj(
     "type id geometry properties", type={"const": "Feature"}, id={"type": "string", "minLength": 1},
     properties={"type": "object"},
-    geometry=obj(
-        "type coordinates", type={"const": "Point"}, coordinates=array({"type": "number"}, 3, 3, prefixItems=LON_LAT)
-    ),
+    geometry={
+        "oneOf": [
+            obj("type coordinates", type={"const": "Point"}, coordinates=_PLACE),
+            obj("type coordinates", type={"const": "LineString"}, coordinates=array(_PLACE, 2)),
+        ]
+    },
 )  # fmt: skip
 #: 7.16.4: a link to the item's collection and to itself.
 ITEM: Schema = {"allOf": [FEATURE, obj("links", links=with_links("self", "collection"))]}

@@ -9,7 +9,9 @@ from uuid import UUID, uuid5
 
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
+from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
+from conetl.model.markings import Marking, MarkingTrack
 from conetl.model.records import (
     Camera,
     Cov3,
@@ -155,6 +157,42 @@ def feature(name: str | int = "cone", *, seen_ns: int = START_NS, **changes: Any
     return MapFeature(**values | standing_at((458_001.0, 5_428_010.0, 114.5)) | changes)
 
 
+def marking(vertices_m: Sequence[Sequence[float]], *, cov_m2: Cov3 = COV_M2, **changes: Any) -> Marking:
+    """A solid white line, or what the changes say."""
+    values: dict[str, Any] = {
+        "vertices_m": tuple(tuple(map(float, xyz_m)) for xyz_m in vertices_m),
+        "cov_m2": (cov_m2,) * len(vertices_m),
+        "width_m": 0.12,
+        "width_sigma_m": 0.01,
+        "colour": "white",
+        "pattern": "solid",
+    }
+    return Marking(**values | changes)
+
+
+def marking_track(shape: Marking, marking_index: int = 0, *, seen_ns: int = START_NS, **changes: Any) -> MarkingTrack:
+    values: dict[str, Any] = {
+        "marking_index": marking_index,
+        "category": LANE_MARKING,
+        "marking": shape,
+        "relative_cov_m2": shape.cov_m2,
+        "existence_probability": 0.97,
+        "observation_count": 12,
+        "first_seen_ns": seen_ns,
+        "last_seen_ns": seen_ns + 200_000_000,
+        "contrast": 60.0,
+    }
+    return MarkingTrack(**values | changes)
+
+
+def line_feature(shape: Marking, name: str | int = "line", **changes: Any) -> MapFeature:
+    """A stretch of a lane marking on the map."""
+    middle_m = shape.vertices_m[len(shape.vertices_m) // 2]
+    at = {"xyz_m": middle_m, "centre_xyz_m": middle_m, "cov_m2": shape.cov_m2[len(shape.cov_m2) // 2]}
+    paint = {"category": LANE_MARKING, "marking": shape, "cone_height_m": 0.003, "cone_height_sigma_m": 0.002}
+    return feature(name, **at | paint | changes)
+
+
 def standing_at(xyz_m: Sequence[float], height_m: float = 0.7, cov_m2: Cov3 = COV_M2) -> dict[str, Any]:
     """What a cone's foot and height say of a feature or a track."""
     x, y, z = map(float, xyz_m)
@@ -211,7 +249,13 @@ def changeset(*deltas: Delta, drive_id: str = "drive_a", key: str = "1") -> Chan
 
 
 def commit(
-    conn: Any, *deltas: Delta, key: str, start_ns: int = START_NS, map_name: str = "default", **options: Any
+    conn: Any,
+    *deltas: Delta,
+    key: str,
+    start_ns: int = START_NS,
+    map_name: str = "default",
+    markings: Sequence[MarkingTrack] = (),
+    **options: Any,
 ) -> Any:
     """Commit a small drive with these deltas; `key` is one or more hex digits, different for every drive."""
     # Recorded at the same instant; the content puts them into the order of their keys.
@@ -219,7 +263,7 @@ def commit(
     with map_transaction(conn, map_name):
         return commit_changeset(
             conn,
-            DriveRecords(made, detections(), matches(), positions(), [track()]),
+            DriveRecords(made, detections(), matches(), positions(), [track()], (), markings),
             changeset(*deltas, drive_id=made.drive_id, key=key),
             map_name=map_name,
             **options,

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from conetl.simulation.parts import cone_parts
-from conetl.simulation.scenario import Colour, Cone, Road, RoadObject, World
+from conetl.simulation.scenario import Colour, Cone, Road, RoadMarking, RoadObject, World, street_markings
 from conetl.simulation.scene import (
     PinholeCamera,
     build_scene,
@@ -156,8 +156,7 @@ def random_world(rng: np.random.Generator) -> World:
     """0 to 10 cones up to 40 m ahead, and things that are no cones in most scenes."""
     road = Road(
         right_m=rng.uniform(-6.5, -4.0), left_m=rng.uniform(2.5, 5.5), start_m=-30.0, end_m=110.0,
-        centre_line=bool(rng.random() < 0.8),
-        edge_lines=tuple(y for y in (rng.uniform(-3.9, -2.9), rng.uniform(2.2, 3.4)) if rng.random() < 0.7),
+        markings=_random_markings(rng),
         pavement_width_m=float(rng.choice([0.0, rng.uniform(1.2, 3.5)])),
         verge=_near(rng, ((0.30, 0.37, 0.16), (0.45, 0.42, 0.28), (0.38, 0.30, 0.22), (0.5, 0.5, 0.48))[rng.integers(4)]),
         asphalt=rng.uniform(0.28, 0.62),
@@ -170,6 +169,12 @@ def random_world(rng: np.random.Generator) -> World:
         sun_azimuth_deg=rng.uniform(-180, 180), turbidity=rng.uniform(2.0, 8.0), sun_scale=0.0 if overcast else 1.0, road=road,
         texture_seed=int(rng.integers(1000, 1 << 20)),
     )  # fmt: skip
+
+
+def _random_markings(rng: np.random.Generator) -> tuple[RoadMarking, ...]:
+    centre_line = bool(rng.random() < 0.8)
+    edges = tuple(y for y in (rng.uniform(-3.9, -2.9), rng.uniform(2.2, 3.4)) if rng.random() < 0.7)
+    return street_markings(-30.0, 110.0, edges, centre_line=centre_line)
 
 
 def _near(rng: np.random.Generator, colour: Colour, spread: float = 0.06) -> Colour:

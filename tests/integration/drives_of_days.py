@@ -15,9 +15,11 @@ from conetl.db.audits import AuditResult, run_audits
 from conetl.db.connection import Connection, execute
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.geometry.calibration.covariance import with_covariance
+from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.map_records import Changeset
-from conetl.model.params import IngestParams
+from conetl.model.markings import MarkingTrack
+from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.records import (
     CalibrationCovariance,
     Detection,
@@ -51,6 +53,8 @@ AGAIN = with_covariance(
 )
 #: Of each day, where drives have errors of their calibrations in common.
 RIGS = (CALIBRATED, CALIBRATED, AGAIN, RIG)
+#: Drives with lane markings searched for them.
+PAINTED = IngestParams(detection=DetectionParams(categories=(CONE, LANE_MARKING)))
 ROW = [Cone((14.0 + 5.0 * k, 3.6 - 0.4 * k, 0.0), height_m=0.7 if k % 2 else 0.5) for k in range(7)]
 #: Cones on the road per day: one is moved, one taken away and one set up; then one is moved back, and one comes again.
 DAYS = [
@@ -70,6 +74,7 @@ class Survey:
     matches: list[StereoMatch]
     positions: list[Position]
     tracks: list[Track]
+    markings: tuple[MarkingTrack, ...] = ()
 
 
 @cache
@@ -129,13 +134,15 @@ def merge(
     hold: str | None = None,
 ) -> Merged | None:
     """Merge as the last step of an ingest does; None where the drive is on the map already."""
-    params = params or IngestParams()
+    params = params or (PAINTED if survey.markings else IngestParams())
     key = key_of(survey, params)
     changeset = Changeset(
         changeset_id=uuid5(NAMESPACE_URL, f"{map_name} {key}"), drive_id=survey.drive.drive_id, idempotency_key=key,
         params_sha256="cd" * 32, model_sha256="ef" * 32, code_version="0", deltas=(),
     )  # fmt: skip
-    records = DriveRecords(survey.drive, survey.detections, survey.matches, survey.positions, survey.tracks)
+    records = DriveRecords(
+        survey.drive, survey.detections, survey.matches, survey.positions, survey.tracks, (), survey.markings
+    )
     with map_transaction(conn, map_name):
         if find_changeset(conn, key, map_name=map_name) is not None:
             return None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import closing
 from dataclasses import replace
 from datetime import timedelta
+from functools import cache
 from itertools import permutations
 
 import numpy as np
@@ -44,6 +46,8 @@ from tests.integration.drives_of_days import (
     survey,
     valid_time_map,
 )
+from tests.synthetic.painted_road import Paint, markings_of
+from tests.synthetic.world import ORIGIN_M
 
 #: The rig of each day: one whose calibration is exact, and calibrations that some of the drives have in common.
 RIGS = {"exact": (RIG,) * 4, "calibrated": (CALIBRATED, CALIBRATED, AGAIN, RIG)}
@@ -97,6 +101,44 @@ def test_all_orders_of_three_drives_give_the_same_map(conn, rigs, in_order, orde
         believed = now
     assert valid_time_map(conn) == in_order
     assert len(list_changesets(conn)) == 3
+
+
+@cache
+def painted(day):
+    """The drive of a day, with the lane markings of that day: one is removed and one moved by 0.5 m on the second day."""
+    aside_m = ((4.5, 1.5, -2.0, -5.0), (4.5, -2.5, -5.0), (4.5, -2.5, -5.0))[day]
+    one, rng = of_day(day), np.random.default_rng(day)
+    first, last = (
+        pair.pose.map_t_body_m[0] - ORIGIN_M[0] for pair in (one.drive.frame_pairs[0], one.drive.frame_pairs[-1])
+    )
+    offset_m = np.subtract(one.drive.frame_pairs[0].pose.map_t_body_m, (ORIGIN_M[0] + round(first), *ORIGIN_M[1:]))
+    seen = markings_of(
+        [Paint(aside) for aside in aside_m], rng, (first + 5.0, last + 10.0), offset_m=offset_m, offset_sigma_m=0.3,
+        seen_ns=one.drive.frame_pairs[0].captured_at_ns,
+    )  # fmt: skip
+    return replace(one, markings=tuple(seen))
+
+
+def values_of(delta):
+    state = delta.state_after
+    return delta.kind, state.xyz_m, state.cov_m2, state.existence_probability, state.version
+
+
+def test_lane_markings_change_alike_in_every_order(conn, map_of):
+    """One marking removed and one moved by 0.5 m: exactly these changes, and cones as without markings."""
+    merged = [merge(conn, painted(day)).changeset.deltas for day in range(3)]
+    assert failed_audits(conn) == []
+    lines = [[delta for delta in deltas if delta.state_after.marking] for deltas in merged]
+    kinds = [Counter(delta.kind for delta in some) for some in lines]
+    assert set(kinds[0]) == {DeltaKind.ADDED} and set(kinds[2]) == {DeltaKind.CONFIRMED}
+    row = Counter(round(delta.new.xyz_m[1] - ORIGIN_M[1]) for delta in lines[0])[-5]
+    assert kinds[1] == {DeltaKind.REMOVED: row, DeltaKind.MOVED: row, DeltaKind.CONFIRMED: 2 * row}
+    for day, deltas in enumerate(merged):
+        without = merge(conn, of_day(day), map_name="cones").changeset.deltas
+        points, alone = ([d for d in some if not d.state_after.marking] for some in (deltas, without))
+        assert sorted(map(values_of, points)) == sorted(map(values_of, alone))
+    whole = valid_time_map(conn)
+    assert [map_of(*map(painted, order)) == whole for order in ((2, 1, 0), (1, 2, 0), (0, 2, 1))] == [True] * 3
 
 
 @pytest.mark.parametrize("order", list(permutations((0, 1, 2))), ids=lambda order: "".join(map(str, order)))

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
+import shapely
 from jsonschema import validate
 from mcap.reader import make_reader
 from pyproj import Transformer
@@ -311,3 +312,109 @@ def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
         write_publication(settings, ["kml"], tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([published.name, "latest"])
     assert latest.resolve() == published
+
+
+@pytest.fixture(scope="module")
+def lined(another_database, samples, tmp_path_factory):
+    """A map of a cone, a solid line that moves and a dashed one that ends, in every format; the standing line and the files."""
+    at_m, day = (458_001.0, 5_428_010.0, 114.5), START_NS + DAY_NS
+
+    def line(name, off_m, **paint):
+        return samples.line_feature(
+            samples.marking(np.add(at_m, np.linspace((0, off_m, 0), (8, off_m + 6, 0.2), 5)), **paint), name
+        )
+
+    solid, moved = line("solid", 0.0), line("solid", 0.7, colour="yellow")
+    dashed = line("dashed", 3.5, pattern="dashed", dash_m=3.0, gap_m=9.0)
+    shapes = [samples.marking_track(solid.marking)]
+    changes = {name: getattr(moved, name) for name in ("marking", "xyz_m", "centre_xyz_m", "last_seen_ns")}
+    folder = tmp_path_factory.mktemp("lined")
+    with another_database() as conn:
+        first = [samples.added(one) for one in (samples.feature(), solid, dashed)]
+        samples.commit(conn, *first, key="1", start_ns=START_NS, markings=shapes)
+        later = [samples.changed("moved", solid, day, **changes), samples.removed(dashed, day)]
+        samples.commit(conn, *later, key="2", start_ns=day, markings=shapes)
+        requests = WHATS | {What.CHANGES: ExportRequest(what=What.CHANGES, since=NOON[0], until=NOON[2])}
+        manifests = {
+            (what, name): export_map(conn, folder / f"{what}{FORMATS[name].suffix}", name, request)
+            for what, request in requests.items()
+            for name in FORMATS
+        }
+        only = ExportRequest(category="lane_marking", crs=(32633, None))
+        assert export_map(conn, folder / "only.parquet", "geoparquet", only)["rows"] == 1
+        assert export_map(conn, folder / "cones.gpkg", "gpkg", ExportRequest(category="traffic_cone"))["rows"] == 1
+    return moved.marking, folder, manifests
+
+
+@pytest.mark.parametrize("what", list(What))
+def test_lane_markings_are_lines_beside_the_points(lined, what):
+    """One layer or file per type of geometry; the same lines in all of them."""
+    shape, folder, manifests = lined
+    rows = {What.FEATURES: 1, What.HISTORY: 6, What.CHANGES: 2}[what]
+    beside = {"geoparquet", "csv", "flatgeobuf"}
+    for name in FORMATS:
+        manifest = manifests[what, name]
+        lines = manifest["lane_markings"]
+        suffix = FORMATS[name].suffix
+        replaced = 2 if (what, name) == (What.HISTORY, "mcap") else 0  # which plays one state of the database
+        assert lines["rows"] == rows - replaced
+        assert lines["file"] == (f"{what}_lane_markings{suffix}" if name in beside else f"{what}{suffix}")
+        assert {"width_m", "pattern", "sigma_lateral_m"} <= set(lines["columns"]) and "height_m" not in lines["columns"]
+        assert {"width_m", "line"}.isdisjoint(manifest["columns"])
+
+    frames = {
+        "parquet": geopandas.read_parquet(folder / f"{what}_lane_markings.parquet"),
+        "fgb": pyogrio.read_dataframe(folder / f"{what}_lane_markings.fgb"),
+        "gpkg": pyogrio.read_dataframe(folder / f"{what}.gpkg", layer="lane_markings"),
+    }
+    wanted = np.array(shape.vertices_m)
+    for frame in frames.values():
+        assert len(frame) == rows and set(frame.geom_type) == {"LineString"}
+        [line] = frame.geometry[frame["colour"] == "yellow"]
+        assert np.abs(shapely.get_coordinates(line, include_z=True) - wanted).max() < 1e-6
+    assert (
+        len(pyogrio.read_dataframe(folder / f"{what}.gpkg", layer="default")) == manifests[what, "gpkg"]["rows"] - rows
+    )
+
+    features = json.loads((folder / f"{what}.geojson").read_text())["features"]
+    found = [f for f in features if f["geometry"]["type"] == "LineString"]
+    [yellow] = [f for f in found if f["properties"]["colour"] == "yellow"]
+    lon_lat = np.array(yellow["geometry"]["coordinates"])
+    assert np.abs(np.stack(TO_MAP.transform(*lon_lat[:, :2].T), axis=1) - wanted[:, :2]).max() < 0.001
+    assert len(found) == rows and "object_height_m" not in yellow["properties"]
+    assert yellow["properties"]["length_m"] == pytest.approx(np.linalg.norm(np.ptp(wanted, axis=0)), abs=1e-4)
+    with (folder / f"{what}_lane_markings.csv").open(newline="") as file:
+        lines = [shapely.from_wkt(row["WKT"]) for row in csv.DictReader(file)]
+    assert len(lines) == rows and any(np.allclose(shapely.get_coordinates(g, include_z=True), lon_lat) for g in lines)
+
+    ways = ElementTree.parse(folder / f"{what}.osm").getroot().findall("way")
+    kinds = [{tag.get("k"): tag.get("v") for tag in way.findall("tag")} for way in ways]
+    assert len(ways) == rows and {kind["type"] for kind in kinds} == {"line_thin"}
+    assert {(kind["subtype"], kind["width"]) for kind in kinds} <= {("solid", "0.12"), ("dashed", "0.12")}
+    assert all(len(way.findall("nd")) == 5 for way in ways)
+
+
+def test_lane_markings_in_mcap_have_their_width_and_dashes(lined):
+    shape, folder, _ = lined
+    messages = list(scene(folder / "history.mcap"))
+    [origin] = [value["translation"] for topic, _, value in messages if topic == "/tf"]
+    entities = [e for topic, _, value in messages if topic == "/lane_markings" for e in value["entities"]]
+    lines = [[(part["thickness"], len(part["points"])) for part in e["lines"]] for e in entities]
+    assert sorted(lines) == sorted([[(0.12, 5)], [(0.12, 5)], [(0.12, 3)]])  # one dash of 3 m about the middle of 10 m
+    last = entities[-1]["lines"][0]["points"]
+    at = np.array([[p[axis] + origin[axis] for axis in "xyz"] for p in last])
+    assert np.abs(at - np.array(shape.vertices_m)).max() < 1e-6
+    gone = [d for topic, _, value in messages if topic == "/lane_markings" for d in value["deletions"]]
+    assert len(gone) == 1
+
+
+def test_one_class_alone_and_in_another_crs(lined):
+    shape, folder, _ = lined
+    frame = geopandas.read_parquet(folder / "only.parquet")
+    assert frame.crs.to_epsg() == 32633
+    [line] = frame.geometry
+    to_map = Transformer.from_crs(32633, 32632, always_xy=True)
+    xyz_m = np.stack(to_map.transform(*shapely.get_coordinates(line, include_z=True).T), axis=1)
+    assert np.abs(xyz_m - np.array(shape.vertices_m)).max() < 0.001
+    assert list(pyogrio.list_layers(folder / "cones.gpkg")[:, 0]) == ["default"]
+    assert not (folder / "only_lane_markings.parquet").exists()

@@ -20,10 +20,13 @@ from conetl.db.connection import address, execute
 from conetl.db.map.map_store import read_current_features
 from conetl.exports.export import export_map
 from conetl.exports.geojson import export_geojson
+from conetl.exports.kind_marks import KIND_MARKS
+from conetl.exports.markings import PAINT
 from conetl.exports.qgis_project import _iso, write_qgis_project
 from conetl.exports.source import ExportRequest, What
 from conetl.exports.text_files import iso_utc
 from conetl.model.errors import InputError
+from conetl.model.map_records import DeltaKind
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_place
 from tests.integration.drives_of_days import merge, survey
@@ -151,9 +154,16 @@ def has_qgis() -> bool:
 
 
 @pytest.fixture
-def surveyed(conn):
+def surveyed(conn, samples):
     for day in range(2):
         merge(conn, survey(day))
+    [at] = execute(
+        conn, "select avg(ST_X(geom)) as x, avg(ST_Y(geom)) as y, avg(ST_Z(geom)) as z from conetl.current_feature"
+    )
+    conn.rollback()
+    vertices_m = np.add((at["x"], at["y"] + 3.0, at["z"]), np.linspace((-5, 0, 0), (5, 1, 0), 5))
+    line = samples.line_feature(samples.marking(vertices_m, pattern="dashed", dash_m=1.0, gap_m=2.0, colour="yellow"))
+    samples.commit(conn, samples.added(line), key="1", markings=[samples.marking_track(line.marking)])
     return conn
 
 
@@ -183,16 +193,25 @@ def test_qgis_opens_and_draws_it(surveyed, tmp_path):
     assert found["time"] == [_iso(first["at"]).rstrip("Z")]  # the first sighting, to the next second
     [counts] = execute(
         surveyed,
-        "select count(*) as over_time, count(*) filter (where upper_inf(valid_period)) as now "
-        "from conetl.feature_version where upper_inf(system_period)",
+        "select count(*) as over_time, count(*) filter (where upper_inf(valid_period) and present) as now "
+        "from conetl.feature_version where upper_inf(system_period) and line is null",
     )
     layers = found["layers"]
     assert all(layer["valid"] for layer in layers.values())
     assert layers["cones_standing_now"]["features"] == counts["now"] > 4
     assert layers["cones_over_time"]["features"] == counts["over_time"] > counts["now"]
+    assert (layers["lane_markings_now"]["features"], layers["lane_markings_now"]["renderer"]) == (
+        1,
+        "categorizedSymbol",
+    )
     assert layers["cones_over_time"]["temporal"] and layers["cones_over_time"]["fields"] == ["valid_from", "valid_to"]
     assert layers["cones_standing_now"]["renderer"] == "categorizedSymbol"
     pixels = np.asarray(Image.open(image).convert("RGB")).reshape(-1, 3).astype(int)
-    for kind, colour in {"confirmed": (127, 151, 178), "moved": (168, 50, 127), "removed": (31, 41, 51)}.items():
-        near = (np.abs(pixels - colour).max(axis=1) < 24).sum()
+    shown = {
+        "confirmed": KIND_MARKS[DeltaKind.CONFIRMED].colour,
+        "moved": KIND_MARKS[DeltaKind.MOVED].colour,
+        "paint": PAINT["yellow"],
+    }
+    for kind, colour in shown.items():
+        near = (np.abs(pixels - list(bytes.fromhex(colour[1:]))).max(axis=1) < 24).sum()
         assert near > 20, f"{kind} is not to be seen"

@@ -7,11 +7,13 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from uuid import UUID, uuid4
 
+import numpy as np
 import pytest
 
 from conetl.db.connection import connect, execute
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.decision_store import find_decisions
+from conetl.db.map.drive_store import load_stored_drive
 from conetl.db.map.map_store import (
     feature_log,
     find_changeset,
@@ -22,9 +24,10 @@ from conetl.db.map.map_store import (
     read_current_features,
     read_features_as_of,
 )
+from conetl.db.map.replay_store import read_open_version, read_versions
 from conetl.db.map.results import RunInfo
 from conetl.model.errors import DatabaseError, MapMismatchError
-from conetl.model.records import DriveRecords, utc_from_ns
+from conetl.model.records import DriveRecords, SharedErrorJacobian, utc_from_ns
 from conetl.model.rejections import Rejection, RejectionReason
 
 DAY = timedelta(days=1)
@@ -71,6 +74,44 @@ def test_raw_records_come_back_as_they_were(conn, samples):
     [track] = execute(conn, "select * from track")
     assert (track["relative_cov_zz"], track["last_seen_ns"]) == (0.04, samples.START_NS + 200_000_007)
     assert len(execute(conn, "select 1 from track_member where track_index = 0")) == 3
+
+
+def test_lane_markings_come_back_to_the_last_bit(conn, samples):
+    at_m = np.array([458_001.0, 5_428_010.0, 114.5])
+    vertices_m = at_m + np.linspace(0, 9.9, 5)[:, None] * [1 / 3, 2 / 3, 0.01]
+    dashed = samples.marking(
+        vertices_m,
+        cov_m2=(1 / 3, 1e-17, -1 / 7, 0.1, 0.0, 0.3),
+        pattern="dashed",
+        dash_m=1 / 3,
+        gap_m=9.1,
+        colour="yellow",
+    )
+    jacobian = SharedErrorJacobian((uuid4(),), np.linspace(0, 0.1, 6).astype(">f4").tobytes())
+    track = samples.marking_track(dashed, shared_jacobian=jacobian)
+    line, cone = samples.line_feature(dashed, shared_jacobian=jacobian), samples.feature()
+    result = samples.commit(conn, samples.added(line), samples.added(cone), key="1", markings=[track])
+    assert result.changeset.marking_count == 1
+    assert load_stored_drive(conn, result.changeset.drive_uuid).markings == [track]
+    assert {f.feature_id: f for f in read_current_features(conn, lines=True)} == {f.feature_id: f for f in (line, cone)}
+
+    wider = samples.changed(
+        "confirmed", line, samples.START_NS + samples.DAY_NS, marking=dashed.model_copy(update={"width_m": 0.15})
+    )
+    gone = samples.removed(wider.new, samples.START_NS + 2 * samples.DAY_NS)
+    samples.commit(conn, wider, key="2", markings=[track], start_ns=samples.START_NS + samples.DAY_NS)
+    assert read_open_version(conn, "default", line.feature_id).feature == wider.new
+    samples.commit(conn, gone, key="3", start_ns=samples.START_NS + 2 * samples.DAY_NS)
+    [before] = [
+        v.feature
+        for v in read_features_as_of(conn, utc_from_ns(gone.changed_at_ns) - DAY / 2, lines=True)
+        if v.feature.marking
+    ]
+    assert before == wider.new and read_current_features(conn) == [cone]
+    versions = read_versions(conn, [result.changeset.drive_uuid])
+    assert [v.version.feature for v in versions if v.version.feature.marking] == [
+        line, wider.new, wider.new.model_copy(update={"version": 3}),
+    ]  # fmt: skip
 
 
 def test_confirmed_moved_removed_and_the_map_of_every_day(conn, samples):

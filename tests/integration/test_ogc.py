@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 import subprocess
+from contextlib import closing
 from datetime import datetime, timedelta
 from itertools import product
 from pathlib import Path
@@ -13,6 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import jsonschema
 import morecantile
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
@@ -369,7 +371,8 @@ def test_a_new_map_appears_without_a_restart(database_url, samples):
             samples.commit(conn, samples.added(samples.feature(name)), key=f"{key}", map_name=name)
         conn.close()
         ids = [c["id"] for c in get(client, f"{OGC}/collections")["collections"]]
-        assert ids == ["second.features", "second.changes", "first.features", "first.changes"]
+        kinds = ("features", "lane_markings", "changes")
+        assert ids == [f"{name}.{kind}" for name in ("second", "first") for kind in kinds]
         for name in ("first", "second"):
             [item] = get(client, f"{OGC}/collections/{name}.features/items")["features"]
             assert item["id"] == str(samples.feature(name).feature_id)
@@ -484,6 +487,44 @@ def test_vector_tiles(client, features):
     for place in ("25/0/0", "-1/0/0", "2/4/0", "2/0/-1"):
         get(client, f"{FEATURES}/tiles/WebMercatorQuad/{place}", 404)
     get(client, f"{FEATURES}/tiles/NoSuchTiling/0/0/0", 400)
+
+
+def test_lane_markings_are_lines_of_a_collection_of_their_own(database_url, samples, start):
+    vertices_m = np.add((458_001.0, 5_428_010.0, 114.5), np.linspace((0, 0, 0), (9, 1, 0), 5))
+    line = samples.line_feature(samples.marking(vertices_m, pattern="dashed", dash_m=3.0, gap_m=9.0))
+    gone_ns = samples.START_NS + samples.DAY_NS
+    lines = f"{OGC}/collections/default.lane_markings"
+    with closing(connect(database_url)) as conn:
+        shape = [samples.marking_track(line.marking)]
+        samples.commit(conn, samples.added(line), samples.added(samples.feature()), key="1", markings=shape)
+        samples.commit(conn, samples.removed(line, gone_ns), key="2", start_ns=gone_ns)
+    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
+        cones = get(client, f"{FEATURES}/items", at=start.isoformat())["features"]
+        changed = get(client, f"{CHANGES}/items", to=start.isoformat())["features"]
+        assert [item["id"] for item in cones] == [item["id"] for item in changed] == [str(samples.feature().feature_id)]
+        assert get(client, f"{lines}/items", schema=standard.ITEMS)["features"] == []
+        [item] = get(client, f"{lines}/items", schema=standard.ITEMS, at=start.isoformat())["features"]
+        assert item["id"] == str(line.feature_id) and item["geometry"]["type"] == "LineString"
+        lat_lon = to_geodetic(samples.SRID, vertices_m)
+        assert np.abs(np.array(item["geometry"]["coordinates"]) - lat_lon[:, [1, 0, 2]]).max() < 1e-3
+        known = item["properties"]
+        assert (known["colour"], known["pattern"], known["dash_m"], known["gap_m"]) == ("white", "dashed", 3.0, 9.0)
+        assert (known["width_m"], known["seen_count"], known["missed_count"]) == (0.12, 1, 0)
+        across = np.array([-1, 9]) / np.hypot(1, 9)  # of the equal covariances of all vertices
+        xx, xy, _, yy, *_ = samples.COV_M2
+        assert known["sigma_lateral_m"] == pytest.approx(np.sqrt(across @ [[xx, xy], [xy, yy]] @ across))
+        assert known["length_m"] == pytest.approx(np.hypot(1, 9))
+        # A box that holds no vertex but touches the line.
+        west, south = (lat_lon[0, [1, 0]] + lat_lon[1, [1, 0]]) / 2 - 1e-6
+        box = f"{west},{south},{west + 2e-6},{south + 2e-6}"
+        for query in ({"bbox": box}, {"pattern": "dashed", "sortby": "-seen_count"}):
+            assert get(client, f"{lines}/items", at=start.isoformat(), **query)["numberMatched"] == 1
+        assert get(client, f"{lines}/items", at=start.isoformat(), bbox="0,0,1,1")["numberMatched"] == 0
+        rows = client.get(f"{lines}/items", params={"at": start.isoformat(), "f": "csv"}).text
+        assert "SRID=4326;LINESTRING(" in rows
+        tile = morecantile.tms.get("WebMercatorQuad").tile(west, south, 18)
+        answer = client.get(f"{lines}/tiles/WebMercatorQuad/18/{tile.x}/{tile.y}", params={"at": start.isoformat()})
+        assert item["id"].encode() in answer.content and b"dashed" in answer.content
 
 
 @pytest.mark.parametrize(

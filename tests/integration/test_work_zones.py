@@ -8,6 +8,7 @@ from datetime import timedelta
 import geopandas
 import numpy as np
 import shapely
+import shapely.ops
 
 from conetl.db.connection import execute
 from conetl.exports.wzdx import schema_faults
@@ -156,7 +157,7 @@ def test_a_feed_without_its_publisher_is_not_written(conn, conetl, tmp_path):
     assert not path.exists()
 
 
-def test_lane_lines_come_from_the_base_layers_unless_a_file_is_named(conn, conetl, tmp_path):
+def test_lane_lines_come_from_a_file_else_base_layers_else_lane_markings(conn, conetl, samples, tmp_path):
     for day in (0, 1):
         merge(conn, survey(day))
     without = json.loads(conetl("map", "check-layout", "--json"))
@@ -168,6 +169,15 @@ def test_lane_lines_come_from_the_base_layers_unless_a_file_is_named(conn, conet
     beyond = 100.0 * (last - first) / np.linalg.norm(last - first)
     driven = shapely.LineString([first - beyond, last + beyond])
     sides = [shapely.offset_curve(driven, away) for away in (-5.25, -1.75, 1.75)]
+    stretches = [
+        samples.marking([(x, y, 115.0) for x, y in shapely.ops.substring(side, start, start + 10.0).coords])
+        for side in sides
+        for start in np.arange(0.0, side.length - 1.0, 10.0)
+    ]
+    painted = [samples.added(samples.line_feature(stretch, f"line {k}")) for k, stretch in enumerate(stretches)]
+    samples.commit(conn, *painted, key="1", markings=[samples.marking_track(stretches[0])])
+    by_marking = json.loads(conetl("map", "check-layout", "--json"))
+    assert by_marking["lane_lines_from"] == "lane markings of the map"
     far = shapely.affinity.translate(sides[0], 3000.0)
     files = []
     for name, lines in (("lanes", [*sides, far]), ("elsewhere", [far])):
@@ -176,6 +186,7 @@ def test_lane_lines_come_from_the_base_layers_unless_a_file_is_named(conn, conet
     conetl("base", "import", files[0])
     by_layer = json.loads(conetl("map", "check-layout", "--json"))
     assert by_layer["lane_lines_from"] == "base layers lanes"
+    assert by_layer | {"lane_lines_from": None} == by_marking | {"lane_lines_from": None}
     assert "lanes" in {zone["road_axis_from"] for zone in by_layer["work_zones"]}
     by_file = json.loads(conetl("map", "check-layout", "--json", "--lanes", files[0]))
     assert by_file | {"lane_lines_from": None} == by_layer | {"lane_lines_from": None}

@@ -75,6 +75,14 @@ FAULTS = {
         # a version that was valid once is hidden like the one that is open
         (SUPPRESS, HIDE, "update decision set radius_m = 20"),
     ],
+    "lines": [
+        ("update feature_version set line_cov = line_cov[1:4] where line is not null",),
+        ("update feature_version set line = ST_Translate(line, 2.5, 0) where line is not null",),
+        ("update feature_version set line_cov[3][4] = 2 * cov_yy where line is not null",),
+        ("update feature_version set pattern = 'dashed' where line is not null",),
+        ("update marking_track set relative_cov = relative_cov[1:2]",),
+        ("update delta set of_line = not of_line",),
+    ],
     "overlapping_periods": [
         (
             DROP_EXCLUDE,
@@ -190,7 +198,10 @@ def good_map(module_database_url, samples):
     a, b, day = samples.feature("a"), samples.feature("b"), samples.DAY_NS
     samples.commit(conn, samples.added(a), samples.added(b), key="1")
     moved = samples.changed("moved", a, samples.START_NS + day, xyz_m=(458_003.0, 5_428_010.0, 114.5))
-    samples.commit(conn, moved, samples.changed("confirmed", b, samples.START_NS + day, observation_count=6), key="2")
+    confirmed = samples.changed("confirmed", b, samples.START_NS + day, observation_count=6)
+    line = samples.marking([(458_300.0 + 2.5 * k, 5_428_010.0, 114.5) for k in range(5)])
+    of_line = samples.added(samples.line_feature(line), track_index=None)
+    samples.commit(conn, moved, confirmed, of_line, key="2", markings=[samples.marking_track(line)])
     yield conn
     conn.close()
 

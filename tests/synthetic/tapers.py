@@ -8,10 +8,10 @@ from uuid import UUID
 
 import numpy as np
 
+from conetl.geometry.linear_reference import locate, stations
 from conetl.model.map_records import MapFeature
 from conetl.model.work_zone_records import DrivePath, LaneLine, ZoneHistory
 from conetl.workzones.layout_check import allowed_spacing_m, taper_ratio
-from conetl.workzones.linear_reference import locate, stations
 from conetl.workzones.standards import layout_rules
 from tests import records
 

@@ -82,10 +82,44 @@ export interface Feature {
   changeset_no: number;
 }
 
+/** Shape of a stretch of a lane marking; the position of its feature is the middle vertex. */
+export interface Marking {
+  line_m: Vec3[];
+  width_m: number;
+  width_sigma_m: number;
+  colour: "white" | "yellow" | "other";
+  pattern: "solid" | "dashed";
+  dash_m: number | null;
+  gap_m: number | null;
+  /** Across the line. */
+  sigma_lateral_m: number;
+}
+
+export interface Stretch extends Feature {
+  marking: Marking;
+}
+
 export interface Change extends Feature {
   kind: ChangeKind;
   shift_m: number | null;
   old_xyz_m: Vec3 | null;
+}
+
+export interface StretchChange extends Change {
+  marking: Marking;
+  old_marking: Marking | null;
+}
+
+export interface Features {
+  features: Feature[];
+  markings: Stretch[];
+  truncated: boolean;
+}
+
+export interface Changes {
+  changes: Change[];
+  markings: StretchChange[];
+  truncated: boolean;
 }
 
 export interface HistoryItem extends Omit<Change, "feature_id" | "old_xyz_m" | "sigma_m"> {
@@ -102,6 +136,8 @@ export interface HistoryItem extends Omit<Change, "feature_id" | "old_xyz_m" | "
   first_seen_at: string;
   last_seen_at: string;
   sighting_count: number;
+  /** Of lane markings. */
+  marking: Marking | null;
   /** Drives that observed it, and that did not although it was visible, up to this one. */
   seen_count: number;
   missed_count: number;
@@ -285,11 +321,11 @@ export const api = {
   projection: (map: string, [x, y]: [number, number]) => askMap<Projection>(map, `projection${query({ x_m: String(x), y_m: String(y) })}`),
   timeline: (map: string) => askMap<Timeline>(map, "timeline"),
   features: (map: string, at: Instant) =>
-    askMap<{ features: Feature[]; truncated: boolean }>(map, `features${query({ valid_at: at.valid, known_at: at.known })}`),
-  changes: (map: string, changesetNo: number) => askMap<{ changes: Change[]; truncated: boolean }>(map, `changes/${changesetNo}`),
+    askMap<Features>(map, `features${query({ valid_at: at.valid, known_at: at.known })}`),
+  changes: (map: string, changesetNo: number) => askMap<Changes>(map, `changes/${changesetNo}`),
   between: (map: string, from: Instant, to: Instant) => {
     const instants = { from_valid_at: from.valid, from_known_at: from.known, to_valid_at: to.valid, to_known_at: to.known };
-    return askMap<{ changes: Change[]; truncated: boolean }>(map, `changes${query(instants)}`);
+    return askMap<Changes>(map, `changes${query(instants)}`);
   },
   history: (map: string, id: string, known: string | null) => askMap<{ history: HistoryItem[] }>(map, `features/${id}${query({ known_at: known })}`),
   sightings: (map: string, id: string) => askMap<{ sightings: Sighting[]; truncated: boolean }>(map, `features/${id}/sightings`),

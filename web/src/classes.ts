@@ -21,6 +21,7 @@ export const CLASSES = new Map<string, ObjectClass>([
   ["work_zone_sign", { label: "Work-zone sign", width: 1, glyph: "M8 .5 15.5 8 8 15.5.5 8z" }],
   ["arrow_board", { label: "Arrow board", width: 1.5, glyph: "M.6 5.2H8V1.5L15.4 8 8 14.5v-3.7H.6z" }],
   ["traffic_sign", { label: "Traffic sign", width: 0.9, glyph: "M8 .6a6 6 0 0 1 1.3 11.85V15.5H6.7v-3.05A6 6 0 0 1 8 .6z" }],
+  ["lane_marking", { label: "Lane marking", width: 30, glyph: "M6.6 .8h2.8v6H6.6zM6.6 9.2h2.8v6H6.6z" }],
 ]);
 /** Of maps that were imported with other categories. */
 const OTHER = { width: 0.55, glyph: "M2.5 2.5h11v11h-11z" };

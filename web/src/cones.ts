@@ -1,4 +1,4 @@
-// The cones, and objects of other classes: bodies in true size (instanced), markers of fixed size above them, translucent old positions, arrows.
+// The cones, objects of other classes and lane markings: bodies in true size (instanced), markers of fixed size above them, translucent old positions, arrows.
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, CylinderGeometry, DynamicDrawUsage, Group, InstancedMesh,
   Matrix4, Mesh, Points, Quaternion, ShaderMaterial, Vector3,
@@ -7,6 +7,7 @@ import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 import type { Vec3 } from "./api";
 import { classOrder, CONE, GLYPHS, onlyCones } from "./classes";
 import { isGone, STYLES, type Cone } from "./kinds";
+import { createMarkings, distanceToSegment } from "./markings";
 import type { Stage } from "./scene";
 import { colourOf, colours } from "./theme";
 
@@ -18,6 +19,7 @@ const MARKER_LIFT_PX = 13;
 const lift = (stage: Stage) => (stage.plan ? 0 : onlyCones() ? MARKER_LIFT_PX : 1.4 * MARKER_LIFT_PX);
 
 export function createCones(stage: Stage) {
+  const markings = createMarkings(stage);
   const solid = shaded(1);
   const ghost = shaded(0.3);
   const group = new Group();
@@ -31,14 +33,15 @@ export function createCones(stage: Stage) {
   const arrows = new Mesh(new BufferGeometry(), solid); // all in one: each draw call costs
   arrows.frustumCulled = false;
   arrows.visible = false;
-  group.add(standing.holder, gone.holder, arrows, markers.group);
+  group.add(standing.holder, gone.holder, arrows, markers.group, markings.group);
   stage.beforeDraw(() => {
     standing.cull(stage);
     gone.cull(stage);
   });
 
   function show(next: Cone[]): void {
-    cones = next;
+    cones = next.filter((c) => !c.marking);
+    markings.show(next.filter((c) => c.marking));
     const colour = (c: Cone) => colourOf(c.kind);
     const bodyAt = (c: Cone, at: Vec3): Body => ({ category: c.category, at, height: c.height_m, colour: colour(c) });
     standing.set(cones.filter((c) => !isGone(c.kind)).map((c) => bodyAt(c, c.xyz)));
@@ -82,7 +85,7 @@ export function createCones(stage: Stage) {
         best = cone;
       }
     }
-    return best;
+    return best ?? markings.pick(x, y);
   }
 
   return {
@@ -145,14 +148,6 @@ function bodies(material: ShaderMaterial) {
       }
     },
   };
-}
-
-function distanceToSegment(x: number, y: number, ax: number, ay: number, bx: number, by: number): number {
-  const dx = bx - ax;
-  const dy = by - ay;
-  const length2 = dx * dx + dy * dy;
-  const t = length2 ? Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / length2)) : 0;
-  return Math.hypot(x - ax - t * dx, y - ay - t * dy);
 }
 
 type Part = [BufferGeometry, number];

@@ -1,5 +1,5 @@
 // Style of each kind of cone: a colour that is safe for colour-blind people (no red/green pair, no orange) and a marker.
-import type { ChangeKind } from "./api";
+import type { ChangeKind, Marking, Vec3 } from "./api";
 
 export type Kind = ChangeKind | "standing" | "suppressed";
 
@@ -15,12 +15,16 @@ export interface Cone {
   height_m: number;
   probability: number;
   observations: number;
-  /** Horizontal, along the major axis of the error ellipse. */
+  /** Horizontal, along the major axis of the error ellipse; of lane markings across the line. */
   sigma_m: number;
   /** Last observation, milliseconds. */
   seenAt: number;
   /** Number of the changeset that wrote this version. */
   changeset: number;
+  /** The line of a lane marking; null of point objects. */
+  marking: Marking | null;
+  /** Before the change, of moved lines. */
+  oldLine: Vec3[] | null;
 }
 
 /** `shape` is the number of the marker in the shader and in `icon`; the colours are those of reports, images and QGIS

@@ -4,6 +4,7 @@ import { el, fill, plural, shortId } from "./dom";
 import { icon, STYLES, type Cone } from "./kinds";
 import { createListPane } from "./list_pane";
 import type { LiveStatus } from "./live";
+import { wordsOf } from "./markings";
 
 interface CardOptions {
   busy?: boolean;
@@ -102,7 +103,7 @@ export function createLayout(app: HTMLElement) {
       tip.hidden = cone === null;
       if (!cone) return;
       const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
-      fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), !onlyCones() && classOf(cone.category).label, el("span", { class: "mono", textContent: shortId(cone.id) }),
+      fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), !onlyCones() && classOf(cone.category).label, cone.marking && el("span", { textContent: wordsOf(cone.marking) }), el("span", { class: "mono", textContent: shortId(cone.id) }),
         el("span", { textContent: `existence probability ${cone.probability.toFixed(3)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
       const left = x + 14 + tip.offsetWidth > view.clientWidth ? x - 14 - tip.offsetWidth : x + 14;
       tip.style.transform = `translate(${left}px, ${Math.max(4, y - tip.offsetHeight / 2)}px)`;

@@ -441,7 +441,7 @@ function draw(): void {
   cones.show(shown);
   layout.listPane.open(state.list);
   lists.show(state, all, timeline);
-  showSites(all);
+  showSites(all.filter((c) => !c.marking));
   drawMark();
   base.apply(state);
   tools.show(all);
@@ -536,8 +536,8 @@ function drawChosen(): void {
   const shown: Chosen = { ...chosen, kind: kindShown(chosen), sightings: chosen.sightings && sightingsShown(chosen) };
   shown.sightingIndex = chosen.sightingIndex = sightingToShow(shown);
   const now = stateOf(shown);
-  const ellipse = now && ellipse95(now.cov_m2);
-  overlays.showSelection(now?.xyz_m ?? null, ellipse ?? null, ellipse ? chosen.factor ?? niceFactor(ellipse) : 1);
+  const ellipse = now && !now.marking ? ellipse95(now.cov_m2) : null;
+  overlays.showSelection(now?.xyz_m ?? null, ellipse, ellipse ? chosen.factor ?? niceFactor(ellipse) : 1, now?.marking?.line_m);
   overlays.showFrustum(shown.sightings?.[shown.sightingIndex] ?? null);
   panel.show(shown);
 }
@@ -574,7 +574,7 @@ function sightingToShow({ sightings, history, reached }: Chosen): number {
 function openImages(start: Start | null): void {
   if (!chosen) return;
   const now = stateOf(chosen) ?? chosen.history[0];
-  if (!now) return;
+  if (!now || now.marking) return;
   const before = now.kind === "moved" ? chosen.history[chosen.history.indexOf(now) - 1] ?? null : null;
   const absent = now.kind === "removed" || now.kind === "missed";
   const sighting = absent ? undefined : sightingsShown(chosen)[chosen.sightingIndex];

@@ -13,6 +13,8 @@ import { colours, colourVariable, onTheme } from "./theme";
 export const SIGMAS_95 = Math.sqrt(-2 * Math.log(0.05));
 const FRUSTUM_DEPTH_M = 1.6;
 const ARROW_EVERY_M = 8;
+/** Distance of the frame of a selected lane marking from its middle. */
+const FRAME_M = 0.3;
 const MAX_LABELS = 60;
 /** Width and height reserved for a label. */
 const LABEL_PX = [64, 20] as const;
@@ -71,8 +73,14 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
       stage.draw();
     },
 
-    showSelection(at: Vec3 | null, ellipse: Ellipse | null, factor: number): void {
+    /** `line`: of a lane marking, framed instead of an ellipse. */
+    showSelection(at: Vec3 | null, ellipse: Ellipse | null, factor: number, line?: Vec3[]): void {
       empty(selection);
+      if (line) {
+        const frame = new LineLoop(geometry([...beside(line, FRAME_M), ...beside(line, -FRAME_M).reverse()]), new LineBasicMaterial({ color: colours().ellipse, depthTest: false }));
+        frame.renderOrder = 2;
+        selection.add(frame);
+      }
       if (at && ellipse) {
         const circle = new CircleGeometry(1, 72);
         const points = Array.from({ length: 72 }, (_, i) => new Vector3(Math.cos((i * Math.PI) / 36), Math.sin((i * Math.PI) / 36), 0));
@@ -139,6 +147,15 @@ function empty(group: Group): void {
 
 function geometry(points: Vec3[]): BufferGeometry {
   return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points.flat(), 3));
+}
+
+/** A line at an offset to its left. */
+function beside(line: Vec3[], left_m: number): Vec3[] {
+  return line.map(([x, y, z], i) => {
+    const [a, b] = [line[Math.max(i - 1, 0)]!, line[Math.min(i + 1, line.length - 1)]!];
+    const share = left_m / (Math.hypot(b[0] - a[0], b[1] - a[1]) || 1);
+    return [x - (b[1] - a[1]) * share, y + (b[0] - a[0]) * share, z];
+  });
 }
 
 function rotate(R: [Vec3, Vec3, Vec3], v: Vec3): Vector3 {

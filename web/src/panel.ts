@@ -1,10 +1,11 @@
 // Right: details of the selected cone.
-import { api, ApiError, type Decisions, type HistoryItem, type Sighting } from "./api";
+import { api, ApiError, type Decisions, type HistoryItem, type Marking, type Sighting } from "./api";
 import { classOf } from "./classes";
 import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
 import { el, fill, messageOf, plural, shortId, utc } from "./dom";
 import { createEmptyPosition, sentenceOf } from "./explain";
 import { icon, isGone, STYLES, type Kind } from "./kinds";
+import { lengthOf, wordsOf } from "./markings";
 import { ellipse95, niceFactor } from "./overlays";
 import type { Start } from "./viewer";
 
@@ -100,7 +101,8 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     fill(facts);
     if (now) showFacts(chosen, now);
     else fill(reason, el("p", { class: "notice", textContent: `Not on the map at this time: it was added by ${first.drive_id}, recorded ${utc(first.captured_from)} UTC.` }));
-    void showEmpty(chosen.map, chosen.id, now);
+    if (now?.marking) emptyHost.hidden = true; // no image shows it alone
+    else void showEmpty(chosen.map, chosen.id, now);
     showDecisions(chosen);
     showStory(chosen, now);
     showSightings(chosen);
@@ -115,6 +117,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     factor.addEventListener("change", () => actions.setFactor(factor.value === "auto" ? null : Number(factor.value)));
     const meter = el("span", { class: "meter" }, el("i"));
     (meter.firstElementChild as HTMLElement).style.width = `${now.existence_probability * 100}%`;
+    const line = now.marking;
     const [easting, northing, height] = now.map_xyz_m.map((v) => v.toFixed(3));
     fill(
       facts,
@@ -122,14 +125,14 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
       el(
         "dl", {},
         ...row("Class", classOf(now.category).label),
-        ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
+        ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, ${line ? "middle of the stretch" : "foot centre"}` })),
         ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
         ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${cm(now.cov_m2[0])}, ${cm(now.cov_m2[3])}, ${cm(now.cov_m2[5])}` })),
-        ...row("95 % ellipse", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm semi-axes` }),
-          el("small", {}, "drawn at ", factor)),
+        ...(line ? lineRows(line) : row("95 % ellipse", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm semi-axes` }),
+          el("small", {}, "drawn at ", factor))),
         ...row("Existence probability", meter, el("span", { class: "mono", textContent: now.existence_probability.toFixed(4) })),
         ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} in total` })),
-        ...row("Cone height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` })),
+        ...(line ? [] : row("Cone height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` }))),
         ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
       ),
     ); // prettier-ignore
@@ -168,6 +171,10 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
 
   function showSightings(chosen: Chosen): void {
     const { sightings } = chosen;
+    if (chosen.history[0]?.marking) {
+      shownImage = "";
+      return fill(seen);
+    }
     const s = sightings?.[chosen.sightingIndex];
     if (!sightings || !s) {
       const text = sightings ? "No sighting of this cone until this time." : "Loading sightings …";
@@ -249,6 +256,13 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
 function row(name: string, ...values: (Node | string)[]): Node[] {
   return [el("dt", { textContent: name }), el("dd", {}, ...values)];
 }
+
+const lineRows = (line: Marking): Node[] => [
+  ...row("Sigma across", el("span", { class: "mono", textContent: `${(line.sigma_lateral_m * 100).toFixed(1)} cm` }), el("small", { textContent: "of the least certain vertex" })),
+  ...row("Paint", el("span", { textContent: wordsOf(line) })),
+  ...row("Width", el("span", { class: "mono", textContent: `${line.width_m.toFixed(3)} ± ${line.width_sigma_m.toFixed(3)} m` })),
+  ...row("Length", el("span", { class: "mono", textContent: `${lengthOf(line.line_m).toFixed(2)} m` }), el("small", { textContent: "of this stretch" })),
+]; // prettier-ignore
 
 /** "observed by 3 drives, not observed by 1 drive", broken only at the comma. */
 function evidence(h: HistoryItem): string {

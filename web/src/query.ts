@@ -1,5 +1,5 @@
 // From the state of the page to the cones and drives that show it.
-import { api, type Change, type Feature, type HistoryItem, type Instant, type TimelineItem } from "./api";
+import { api, type Change, type Changes, type Feature, type Features, type HistoryItem, type Instant, type Marking, type TimelineItem } from "./api";
 import { utc } from "./dom";
 import { isGone, type Cone } from "./kinds";
 import type { State } from "./state";
@@ -9,13 +9,20 @@ export function changesetOf(items: TimelineItem[], no: number | null): TimelineI
   return no === null ? items.at(-1) : items.find((t) => t.changeset_no === no) ?? items.at(-1);
 }
 
-export const standing = (f: Feature): Cone => ({
+const standing = (f: Feature & { marking?: Marking }): Cone => ({
   id: f.feature_id, category: f.category, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
-  probability: f.existence_probability, observations: f.observation_count, sigma_m: f.sigma_m, seenAt: Date.parse(f.last_seen_at),
-  changeset: f.changeset_no,
+  probability: f.existence_probability, observations: f.observation_count, sigma_m: f.marking?.sigma_lateral_m ?? f.sigma_m, seenAt: Date.parse(f.last_seen_at),
+  changeset: f.changeset_no, marking: f.marking ?? null, oldLine: null,
 });
 
-const changed = (c: Change): Cone => ({ ...standing(c), kind: c.kind, old: c.kind === "moved" ? c.old_xyz_m : null, shift_m: c.shift_m });
+const changed = (c: Change & { marking?: Marking; old_marking?: Marking | null }): Cone => {
+  const moved = c.kind === "moved";
+  return { ...standing(c), kind: c.kind, old: moved ? c.old_xyz_m : null, shift_m: c.shift_m, oldLine: (moved && c.old_marking?.line_m) || null };
+};
+
+/** Point objects and lane markings. */
+export const allStanding = ({ features, markings }: Features): Cone[] => [...features, ...markings].map(standing);
+const allChanged = ({ changes, markings }: Changes): Cone[] => [...changes, ...markings].map(changed);
 
 /** The first changeset number of the address that the map does not have; null if it has them all. */
 export function unknownChangeset(state: State, items: TimelineItem[]): number | null {
@@ -45,11 +52,11 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
   const known = state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
   if (state.mode === "instant") {
     const answer = await api.features(map, { valid: state.valid, known });
-    return [answer.features.map(standing), answer.truncated];
+    return [allStanding(answer), answer.truncated];
   }
   if (state.mode === "compare") {
     const answer = await api.between(map, ...comparedInstants(state, items));
-    return [answer.changes.map(changed), answer.truncated];
+    return [allChanged(answer), answer.truncated];
   }
   const item = changesetOf(items, state.changeset);
   if (!item) return [[], false];
@@ -57,15 +64,15 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
   // drive are shown even if it was committed after later ones.
   if (state.side === "before") {
     const answer = await api.features(map, { valid: item.valid_at, known: item.known_before });
-    return [answer.features.map(standing), answer.truncated];
+    return [allStanding(answer), answer.truncated];
   }
   const [features, answer] = await Promise.all([
     api.features(map, { valid: item.valid_at, known: item.effective_at }),
     api.changes(map, item.changeset_no),
   ]);
-  const changes = new Map(answer.changes.map((c) => [c.feature_id, changed(c)]));
-  const rest = features.features.filter((f) => !changes.has(f.feature_id)).map((f): Cone => ({ ...standing(f), kind: "unchanged" }));
-  const after = [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, shift_m: null }));
+  const changes = new Map(allChanged(answer).map((c) => [c.id, c]));
+  const rest = allStanding(features).filter((c) => !changes.has(c.id)).map((c): Cone => ({ ...c, kind: "unchanged" }));
+  const after = [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, oldLine: null, shift_m: null }));
   return [[...(state.side === "changes" ? changes.values() : after), ...rest], features.truncated];
 }
 

@@ -19,16 +19,18 @@ export interface Colours {
   line: string;
   /** Around the markers. */
   halo: string;
+  /** Around lane markings, so that white paint is seen on a light page. */
+  rim: string;
 }
 
 export const COLOURS: Record<"light" | "dark", Colours> = {
   light: {
     background: "#eef1f4", gridMinor: "#dde2e8", gridMajor: "#c3cbd4", path: "#4a5560", camera: "#00795c", ellipse: "#0068b4",
-    dark: "#a9a294", bright: "#dcd7cc", heights: ["#cfc9bd", "#7fa3b5", "#3b5c8a"], line: "#8a7443", halo: "#ffffff",
+    dark: "#a9a294", bright: "#dcd7cc", heights: ["#cfc9bd", "#7fa3b5", "#3b5c8a"], line: "#8a7443", halo: "#ffffff", rim: "#5c6670",
   },
   dark: {
     background: "#12181f", gridMinor: "#1d252e", gridMajor: "#2c3742", path: "#9fabb7", camera: "#3fc79f", ellipse: "#5fb4ee",
-    dark: "#393d40", bright: "#76746c", heights: ["#4c4f52", "#4f7f97", "#9cc4ea"], line: "#a58f5c", halo: "#0b0f14",
+    dark: "#393d40", bright: "#76746c", heights: ["#4c4f52", "#4f7f97", "#9cc4ea"], line: "#a58f5c", halo: "#0b0f14", rim: "#0b0f14",
   },
 }; // prettier-ignore
 

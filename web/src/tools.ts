@@ -10,7 +10,7 @@ import { createLayers } from "./layers";
 import { createMeasure } from "./measure";
 import { createMinimap } from "./minimap";
 import { createProjection } from "./lonlat";
-import { changesetOf, comparedInstants, standing } from "./query";
+import { allStanding, changesetOf, comparedInstants } from "./query";
 import type { Stage } from "./scene";
 import type { SceneState } from "./scene_state";
 import type { CameraPose, State } from "./state";
@@ -65,7 +65,7 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     const kinds = new Map(actions.cones().map((c) => [c.id, c.kind]));
     /** What stood then; marked are those that moved, and on the right the new ones. */
     const read = async (at: Instant, marked: Kind[]): Promise<Cone[]> =>
-      (await api.features(state.map, at)).features.map(standing).map((c) => ({ ...c, kind: marked.find((k) => k === kinds.get(c.id)) ?? c.kind }));
+      allStanding(await api.features(state.map, at)).map((c) => ({ ...c, kind: marked.find((k) => k === kinds.get(c.id)) ?? c.kind }));
     try {
       const found = await Promise.all([read(instants[0], ["moved"]), read(instants[1], ["moved", "added", "split", "height_changed"])]);
       if (key !== next) return;
@@ -115,6 +115,12 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     return shown.cones;
   }
 
+  /** The point object there: lines are not measured from their middle. */
+  function pointAt(x: number, y: number): Cone | null {
+    const picked = swipe.pick(x, y);
+    return picked?.marking ? null : picked;
+  }
+
   return {
     /** Another map, or a new state of its timeline. */
     open(next: Timeline | null): void {
@@ -143,7 +149,7 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     openMeasure: () => measure.open(scene().measure),
     pick: (x: number, y: number) => swipe.pick(x, y),
     /** True if the click was a point of a measurement. */
-    click: (x: number, y: number): boolean => measure.active() && measure.click(swipe.pick(x, y), stage.groundAt(x, y)),
+    click: (x: number, y: number): boolean => measure.active() && measure.click(pointAt(x, y), stage.groundAt(x, y)),
     /** A click beside all cones: its coordinates stay, until the next one. */
     clickGround(x: number, y: number): void {
       const place = scene().at === null ? stage.groundAt(x, y) : null;

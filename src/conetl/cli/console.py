@@ -223,7 +223,7 @@ CategoryOption = Annotated[
     list[str] | None,
     typer.Option(
         "--category",
-        help="Class of objects to search for, such as drum, or `all` of the model; may be repeated; default: traffic_cone.",
+        help="Class to search for, such as drum or lane_marking, or `all`; may be repeated; default: traffic_cone.",
     ),
 ]
 

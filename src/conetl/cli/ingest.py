@@ -39,7 +39,7 @@ from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
-from conetl.model.feature_classes import CONE, known_of
+from conetl.model.feature_classes import CONE, LINE_CLASSES, known_of
 from conetl.model.health import CALIBRATION, Verdict
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
@@ -181,8 +181,8 @@ def read_params(path: Path | None, categories: Sequence[str] | None, settings: S
     if not categories:
         return params
     card = read_model_card(settings.model_path)
-    wanted = known_of(card.class_names) if "all" in categories else categories
-    card.require_categories(wanted)
+    wanted = known_of({*card.class_names, *LINE_CLASSES}) if "all" in categories else categories
+    card.require_categories(set(wanted) - set(LINE_CLASSES))
     try:
         detection = DetectionParams.model_validate(params.detection.model_dump() | {"categories": wanted})
     except ValidationError as error:
@@ -218,11 +218,12 @@ def print_report(report: IngestReport) -> None:
     """What one drive changed."""
     kinds = [kind for kind in DeltaKind if kind in _USUAL or report.counts[kind]]
     counts = ", ".join(f"{report.counts[kind]} {kind.replace('_', ' ')}" for kind in kinds)
+    lines = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in report.line_counts.items())
     drive = f"[bold]{report.drive_id}[/] ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
     if report.is_known:
         known = f"on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"
         if report.counts_on_map:
-            state = f" ({counts})"
+            state = f" ({counts}{f'; stretches of lane markings: {lines}' if lines else ''})"
         elif report.on_hold is not None:
             state = ", but on hold (see `conetl drive held`)"
         else:
@@ -236,6 +237,8 @@ def print_report(report: IngestReport) -> None:
         f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} {objects}."
     )
+    if lines:
+        out.print(f"{counted(report.markings, 'lane marking')}: stretches {lines}.")
     if report.trajectory:
         out.print(f"Trajectory: {report.trajectory}.")
     told = {check.name for check in report.health if check.verdict is not Verdict.PASS}

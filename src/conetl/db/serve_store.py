@@ -8,6 +8,7 @@ from uuid import UUID
 
 from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.statements import load_sql
+from conetl.model.params import ReconcileParams
 from conetl.model.records import Side
 
 Row = dict[str, Any]
@@ -67,16 +68,16 @@ def read_changes_between(
     moved_from_m: float,
     max_rows: int,
 ) -> list[Row]:
-    """How the map differs between two (valid, known) instants (None: latest); from `moved_from_m` on a feature was moved."""
+    """How the map differs between two (valid, known) instants (None: latest); from `moved_from_m` on a feature was moved, a lane
+    marking from the distance at which the fold takes it for another one."""
     instants = {
         "from_valid_at": _instant(before[0]),
         "from_known_at": _instant(before[1]),
         "to_valid_at": _instant(after[0]),
         "to_known_at": _instant(after[1]),
     }
-    return _rows(
-        conn, "serving.changes_between", map_name=map_name, moved_from_m=moved_from_m, max_rows=max_rows, **instants
-    )
+    distances = {"moved_from_m": moved_from_m, "line_moved_from_m": ReconcileParams().marking_gate_m}
+    return _rows(conn, "serving.changes_between", map_name=map_name, max_rows=max_rows, **distances, **instants)
 
 
 def read_feature_history(

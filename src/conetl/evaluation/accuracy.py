@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from conetl.evaluation.truth import TruthCone, TruthLine
 from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance
-from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, le90_m, point_nees
+from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, point_nees
 from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.records import Drive, Pose, Position, Record, Rig, Track, Vec3
@@ -118,10 +118,10 @@ def track_errors(
     truth = np.array([line.truth.xyz_m for line, _ in found]).reshape(-1, 3)
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     by_member = {(p.frame_index, p.match_index): p for p in positions}
-    jacobians, variances = [np.zeros((0, 3, 6 + len(_calibration_of(drive.rig))))], []
+    jacobians, variances = [np.zeros((0, 3, 6 + len(calibration_of(drive.rig))))], []
     for point, (_, track) in zip(xyz, found, strict=True):
         poses = [pose_of[frame_index] for frame_index, _ in track.members]
-        jacobian, sigmas = _pose_and_calibration(np.tile(point, (len(poses), 1)), poses, drive.rig)
+        jacobian, sigmas = pose_and_calibration(np.tile(point, (len(poses), 1)), poses, drive.rig)
         shares = _track_shares([by_member[member] for member in track.members], poses, drive.rig, motion)
         jacobians.append(np.einsum("fij,fjk->ik", shares, jacobian)[None])
         variances.append(np.mean(sigmas**2, axis=0))
@@ -135,7 +135,7 @@ def track_errors(
         sight=_unit(level),
         common_jacobian=np.concatenate(jacobians),
         common_cov=block_diag(
-            np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), _calibration_of(drive.rig)
+            np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), calibration_of(drive.rig)
         ),
     )
 
@@ -169,11 +169,11 @@ def position_errors(
     turn = left[:, :3, :3]
     camera_cov = _stack([cov_matrix(p.camera_cov_m2) for p in chosen])
     truth = np.array([cone.xyz_m for cone in cones]).reshape(-1, 3)
-    jacobian, sigmas = _pose_and_calibration(xyz, stated, drive.rig)
+    jacobian, sigmas = pose_and_calibration(xyz, stated, drive.rig)
     names = tuple(cone.cone_id for cone in cones)
     outline, own_cov = _outline_parts(names, chosen, drive.rig, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
     constant, change = _pose_parts(jacobian[:, :, :6], [p.frame_index for p in chosen], sigmas**2, poses)
-    common = block_diag(constant, _calibration_of(drive.rig))
+    common = block_diag(constant, calibration_of(drive.rig))
     return PointErrors(
         cone_ids=names,
         truth_m=truth,
@@ -262,12 +262,6 @@ def pooled_statistics(drives: Sequence[PointErrors]) -> ErrorStatistics | None:
     )
 
 
-def parts_of(result: Consistency | None) -> dict[str, Nees | None]:
-    """Relative, common and absolute NEES by name; None without degrees of freedom."""
-    names = ("relative", "common", "absolute")
-    return {name: nees if (nees := getattr(result, name, None)) and nees.dof else None for name in names}
-
-
 def single_nees(errors: PointErrors) -> Floats:
     """(N,) NEES of each estimate under its own covariance, without the common errors: chi-square with about 3 degrees of freedom.
 
@@ -306,7 +300,7 @@ def _rms(values: Floats) -> Vec3:
     return vec3(np.sqrt(np.mean(values**2, axis=0)))
 
 
-def _pose_and_calibration(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tuple[Floats, Floats]:
+def pose_and_calibration(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tuple[Floats, Floats]:
     """(N, 3, 6 + K) Jacobian of points (N, 3) by the errors of pose and calibration, (N, 6) sigmas of the poses."""
     by_pose = moved_by_poses(xyz_m, poses)
     left = np.array([map_SE3_left(pose, rig) for pose in poses]).reshape(-1, 4, 4)
@@ -363,7 +357,7 @@ def _track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, 
     return np.asarray(np.linalg.inv(information.sum(axis=0)) @ information)
 
 
-def _calibration_of(rig: Rig) -> Floats:
+def calibration_of(rig: Rig) -> Floats:
     """(K, K) covariance of the calibration, (0, 0) where it is unknown."""
     known = known_covariance(rig)
     return np.array(known.matrix) if known else np.zeros((0, 0))

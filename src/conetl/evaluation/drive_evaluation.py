@@ -16,7 +16,6 @@ from conetl.evaluation.accuracy import (
     by_range,
     drive_consistency,
     members_of,
-    parts_of,
     pooled_consistency,
     pooled_statistics,
     position_errors,
@@ -24,6 +23,8 @@ from conetl.evaluation.accuracy import (
     statistics,
     track_errors,
 )
+from conetl.evaluation.marking_evaluation import MarkingEvaluation, pooled_markings, pooled_markings_as_dict
+from conetl.evaluation.nees_table import NEES_COLUMNS, NEES_TEXT, nees_as_dict, nees_rows, parts_of
 from conetl.evaluation.truth import (
     TABLE_3_COLUMNS,
     TruthCone,
@@ -49,11 +50,6 @@ _STATISTICS = (
 _BANDS = (
     "range m", "estimates", "median 3D", "RMSE along", "across", "up", "stated along", "across", "up", "bias along"
 )  # fmt: skip
-_NEES = ("", "sum", "degrees of freedom", "95 % band", "per degree", "sigmas are")
-_NEES_TEXT = (
-    "NEES: sum of squared errors over their stated covariance. Relative: without the errors common to the whole drive "
-    "(GNSS/INS). Common: those errors. Absolute: both. One per degree of freedom is right."
-)
 _DRIVES = ("drive", "cones found", "false", "median 3D", "tracks: relative", "common", "absolute",
            "single positions: relative", "common", "absolute")  # fmt: skip
 _DRIVES_TEXT = (
@@ -75,6 +71,8 @@ class DriveEvaluation:
     figures: dict[str, ErrorStatistics]
     bands: list[RangeBand]
     nees: dict[str, Consistency | None]
+    markings: MarkingEvaluation | None = None
+    """None where lane markings were not searched for, or have no truth."""
 
     @property
     def found(self) -> int:
@@ -85,7 +83,7 @@ class DriveEvaluation:
         return [line.truth.cone_id for line in self.lines if line.feature is None]
 
     def tables(self) -> list[Section]:
-        """Cones, errors, errors by range, and NEES."""
+        """Cones, errors, errors by range, and NEES; the same of lane markings."""
         cones = table_3_rows(self.lines, missing="missed")
         errors = [
             (name, f.count, *(f"{value:.3f}" for value in (f.median_3d_m, f.rmse_3d_m, *f.rmse_enu_m)),
@@ -110,7 +108,8 @@ class DriveEvaluation:
                 _BANDS,
                 bands,
             ),
-            Section("Do the stated sigmas hold?", _NEES_TEXT, _NEES, _nees_rows(self.nees)),
+            Section("Do the stated sigmas hold?", NEES_TEXT, NEES_COLUMNS, nees_rows(self.nees)),
+            *(self.markings.tables() if self.markings else []),
         ]
 
     def as_dict(self) -> dict[str, object]:
@@ -128,7 +127,8 @@ class DriveEvaluation:
             "median_error_3d_m": median_error(self.lines),
             "errors": {name: figures.model_dump(mode="json") for name, figures in self.figures.items()},
             "by_range": [band.model_dump(mode="json") for band in self.bands],
-            "nees": {name: _nees_as_dict(result) for name, result in self.nees.items()},
+            "nees": {name: nees_as_dict(result) for name, result in self.nees.items()},
+            **({"lane_markings": self.markings.as_dict()} if self.markings else {}),
         }
 
 
@@ -162,32 +162,6 @@ def evaluate_drive(
     return DriveEvaluation(drive.drive_id, lines, false, path_m, of_tracks, of_singles, figures, bands, nees)
 
 
-def _nees_as_dict(result: Consistency | None) -> dict[str, dict[str, float | bool] | None]:
-    """Each part with its 95 % band."""
-    parts: dict[str, dict[str, float | bool] | None] = dict.fromkeys(("absolute", "relative", "common"))
-    for name, nees in parts_of(result).items():
-        if nees is not None:
-            low, high = nees.band()
-            parts[name] = {
-                "value": nees.value, "dof": nees.dof, "low": low, "high": high, "per_dof": nees.per_dof, "holds": nees.holds()
-            }  # fmt: skip
-    return parts
-
-
-def _nees_rows(nees: Mapping[str, Consistency | None]) -> list[tuple[object, ...]]:
-    """One row for each part with degrees of freedom."""
-    rows: list[tuple[object, ...]] = []
-    for name, result in nees.items():
-        for part, one in parts_of(result).items():
-            if one is None:
-                continue
-            low, high = one.band()
-            verdict = "right" if one.holds() else "too small" if one.value > high else "too large"
-            band = f"{low:.1f} to {high:.1f}"
-            rows.append((f"{name}, {part}", f"{one.value:.1f}", one.dof, band, f"{one.per_dof:.2f}", verdict))
-    return rows
-
-
 def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequence[str]) -> list[Path]:
     """Write the plots and, last, the page. Raises InputError if the folder cannot be written."""
     from conetl.reports import accuracy_plots  # matplotlib takes half a second to load
@@ -218,13 +192,14 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
             single=single_nees(singles), tracks=single_nees(tracks), title=f"{name}: do the stated sigmas hold?"
         ),
     }
-    cones, errors, bands, nees = evaluation.tables()
+    cones, errors, bands, nees, *markings = evaluation.tables()
     sections = [
         cones,
         Section("Directions of the errors", image=images["plan.png"], image_alt="plan view with error vectors"),
         errors,
         replace(bands, image=images["errors_over_range.png"], image_alt="errors over range"),
         replace(nees, image=images["nees.png"], image_alt="histogram of NEES against chi-square"),
+        *markings,
     ]
     page = _write_page(folder, f"{name} against truth", summary, sections, images)
     return [*(folder / file for file in images), page]
@@ -248,15 +223,21 @@ class PooledDrives:
         rows.append(_drive_row("all drives", list(self.drives.values()), self.figures.get(KINDS[0]), results))
         return [
             Section("Drive by drive", _DRIVES_TEXT, _DRIVES, rows),
-            Section("Do the stated sigmas hold for all drives together?", "", _NEES, _nees_rows(self.nees)),
+            Section("Do the stated sigmas hold for all drives together?", "", NEES_COLUMNS, nees_rows(self.nees)),
+            *pooled_markings(self._markings),
         ]
 
     def as_dict(self) -> dict[str, object]:
         """As JSON values."""
         return {
             "errors": {kind: figures.model_dump(mode="json") for kind, figures in self.figures.items()},
-            "nees": {kind: _nees_as_dict(result) for kind, result in self.nees.items()},
+            "nees": {kind: nees_as_dict(result) for kind, result in self.nees.items()},
+            **pooled_markings_as_dict(self._markings),
         }
+
+    @property
+    def _markings(self) -> dict[str, MarkingEvaluation]:
+        return {name: drive.markings for name, drive in self.drives.items() if drive.markings is not None}
 
 
 def pool(drives: Mapping[str, DriveEvaluation]) -> PooledDrives:

@@ -1,11 +1,11 @@
-"""The map as files for other programs. A format is a function `write(source, path) -> int` and one line in `FORMATS`.
+"""The map as files for other programs. A format is a function `write(sources, path)` and one line in `FORMATS`.
 
 It imports `db` and everything below it. The story begins in `export.py`; `source.py` reads the rows that every format writes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib import import_module
@@ -31,24 +31,28 @@ class Format:
     suffix: str
     order: Order
     entry_point: str
-    """`module:function` in this package. The function writes all rows of a `Source` to a path and returns their number."""
+    """`module:function` in this package. The function writes all rows of some sources to a path; the number of rows of each."""
     geographic: bool = False
     """WGS 84 longitude and latitude instead of the map's CRS."""
+    one_geometry: bool = False
+    """A file holds one type of geometry: lane markings are in a second one, `<stem>_lane_markings<suffix>`."""
 
 
 #: Writers are imported on first use, because GDAL, Arrow and MCAP are slow to load.
 FORMATS = {
     "geojson": Format(".geojson", Order.BY_ID, "geojson:write_features", geographic=True),
-    "csv": Format(".csv", Order.BY_ID, "text_files:write_csv"),
-    "geoparquet": Format(".parquet", Order.SPATIAL, "table_files:write_geoparquet"),
+    "csv": Format(".csv", Order.BY_ID, "text_files:write_csv", one_geometry=True),
+    "geoparquet": Format(".parquet", Order.SPATIAL, "table_files:write_geoparquet", one_geometry=True),
     "gpkg": Format(".gpkg", Order.BY_ID, "table_files:write_geopackage"),
-    "flatgeobuf": Format(".fgb", Order.BY_ID, "table_files:write_flatgeobuf"),
+    "flatgeobuf": Format(".fgb", Order.BY_ID, "table_files:write_flatgeobuf", one_geometry=True),
     "mcap": Format(".mcap", Order.BY_TIME, "mcap_scene:write_scene"),
     "lanelet2": Format(".osm", Order.BY_ID, "text_files:write_lanelet2", geographic=True),
 }
 
 
-def writer_of(file_format: str) -> Callable[[Source, Path], int]:
+def writer_of(file_format: str) -> Callable[[Sequence[Source], Path], list[int]]:
     """The function that writes a format of `FORMATS`."""
     module, function = FORMATS[file_format].entry_point.split(":")
-    return cast("Callable[[Source, Path], int]", getattr(import_module(f"conetl.exports.{module}"), function))
+    return cast(
+        "Callable[[Sequence[Source], Path], list[int]]", getattr(import_module(f"conetl.exports.{module}"), function)
+    )

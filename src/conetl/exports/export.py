@@ -27,24 +27,39 @@ _WORK_MEM = {What.FEATURES: "128MB", What.CHANGES: "64MB", What.HISTORY: "64MB"}
 def export_map(conn: Connection, path: Path, file_format: str, request: ExportRequest) -> dict[str, Any]:
     """Write the rows of `request` to `path` and a manifest to `path` + '.manifest.json'; the manifest.
 
-    All rows come from one snapshot of the database, in batches. Both files appear at the end, or neither. Raises InputError for
-    an unknown format or map, and where the files cannot be written.
+    All rows come from one snapshot of the database, in batches. All files appear at the end, or none. Where the map has lane
+    markings and a file of the format holds one type of geometry, they are in `lines_path(path)`, with a manifest of its own;
+    `lane_markings` of the manifest says in which file they are, and how many. Raises InputError for an unknown format or map,
+    and where the files cannot be written.
     """
     if file_format not in FORMATS:
         raise InputError(f"unknown format {file_format}: choose one of {', '.join(FORMATS)}")
     chosen = FORMATS[file_format]
-    manifest_path = path.with_name(path.name + ".manifest.json")
     with transaction(conn, f"The map {request.map_name} cannot be read"):
         execute(conn, load_sql("exports.snapshot"))
         execute(conn, load_sql("exports.memory"), {"work_mem": _WORK_MEM[request.what]})
-        with (
-            open_source(conn, request, chosen.order) as source,
-            atomic_files(path, manifest_path) as (file, manifest_file),
-        ):
-            rows = writer_of(file_format)(source, file)
-            manifest = _manifest(source, file_format, chosen, file, rows)
-            manifest_file.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
-    return manifest
+        with open_source(conn, request, chosen.order) as sources:
+            groups = [[source] for source in sources] if chosen.one_geometry else [sources]
+            paths = [path, lines_path(path)][: len(groups)]
+            beside = [one.with_name(one.name + ".manifest.json") for one in paths]
+            with atomic_files(*paths, *beside) as written:
+                files, manifest_files = written[: len(paths)], written[len(paths) :]
+                rows = [writer_of(file_format)(group, file) for group, file in zip(groups, files, strict=True)]
+                manifests = [
+                    _manifest(group[0], file_format, chosen, file, sum(counts))
+                    for group, file, counts in zip(groups, files, rows, strict=True)
+                ]
+                if len(sources) > 1:
+                    lines = {"file": files[-1].name, "rows": rows[-1][-1], "columns": sources[-1].property_names}
+                    manifests[0]["lane_markings"] = lines
+                for manifest, file in zip(manifests, manifest_files, strict=True):
+                    file.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    return manifests[0]
+
+
+def lines_path(path: Path) -> Path:
+    """The second file of formats that hold one type of geometry: `cones.csv` -> `cones_lane_markings.csv`."""
+    return path.with_name(f"{path.stem}_lane_markings{path.suffix}")
 
 
 def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows: int) -> dict[str, Any]:
@@ -64,6 +79,7 @@ def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows
         "from": _text(request.since),
         "to": _text(request.until),
         "box_m": request.box_m,
+        "category": request.category,
         "last_committed_at": _text(source.info.last_committed_at),
         "changesets": facts["changeset_count"],
         "exported_at": iso_utc(datetime.now(UTC)),

@@ -18,7 +18,7 @@ class Field(NamedTuple):
 FIELDS = {
     "feature_id": Field("Feature", "", "The cone: a UUID, the same in all its versions, files and services."),
     "version": Field("Version", "", "Number of the state of the cone on the road, from 1."),
-    "category": Field("Category", "", "Kind of object, such as traffic_cone."),
+    "category": Field("Category", "", "Kind of object, such as traffic_cone or lane_marking."),
     "existence_probability": Field(
         "Existence probability", "0 to 1", "That it stands there, after the last drive to which it was visible."
     ),
@@ -47,6 +47,16 @@ FIELDS = {
     "cov_en_m2": Field("Covariance east, north", "m^2", "Of the position."),
     "cov_eu_m2": Field("Covariance east, up", "m^2", "Of the position."),
     "cov_nu_m2": Field("Covariance north, up", "m^2", "Of the position."),
+    "width_m": Field("Width", "m", "Of the paint of a lane marking, across the line."),
+    "width_sigma_m": Field("Sigma of the width", "m", "Standard deviation of width_m."),
+    "colour": Field("Colour", "", "Of the paint: white, yellow or other."),
+    "pattern": Field("Pattern", "", "solid or dashed; a dashed line is one line through its gaps."),
+    "dash_m": Field("Dash", "m", "Length of one dash; null of solid lines."),
+    "gap_m": Field("Gap", "m", "Between two dashes; null of solid lines."),
+    "sigma_lateral_m": Field(
+        "Lateral sigma", "m", "Standard deviation across the line: that of the vertex with the largest one."
+    ),
+    "length_m": Field("Length", "m", "Of this stretch of a lane marking, at most about 10 m."),
     "first_seen_at": Field("First seen", "UTC", "First frame pair in which it was observed."),
     "last_seen_at": Field("Last seen", "UTC", "Last frame pair of this version."),
     "observation_count": Field("Observations", "", "Frame pairs in which it was observed."),

@@ -29,36 +29,36 @@ Object = dict[str, Any]
 
 
 def export_geojson(conn: Connection, path: Path, *, map_name: str = "default") -> int:
-    """Write the standing cones as GeoJSON without a manifest; the number of features. See `write_features`."""
-    with open_source(conn, ExportRequest(map_name)) as source, atomic_files(path) as (file,):
-        return write_features(source, file)
+    """Write the standing features as GeoJSON without a manifest; their number. See `write_features`."""
+    with open_source(conn, ExportRequest(map_name)) as sources, atomic_files(path) as (file,):
+        return sum(write_features(sources, file))
 
 
-def write_features(source: Source, path: Path) -> int:
-    """Write one Feature per row and line; the number of rows. The same map gives the same bytes.
+def write_features(sources: Sequence[Source], path: Path) -> list[int]:
+    """Write one Feature per row and line of the file; the number of rows of each source. The same map gives the same bytes.
 
     Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). A feature's id is that of the cone, except in
-    a history, where a cone has several rows.
+    a history, where a cone has several rows. Lane markings are lines.
     """
-    count = 0
-    with_id = source.request.what is not What.HISTORY
+    counts = []
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write('{"type": "FeatureCollection", "features": [')
-        for count, row in enumerate(rows_of(source), 1):
-            lon_lat = [round(row.lon_deg, LON_LAT_DECIMALS), round(row.lat_deg, LON_LAT_DECIMALS)]
-            feature = {
-                "type": "Feature",
-                **({"id": row.properties["feature_id"]} if with_id else {}),
-                "geometry": {
-                    "type": "Point",
-                    "coordinates": [*lon_lat, round(row.ellipsoidal_height_m, HEIGHT_DECIMALS)],
-                },
-                "properties": row.properties,
-            }
-            file.write(",\n" if count > 1 else "\n")
-            file.write(json.dumps(feature, allow_nan=False))
+        for source in sources:
+            with_id = source.request.what is not What.HISTORY
+            counts.append(0)
+            for row in rows_of(source):
+                place = [(row.lon_deg, row.lat_deg, row.ellipsoidal_height_m)] if row.line is None else row.line
+                feature = {
+                    "type": "Feature",
+                    **({"id": row.properties["feature_id"]} if with_id else {}),
+                    "geometry": _line_or_point([_rounded(*vertex) for vertex in place]),
+                    "properties": row.properties,
+                }
+                file.write(",\n" if any(counts) else "\n")
+                file.write(json.dumps(feature, allow_nan=False))
+                counts[-1] += 1
         file.write("\n]}\n")
-    return count
+    return counts
 
 
 class ChangeOrigin(NamedTuple):
@@ -142,6 +142,10 @@ def coordinates(points_m: ArrayLike, srid: int) -> list[list[float]]:
     points = np.asarray(points_m, float)
     degrees = np.column_stack(_to_wgs84(srid).transform(points[:, 0], points[:, 1])).round(LON_LAT_DECIMALS)
     return np.hstack([degrees, points[:, 2:].round(HEIGHT_DECIMALS)]).tolist()  # type: ignore[no-any-return]
+
+
+def _rounded(lon_deg: float, lat_deg: float, height_m: float) -> list[float]:
+    return [round(lon_deg, LON_LAT_DECIMALS), round(lat_deg, LON_LAT_DECIMALS), round(height_m, HEIGHT_DECIMALS)]
 
 
 @cache

@@ -1,6 +1,7 @@
-"""The map as an MCAP recording for Foxglove: cones in true size, coloured by their change.
+"""The map as an MCAP recording for Foxglove: cones in true size, coloured by their change, and lane markings in true width.
 
-Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones (SceneUpdate), /tf (FrameTransform from
+Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones and, where the map has them,
+/lane_markings (SceneUpdate), /tf (FrameTransform from
 the map's CRS to a frame `map` with its origin near the first cone, because graphics cards compute in float32) and /origin
 (LocationFix of that origin). Features and changes are one instant. A history follows the time on the road, in one database
 state (that of `believed_at`): cones appear, change and disappear as the recording plays.
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import groupby, islice
 from pathlib import Path
@@ -20,49 +21,57 @@ import numpy as np
 from mcap.writer import Writer
 
 from conetl.exports.kind_marks import KIND_MARKS
-from conetl.exports.source import Source, What
+from conetl.exports.markings import PAINT, dashes_of
+from conetl.exports.source import LINE_NAME, Source, What
 from conetl.exports.text_files import iso_utc
 from conetl.model.feature_classes import CONE, width_over_height
 from conetl.model.map_records import DeltaKind
 
 FRAME = "map"
 TOPIC = "/cones"
+LINES_TOPIC = "/lane_markings"
 #: Entities per message.
 _MESSAGE_ROWS = 1000
 #: A road cone: diameter of the foot over the height, and of the top over that of the foot.
 _FOOT_WIDTH, _TOP_SHARE = 0.4, 0.175
-_NO_PRIMITIVES = ("cubes", "spheres", "lines", "triangles", "texts", "models")
+_PRIMITIVES = ("arrows", "cylinders", "cubes", "spheres", "lines", "triangles", "texts", "models")
+#: Type of `foxglove.LinePrimitive`: each point is joined to the next one.
+_LINE_STRIP = 0
 _NO_ROTATION = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 Object = dict[str, Any]
 Point = tuple[float, float, float]
 
 
-def write_scene(source: Source, path: Path) -> int:
-    """Write the scene; the number of rows."""
-    count = 0
+def write_scene(sources: Sequence[Source], path: Path) -> list[int]:
+    """Write the scene; the number of rows of each source."""
+    counts = [0] * len(sources)
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="", library="conetl")
-        channels = [
+        topics = {LINES_TOPIC if source.lines else TOPIC: SCENE_UPDATE for source in sources}
+        *scenes, frame, place = (
             writer.register_channel(
                 topic, "json", writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
             )
-            for topic, schema in ((TOPIC, SCENE_UPDATE), ("/tf", FRAME_TRANSFORM), ("/origin", LOCATION_FIX))
-        ]
+            for topic, schema in (topics | {"/tf": FRAME_TRANSFORM, "/origin": LOCATION_FIX}).items()
+        )
         origin: Point | None = None
-        for instant_us, group in groupby(_rows(source), key=lambda row: row["instant_us"]):
-            while chunk := list(islice(group, _MESSAGE_ROWS)):
-                messages: list[tuple[int, Object]] = []
-                if origin is None:
-                    origin = _origin(chunk[0])
-                    messages += zip(channels[1:], _origin_messages(origin, source, instant_us), strict=True)
-                messages.append((channels[0], _scene(chunk, origin, source.request.what)))
-                for channel, message in messages:
-                    data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
-                    writer.add_message(channel, log_time=instant_us * 1000, publish_time=instant_us * 1000, data=data)
-                count += len(chunk)
+        for k, source in enumerate(sources):
+            for instant_us, group in groupby(_rows(source), key=lambda row: row["instant_us"]):
+                while chunk := list(islice(group, _MESSAGE_ROWS)):
+                    messages: list[tuple[int, Object]] = []
+                    if origin is None:
+                        origin = _origin(chunk[0])
+                        messages += zip((frame, place), _origin_messages(origin, source, instant_us), strict=True)
+                    messages.append((scenes[k], _scene(chunk, origin, source.request.what)))
+                    for channel, message in messages:
+                        data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
+                        writer.add_message(
+                            channel, log_time=instant_us * 1000, publish_time=instant_us * 1000, data=data
+                        )
+                    counts[k] += len(chunk)
         writer.finish()  # type: ignore[no-untyped-call]
-    return count
+    return counts
 
 
 def _rows(source: Source) -> Iterator[Object]:
@@ -72,7 +81,12 @@ def _rows(source: Source) -> Iterator[Object]:
     shown_at = shown_at or request.believed_at or source.info.last_committed_at or datetime.now(UTC)
     fixed_us = _microseconds(shown_at)
     for batch in source.batches:
-        for row in batch.to_pylist():
+        rows = batch.to_pylist()
+        if source.lines:
+            vertices_m, of_row = source.vertices_m(batch)
+            for row, line in zip(rows, np.split(vertices_m, np.flatnonzero(np.diff(of_row)) + 1), strict=True):
+                row[LINE_NAME] = line
+        for row in rows:
             row["instant_us"] = _microseconds(row["valid_from"]) if request.what is What.HISTORY else fixed_us
             yield row
 
@@ -87,12 +101,49 @@ def _scene(rows: list[Object], origin: Point, what: What) -> Object:
 
 
 def _entity(row: Object, origin: Point) -> Object:
+    colour = _colour(row["change"], row["existence_probability"])
+    primitives = _stripes(row, origin, colour) if LINE_NAME in row else _body(row, origin, colour)
+    left_out = ("feature_id", "instant_us", LINE_NAME)
+    return {
+        "timestamp": _time(row["instant_us"]),
+        "frame_id": FRAME,
+        "id": row["feature_id"],
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": False,
+        "metadata": [{"key": key, "value": _text(row[key])} for key in row if key not in left_out],
+        **{kind: primitives.get(kind, []) for kind in _PRIMITIVES},
+    }
+
+
+def _stripes(row: Object, origin: Point, colour: Object) -> Object:
+    """A lane marking in its width: one line, or one per dash."""
+    line = row[LINE_NAME] - np.array(origin)
+    if row["change"] in (None, "confirmed"):
+        colour = _rgb(PAINT[row["colour"]]) | {"a": colour["a"]}
+    return {
+        "lines": [
+            {
+                "type": _LINE_STRIP,
+                "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": _NO_ROTATION},
+                "thickness": row["width_m"],
+                "scale_invariant": False,
+                "points": [dict(zip("xyz", map(float, vertex), strict=True)) for vertex in part],
+                "color": colour,
+                "colors": [],
+                "indices": [],
+            }
+            for part in dashes_of(line, row["dash_m"], row["gap_m"])
+        ]
+    }
+
+
+def _body(row: Object, origin: Point, colour: Object) -> Object:
+    """A cone, or a cylinder for objects of other classes, and an arrow where it was moved."""
     x, y, z = row["easting_m"] - origin[0], row["northing_m"] - origin[1], row["ellipsoidal_height_m"] - origin[2]
     height_m = row["height_m"]
     category = row["category"]
     width, top_share = (_FOOT_WIDTH, _TOP_SHARE) if category == CONE else (width_over_height(category), 1.0)
     width_m = width * height_m
-    colour = _colour(row["change"], row["existence_probability"])
     cone = {
         "pose": {"position": {"x": x, "y": y, "z": z + height_m / 2}, "orientation": _NO_ROTATION},
         "size": {"x": width_m, "y": width_m, "z": height_m},
@@ -104,17 +155,7 @@ def _entity(row: Object, origin: Point) -> Object:
     if row["change"] == "moved" and row.get("old_easting_m") is not None:
         old = (row["old_easting_m"] - origin[0], row["old_northing_m"] - origin[1], row["old_height_m"] - origin[2])
         arrows = [_arrow(old, (x, y, z), width_m, colour)]
-    return {
-        "timestamp": _time(row["instant_us"]),
-        "frame_id": FRAME,
-        "id": row["feature_id"],
-        "lifetime": {"sec": 0, "nsec": 0},
-        "frame_locked": False,
-        "metadata": [{"key": key, "value": _text(row[key])} for key in row if key not in ("feature_id", "instant_us")],
-        "arrows": arrows,
-        "cylinders": [cone],
-        **{kind: [] for kind in _NO_PRIMITIVES},
-    }
+    return {"arrows": arrows, "cylinders": [cone]}
 
 
 def _arrow(start: Point, end: Point, width_m: float, colour: Object) -> Object:
@@ -164,9 +205,12 @@ def _origin_messages(origin: Point, source: Source, instant_us: int) -> tuple[Ob
 
 
 def _colour(change: str | None, existence_probability: float) -> Object:
-    rgb = bytes.fromhex(KIND_MARKS[DeltaKind(change or "confirmed")].colour[1:])
     alpha = round(0.25 + 0.75 * existence_probability, 3)
-    return dict(zip("rgb", (part / 255 for part in rgb), strict=True)) | {"a": alpha}
+    return _rgb(KIND_MARKS[DeltaKind(change or "confirmed")].colour) | {"a": alpha}
+
+
+def _rgb(colour: str) -> Object:
+    return dict(zip("rgb", (part / 255 for part in bytes.fromhex(colour[1:])), strict=True))
 
 
 def _time(instant_us: int) -> Object:
@@ -209,7 +253,7 @@ _CYLINDER = _object(
 _ENTITY = _object(
     "foxglove.SceneEntity", timestamp=_TIME, frame_id=_STRING, id=_STRING, lifetime=_DURATION, frame_locked={"type": "boolean"},
     metadata=_list(_object("foxglove.KeyValuePair", key=_STRING, value=_STRING)),
-    arrows=_list(_ARROW), cylinders=_list(_CYLINDER), **{kind: _list() for kind in _NO_PRIMITIVES},
+    arrows=_list(_ARROW), cylinders=_list(_CYLINDER), **{kind: _list() for kind in _PRIMITIVES[2:]},
 )  # fmt: skip
 #: The three messages, with names and fields as in Foxglove's documentation.
 SCENE_UPDATE = _object(

@@ -2,7 +2,8 @@
 
 The project holds no data and no password: QGIS queries the database whenever it draws, and prompts for a password where the
 server requires one. Layers: the standing cones, coloured by their latest change and transparent by their existence probability;
-the 95 % circles of their positions; all cones that ever stood, for the temporal controller.
+the 95 % circles of their positions; the lane markings in the width, colour and pattern of the paint; all cones that ever stood,
+for the temporal controller.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from conetl.db.map.map_store import require_map
 from conetl.db.statements import load_sql
 from conetl.exports.fields import FIELDS
 from conetl.exports.kind_marks import KIND_MARKS
+from conetl.exports.markings import CASING, PAINT
 from conetl.files.atomic import atomic_files
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
@@ -41,6 +43,8 @@ _CIRCLE_OPTIONS = {
     "color": "0,0,0,0", "name": "circle", "size": "1", "size_unit": "MapUnit", "outline_color": "31,41,51,160",
     "outline_width": "0.2",
 }  # fmt: skip
+#: Categories of `"colour" || ' ' || "pattern"`, with the colour of the paint.
+_PAINTS = {f"{colour} {pattern}": (colour, pattern) for colour in PAINT for pattern in ("solid", "dashed")}
 _LAYERS = (
     {"id": "cones_standing_now", "title": "Cones now", "query": "qgis_now", "shown": True},
     {
@@ -50,6 +54,7 @@ _LAYERS = (
         "shown": True,
         "circles": True,
     },
+    {"id": "lane_markings_now", "title": "Lane markings", "query": "qgis_markings", "shown": True, "lines": True},
     {
         "id": "cones_over_time",
         "title": "Cones over time (temporal controller)",
@@ -78,8 +83,8 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
         srid=info.srid,
         wkt=CRS.from_epsg(info.srid).to_wkt(),
         layers=[
-            {"shown": False, "circles": False, "temporal": False, **layer}
-            | {"source": _source(server, map_name, info.srid, str(layer["query"]))}
+            {"shown": False, "circles": False, "temporal": False, "lines": False, **layer}
+            | {"source": _source(server, map_name, info.srid, str(layer["query"]), lines="lines" in layer)}
             | {"fields": _fields(conn, map_name, str(layer["query"]))}
             for layer in _LAYERS
         ],
@@ -87,6 +92,8 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
             name: f"{field.alias} [{field.unit}]" if field.unit else field.alias for name, field in FIELDS.items()
         },
         markers={str(kind): _marker(kind) for kind in _KINDS},
+        paints=_PAINTS,
+        stripes=_stripe,
         circle=_CIRCLE_OPTIONS,
         circle_diameter=f'{2 * _CIRCLE} * "sigma_m"',
         extent=_bounds(extent),
@@ -108,13 +115,23 @@ def _fields(conn: Connection, map_name: str, query: str) -> list[str]:
     return [name for name, _ in columns if name != "geom"]
 
 
-def _source(server: dict[str, str], map_name: str, srid: int, query: str) -> str:
+def _source(server: dict[str, str], map_name: str, srid: int, query: str, *, lines: bool) -> str:
     """The data source URI of a query. map_name consists of letters, digits, - and _ (a constraint of the table `map`)."""
-    lines = load_sql(f"exports.{query}").splitlines()
-    sql = " ".join(line.strip() for line in lines if not line.startswith("--")).rstrip("; ")
+    text = load_sql(f"exports.{query}").splitlines()
+    sql = " ".join(line.strip() for line in text if not line.startswith("--")).rstrip("; ")
     sql = sql.replace("%(map_name)s", f"'{map_name}'")
     parts = " ".join(f"{key}='{value}'" for key, value in server.items())
-    return f"{parts} key='version_row_id' estimatedmetadata=true srid={srid} type=PointZ table=\"({sql})\" (geom)"
+    kind = "LineStringZ" if lines else "PointZ"
+    return f"{parts} key='version_row_id' estimatedmetadata=true srid={srid} type={kind} table=\"({sql})\" (geom)"
+
+
+def _stripe(colour: str, pattern: str, *, casing: bool) -> dict[str, str]:
+    """Options of QGIS's simple line, in metres on the ground: the paint, or a wider dark line below it."""
+    rgb = ",".join(map(str, bytes.fromhex((CASING if casing else PAINT[colour])[1:])))
+    return {
+        "line_color": f"{rgb},255", "line_width_unit": "MapUnit", "line_width": "0.12", "capstyle": "flat", "joinstyle": "bevel",
+        "use_custom_dash": str(int(pattern == "dashed")), "customdash": "3;9", "customdash_unit": "MapUnit",
+    }  # fmt: skip
 
 
 def _marker(kind: DeltaKind) -> dict[str, str]:

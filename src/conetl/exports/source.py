@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import StrEnum
 from functools import cached_property
@@ -12,20 +12,23 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import shapely
 from numpy.typing import NDArray
 from pyarrow import csv
 from pyproj import CRS, Transformer
 
-from conetl.db.connection import Connection, copied_csv, database_errors, query_columns
+from conetl.db.connection import Connection, copied_csv, database_errors, execute, query_columns
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.db.statements import load_sql
 from conetl.exports import Order
 from conetl.geometry.heights import compound_crs, system_name, to_crs, turns
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import LINE_CLASSES
 from conetl.model.params import ReconcileParams
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 #: Rows in memory at a time, and rows of a GeoParquet row group.
 BATCH_ROWS = 50_000
 _CSV_BLOCK_BYTES = 8 << 20
@@ -39,6 +42,12 @@ _DERIVED = {
 POSITION_NAMES = ("easting_m", "northing_m", "ellipsoidal_height_m")
 #: Columns of the history, left out where neither history nor changes are exported.
 _HISTORY_NAMES = ("change", "shift_m", "present", "suppressed", "system_from", "system_to")
+#: The line itself, as well-known binary in hexadecimal digits, and the columns that only lines and only points have.
+LINE_NAME = "line"
+_LINE_NAMES = (
+    "width_m", "width_sigma_m", "colour", "pattern", "dash_m", "gap_m", "sigma_lateral_m", "length_m", LINE_NAME,
+)  # fmt: skip
+_POINT_NAMES = ("height_m", "height_sigma_m")
 #: By the OIDs of PostgreSQL's types bool, int8, int4, text, float8, timestamptz and uuid.
 _ARROW_TYPES = {
     16: pa.bool_(), 20: pa.int64(), 23: pa.int32(), 25: pa.string(), 701: pa.float64(), 1184: pa.timestamp("us", tz="UTC"),
@@ -71,23 +80,28 @@ class ExportRequest:
     """West, south, east, north in the map's CRS; None: everywhere."""
     crs: tuple[int, int | None] | None = None
     """EPSG codes of the plane and of the height system (None: ellipsoidal) of the positions; None: those of the map."""
+    category: str | None = None
+    """Objects of this class alone."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """The rows of one request. Made by `open_source`, valid in its block."""
+    """The rows of one request with one type of geometry. Made by `open_source`, valid in its block."""
 
     conn: Connection
     info: MapInfo
     request: ExportRequest
     order: Order
+    lines: bool = False
+    """Lane markings instead of point objects; their position is that of the middle vertex."""
 
     @cached_property
     def schema(self) -> pa.Schema:
         """Columns of every batch: the properties in the order of the contract, then `POSITION_NAMES`."""
         with database_errors(f"The map {self.request.map_name} cannot be read"):
             columns = query_columns(self.conn, self._sql, self._parameters)
-        shown = [(name, _ARROW_TYPES[oid]) for name, oid in columns if self._has_change or name not in _HISTORY_NAMES]
+        left_out = {*(_POINT_NAMES if self.lines else _LINE_NAMES), *(() if self._has_change else _HISTORY_NAMES)}
+        shown = [(name, _ARROW_TYPES[oid]) for name, oid in columns if name not in left_out]
         names = [name for name, _ in shown]
         derived = [(name, kind) for name, (kind, origin) in _DERIVED.items() if origin in names]
         at = len(shown) - len(POSITION_NAMES)
@@ -95,8 +109,8 @@ class Source:
 
     @cached_property
     def property_names(self) -> list[str]:
-        """Names of the columns except the position."""
-        return [name for name in self.schema.names if name not in POSITION_NAMES]
+        """Names of the columns except position and line."""
+        return [name for name in self.schema.names if name not in (*POSITION_NAMES, LINE_NAME)]
 
     @property
     def epsg(self) -> tuple[int, int | None]:
@@ -118,6 +132,12 @@ class Source:
         easting, northing = (np.asarray(batch.column(name)) for name in POSITION_NAMES[:2])
         lons, lats = self.to_wgs84.transform(easting, northing)
         return lons, lats
+
+    def vertices_m(self, batch: pa.RecordBatch) -> tuple[Floats, Integers]:
+        """Vertices of the lines of a batch, (n, 3) with ellipsoidal heights in the map's CRS, and the row (n,) of each."""
+        lines = shapely.from_wkb(batch.column(LINE_NAME).to_pylist())
+        vertices, rows = shapely.get_coordinates(lines, include_z=True, return_index=True)
+        return vertices, rows
 
     @cached_property
     def to_wgs84(self) -> Transformer:
@@ -170,7 +190,8 @@ class Source:
                 names = ("old_easting_m", "old_northing_m", "old_height_m")
                 columns |= {name: pa.array(old_m[:, axis], from_pandas=True) for axis, name in enumerate(names)}
                 old_ground_m = old_m[:, 2]
-        columns["object_height_m"] = columns["height_m"]
+        if "height_m" in columns:
+            columns["object_height_m"] = columns["height_m"]
         columns["ground_height_m"] = pa.array(ground_m)
         columns["height_system"] = pa.repeat(system_name(self.epsg[1]), len(batch))
         if old_ground_m is not None:
@@ -202,9 +223,12 @@ class Source:
             "from_valid_at": "-infinity" if request.since is None else request.since.isoformat(),
             "to_valid_at": _instant(request.until),
             "moved_from_m": ReconcileParams().min_gate_m,
+            "line_moved_from_m": ReconcileParams().marking_gate_m,
             "with_change": self._has_change,
             "srid": self.info.srid,
             **dict(zip(("west_m", "south_m", "east_m", "north_m"), request.box_m or (None,) * 4, strict=True)),
+            "lines": self.lines,
+            "category": request.category,
             "spatial_order": self.order is Order.SPATIAL,
             "time_order": self.order is Order.BY_TIME,
         }
@@ -230,12 +254,22 @@ def _turned(columns: dict[str, pa.Array], turn: Floats) -> dict[str, pa.Array]:
 
 
 @contextmanager
-def open_source(conn: Connection, request: ExportRequest, order: Order = Order.BY_ID) -> Iterator[Source]:
-    """The rows of a request. Raises InputError for one that contradicts itself, and for an unknown map."""
+def open_source(conn: Connection, request: ExportRequest, order: Order = Order.BY_ID) -> Iterator[list[Source]]:
+    """The rows of a request by type of geometry: points, then lines where the map has any; of one class, its own.
+
+    Raises InputError for a request that contradicts itself, and for an unknown map.
+    """
     _check(request)
-    source = Source(conn, require_map(conn, request.map_name), request, order)
-    with closing(source.batches):
-        yield source
+    points = Source(conn, require_map(conn, request.map_name), request, order)
+    sources = [points, replace(points, lines=True)]
+    if request.category is not None:
+        sources = [sources[request.category in LINE_CLASSES]]
+    elif not execute(conn, load_sql("exports.has_lines"), {"map_id": points.info.map_id})[0]["found"]:
+        sources.pop()
+    with ExitStack() as stack:
+        for source in sources:
+            stack.enter_context(closing(source.batches))
+        yield sources
 
 
 def _check(request: ExportRequest) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pyogrio
+import shapely
 from numpy.typing import NDArray
 from pyogrio.errors import DataLayerError, DataSourceError, FieldError
 
 from conetl.exports.source import POSITION_NAMES, Source
+from conetl.geometry.heights import to_crs
 from conetl.model.errors import InputError
 
 GEOMETRY = "geometry"
+LINES_LAYER = "lane_markings"
+Floats = NDArray[np.float64]
 #: ISO WKB of a point with z.
 _POINT_Z = 1001
 _MILLISECONDS = pa.timestamp("ms", tz="UTC")
@@ -27,30 +31,31 @@ _BBOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SID
 _REPEATED = (
     "version", "category", "height_m", "object_height_m", "height_system", "observation_count", "valid_from", "valid_to",
     "changeset_id", "seen_count", "missed_count", "height_sigma_m", "change", "present", "suppressed", "system_from", "system_to",
-    "old_version",
+    "old_version", "colour", "pattern", "width_m", "dash_m", "gap_m",
 )  # fmt: skip
 
 
-def write_geoparquet(source: Source, path: Path) -> int:
+def write_geoparquet(sources: Sequence[Source], path: Path) -> list[int]:
     """Write GeoParquet 1.1 (https://geoparquet.org/releases/v1.1.0/), one row group per batch; the number of rows.
 
     Rows follow a Hilbert curve and carry their box in the column `bbox`, so that a reader finds a street by the statistics of the
     row groups.
     """
+    [source] = sources
     schema = _property_schema(source).append(pa.field("bbox", _BBOX)).append(pa.field(GEOMETRY, pa.binary()))
     count = 0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     repeated = [name for name in _REPEATED if name in schema.names]
     with pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=repeated) as writer:
-        for batch, xyz_m in _positions_of(source):
-            low, high = np.minimum(low, xyz_m.min(axis=0)), np.maximum(high, xyz_m.max(axis=0))
-            boxes = pa.StructArray.from_arrays([pa.array(xyz_m[:, k]) for k in (0, 1, 2, 0, 1, 2)], fields=list(_BBOX))
-            rows = pa.record_batch([*batch.columns, boxes, _wkb_points(xyz_m)], schema=schema)
-            writer.write_batch(rows, row_group_size=len(xyz_m))
-            count += len(xyz_m)
+        for batch, wkb, lows_m, highs_m in _geometries_of(source):
+            low, high = np.minimum(low, lows_m.min(axis=0)), np.maximum(high, highs_m.max(axis=0))
+            sides = [pa.array(corner[:, k]) for corner in (lows_m, highs_m) for k in range(3)]
+            boxes = pa.StructArray.from_arrays(sides, fields=list(_BBOX))
+            writer.write_batch(pa.record_batch([*batch.columns, boxes, wkb], schema=schema), row_group_size=len(wkb))
+            count += len(wkb)
         column: dict[str, Any] = {
             "encoding": "WKB",
-            "geometry_types": ["Point Z"],
+            "geometry_types": [_geometry_type(source)],
             "crs": source.crs.to_json_dict(),
             "covering": {"bbox": {side: ["bbox", side] for side in _SIDES}},
         }
@@ -58,21 +63,24 @@ def write_geoparquet(source: Source, path: Path) -> int:
             column["bbox"] = [*low.tolist(), *high.tolist()]
         geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
         writer.add_key_value_metadata({"geo": json.dumps(geo)})
-    return count
+    return [count]
 
 
-def write_geopackage(source: Source, path: Path) -> int:
-    """Write a GeoPackage (OGC 12-128r19); the number of rows. See `_write_by_gdal`."""
-    return _write_by_gdal(source, path, "GPKG")
+def write_geopackage(sources: Sequence[Source], path: Path) -> list[int]:
+    """Write a GeoPackage (OGC 12-128r19); the number of rows of each source. See `_write_by_gdal`."""
+    return [_write_by_gdal(source, path, "GPKG") for source in sources]
 
 
-def write_flatgeobuf(source: Source, path: Path) -> int:
+def write_flatgeobuf(sources: Sequence[Source], path: Path) -> list[int]:
     """Write FlatGeobuf; the number of rows. Its index takes about 100 bytes of memory per row. See `_write_by_gdal`."""
-    return _write_by_gdal(source, path, "FlatGeobuf")
+    [source] = sources
+    return [_write_by_gdal(source, path, "FlatGeobuf")]
 
 
 def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
-    """Write points in the map's CRS as one layer, named like the map, with a spatial index; the number of rows.
+    """Write one layer in the map's CRS with a spatial index; the number of rows.
+
+    Points are in a layer named like the map, lines in `lane_markings` (of a map with this name, `lane_markings_lines`).
 
     GDAL stores times in milliseconds. Each time is therefore written twice: as date and time, for QGIS's temporal controller,
     and exactly in a column with the suffix `_us`, as microseconds since 1970 (UTC). Raises InputError where the file cannot be
@@ -91,9 +99,9 @@ def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
     def batches() -> Iterator[pa.RecordBatch]:
         nonlocal count
         try:
-            for batch, xyz_m in _positions_of(source):
-                count += len(xyz_m)
-                columns = [_wkb_points(xyz_m)]
+            for batch, wkb, _, _ in _geometries_of(source):
+                count += len(wkb)
+                columns = [wkb]
                 for column in batch.columns:
                     if pa.types.is_timestamp(column.type):
                         columns += [column.cast(_MILLISECONDS, safe=False), column.cast(pa.int64())]
@@ -104,10 +112,13 @@ def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
             failure.append(error)  # GDAL would hide it behind an error of its own
             raise
 
+    layer = source.request.map_name
+    if source.lines:
+        layer = f"{LINES_LAYER}_lines" if layer == LINES_LAYER else LINES_LAYER
     try:
         pyogrio.write_arrow(
-            pa.RecordBatchReader.from_batches(schema, batches()), path, layer=source.request.map_name, driver=driver,
-            geometry_name=GEOMETRY, geometry_type="Point Z", crs=source.crs_text,
+            pa.RecordBatchReader.from_batches(schema, batches()), path, layer=layer, driver=driver,
+            geometry_name=GEOMETRY, geometry_type=_geometry_type(source), crs=source.crs_text,
         )  # fmt: skip
     except (DataSourceError, DataLayerError, FieldError, pa.ArrowException, RuntimeError) as error:
         if failure:
@@ -120,13 +131,25 @@ def _property_schema(source: Source) -> pa.Schema:
     return pa.schema([source.schema.field(name) for name in source.property_names])
 
 
-def _positions_of(source: Source) -> Iterator[tuple[pa.RecordBatch, NDArray[np.float64]]]:
-    """Batches of the properties alone, each with its positions (n, 3) in the CRS of the source."""
+def _geometry_type(source: Source) -> str:
+    return "LineString Z" if source.lines else "Point Z"
+
+
+def _geometries_of(source: Source) -> Iterator[tuple[pa.RecordBatch, pa.Array, Floats, Floats]]:
+    """Batches of the properties alone, each with its geometries as well-known binary, and their lowest and highest coordinates,
+    (n, 3) each, in the CRS of the source."""
     for batch in source.batches:
-        yield (
-            batch.select(source.property_names),
-            np.stack([np.asarray(batch.column(n)) for n in (*POSITION_NAMES[:2], "ground_height_m")], axis=1),
-        )
+        properties = batch.select(source.property_names)
+        if source.lines:
+            vertices_m, rows = source.vertices_m(batch)
+            vertices_m = to_crs(vertices_m, source.info.srid, *source.epsg)
+            lines = shapely.linestrings(vertices_m, indices=rows)
+            firsts = np.flatnonzero(np.diff(rows, prepend=-1))
+            lows_m, highs_m = (extreme.reduceat(vertices_m, firsts) for extreme in (np.minimum, np.maximum))
+            yield properties, pa.array(shapely.to_wkb(lines, flavor="iso"), pa.binary()), lows_m, highs_m
+        else:
+            xyz_m = np.stack([np.asarray(batch.column(n)) for n in (*POSITION_NAMES[:2], "ground_height_m")], axis=1)
+            yield properties, _wkb_points(xyz_m), xyz_m, xyz_m
 
 
 def _wkb_points(xyz_m: NDArray[np.float64]) -> pa.Array:

@@ -1,37 +1,47 @@
-"""The map as CSV and as Lanelet2 points, and the rows of plain values that all text formats share."""
+"""The map as CSV and for Lanelet2, and the rows of plain values that all text formats share."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import count as count_from
+from itertools import repeat
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 from xml.sax.saxutils import quoteattr
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from conetl.exports.source import POSITION_NAMES, Source, What
+from conetl.geometry.geodesy import to_geodetic
 
 #: Exported properties of a feature, in this order. They are part of the contract with users: never rename one.
 PROPERTY_NAMES = (
     "feature_id", "version", "category", "existence_probability", "height_m", "sigma_e_m", "sigma_n_m", "sigma_u_m",
     "first_seen_at", "last_seen_at", "observation_count", "valid_from", "valid_to", "changeset_id", "seen_count", "missed_count",
     "object_height_m", "ground_height_m", "height_system",
+    "width_m", "width_sigma_m", "colour", "pattern", "dash_m", "gap_m", "sigma_lateral_m", "length_m",
 )  # fmt: skip
 #: Additional properties of histories and changes.
 _CHANGE_NAMES = (
     "change", "shift_m", "present", "suppressed", "system_from", "system_to",
     "old_version", "old_easting_m", "old_northing_m", "old_height_m", "old_ground_height_m",
 )  # fmt: skip
+#: Longitude, latitude (degrees) and ellipsoidal height (m) of each vertex.
+Line = list[tuple[float, float, float]]
+Tags = Mapping[str, Any]
 _CSV_POSITION = ("lon_deg", "lat_deg", "ellipsoidal_height_m", "easting_m", "northing_m")
 
 
 @dataclass(frozen=True)
 class ExportRow:
-    """One feature: WGS 84 longitude and latitude (degrees), coordinates in the map's CRS, ellipsoidal height (m), properties."""
+    """One feature: WGS 84 longitude and latitude (degrees), coordinates in the map's CRS, ellipsoidal height (m), properties.
+
+    Of a lane marking these are of its middle vertex.
+    """
 
     lon_deg: float
     lat_deg: float
@@ -41,6 +51,8 @@ class ExportRow:
     properties: dict[str, Any]
     """`names_of(source)`; `height_m` and `object_height_m` are the cone's own height, `ground_height_m` is in `height_system`.
     Times are ISO 8601 UTC, `valid_to` is None while open."""
+    line: Line | None = None
+    """Of a lane marking."""
 
 
 def names_of(source: Source) -> list[str]:
@@ -56,47 +68,83 @@ def rows_of(source: Source) -> Iterator[ExportRow]:
         degrees = [values.tolist() for values in source.lon_lat_deg(batch)]
         positions = zip(*degrees, *(batch.column(name).to_pylist() for name in POSITION_NAMES), strict=True)
         columns = [_plain(name, batch.column(name)) for name in names]
-        for position, values in zip(positions, zip(*columns, strict=True), strict=True):
-            yield ExportRow(*position, dict(zip(names, values, strict=True)))  # type: ignore[call-arg]
+        lines = _lines_of(source, batch) if source.lines else repeat(None, len(batch))
+        for position, values, line in zip(positions, zip(*columns, strict=True), lines, strict=True):
+            yield ExportRow(*position, dict(zip(names, values, strict=True)), line)  # type: ignore[call-arg]
 
 
-def write_csv(source: Source, path: Path) -> int:
-    """Write one line per row; the number of rows. Null values (`valid_to` while open) are empty."""
+def _lines_of(source: Source, batch: pa.RecordBatch) -> list[Line]:
+    vertices_m, rows = source.vertices_m(batch)
+    lat_lon = to_geodetic(source.info.srid, vertices_m)
+    lines: list[Line] = [[] for _ in range(len(batch))]
+    for row, (lat_deg, lon_deg, height_m) in zip(rows.tolist(), lat_lon.tolist(), strict=True):
+        lines[row].append((lon_deg, lat_deg, height_m))
+    return lines
+
+
+def write_csv(sources: Sequence[Source], path: Path) -> list[int]:
+    """Write one line per row; the number of rows. Null values (`valid_to` while open) are empty.
+
+    Lane markings have their line in the column `WKT`, as GDAL and QGIS read it.
+    """
+    [source] = sources
     count = 0
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*names_of(source), *_CSV_POSITION])
+        writer.writerow([*names_of(source), *_CSV_POSITION, *(["WKT"] if source.lines else [])])
         for row in rows_of(source):
             degrees = [f"{row.lon_deg:.9f}", f"{row.lat_deg:.9f}"]
             metres = [f"{value:.4f}" for value in (row.ellipsoidal_height_m, row.easting_m, row.northing_m)]
-            writer.writerow([*row.properties.values(), *degrees, *metres])
+            vertices = [f"{lon:.9f} {lat:.9f} {height:.4f}" for lon, lat, height in row.line or ()]
+            wkt = [f"LINESTRING Z ({', '.join(vertices)})"] if vertices else []
+            writer.writerow([*row.properties.values(), *degrees, *metres, *wkt])
             count += 1
-    return count
+    return [count]
 
 
-def write_lanelet2(source: Source, path: Path) -> int:
-    """Write one OSM node per row, for Lanelet2 and JOSM, with the properties as tags; the number of rows.
+def write_lanelet2(sources: Sequence[Source], path: Path) -> list[int]:
+    """Write one OSM node per point, for Lanelet2 and JOSM, with the properties as tags; the number of rows of each source.
 
-    Ids are negative, so they never collide with those of a lanelet map, and `upload='never'` keeps the cones out of
-    OpenStreetMap. `ele` is the ellipsoidal height; `local_x` and `local_y` are easting and northing in the map's CRS.
+    A lane marking is a way: type `line_thin`, subtype `solid` or `dashed`, and `width`, as Lanelet2 tags linestrings. Ids are
+    negative, so they never collide with those of a lanelet map, and `upload='never'` keeps the cones out of OpenStreetMap.
+    `ele` is the ellipsoidal height; `local_x` and `local_y` are easting and northing in the map's CRS.
     """
-    count = 0
+    counts = []
+    ids = count_from(1)
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write("<?xml version='1.0' encoding='UTF-8'?>\n<osm version='0.6' generator='conetl' upload='never'>\n")
-        for count, row in enumerate(rows_of(source), 1):
-            tags = {
-                "type": row.properties["category"],
-                "ele": f"{row.ellipsoidal_height_m:.4f}",
-                "local_x": f"{row.easting_m:.4f}",
-                "local_y": f"{row.northing_m:.4f}",
-                **{name: value for name, value in row.properties.items() if value is not None},
-            }
-            file.write(f"  <node id='-{count}' visible='true' lat='{row.lat_deg:.10f}' lon='{row.lon_deg:.10f}'>\n")
-            for key, value in tags.items():
-                file.write(f"    <tag k={quoteattr(key)} v={quoteattr(str(value))} />\n")
-            file.write("  </node>\n")
+        for source in sources:
+            counts.append(0)
+            for row in rows_of(source):
+                tags = {name: value for name, value in row.properties.items() if value is not None}
+                if row.line is None:
+                    place = {"local_x": f"{row.easting_m:.4f}", "local_y": f"{row.northing_m:.4f}"}
+                    position = (row.lon_deg, row.lat_deg, row.ellipsoidal_height_m)
+                    _write_node(file, next(ids), position, {"type": tags["category"]}, place | tags)
+                else:
+                    nodes = [next(ids) for _ in row.line]
+                    for node, vertex in zip(nodes, row.line, strict=True):
+                        _write_node(file, node, vertex, {}, {})
+                    file.write(f"  <way id='-{next(ids)}' visible='true'>\n")
+                    file.writelines(f"    <nd ref='-{node}' />\n" for node in nodes)
+                    kind = {"type": "line_thin", "subtype": tags["pattern"], "width": tags["width_m"]}
+                    _write_tags(file, kind | tags)
+                    file.write("  </way>\n")
+                counts[-1] += 1
         file.write("</osm>\n")
-    return count
+    return counts
+
+
+def _write_node(file: TextIO, number: int, position: Sequence[float], kind: Tags, tags: Tags) -> None:
+    lon_deg, lat_deg, height_m = position
+    file.write(f"  <node id='-{number}' visible='true' lat='{lat_deg:.10f}' lon='{lon_deg:.10f}'>\n")
+    _write_tags(file, {**kind, "ele": f"{height_m:.4f}", **tags})
+    file.write("  </node>\n")
+
+
+def _write_tags(file: TextIO, tags: Tags) -> None:
+    for key, value in tags.items():
+        file.write(f"    <tag k={quoteattr(key)} v={quoteattr(str(value))} />\n")
 
 
 def iso_utc(instant: datetime) -> str:

@@ -77,18 +77,18 @@ def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Array:
 def consistency(
     difference_m: ArrayLike, own_cov_m2: ArrayLike, common_jacobian: ArrayLike, common_cov: ArrayLike
 ) -> Consistency:
-    """Split the NEES of N points into relative and common part.
+    """Split the NEES of N points with D components (3, or fewer) into relative and common part.
 
-    difference_m (N, 3): estimate minus truth. own_cov_m2: of each point's own errors, (N, 3, 3), or (3N, 3N) where they are
+    difference_m (N, D): estimate minus truth. own_cov_m2: of each point's own errors, (N, D, D), or (DN, DN) where they are
     correlated (poses that drift within a drive), in time O(N^3).
-    common_jacobian (N, 3, K), common_cov (K, K): how K common errors move each point, and their covariance (positive
+    common_jacobian (N, D, K), common_cov (K, K): how K common errors move each point, and their covariance (positive
     semi-definite). With e = G x + n whitened by the points' own covariance and G L = U S V' (L L' the common covariance), the
     whitened error has covariance I + U S^2 U': inside the columns of U is the common part, outside it the relative one.
     """
     e = np.asarray(difference_m, dtype=np.float64)
     g = np.asarray(common_jacobian, dtype=np.float64)
-    if e.ndim != 2 or e.shape[1] != 3 or g.shape[:2] != e.shape:
-        raise ValueError(f"expected differences (N, 3) and a Jacobian (N, 3, K), found {e.shape} and {g.shape}")
+    if e.ndim != 2 or g.ndim != 3 or g.shape[:2] != e.shape:
+        raise ValueError(f"expected differences (N, D) and a Jacobian (N, D, K), found {e.shape} and {g.shape}")
     lower = np.linalg.cholesky(np.asarray(own_cov_m2, dtype=np.float64))
     both = np.concatenate([e[..., None], g], axis=2)
     if lower.ndim == 2:

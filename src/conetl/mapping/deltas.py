@@ -172,6 +172,7 @@ def confirmed(
                 first_seen_ns=feature.first_seen_ns,
                 last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
                 shared_jacobian=own_jacobian,
+                marking=None,
             ),
             track_index=track.track_index,
             changed_at_ns=track.first_seen_ns,
@@ -207,4 +208,5 @@ def feature_from_track(
         first_seen_ns=track.first_seen_ns,
         last_seen_ns=track.last_seen_ns,
         shared_jacobian=track.shared_jacobian,
+        marking=None,
     )

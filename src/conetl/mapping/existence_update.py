@@ -12,6 +12,7 @@ from math import exp, log
 
 from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import ExistenceEvidence, ImportedFeature, MapFeature, MissSummary
+from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track, sound
 
@@ -23,6 +24,13 @@ _EDGE = 1e-6
 def observed(feature: MapFeature | None, summary: MissSummary | None, track: Track) -> ExistenceEvidence:
     """Evidence of a drive that observed the feature (None: a new one) as `track`; summary: of the misses since its version."""
     return _confirming(feature, summary, track.existence_probability, len({frame for frame, _ in track.members}))
+
+
+def observed_line(
+    feature: MapFeature | None, summary: MissSummary | None, track: MarkingTrack, frames: int
+) -> ExistenceEvidence:
+    """Evidence of a drive that observed a stretch of a lane marking in some frame pairs; other arguments as for `observed`."""
+    return _confirming(feature, summary, track.existence_probability, frames)
 
 
 def imported(feature: MapFeature | None, summary: MissSummary | None, statement: ImportedFeature) -> ExistenceEvidence:

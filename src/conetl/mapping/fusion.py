@@ -158,34 +158,55 @@ def tracks_in_map_frame(
     own = {i: tracks[i] for i in wanted}
     if weight == 0 or not pairs or not own:
         return own
-    observed = [features[j] for j in pairs]
+    taken = offset_errors([features[j] for j in pairs], [tracks[i].shared_jacobian for i in pairs.values()], weight)
+    moved = {}
+    for i, track in own.items():
+        cov_m2, shared_jacobian = in_map_frame(track.cov_m2, track.relative_cov_m2, track.shared_jacobian, taken)
+        moved[i] = track.model_copy(update={"cov_m2": cov_m2, "shared_jacobian": shared_jacobian})
+    return moved
+
+
+class OffsetErrors(NamedTuple):
+    """Errors of the share `weight` of a drive's offset, by the features that it was estimated from."""
+
+    weight: float
+    of_map: Floats
+    """(3, 3) m^2: the map's part of its covariance."""
+    jacobians: Mapping[UUID, Floats]
+    """(3, K) by calibration."""
+
+
+def offset_errors(
+    observed: Sequence[MapFeature], shared_jacobian: Sequence[SharedErrorJacobian | None], weight: float
+) -> OffsetErrors:
+    """observed: the features that the drive observed, at least one; shared_jacobian: of what it observed of each."""
     of_map = weight**2 * independent_parts([f.cov_m2 for f in observed], [f.shared_jacobian for f in observed]).mean(
         axis=0
     )
-    summed = _sums([tracks[i].shared_jacobian for i in pairs.values()], 1.0)
+    summed = _sums(shared_jacobian, 1.0)
     for calibration, moved_m in _sums([f.shared_jacobian for f in observed], -1.0).items():
         summed[calibration] = _sum(summed.get(calibration), moved_m)
-    of_offset = {calibration: weight / len(pairs) * moved_m for calibration, moved_m in summed.items()}
-    return {i: _in_map_frame(track, of_map, of_offset, weight) for i, track in own.items()}
+    return OffsetErrors(weight, of_map, {key: weight / len(observed) * moved_m for key, moved_m in summed.items()})
 
 
-def _in_map_frame(track: Track, of_map: Floats, of_offset: Mapping[UUID, Floats], weight: float) -> Track:
-    """A track less the offset; of_offset: its Jacobians (3, K) by calibration; of_map (3, 3) m^2: the map's part of its
-    covariance."""
-    relative = cov_matrix(track.relative_cov_m2)
-    [whole] = independent_parts([track.cov_m2], [track.shared_jacobian])
-    # Without the calibration's part; all cones of the drive have the same error of GNSS/INS.
-    own = relative + (1 - weight) ** 2 * (whole - relative) + of_map
-    ids = tuple(sorted({*of_offset, *(track.shared_jacobian.calibrations if track.shared_jacobian else ())}))
-    before = unpack_all(ids, [track.shared_jacobian])
-    width = max([before.shape[3], *(moved_m.shape[1] for moved_m in of_offset.values())])
+def in_map_frame(
+    cov_m2: Cov3, relative_cov_m2: Cov3, shared_jacobian: SharedErrorJacobian | None, offset: OffsetErrors
+) -> tuple[Cov3, SharedErrorJacobian | None]:
+    """Covariance and Jacobian of a position of the drive less its offset."""
+    relative = cov_matrix(relative_cov_m2)
+    [whole] = independent_parts([cov_m2], [shared_jacobian])
+    # Without the calibration's part; all positions of the drive have the same error of GNSS/INS.
+    own = relative + (1 - offset.weight) ** 2 * (whole - relative) + offset.of_map
+    ids = tuple(sorted({*offset.jacobians, *(shared_jacobian.calibrations if shared_jacobian else ())}))
+    before = unpack_all(ids, [shared_jacobian])
+    width = max([before.shape[3], *(moved_m.shape[1] for moved_m in offset.jacobians.values())])
     after = np.pad(before, ((0, 0), (0, 0), (0, 0), (0, width - before.shape[3])))
-    for calibration, moved_m in of_offset.items():
+    for calibration, moved_m in offset.jacobians.items():
         after[0, ids.index(calibration), :, : moved_m.shape[1]] -= moved_m
     after = after.astype(np.float32).astype(np.float64)  # as stored
     [cov] = with_jacobian(own[None], after)
-    [shared_jacobian] = pack_all(ids, after, most=MOST_CALIBRATIONS)
-    return track.model_copy(update={"cov_m2": cov3((cov + cov.T) / 2), "shared_jacobian": shared_jacobian})
+    [packed] = pack_all(ids, after, most=MOST_CALIBRATIONS)
+    return cov3((cov + cov.T) / 2), packed
 
 
 def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], sign: float) -> dict[UUID, Floats]:

@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from conetl.mapping.agreement import contradiction
+from conetl.mapping.association import common_offset
 from conetl.mapping.changes import VisibilityCheck, reconcile
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
+from conetl.mapping.marking_visibility import not_in_view
+from conetl.mapping.markings import ViewCheck, reconcile_markings
 from conetl.mapping.visibility import NotObserved
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import (
@@ -34,6 +37,7 @@ from conetl.model.map_records import (
     MissedObservation,
     MissSummary,
 )
+from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track, sound
 
@@ -57,6 +61,9 @@ class DriveEvidence:
     """Features farther than this from the path are not compared."""
     check_visibility: VisibilityCheck
     params: ReconcileParams
+    markings: Sequence[MarkingTrack] = ()
+    check_view: ViewCheck = not_in_view
+    """What the drive had in view of lane markings."""
     imported: Sequence[ImportedFeature] = ()
     """Features of an imported map, instead of tracks; it removes nothing."""
 
@@ -158,11 +165,12 @@ def apply_drive(
     would begin no later than its predecessor (drives that overlap in time) begins `MIN_VALID_NS` after it.
     """
     around, drive = _around(current, drive), classified(drive, decisions.classified)
+    points, lines = ([one for one in around if (one.marking is not None) == is_line] for is_line in (False, True))
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
     if drive.imported:
         deltas = reconcile_imported(
             drive.imported,
-            around,
+            points,
             drive.params,
             at_ns=drive.key[0],
             founding_key=drive.founding_key,
@@ -173,18 +181,31 @@ def apply_drive(
     else:
         deltas = reconcile(
             drive.tracks,
-            around,
+            points,
             drive.check_visibility,
             drive.params,
             founding_key=drive.founding_key,
             pinned=pinned,
             summaries=summaries,
         )
+        line_deltas: list[Delta] = []
+        if drive.markings or lines:
+            line_deltas = reconcile_markings(
+                drive.markings,
+                lines,
+                drive.check_view,
+                drive.params,
+                offset=common_offset(sorted(drive.tracks, key=lambda track: track.members[0]), points, drive.params),
+                founding_key=drive.founding_key,
+                pinned=pinned,
+                summaries=summaries,
+            )
         hold = None
         if drive.changeset_id not in decisions.accepted:
-            hold = contradiction(drive.tracks, around, deltas, drive.params)
+            hold = contradiction(drive.tracks, points, deltas, drive.params, line_deltas)
         if hold is not None:
             return MapUpdate([], [], [], around, hold)
+        deltas = sorted([*deltas, *line_deltas], key=lambda delta: (delta.changed_at_ns, delta.feature_id.int))
     versions = []
     for delta in deltas:
         if not delta.is_change:

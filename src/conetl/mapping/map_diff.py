@@ -9,8 +9,10 @@ import numpy as np
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.model.params import ReconcileParams
 
-#: A cone whose position differs by more was moved; one whose height differs by more belongs to another height class.
+#: A cone whose position differs by more was moved, a lane marking from the second distance on; one whose height differs by more
+#: belongs to another height class.
 MOVED_M = ReconcileParams().min_gate_m
+LINE_MOVED_M = ReconcileParams().marking_gate_m
 HEIGHT_M = ReconcileParams().moved_height_tolerance_m
 
 
@@ -40,7 +42,7 @@ def _change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange:
 
 
 def _kind_of_change(old: MapFeature, new: MapFeature, shift_m: float) -> DeltaKind:
-    if shift_m > MOVED_M:
+    if shift_m > (MOVED_M if new.marking is None else LINE_MOVED_M):
         return DeltaKind.MOVED
     if abs(new.cone_height_m - old.cone_height_m) > HEIGHT_M:
         return DeltaKind.HEIGHT_CHANGED

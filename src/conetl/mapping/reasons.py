@@ -42,6 +42,7 @@ class ChangeFacts(NamedTuple):
     """After the change."""
     other_feature_id: UUID | None = None
     """Of a split, the feature that was both; of a merger, the one that remains."""
+    noun: str = "cone"
 
 
 def why(facts: ChangeFacts) -> str:
@@ -51,7 +52,9 @@ def why(facts: ChangeFacts) -> str:
     elif facts.kind in (DeltaKind.REMOVED, DeltaKind.MISSED):
         observed = _absence(facts)
     elif facts.kind is DeltaKind.MERGED:
-        observed = f"drive {facts.drive_id} observed one cone where the map had two{_other(facts, '; {} remains')}"
+        observed = (
+            f"drive {facts.drive_id} observed one {facts.noun} where the map had two{_other(facts, '; {} remains')}"
+        )
     else:
         observed = (
             f"drive {facts.drive_id} observed it{_frames(facts.frames_seen)}{_range(facts)}{_what_changed(facts)}"
@@ -68,8 +71,9 @@ def _absence(facts: ChangeFacts) -> str:
     seen, empty = facts.frames_seen or 0, facts.frames_empty
     passed = f"drive {facts.drive_id} passed{_range(facts)}, "
     if not empty:
-        return f"{passed}the position was visible, no cone was observed"
-    shown = "none showed a cone" if not seen else f"{seen} of them showed a cone"
+        return f"{passed}the position was visible, no {facts.noun} was observed"
+    it = f"{_article(facts.noun)} {facts.noun}"
+    shown = f"none showed {it}" if not seen else f"{seen} of them showed {it}"
     return f"{passed}the position was visible{_frames(seen + empty)}, {shown}"
 
 
@@ -77,9 +81,9 @@ def _what_changed(facts: ChangeFacts) -> str:
     if facts.kind is DeltaKind.MOVED and facts.shift_m is not None:
         return f", {facts.shift_m:.2f} m from its earlier position"
     if facts.kind is DeltaKind.HEIGHT_CHANGED and facts.cone_height_m is not None:
-        return f", as a cone {facts.cone_height_m:.2f} m high"
+        return f", as {_article(facts.noun)} {facts.noun} {facts.cone_height_m:.2f} m high"
     if facts.kind is DeltaKind.SPLIT:
-        return _other(facts, ", as a second cone beside {}")
+        return _other(facts, f", as a second {facts.noun} beside {{}}")
     return ""
 
 
@@ -96,6 +100,10 @@ def _range(facts: ChangeFacts) -> str:
         return ""
     near, far = (f"{metres:.0f}" for metres in facts.range_m)
     return f" at {near} m" if near == far else f" at {near}\u2013{far} m"
+
+
+def _article(noun: str) -> str:
+    return "an" if noun[0] in "aeiou" else "a"
 
 
 def _probability(value: float) -> str:

@@ -28,7 +28,7 @@ class FeatureClass:
     in_rows: bool
     """Whether rows of it close a lane: a channelizing device (MUTCD 2023, chapter 6K)."""
     geometry: Literal["point", "line"] = "point"
-    """Point objects are found by the detector, lines by `perception/lane_markings.py`, which needs no network."""
+    """Point objects are found by the detector, lines by `perception/markings/`, which needs no network."""
 
 
 FEATURE_CLASSES = {

@@ -6,6 +6,8 @@ from datetime import datetime
 from typing import Literal
 from uuid import UUID
 
+from pydantic import Field
+
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError
 from conetl.model.feature_classes import CONE
 from conetl.model.health import HealthCheck, HoldChange, what_to_do
@@ -47,8 +49,13 @@ class IngestReport(Record):
     positions: int
     tracks: int
     counts: dict[DeltaKind, int]
+    """Of point objects."""
+    line_counts: dict[DeltaKind, int] = Field(default_factory=dict)
+    """Of stretches of lane markings, of each kind that there is."""
+    markings: int = 0
+    """Lane markings that the drive shows."""
     changes: tuple[ChangeLine, ...]
-    """Changes of this run; empty for a known drive."""
+    """Changes of point objects of this run; empty for a known drive."""
     rejections: dict[RejectionReason, int]
     params_sha256: str
     model_sha256: str

@@ -109,6 +109,11 @@ class Delta(Record):
         return state
 
     @property
+    def is_of_line(self) -> bool:
+        """Whether the feature is a line."""
+        return self.state_after.marking is not None
+
+    @property
     def is_change(self) -> bool:
         """False for a miss, and for a confirmation that changes no stored value: these make no version."""
         if self.kind is DeltaKind.MISSED:
@@ -245,3 +250,5 @@ class ImportedMap:
     founds_ids: bool = False
     """True where the file has no ids, or they are not to be used: the ids follow from file and row, and each map that imports
     it assigns its own."""
+    lines_left_out: int = 0
+    """Lane markings in the file, which are not imported."""

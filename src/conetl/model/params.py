@@ -140,6 +140,26 @@ class ReconcileParams(Params):
     """A cone counts as visible when it would appear at least this tall ..."""
     visible_border_px: Positive = 12.0
     """... and at least this far inside both images."""
+    marking_gate_m: Positive = 0.25
+    """Lane markings nearer than this across their direction, after the drive's common offset, are the same one."""
+    marking_moved_max_m: Positive = 1.0
+    """A lane marking that is not observed although visible, and a new one at most this far beside it, are one that was painted
+    anew."""
+    marking_least_m: Positive = 2.5
+    """Parts of a drive's lane marking that the map lacks are added from this length on: the ends of markings are found to about
+    the distance of their vertices."""
+    marking_missed_probability: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    """Probability that a drive does not observe a lane marking that it had in view: dirt, shadow, a lorry beside it. The frame
+    pairs of one drive are not independent in that."""
+    marking_blind_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    """The same for a drive that shows less than half as much of lane markings as it does not observe (a wet road at night)."""
+    marking_min_frames: int = Field(default=3, ge=1)
+    """A vertex of a lane marking that so many frame pairs had in view, and the drive did not observe, is missed."""
+    marking_view_from_m: Positive = 4.0
+    """Lane markings are in view from this distance in front of the camera ..."""
+    marking_view_to_m: Positive = 12.0
+    """... to this one, and so far to the left and right: inside of where they are searched for (`MarkingParams`)."""
+    marking_view_aside_m: Positive = 7.0
 
 
 class TrajectoryParams(Params):
@@ -210,6 +230,32 @@ class TrajectoryParams(Params):
     """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
 
 
+class MarkingParams(Params):
+    """How lane markings are found; only used where they are searched for (`DetectionParams.categories`)."""
+
+    pair_spacing_m: Positive = 1.0
+    """A frame pair is searched for markings when the rig has moved this far since the last one that was."""
+    min_range_m: Positive = 4.0
+    """Depths in front of the camera between which the road is searched ..."""
+    max_range_m: Positive = 17.0
+    max_offset_m: Positive = 8.0
+    """... and how far to the left and to the right."""
+    min_width_m: Positive = 0.07
+    """Bounds of the width of paint: 0.10 to 0.30 m by most standards, measured with noise."""
+    max_width_m: Positive = 0.35
+    min_contrast: Positive = 8.0
+    """Least grey levels between paint and road."""
+    max_above_road_m: Positive = 0.04
+    """Of the paint above the road on either side of it: kerbs are at least 0.06 m high."""
+    max_gap_m: Positive = 12.5
+    """Longest gap between the dashes of one line: 9 m (Germany, other roads) to 12 m (motorways)."""
+    min_length_m: Positive = 3.0
+    """Least length of the paint of one marking."""
+    min_frames: int = Field(default=3, ge=1)
+    """Least number of frame pairs that show it."""
+    vertex_spacing_m: Positive = 2.5
+
+
 class IngestParams(Params):
     """All parameters of one ingest."""
 
@@ -219,6 +265,7 @@ class IngestParams(Params):
     track: TrackParams = TrackParams()
     reconcile: ReconcileParams = ReconcileParams()
     trajectory: TrajectoryParams = TrajectoryParams()
+    marking: MarkingParams = MarkingParams()
     chunk_pairs: int = Field(default=256, ge=1)
     """Frame pairs per chunk, half of which are one detection task: a task costs Prefect about 10 ms."""
     max_rejected_fraction: Fraction = 0.10

@@ -221,6 +221,8 @@ def detect_image(
     rescoring, small_objects = detector.card.closer_look, detector.card.enlarged_look
     names = detector.card.class_names
     wanted_classes = None if categories is None else [k for k, name in enumerate(names) if name in categories]
+    if wanted_classes == []:
+        return np.zeros((0, COLUMNS))
     # Candidates of a second pass must be found first, whatever the caller's threshold.
     candidate_score = score_threshold if rescoring is None else min(score_threshold, rescoring.scores[0])
     candidate_score = candidate_score if small_objects is None else min(candidate_score, MIN_SCORE)

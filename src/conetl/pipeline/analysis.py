@@ -12,6 +12,7 @@ from typing import Any
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.model.feature_classes import LINE_CLASSES
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.records import Detection, Drive, DriveRecords, ImageDetail, Position, Rig, StereoMatch, Track
@@ -22,6 +23,7 @@ from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
 from conetl.pipeline.detect import detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, ThreadExecutor, results
+from conetl.pipeline.markings import mark, marking_points, wants_markings
 from conetl.pipeline.odometry import (
     Odometry,
     check_poses,
@@ -100,9 +102,10 @@ def analyse(
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         card = read_model_card(settings.model_path)
-        card.require_categories(params.detection.categories)
+        card.require_categories(set(params.detection.categories) - set(LINE_CLASSES))
         chunks = chunks_of(drive, settings, _for_corrected_rows(params) if rig != given else params)
-        detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, executor, progress)
+        found = _run_chunks(drive, chunks, executor, progress, with_markings=wants_markings(params))
+        detection_paths, match_paths, motion_paths, marking_paths, calibration, rig = found
         drive = drive.model_copy(update={"rig": rig})
         trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
@@ -123,8 +126,9 @@ def analyse(
             tracks, refused_tracks = executor.run(
                 fuse, drive, detections, matches, positions, params, card.evidence, trajectory
             )
+        markings = executor.run(mark, drive, marking_paths, params, trajectory) if marking_paths else []
     refused = [*rejections, *refused_detections, *without_detail, *refused_matches, *refused_positions, *refused_tracks]
-    records = DriveRecords(drive, detections, matches, positions, tracks, refused)
+    records = DriveRecords(drive, detections, matches, positions, tracks, refused, markings)
     health += check_calibration(calibration)
     return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
 
@@ -136,9 +140,10 @@ def _for_corrected_rows(params: IngestParams) -> IngestParams:
 
 
 def _run_chunks(
-    drive: Drive, chunks: Sequence[Chunk], executor: Executor, progress: Progress | None
-) -> tuple[list[Path], list[Path], list[Path], SelfCalibration, Rig]:
-    """Detections, matches and motions of all chunks; what the drive says about its calibration, and its rig after that.
+    drive: Drive, chunks: Sequence[Chunk], executor: Executor, progress: Progress | None, *, with_markings: bool
+) -> tuple[list[Path], list[Path], list[Path], list[Path], SelfCalibration, Rig]:
+    """Detections, matches, motions and points of markings of all chunks; what the drive says about its calibration, and its rig
+    after that.
 
     Matching waits for the calibration, which needs the odometry of the whole drive. So the odometry comes first, and while Python
     itself works out the calibration in the caller's own thread, detections, which leave the interpreter to others, keep
@@ -173,13 +178,16 @@ def _run_chunks(
         calibration = executor.run(self_calibrate, drive, tracks, measured, chunks[0])
     rig = self_calibrated_rig(drive.rig, calibration, params)
     moving = executor.submit(motions, with_rig(overlapping, rig), found) if rig != drive.rig else None
-    matched = []
+    matched, marked = [], []
     for k, chunk in enumerate(chunks):
         submit_detections(len(parts_of(chunk)), rig)
+        if with_markings:
+            [corrected] = with_rig([chunk], rig)
+            marked += [executor.submit(marking_points, corrected, part) for part in range(len(parts_of(chunk)))]
         matched.append(executor.submit(match, chunk, rig, *detected[k]))
     paths = results([step for halves in detected for step in halves])
     motion_paths = [step.result().motions for step in followed] if moving is None else moving.result()
-    return paths, results(matched), motion_paths, calibration, rig
+    return paths, results(matched), motion_paths, results(marked), calibration, rig
 
 
 def locate(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from conetl.files.parquet_store import result_key
+from conetl.model.feature_classes import LINE_CLASSES
 from conetl.model.params import IngestParams
 from conetl.model.records import Drive, FramePair, Record, Rig
 from conetl.perception.model_card import read_model_card
@@ -29,11 +30,16 @@ class Chunk(Record):
 def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Chunk]:
     """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter. Raises ModelFileError.
 
+    Line classes are left out of the classes that are searched for: what the detector finds does not depend on them.
+
     Raises ValueError where only the headers of the drive's images were read: their hashes are part of every key.
     """
     if not all(pair.left_sha256 and pair.right_sha256 for pair in drive.frame_pairs):
         raise ValueError(f"drive {drive.drive_id} was read with headers_only: its images have no hashes")
     card = read_model_card(settings.model_path)
+    point_classes = tuple(name for name in params.detection.categories if name not in LINE_CLASSES)
+    detection = params.detection.model_copy(update={"categories": point_classes})
+    params = params.model_copy(update={"detection": detection})
     return [
         Chunk(
             rig=drive.rig,

@@ -56,7 +56,7 @@ class Identity(Record):
 
 @dataclass(frozen=True)
 class CommittedDrive:
-    """What a drive did to the map."""
+    """What a drive did to the map; deltas and features are of point objects."""
 
     changeset: CommittedChangeset
     drive: Drive
@@ -143,6 +143,7 @@ def commit(
             hold=holding(analysed.health),
         )
     deltas, health = merged.changeset.deltas, analysed.health
+    points = tuple(delta for delta in deltas if not delta.is_of_line)
     if not holding(health):  # a recording that contradicts itself is not compared with the map
         health = (*health, merged.extension.hold or AGREES)
     hold = hold_reason(health)
@@ -160,8 +161,10 @@ def commit(
         matches=len(records.matches),
         positions=len(records.positions),
         tracks=len(records.tracks),
-        counts={kind: sum(d.kind == kind for d in deltas) for kind in DeltaKind},
-        changes=tuple(_line(delta) for delta in deltas),
+        counts={kind: sum(d.kind == kind for d in points) for kind in DeltaKind},
+        line_counts=dict(sorted(Counter(delta.kind for delta in deltas if delta.is_of_line).items())),
+        markings=len(records.markings),
+        changes=tuple(_line(delta) for delta in points),
         rejections=dict(sorted(Counter(r.reason for r in records.rejections).items())),
         params_sha256=identity.params_sha256,
         model_sha256=identity.model_sha256,
@@ -176,7 +179,8 @@ def commit(
         replayed_drives=merged.replayed,
         hold_changes=merged.hold_changes,
     )
-    return CommittedDrive(merged.result.changeset, drive, deltas, tuple(merged.extension.untouched), report)
+    untouched = tuple(feature for feature in merged.extension.untouched if feature.marking is None)
+    return CommittedDrive(merged.result.changeset, drive, points, untouched, report)
 
 
 def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo:
@@ -247,6 +251,8 @@ def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_na
         positions=known.position_count,
         tracks=known.track_count,
         counts={kind: getattr(known, f"{kind.value}_count") for kind in DeltaKind},
+        line_counts={DeltaKind(kind): count for kind, count in sorted(known.line_counts.items())},
+        markings=known.marking_count,
         changes=(),
         rejections={},
         params_sha256=known.params_sha256,

@@ -32,6 +32,7 @@ from conetl.db.map.replay_store import (
 from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping.history import DriveEvidence, Floats, MapHistory, MapUpdate, apply_drive, replay_drives
+from conetl.mapping.marking_visibility import MarkingView, markings_in_view
 from conetl.mapping.visibility import DriveObservations, NotObserved, check_visibility, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.health import HealthCheck, HoldChange
@@ -122,6 +123,8 @@ def merge_drive(
         check_visibility=lambda feature, offset_m, others_m: check_visibility(
             feature, offset_m, others_m, view, params.reconcile
         ),
+        markings=records.markings,
+        check_view=lambda vertices_m: markings_in_view(vertices_m, view, params.reconcile),
         params=params.reconcile,
     )
     decisions = read_decisions(conn, map_name=map_name)
@@ -209,6 +212,8 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
                 path_m=drive.path_m,
                 influence_m=drive.influence_m,
                 check_visibility=_look_at(view_of, ref.drive_uuid, drive.reconcile),
+                markings=drive.markings,
+                check_view=_view_of(view_of, ref.drive_uuid, drive.reconcile),
                 params=drive.reconcile,
                 imported=drive.statements,
             )
@@ -233,3 +238,9 @@ def _look_at(
     return lambda feature, offset_m, others_m: check_visibility(
         feature, offset_m, others_m, view_of(drive_uuid), params
     )
+
+
+def _view_of(
+    view_of: Callable[[UUID], DriveObservations], drive_uuid: UUID, params: ReconcileParams
+) -> Callable[[Floats], MarkingView]:
+    return lambda vertices_m: markings_in_view(vertices_m, view_of(drive_uuid), params)

@@ -23,6 +23,7 @@ from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import FramePair, Rig, Track
 from conetl.reports.drive_passes import reasons_of
+from conetl.reports.marking_lines import MarkingChange, change_of_row, changes_of
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
@@ -79,6 +80,7 @@ class DriveFacts:
     frame_pairs: list[FramePair]
     tracks: list[Track]
     changes: tuple[DriveChange, ...]
+    """Of point objects."""
     checks: tuple[HealthCheck, ...]
     """Of the recording as it was ingested, and of the drive against the map as it is now; () where none were stored."""
     hold_events: tuple[HoldEvent, ...]
@@ -92,7 +94,9 @@ class DriveFacts:
     path_m: Floats
     """(F, 2) of the left camera."""
     others_m: Floats
-    """(M, 2): features around the path without a change, in the database state after the commit."""
+    """(M, 2): point objects around the path without a change, in the database state after the commit."""
+    markings: tuple[MarkingChange, ...]
+    """Lane markings that the drive evaluated, and those around the path that it did not."""
 
     @property
     def source_path(self) -> str:
@@ -142,7 +146,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         header = execute(conn, load_sql("reports.changeset"), parameters)[0]
         if header["rig"] is None:
             raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
-        rows = read_changeset_changes(conn, map_name, changeset.changeset_no)
+        evaluated = read_changeset_changes(conn, map_name, changeset.changeset_no)
         rejections = execute(conn, load_sql("reports.rejections"), parameters)
         residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
         events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
@@ -152,6 +156,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     if checks and not against_map and not accepted and not holding(checks):
         against_map = (AGREES,)
     rig = Rig.model_validate(header["rig"])
+    rows = [row for row in evaluated if row["marking"] is None]
     rows.sort(key=lambda row: (_ORDER.index(DeltaKind(row["kind"])), row["changed_at"], str(row["feature_id"])))
     drive = {"drive_id": changeset.drive_id, "drive_uuid": changeset.drive_uuid, "drive_kind": "drive"}
     explained = [row | drive for row in rows if row["kind"] != DeltaKind.CONFIRMED][:_MAX_REASONS]
@@ -162,8 +167,13 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     path_m = np.array([map_SE3_left(pair.pose, rig)[:2, 3] for pair in frame_pairs])
     (west, south), (east, north) = path_m.min(axis=0) - _AROUND_M, path_m.max(axis=0) + _AROUND_M
     box = (float(west), float(south), float(east), float(north))
-    around = read_features_as_of(conn, known_at=changeset.effective_at, map_name=map_name, within=box)
-    changed = {row["feature_id"] for row in rows}
+    changed = {row["feature_id"] for row in evaluated}
+    others = [
+        found.feature
+        for found in read_features_as_of(conn, known_at=changeset.effective_at, map_name=map_name, within=box)
+        if found.feature.feature_id not in changed
+    ]
+    markings = [change for row in evaluated if (change := change_of_row(row)) is not None]
     residuals = residuals.reshape(-1, 3).astype(np.float64)
     return DriveFacts(
         map_name=map_name,
@@ -182,7 +192,8 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         range_m=residuals[:, 1],
         residual_px=residuals[:, 2],
         path_m=path_m,
-        others_m=np.array([v.feature.xyz_m[:2] for v in around if v.feature.feature_id not in changed]).reshape(-1, 2),
+        others_m=np.array([one.xyz_m[:2] for one in others if one.marking is None]).reshape(-1, 2),
+        markings=(*markings, *changes_of((), others)),
     )
 
 

@@ -18,6 +18,7 @@ from conetl.reports import figures
 from conetl.reports.change_images import MAX_ILLUSTRATED, images_of
 from conetl.reports.drive_facts import DriveChange, DriveFacts, read_drive_facts
 from conetl.reports.html import render, write_page
+from conetl.reports.marking_lines import counted_by_kind
 
 #: A median residual above this is suspicious: the rays of a good calibration meet within half a pixel.
 _RESIDUAL_PX = 1.0
@@ -67,7 +68,10 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         max_illustrated=MAX_ILLUSTRATED,
         confirmed=confirmed[:_MAX_CONFIRMED],
         confirmed_left_out=max(len(confirmed) - _MAX_CONFIRMED, 0),
-        plan=figures.png(figures.plan(facts.path_m, marks, facts.others_m, others_label="not evaluated")),
+        plan=figures.png(
+            figures.plan(facts.path_m, marks, facts.others_m, facts.markings, others_label="not evaluated")
+        ),
+        markings=counted_by_kind(facts.markings),
         residual_figure=figures.residuals(facts.range_m, facts.residual_px, nearest)
         if len(facts.residual_px)
         else None,
@@ -141,7 +145,7 @@ def _counts(facts: DriveFacts) -> list[tuple[str, int]]:
     return [
         ("frame pairs", c.frame_pair_count), ("lost pairs", facts.lost_pairs), ("detections", c.detection_count),
         ("stereo matches", c.match_count), ("positions", c.position_count), ("cones", c.track_count),
-        ("rejected records", c.rejection_count),
+        ("rejected records", c.rejection_count), *([("lane markings", c.marking_count)] if c.marking_count else []),
     ]  # fmt: skip
 
 

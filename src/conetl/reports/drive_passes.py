@@ -17,7 +17,7 @@ from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.mapping.reasons import ChangeFacts, why
 from conetl.mapping.visibility import observations_of_drive, pairs_in_view, visible_pairs
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
-from conetl.model.feature_classes import CONE
+from conetl.model.feature_classes import CONE, LINE_CLASSES, noun_of
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Pose, Rig, Side, Vec3
@@ -153,14 +153,24 @@ def reasons_of(
     rows: with the columns of serving.feature_history that `ChangeFacts` needs. feature_id: of all of them; None where each row
     has its own.
     """
-    tracks = [(row["drive_uuid"], row["track_index"]) for row in rows if row["track_index"] is not None]
+    tracks = [
+        (row["drive_uuid"], row["track_index"])
+        for row in rows
+        if row["track_index"] is not None and row["category"] not in LINE_CLASSES
+    ]
     ranges = store.track_ranges(conn, list(dict.fromkeys(tracks)))
-    absences = [row for row in reversed(rows) if row["kind"] in (DeltaKind.REMOVED, DeltaKind.MISSED)]
+    absences = [
+        row
+        for row in reversed(rows)
+        if row["kind"] in (DeltaKind.REMOVED, DeltaKind.MISSED) and row["category"] not in LINE_CLASSES
+    ]
     absences = sorted(absences, key=lambda row: row["kind"] == DeltaKind.MISSED)[:_MAX_ABSENCES]
     with_range = {id(row) for row in absences}
     sentences = []
     for row in rows:
-        near_m, far_m, frames = ranges.get((row["drive_uuid"], row["track_index"]), (None, None, None))
+        is_line = row["category"] in LINE_CLASSES  # its track is another one's number
+        found = None if is_line else ranges.get((row["drive_uuid"], row["track_index"]))
+        near_m, far_m, frames = found or (None, None, None)
         range_m = (near_m, far_m) if near_m is not None and far_m is not None else None
         if id(row) in with_range:
             range_m = _range_of_absence(conn, map_name, feature_id or row["feature_id"], row)
@@ -176,6 +186,7 @@ def reasons_of(
             sigma_m=row["sigma_m"],
             cone_height_m=row["cone_height_m"],
             other_feature_id=row["other_feature_id"],
+            noun=noun_of(row["category"]),
         )
         sentences.append(why(facts))
     return sentences

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.files.atomic import atomic_files
 from conetl.model.map_records import Delta, DeltaKind, FeatureChange, MapFeature
+from conetl.reports.marking_lines import MarkingChange, changes_of, draw_markings, ends_of
 
 Floats = NDArray[np.float64]
 #: Safe for the colour-blind (Okabe & Ito).
@@ -60,20 +61,31 @@ def draw_plan_view(
     change.
     """
     marks = []
+    lines = changes_of(deltas, untouched)
     for delta in deltas:
+        if any(side is not None and side.marking is not None for side in (delta.old, delta.new)):
+            continue
         *old, at = (np.array(side.xyz_m[:2]) for side in (delta.old, delta.new) if side is not None)
         moved = delta.kind is DeltaKind.MOVED
         marks.append(PlanMark(delta.kind, at, old[0] if moved else None, f"{delta.shift_m:.2f} m" if moved else ""))
-    others = np.array([feature.xyz_m[:2] for feature in untouched]).reshape(-1, 2)
-    figure = plan(trajectory_m, marks, others, others_label=untouched_label)
+    others = np.array([feature.xyz_m[:2] for feature in untouched if feature.marking is None]).reshape(-1, 2)
+    figure = plan(trajectory_m, marks, others, lines, others_label=untouched_label)
     figure.suptitle(title)
     return save_figure(figure, path)
 
 
-def plan(path_m: Floats, marks: Sequence[PlanMark], others_m: Floats, *, others_label: str) -> Figure:
-    """Drive path (F, 2), changes, and features without a change (M, 2), in the map's CRS."""
+def plan(
+    path_m: Floats,
+    marks: Sequence[PlanMark],
+    others_m: Floats,
+    lines: Sequence[MarkingChange] = (),
+    *,
+    others_label: str,
+) -> Figure:
+    """Drive path (F, 2), changes, objects without a change (M, 2), and lane markings, in the map's CRS."""
     olds = [mark.old_xy_m for mark in marks if mark.old_xy_m is not None]
-    everything = np.concatenate([path_m, others_m, np.reshape([*(mark.xy_m for mark in marks), *olds], (-1, 2))])
+    at_m = np.reshape([*(mark.xy_m for mark in marks), *olds], (-1, 2))
+    everything = np.concatenate([path_m, others_m, at_m, ends_of(lines)])
     origin = np.floor(everything.min(axis=0))
     low, high = everything.min(axis=0) - origin - _MARGIN_M, everything.max(axis=0) - origin + _MARGIN_M
     height = 10 * (high[1] - low[1]) / (high[0] - low[0]) + 1.0
@@ -99,8 +111,9 @@ def plan(path_m: Floats, marks: Sequence[PlanMark], others_m: Floats, *, others_
         if mark.kind is DeltaKind.MOVED and mark.old_xy_m is not None:
             draw_arrow(axes, np.asarray(mark.old_xy_m) - origin, at, KIND_MARKS[mark.kind].colour)
         axes.annotate(mark.label, xy=at, xytext=(5, 5), textcoords="offset points", fontsize=8)
+    handles = [*axes.get_legend_handles_labels()[0], *draw_markings(axes, lines, origin)]
     frame_plan(axes, low, high, origin)
-    figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return figure
 
 

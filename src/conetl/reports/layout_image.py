@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
+from conetl.geometry.linear_reference import project
 from conetl.model.work_zone_records import DrivePath, Finding, Level, Rule, WorkZone
 from conetl.reports.figures import BLUE, GREEN, ORANGE, add_grid, draw_arrow, new_figure, save_figure
-from conetl.workzones.linear_reference import project
 
 _LEVEL_COLOUR = {Level.VIOLATION: ORANGE, Level.DEVIATION: ORANGE, Level.NOTICE: BLUE, Level.CANNOT_TELL: "#8a8a8a"}
 _CONE, _ROW, _TAPER, _LANE = "#e69f00", "#555555", "#f0e442", "#999999"

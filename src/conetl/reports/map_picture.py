@@ -1,4 +1,4 @@
-"""A rendered map for a report: cones, paths, lane boundaries, LiDAR points, scale bar, north arrow, legend, CRS and date."""
+"""A rendered map for a report: cones, lane markings, paths, lane boundaries, LiDAR points, scale bar, legend, CRS and date."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
 from conetl.reports.figures import draw_arrow, new_figure, save_figure
+from conetl.reports.marking_lines import changes_of, draw_markings
 
 Array = NDArray[np.float64]
 Bbox = tuple[float, float, float, float]
@@ -166,7 +167,7 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     axes.set_ylim(south, north)
     axes.set_autoscale_on(False)
     axes.set_aspect("equal")
-    handles = [*_cones(axes, content, box), *_ground(axes, content)]
+    handles = [*_cones(axes, content, box), *_markings(axes, content, box), *_ground(axes, content)]
     _frame(axes)
     _scale_bar(axes, box)
     _north(axes)
@@ -209,11 +210,30 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
     return handles
 
 
-def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
-    """Draw cones and changes; their lines of the legend."""
+def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
+    """Draw lane markings and their changes; their lines of the legend."""
     changes = content.changes or ()
     changed = {change.feature_id for change in changes}
-    rest = [feature for feature in content.standing if feature.feature_id not in changed]
+    lines = changes_of(changes, (feature for feature in content.standing if feature.feature_id not in changed))
+    low, high = np.array(box[::2]), np.array(box[1::2])
+    shown = [
+        line
+        for line in lines
+        for xy_m in [line.line_m[:, :2]]
+        if (xy_m.max(axis=0) >= low).all() and (xy_m.min(axis=0) <= high).all()
+    ]
+    return draw_markings(axes, shown)
+
+
+def _is_point(feature: MapFeature | None) -> bool:
+    return feature is not None and feature.marking is None
+
+
+def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
+    """Draw cones and changes; their lines of the legend."""
+    changes = [change for change in content.changes or () if _is_point(change.new or change.old)]
+    changed = {change.feature_id for change in content.changes or ()}
+    rest = [feature for feature in content.standing if feature.feature_id not in changed and _is_point(feature)]
     label = "unchanged" if content.changes is not None else STANDING.label
     handles = [_mark(axes, rest, STANDING._replace(label=label), box, 4)]
     for level, (kind, style) in enumerate(KIND_MARKS.items(), 5):

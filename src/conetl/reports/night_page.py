@@ -42,6 +42,8 @@ class NightFacts:
     vanished: list[Row]
     """At most `_MAX_ROWS`; each with the `total`."""
     rejections: list[Row]
+    markings: list[Row]
+    """Stretches of lane markings by kind of change: kind, count, length_m."""
     sizes: list[tuple[datetime, int]]
     """Number of cones on the map after each change of it; the whole history."""
 
@@ -62,6 +64,7 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
         failures = execute(conn, load_sql("reports.night_failures"), period)
         vanished = execute(conn, load_sql("reports.night_removed"), period | {"max_rows": _MAX_ROWS})
         rejections = execute(conn, load_sql("reports.night_rejections"), period)
+        markings = execute(conn, load_sql("reports.night_markings"), period)
         held = [drive for drive in held_drives(conn, map_name=map_name) if drive.since < until]
         events = hold_events(conn, map_name=map_name, since=since, until=until)
         conn.rollback()
@@ -72,7 +75,7 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     for row in vanished:
         row["first_seen_at"] = utc_from_ns(row["first_seen_ns"])
     counts = [(row["at"], int(row["standing"])) for row in sizes]
-    return NightFacts(map_name, since, until, drives, held, events, failures, vanished, rejections, counts)
+    return NightFacts(map_name, since, until, drives, held, events, failures, vanished, rejections, markings, counts)
 
 
 def write_night_page(conn: Connection, path: Path, *, map_name: str, since: datetime, until: datetime) -> NightFacts:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import laspy
 import numpy as np
-from numpy.typing import NDArray
-from pyproj import CRS, Transformer
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
 
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.point_tiles import first_in_voxels
-from conetl.simulation.scenario import Road, scenario_pass
+from conetl.simulation.scenario import PAINT_HEIGHT_M, Road, scenario_pass
 from conetl.simulation.scene import build_scene, load_mitsuba
 from conetl.simulation.trajectory import MAP_SRID, map_SE3_road
+from conetl.simulation.truth_files import feature_collection, line_feature
 
 Array = NDArray[np.float64]
 
@@ -31,7 +29,6 @@ _SCAN_EVERY_M = 2.0
 _RANGE_M = 45.0
 _RANGE_SIGMA_M = 0.015
 _VOXEL_M = 0.22
-_LINE_STEP_M = 10.0
 
 
 def simulate_base_layers(folder: Path, *, seed: int) -> tuple[Path, Path]:
@@ -101,27 +98,15 @@ def _write_las(path: Path, xyz: Array, intensity: NDArray[np.uint16]) -> None:
 
 def _boundaries(road: Road) -> str:
     """GeoJSON (RFC 7946) of painted lines and kerbs, with ellipsoidal heights."""
-    to_wgs84 = Transformer.from_crs(MAP_SRID, 4326, always_xy=True)
-    motion = map_SE3_road()
-    features: list[dict[str, Any]] = []
+    features = []
 
-    def add(kind: str, subtype: str, y: float, start: float, end: float, z: float) -> None:
-        x = np.linspace(start, end, max(math.ceil((end - start) / _LINE_STEP_M), 1) + 1)
-        places = np.column_stack([x, np.full(len(x), y), np.full(len(x), z)]) @ motion[:3, :3].T + motion[:3, 3]
-        lon, lat = to_wgs84.transform(places[:, 0], places[:, 1])
-        coordinates = [
-            [round(a, 9), round(b, 9), round(c, 3)] for a, b, c in zip(lon, lat, places[:, 2].tolist(), strict=True)
-        ]
-        geometry = {"type": "LineString", "coordinates": coordinates}
-        features.append({"type": "Feature", "properties": {"kind": kind, "subtype": subtype}, "geometry": geometry})
+    def add(kind: str, subtype: str, points_m: ArrayLike, z: float) -> None:
+        features.append(line_feature(np.asarray(points_m, dtype=float), z, {"kind": kind, "subtype": subtype}))
 
-    start, end = road.start_m, road.end_m
-    for y in road.edge_lines:
-        add("line_thin", "solid", y, start, end, 0.003)
-    if road.centre_line:
-        add("line_thin", "dashed", 0.0, start, end, 0.003)
+    for line in road.markings:
+        add("line_thin", "solid" if line.dash_m is None else "dashed", line.points_m, PAINT_HEIGHT_M)
     for y in (road.right_m, road.left_m):
-        add("curbstone", "high", y, start, end, 0.12)
-    add("road_border", "pavement", road.right_m - 0.14 - road.pavement_width_m, start, end, 0.10)
-    head = '{"type": "FeatureCollection", "features": [\n'
-    return head + ",\n".join(json.dumps(feature) for feature in features) + "\n]}\n"
+        add("curbstone", "high", ((road.start_m, y), (road.end_m, y)), 0.12)
+    y = road.right_m - 0.14 - road.pavement_width_m
+    add("road_border", "pavement", ((road.start_m, y), (road.end_m, y)), 0.10)
+    return feature_collection(features)

@@ -78,6 +78,30 @@ def prism(outline_m: ArrayLike, thickness_m: float) -> Mesh:
     )
 
 
+def ribbon(points_m: ArrayLike, width_m: float, height_m: float, tile_m: float) -> Mesh:
+    """A level band along the centre line points_m (K, 2), with a texture that repeats every tile_m."""
+    points = np.asarray(points_m, dtype=float)
+    steps = np.diff(points, axis=0)
+    normals = np.stack([-steps[:, 1], steps[:, 0]], axis=1) / np.linalg.norm(steps, axis=1)[:, None]
+    both = normals[np.r_[0, np.arange(len(normals))]] + normals[np.r_[np.arange(len(normals)), -1]]
+    aside = both * (width_m / np.sum(both**2, axis=1))[:, None]  # mitred where the line bends
+    outline = np.concatenate([points - aside, (points + aside)[::-1]])
+    count = len(outline)
+    first = np.arange(len(steps))
+    triangles = np.concatenate(
+        [
+            np.stack([first, first + 1, count - 2 - first], axis=1),
+            np.stack([first, count - 2 - first, count - 1 - first], axis=1),
+        ]
+    )
+    return Mesh(
+        np.column_stack([outline, np.full(count, height_m)]),
+        np.tile([0.0, 0.0, 1.0], (count, 1)),
+        outline / tile_m,
+        triangles.astype(np.int32),
+    )
+
+
 def placed(mesh: Mesh, matrix: Array) -> Mesh:
     """The mesh moved by a rigid (4, 4) motion."""
     return mesh._replace(

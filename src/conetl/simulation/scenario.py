@@ -10,13 +10,17 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
+from numpy.typing import NDArray
 
+from conetl.geometry import linear_reference
 from conetl.model.errors import InputError
+from conetl.model.markings import MarkingColour
 
 Colour = tuple[float, float, float]
 """sRGB, 0..1."""
 
 ORANGE: Colour = (0.95, 0.36, 0.08)
+PAINT_HEIGHT_M = 0.003
 PASS_NUMBERS = (1, 2, 3)
 _SCENE_SEED = 20260302
 """Of the cones' appearance (dirt, lean, shade), not of the noise of cameras and GNSS."""
@@ -57,6 +61,46 @@ class RoadObject:
 
 
 @dataclass(frozen=True)
+class RoadMarking:
+    """One painted line of the road."""
+
+    marking_id: str
+    points_m: tuple[tuple[float, float], ...]
+    """(x, y) along its centre line; dashes count from the first."""
+    dash_m: float | None = None
+    """None of a continuous line. A dash that begins on the line is painted whole, beyond its end too."""
+    gap_m: float | None = None
+    width_m: float = 0.12
+    colour: MarkingColour = "white"
+    worn: float = 0.0
+    """Share of the paint that is gone, in holes."""
+
+
+def street_markings(
+    start_m: float, end_m: float, edges_m: tuple[float, ...], *, centre_line: bool = True
+) -> tuple[RoadMarking, ...]:
+    """Continuous lines at y of edges_m, and a dashed line between the lanes (3 m of paint, 3 m of gap)."""
+    lines = [RoadMarking(f"E{n}", ((start_m, y), (end_m, y))) for n, y in enumerate(edges_m, 1)]
+    if centre_line:
+        lines.append(RoadMarking("C1", ((start_m, 0.0), (end_m, 0.0)), dash_m=3.0, gap_m=3.0))
+    return tuple(lines)
+
+
+def painted_lines(marking: RoadMarking) -> list[NDArray[np.float64]]:
+    """Centre lines (K, 2) of its paint: the whole line, or one per dash."""
+    line = np.array(marking.points_m)
+    if marking.dash_m is None or marking.gap_m is None:
+        return [line]
+    station = linear_reference.stations(line)
+    dashes = []
+    for start in np.arange(0.0, station[-1], marking.dash_m + marking.gap_m):
+        end = start + marking.dash_m
+        at = np.array([start, *station[(station > start) & (station < end)], end])
+        dashes.append(linear_reference.locate(line, at, np.zeros(len(at))))
+    return dashes
+
+
+@dataclass(frozen=True)
 class Road:
     """Cross-section of the road, from right (negative y) to left, and its markings."""
 
@@ -64,9 +108,7 @@ class Road:
     left_m: float = 3.4
     start_m: float = -70.0
     end_m: float = 130.0
-    centre_line: bool = True
-    edge_lines: tuple[float, ...] = (-3.3, 3.1)
-    """y of the continuous lines."""
+    markings: tuple[RoadMarking, ...] = street_markings(-70.0, 130.0, (-3.3, 3.1))
     pavement_width_m: float = 2.2
     verge: Colour = (0.30, 0.37, 0.16)
     asphalt: float = 0.42

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from conetl.model.errors import InputError
 from conetl.simulation import meshes, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
-from conetl.simulation.scenario import World
+from conetl.simulation.scenario import PAINT_HEIGHT_M, World, painted_lines
 
 Array = NDArray[np.float64]
 FULL_WELL_ELECTRONS = 9000.0
@@ -143,15 +143,13 @@ def _ground(world: World) -> list[Part]:
     """Asphalt, markings, kerbs, pavement on the right, grass on both sides."""
     road, seed = world.road, world.texture_seed
     x0, x1 = road.start_m, road.end_m
-    paint = textures.mottled(seed + 1, (0.84, 0.84, 0.81), 0.10, size=256)
     stone = textures.mottled(seed + 2, (0.58, 0.57, 0.54), 0.10, size=256)
     grass = textures.mottled(seed + 3, road.verge, 0.30, size=1024)
     parts = [Part(_flat(x0, x1, road.right_m, road.left_m, 0.0, 12.0), textures.asphalt(seed, road.asphalt))]
-    for y in road.edge_lines:
-        parts.append(Part(_flat(x0, x1, y - 0.06, y + 0.06, 0.003, 2.0), paint))
-    if road.centre_line:
-        for x in np.arange(x0, x1, 6.0):
-            parts.append(Part(_flat(x, x + 3.0, -0.06, 0.06, 0.003, 2.0), paint))
+    for marking in road.markings:
+        paint = textures.paint(seed + 1, marking, road.asphalt)
+        for line in painted_lines(marking):
+            parts.append(Part(meshes.ribbon(line, marking.width_m, PAINT_HEIGHT_M, 2.0), paint))
     for y, outwards in ((road.right_m, -1.0), (road.left_m, 1.0)):
         kerb = meshes.box([x1 - x0, 0.14, 0.12])
         kerb = kerb._replace(uv=kerb.uv * [(x1 - x0) / 1.0, 0.3])

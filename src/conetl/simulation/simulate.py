@@ -1,8 +1,7 @@
-"""One pass of the sample scenario as a drive in the layout of KITTI's raw data (synced and rectified), plus truth.csv."""
+"""One pass of the sample scenario as a drive in the layout of KITTI's raw data (synced and rectified), plus its truth."""
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
@@ -14,15 +13,12 @@ from numpy.typing import NDArray
 from conetl.model.errors import InputError
 from conetl.simulation import trajectory
 from conetl.simulation.rig import SimulatedRig, simulated_rig
-from conetl.simulation.scenario import ScenarioPass, scenario_pass
+from conetl.simulation.scenario import scenario_pass
 from conetl.simulation.scene import build_scene, develop, encode_jpeg, exposure_gain, load_mitsuba, render
-from conetl.simulation.trajectory import MAP_SRID, map_SE3_road
+from conetl.simulation.truth_files import write_truth
 
 Array = NDArray[np.float64]
 
-TRUTH_COLUMNS = (
-    "cone_id", "easting_m", "northing_m", "height_ellipsoidal_m", "cone_height_m", "map_srid", "present", "change"
-)  # fmt: skip
 JPEG_QUALITY = 74
 CAMERAS = (2, 3)
 
@@ -61,20 +57,6 @@ def write_oxts(folder: Path, records: Iterable[list[float]], stamps: Iterable[st
         words = [f"{value:.12f}" if k < 2 else f"{value:.10g}" for k, value in enumerate(record)]
         (folder / "oxts" / "data" / f"{n:010d}.txt").write_text(" ".join(words) + "\n")
     (folder / "oxts" / "timestamps.txt").write_text("".join(f"{stamp}\n" for stamp in stamps))
-
-
-def write_truth(path: Path, scenario: ScenarioPass) -> None:
-    """truth.csv: the foot centre (of the base plate's underside) of each cone, present or removed."""
-    place = map_SE3_road()
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(TRUTH_COLUMNS)
-        for cone, present in [(c, 1) for c in scenario.world.cones] + [(c, 0) for c in scenario.removed]:
-            e, n, h = place[:3, :3] @ [cone.x_m, cone.y_m, 0.0] + place[:3, 3]
-            change = scenario.changes[cone.cone_id]
-            writer.writerow(
-                [cone.cone_id, f"{e:.4f}", f"{n:.4f}", f"{h:.4f}", f"{cone.height_m:.3f}", MAP_SRID, present, change]
-            )
 
 
 def _numbers(values: Array) -> str:
@@ -116,7 +98,7 @@ def simulate_drive(
     out_dir.mkdir(parents=True, exist_ok=True)
     write_calibration(out_dir, rig, scenario.start_utc)
     write_oxts(out_dir, trajectory.oxts_records(places, rpy, times_s), stamps)
-    write_truth(out_dir / "truth.csv", scenario)
+    write_truth(out_dir, scenario)
     for number in CAMERAS:
         (out_dir / f"image_{number:02d}" / "data").mkdir(parents=True)
         (out_dir / f"image_{number:02d}" / "timestamps.txt").write_text("".join(f"{stamp}\n" for stamp in stamps))

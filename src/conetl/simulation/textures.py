@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from conetl.simulation.scenario import Colour, Cone
+from conetl.model.markings import MarkingColour
+from conetl.simulation.scenario import Colour, Cone, RoadMarking
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
@@ -49,6 +50,22 @@ def mottled(seed: int, colour: Colour, contrast: float, size: int = 768, grain_p
     light = 1.0 + contrast * (0.7 * fine + 0.35 * coarse)
     shift = 1.0 + 0.12 * contrast * hue[..., None] * np.array([1.0, 0.2, -0.6])
     return _to_bytes(np.array(colour) * light[..., None] * shift)
+
+
+PAINTS: dict[MarkingColour, Colour] = {
+    "white": (0.84, 0.84, 0.81), "yellow": (0.86, 0.64, 0.12), "other": (0.20, 0.34, 0.72)
+}  # fmt: skip
+
+
+def paint(seed: int, marking: RoadMarking, asphalt_grey: float) -> Image:
+    """Paint of a road marking, with the asphalt below it where it is worn."""
+    image = mottled(seed, PAINTS[marking.colour], 0.10, size=256)
+    if marking.worn:
+        rng = np.random.default_rng([seed, 10])
+        wear = _noise(rng, image.shape[:2], 1.2) + 0.8 * _noise(rng, image.shape[:2], 6.0)
+        gone = wear > np.quantile(wear, 1.0 - marking.worn)
+        image[gone] = mottled(seed + 1, (asphalt_grey, asphalt_grey, 0.97 * asphalt_grey), 0.14, size=256)[gone]
+    return image
 
 
 def slabs(seed: int, colour: Colour, size: int = 512, count: int = 6) -> Image:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 from uuid import UUID
 
@@ -10,7 +11,7 @@ from fastapi import APIRouter, HTTPException, Query, Request, Response
 from conetl.db import serve_store as store
 from conetl.db.map.map_store import find_map, list_changesets
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Rig, utc_from_ns
+from conetl.model.records import Rig, Vec3, utc_from_ns
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
@@ -51,8 +52,12 @@ def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at
     """Features on the road at `valid_at`, in the state of the database at `known_at`."""
     origin = origin_of(conn, map_name)
     found, truncated = cut(store.read_features(conn, map_name, valid_at, known_at, MAX_FEATURES + 1), MAX_FEATURES)
+    points, lines = to.by_geometry(found)
     sent = m.Features(
-        origin_m=origin, features=[to.answer(m.Feature, row, origin) for row in found], truncated=truncated
+        origin_m=origin,
+        features=[to.answer(m.Feature, row, origin) for row in points],
+        markings=[to.answer(m.Stretch, row, origin) for row in lines],
+        truncated=truncated,
     )
     # FastAPI would make dictionaries of a hundred thousand features first.
     return Response(sent.model_dump_json(), media_type="application/json")
@@ -62,8 +67,7 @@ def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at
 def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader) -> m.Changes:
     """The decision of one changeset about every feature that its drive could see."""
     origin = origin_of(conn, map_name)
-    found = store.read_changeset_changes(conn, map_name, changeset_no)
-    return m.Changes(origin_m=origin, changes=[to.answer(m.Change, row, origin) for row in found], truncated=False)
+    return _changes(store.read_changeset_changes(conn, map_name, changeset_no), origin, truncated=False)
 
 
 @router.get(f"{_MAP}/changes")
@@ -83,7 +87,7 @@ def changes_between(
         conn, map_name, before, after, moved_from_m=moved_from_m, max_rows=MAX_FEATURES + 1
     )
     found, truncated = cut(rows, MAX_FEATURES)
-    return m.Changes(origin_m=origin, changes=[to.answer(m.Change, row, origin) for row in found], truncated=truncated)
+    return _changes(found, origin, truncated=truncated)
 
 
 @router.get(f"{_MAP}/features/{{feature_id}}")
@@ -130,5 +134,15 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader) -> m.Trajector
         frame_index=[row["frame_index"] for row in rows],
         captured_at=[utc_from_ns(row["captured_at_ns"]) for row in rows],
         xyz_m=[to.camera_position(row, rig, origin) for row in rows] if rig else [],
+        truncated=truncated,
+    )
+
+
+def _changes(rows: Sequence[to.Row], origin: Vec3, *, truncated: bool) -> m.Changes:
+    points, lines = to.by_geometry(rows)
+    return m.Changes(
+        origin_m=origin,
+        changes=[to.answer(m.Change, row, origin) for row in points],
+        markings=[to.answer(m.StretchChange, row, origin) for row in lines],
         truncated=truncated,
     )

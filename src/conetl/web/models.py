@@ -9,6 +9,7 @@ from uuid import UUID
 from pydantic import BaseModel, ConfigDict
 
 from conetl.model.map_records import DeltaKind
+from conetl.model.markings import MarkingColour, MarkingPattern
 from conetl.model.records import Matrix3, Vec3
 
 Cov2 = tuple[float, float, float]
@@ -133,8 +134,30 @@ class Feature(Answer):
     """Of the changeset that wrote this version."""
 
 
+class Marking(Answer):
+    """Shape of a lane marking, or of a stretch of one."""
+
+    line_m: list[Vec3]
+    """Vertices of its centre line, in the direction of travel of the drive that first observed it."""
+    width_m: float
+    width_sigma_m: float
+    colour: MarkingColour
+    pattern: MarkingPattern
+    dash_m: float | None
+    gap_m: float | None
+    sigma_lateral_m: float
+    """Across the line, of the vertex with the largest one."""
+
+
+class Stretch(Feature):
+    """A stretch of a lane marking; its position is that of the middle vertex."""
+
+    marking: Marking
+
+
 class Features(Listing):
     features: list[Feature]
+    markings: list[Stretch]
 
 
 class Change(Feature):
@@ -144,8 +167,14 @@ class Change(Feature):
     old_xyz_m: Vec3 | None
 
 
+class StretchChange(Change):
+    marking: Marking
+    old_marking: Marking | None
+
+
 class Changes(Listing):
     changes: list[Change]
+    markings: list[StretchChange]
 
 
 class HistoryItem(Answer):
@@ -181,6 +210,8 @@ class HistoryItem(Answer):
     map_xyz_m: Vec3
     """Easting, northing, ellipsoidal height."""
     sighting_count: int
+    marking: Marking | None
+    """Of a lane marking; None of point objects."""
     why: str
     """What happened, in one sentence with numbers."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import timedelta
 from typing import Any, TypeVar
 
@@ -13,7 +13,7 @@ from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.records import Pose, Rig, Side, Vec3, utc_from_ns
 from conetl.reports import drive_passes as reports
 from conetl.web.judging_models import DrivePass, FrameBox, FrameView, PassFrame
-from conetl.web.models import Answer, Box, Decision, HistoryItem, Sighting, TimelineItem
+from conetl.web.models import Answer, Box, Decision, HistoryItem, Marking, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
 A = TypeVar("A", bound=Answer)
@@ -30,9 +30,11 @@ def offset(position: Sequence[float], origin_m: Vec3) -> Vec3:
 
 
 def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
-    """An answer whose fields are columns of the same name, or computed from others: offsets, covariances, times."""
+    """An answer whose fields are columns of the same name, or computed from others: offsets, lines, covariances, times."""
 
     def value(name: str) -> Any:
+        if name.endswith("marking"):
+            return marking(row[name], origin_m)
         if name in row:
             return row[name]
         if name in ("xyz_m", "old_xyz_m"):
@@ -44,6 +46,21 @@ def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
         return utc_from_ns(row[f"{name.removesuffix('_at')}_ns" if "seen" in name else f"{name}_ns"])
 
     return model(**{name: value(name) for name in model.model_fields if name not in computed}, **computed)
+
+
+def marking(shape: Mapping[str, Any] | None, origin_m: Vec3) -> Marking | None:
+    """The shape of a lane marking, as conetl.marking_json makes it; None of point objects."""
+    if shape is None:
+        return None
+    return Marking(**{**shape, "line_m": [offset(vertex, origin_m) for vertex in shape["line_m"]]})
+
+
+def by_geometry(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
+    """Point objects and lane markings."""
+    both: tuple[list[Row], list[Row]] = ([], [])
+    for row in rows:
+        both[row["marking"] is not None].append(row)
+    return both
 
 
 def timeline_item(c: CommittedChangeset) -> TimelineItem:

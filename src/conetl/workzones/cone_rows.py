@@ -12,9 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from conetl.geometry.linear_reference import Floats
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Knot, Taper
-from conetl.workzones.linear_reference import Floats
 
 _WINDOW = 8
 _LEAST_STEP_M = 1.0

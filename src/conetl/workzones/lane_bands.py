@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from conetl.geometry.linear_reference import Floats, locate, project, resampled
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import LaneBands, LaneLine
-from conetl.workzones.linear_reference import Floats, locate, project, resampled
 
 _STEP_M = 2.0
 _LEAST_STATIONS = 3

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from conetl.geometry.linear_reference import Floats, locate, spacing_beside
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
 from conetl.workzones.lane_bands import lanes_at
-from conetl.workzones.linear_reference import Floats, locate, spacing_beside
 
 FOOT_M = 0.3048
 MILE_KM = 1.609344

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from conetl.geometry.linear_reference import Floats, directions_at, project, smoothed, stations, without_standstill
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import AxisSource, DrivePath
-from conetl.workzones.linear_reference import Floats, directions_at, project, smoothed, stations, without_standstill
 
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]

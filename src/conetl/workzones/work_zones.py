@@ -16,10 +16,10 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from conetl.geometry.linear_reference import Floats, spacing_beside
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, ZoneHistory
-from conetl.workzones.linear_reference import Floats, spacing_beside
 from conetl.workzones.road_axes import Indices, axes_of, passes_beside
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/work_zone")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from conetl.geometry.linear_reference import Floats, directions_at, locate, project
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.records import Side
@@ -21,7 +22,6 @@ from conetl.model.work_zone_records import (
 )
 from conetl.workzones.cone_rows import find_rows
 from conetl.workzones.lane_bands import closed_lanes, lane_bands
-from conetl.workzones.linear_reference import Floats, directions_at, locate, project
 from conetl.workzones.road_axes import axes_of, passes_beside
 
 #: Lane lines are searched this far beside the cones, and before the first and behind the last one.

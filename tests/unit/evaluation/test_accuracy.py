@@ -10,13 +10,13 @@ from conetl.evaluation.accuracy import (
     by_range,
     drive_consistency,
     members_of,
-    parts_of,
     position_errors,
     select,
     single_nees,
     statistics,
     track_errors,
 )
+from conetl.evaluation.nees_table import parts_of
 from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
 from conetl.geometry.calibration.covariance import calibration_jacobian
 from conetl.model.records import CalibrationCovariance, Drive, Position, Track

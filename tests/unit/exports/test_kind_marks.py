@@ -12,6 +12,7 @@ import pytest
 
 from conetl.exports import qgis_project
 from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, STANDING
+from conetl.exports.markings import PAINT
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import DeltaKind
 
@@ -46,6 +47,11 @@ def test_base_layers_have_the_colours_of_the_web_view() -> None:
         re.findall(r"--(points|lines): (#[0-9a-f]{6})", (WEB / "tools.css").read_text().partition("[data-theme")[0])
     )
     assert swatches == {"points": DARK_POINT, "lines": LANE}
+
+
+def test_lane_markings_have_the_colours_of_the_web_view() -> None:
+    [shown] = re.findall(r"^export const PAINT: .*? = {(.*?)};$", (WEB / "markings.ts").read_text(), re.M)
+    assert dict(re.findall(r"(\w+): \"(#[0-9a-f]{6})\"", shown)) == PAINT
 
 
 #: Of normal and of protanopic, deuteranopic and tritanopic sight (Machado et al. 2009), on linear RGB.

@@ -112,7 +112,7 @@ def test_tiny_drive_is_whole_and_equal_seeds_give_equal_files(tiny_drive: Path, 
     assert digests[0] == digests[1]
     frames = scenario_pass(2).frame_count
     assert seen == [(n, 2 * frames) for n in range(1, 2 * frames + 1)]
-    assert len(digests[0]) == 2 * frames + frames + 3 + 3 + 1  # images, poses, time stamps, calibration, truth
+    assert len(digests[0]) == 2 * frames + frames + 3 + 3 + 2  # images, poses, time stamps, calibration, truth
     rows = read_truth(again / "truth.csv")
     assert [row.change for row in rows].count("removed") == 1
     assert all(row.present != (row.change == "removed") for row in rows)

@@ -12,7 +12,16 @@ from uuid import UUID
 import numpy as np
 import typer
 
-from conetl.cli.console import Columns, JsonOption, MapOption, parse_instant, print_json, print_records, say
+from conetl.cli.console import (
+    Columns,
+    JsonOption,
+    MapOption,
+    class_if_mixed,
+    parse_instant,
+    print_json,
+    print_records,
+    say,
+)
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import feature_log, list_changesets, read_features_as_of, require_map
@@ -37,11 +46,12 @@ def diff(
     settings = read_settings(map_name)
     with open_map(settings) as conn:
         info = require_map(conn, settings.map_name)
-        old, new = state_of(conn, settings, before), state_of(conn, settings, after)
+        old, new = (state_of(conn, settings, name, lines=True) for name in (before, after))
         changes = map_diff.diff(old, new)
-        origins = {} if output is None else _origins(conn, changes, instants_of(conn, settings, after))
+        points = [change for change in changes if _last(change).marking is None]
+        origins = {} if output is None else _origins(conn, points, instants_of(conn, settings, after))
     if output is not None:
-        export_diff_geojson(changes, output, srid=info.srid, origins=origins)
+        export_diff_geojson(points, output, srid=info.srid, origins=origins)
     if picture is not None:
         from conetl.reports.figures import draw_plan_view  # matplotlib takes half a second to load
 
@@ -52,8 +62,8 @@ def diff(
             picture,
             title=f"Map {settings.map_name}, EPSG:{info.srid}: {before} to {after}",
             trajectory_m=np.empty((0, 2)),
-            deltas=changes,
-            untouched=[feature for feature in new if feature.feature_id not in changed],
+            deltas=points,
+            untouched=[one for one in new if one.marking is None and one.feature_id not in changed],
             untouched_label="no difference",
         )
     if as_json:
@@ -61,9 +71,10 @@ def diff(
         return
     counts = Counter(change.kind for change in changes)
     say(", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())) or "No differences.")
-    print_records("", _COLUMNS, changes, numbers_from=2)
+    columns = class_if_mixed(_COLUMNS, {_last(change).category for change in changes})
+    print_records("", columns, changes, numbers_from=2)
     if output is not None:
-        say(f"{len(changes)} changes -> {output}")
+        say(f"{len(points)} changes -> {output}")
     if picture is not None:
         say(f"image -> {picture}")
 
@@ -97,6 +108,7 @@ def _last(change: FeatureChange) -> MapFeature:
 _COLUMNS: Columns = {
     "change": lambda change: str(change.kind),
     "feature": "feature_id",
+    "class": lambda change: _last(change).category,
     "easting m": lambda change: _last(change).xyz_m[0],
     "northing m": lambda change: _last(change).xyz_m[1],
     "height m": lambda change: _last(change).xyz_m[2],
@@ -106,10 +118,10 @@ _COLUMNS: Columns = {
 }
 
 
-def state_of(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
-    """The cones after a changeset, as known then, or at a time on the road, as known now."""
+def state_of(conn: Connection, settings: Settings, name: str, *, lines: bool = False) -> list[MapFeature]:
+    """The cones, with `lines` the lane markings too, after a changeset, as known then, or at a time on the road, as known now."""
     valid_at, known_at = instants_of(conn, settings, name)
-    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name)
+    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name, lines=lines)
     return [version.feature for version in versions]
 
 

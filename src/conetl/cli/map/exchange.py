@@ -24,7 +24,7 @@ from conetl.files.documents import first_message
 from conetl.geometry.geodesy import check_map_srid
 from conetl.geometry.heights import map_crs
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import FEATURE_CLASSES
+from conetl.model.feature_classes import FEATURE_CLASSES, LANE_MARKING, noun_of
 from conetl.model.params import ImportParams
 from conetl.pipeline.maps.work_zones import export_wzdx
 from conetl.pipeline.settings import read_settings
@@ -61,6 +61,9 @@ def export(
             "--crs", help="CRS of positions, and height system: EPSG:25832, EPSG:25832+7837; default: the map's."
         ),
     ] = None,
+    category: Annotated[
+        str | None, typer.Option("--category", help="Only objects of this class, e.g. traffic_cone or lane_marking.")
+    ] = None,
     feed: work_zones.FeedOption = None,
     publisher: work_zones.PublisherOption = None,
     road_names: work_zones.RoadNamesOption = None,
@@ -71,14 +74,15 @@ def export(
 ) -> None:
     """Export the map, its history or its changes to a file, or its work zones as a WZDx 4.2 feed.
 
-    A manifest (FILE.manifest.json) is written beside the file.
+    A manifest (FILE.manifest.json) is written beside the file. Lane markings are lines in the same file; of CSV, GeoParquet and
+    FlatGeobuf, which hold one type of geometry, in a second one, FILE_lane_markings.
     """
     settings = read_settings(map_name)
     file_format = _format_by_name(output) if file_format is None else file_format
     if file_format in (WZDX, WZDX_DEVICES):
-        if what is not What.FEATURES or believed_at or since or until or crs:
+        if what is not What.FEATURES or believed_at or since or until or crs or category:
             raise InputError(
-                f"--what, --believed-at, --from, --to and --crs cannot be used with --format {file_format}"
+                f"--what, --believed-at, --from, --to, --crs and --category cannot be used with --format {file_format}"
             )
         with open_map(settings) as conn:
             count = export_wzdx(
@@ -86,7 +90,8 @@ def export(
                 feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
                 max_age=None if max_age is None else timedelta(seconds=parse_age(max_age)),
             )  # fmt: skip
-        _print_written(output, count, "work zone" if file_format == WZDX else "cone", {"features": count}, as_json)
+        text = f"{counted(count, 'work zone' if file_format == WZDX else 'cone')} -> {output}"
+        answer(as_json, {"written": str(output), "features": count}, text)
         return
     if feed or publisher or road_names or lanes or max_age:
         raise InputError(
@@ -96,12 +101,18 @@ def export(
         raise InputError(f"unknown format {file_format}: use one of {', '.join(ALL_FORMATS)}")
     request = ExportRequest(
         settings.map_name, what, as_of=parse_instant(as_of), believed_at=parse_instant(believed_at), since=parse_time(since),
-        until=parse_instant(until), crs=None if crs is None else map_crs(crs),
+        until=parse_instant(until), crs=None if crs is None else map_crs(crs), category=category,
     )  # fmt: skip
     with open_map(settings) as conn:
         manifest = export_map(conn, output, file_format, request)
-    rows = manifest["rows"]
-    _print_written(output, rows, _NOUNS[what], {what.value: rows, "manifest": manifest}, as_json)
+    rows, lines = manifest["rows"], manifest.get("lane_markings")
+    noun = noun_of(category) if category and what is What.FEATURES else _NOUNS[what]
+    text = f"{counted(rows, noun)} -> {output}"
+    if lines is not None:  # all rows are in one file, or each file has its own
+        points = rows - lines["rows"] if lines["file"] == output.name else rows
+        text = f"{counted(points, noun)} -> {output}\n"
+        text += f"{counted(lines['rows'], noun_of(LANE_MARKING))} -> {output.with_name(lines['file'])}"
+    answer(as_json, {"written": str(output), what.value: rows, "manifest": manifest}, text)
 
 
 def _format_by_name(output: Path) -> str:
@@ -111,10 +122,6 @@ def _format_by_name(output: Path) -> str:
     if found is None:
         raise InputError(f"{output}: unknown suffix, choose a format with --format ({', '.join(ALL_FORMATS)})")
     return found
-
-
-def _print_written(output: Path, count: int, noun: str, facts: dict[str, object], as_json: bool) -> None:
-    answer(as_json, {"written": str(output)} | facts, f"{counted(count, noun)} -> {output}")
 
 
 def import_(
@@ -166,6 +173,10 @@ def import_(
         _require_map_srid(imported.srid)
         total = len(imported.statements)
         done = import_map(conn, imported, params, map_name=settings.map_name)
+    if imported.lines_left_out:
+        note(
+            f"{counted(imported.lines_left_out, noun_of(LANE_MARKING))} of {file} left out: only point objects are imported"
+        )
     text = f"{file} is on the map {settings.map_name} already: no changes."
     if done.own:
         note(f"{done.own} of {counted(total, 'cone')} of {file} are an export of this map: no new evidence, left out")

@@ -10,12 +10,13 @@ from typing import Annotated
 import typer
 from pyproj import Transformer
 
-from conetl.cli.console import JsonOption, MapOption, answer, parse_instant
+from conetl.cli.console import JsonOption, MapOption, answer, counted, parse_instant
 from conetl.cli.database import open_map
 from conetl.cli.map.compare import instants_of, state_of
 from conetl.db.map.map_store import read_features_as_of, require_map
 from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import LANE_MARKING, noun_of
 from conetl.pipeline.settings import read_settings
 from conetl.reports.map_picture import SUFFIXES, Bbox, draw_map_picture, plan_extent, read_plan_content
 
@@ -68,9 +69,14 @@ def picture(
     footer = _footer(valid_at, known, changes, info.last_committed_at)
     done = draw_map_picture(output, content, extent, size_mm=size_mm, title=title, footer=footer)
     lines, points = len(content.lines_m), len(content.points_m)
-    facts = {"picture": str(done), "cones": len(standing), "changes": None if differing is None else len(differing)}
+    painted = sum(feature.marking is not None for feature in standing)
+    cones = len(standing) - painted
+    facts = {"picture": str(done), "cones": cones, "changes": None if differing is None else len(differing)}
     facts |= {"lines": lines, "points": points, "bbox": extent}
-    answer(as_json, facts, f"{len(standing)} cones, {lines} lane boundaries, {points} points -> {done}")
+    if painted:
+        facts["lane_markings"] = painted
+    shown = f"{cones} cones, " + (f"{counted(painted, noun_of(LANE_MARKING))}, " if painted else "")
+    answer(as_json, facts, f"{shown}{lines} lane boundaries, {points} points -> {done}")
 
 
 def _footer(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from itertools import pairwise
+from math import dist
 from operator import attrgetter
 from typing import Annotated, Any
 
@@ -28,6 +30,7 @@ from conetl.db.map.results import CommittedChangeset, FeatureLogEntry
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import noun_of
 from conetl.model.health import HoldEvent
+from conetl.model.markings import Marking
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.settings import read_settings
 
@@ -46,6 +49,17 @@ _FEATURES: Columns = {
     "missed": lambda v: v.missed_count or "",
     "first seen (UTC)": lambda v: f"{utc_from_ns(v.feature.first_seen_ns):%Y-%m-%d %H:%M}",
 }
+_LINES: Columns = {
+    **{heading: read for heading, read in _FEATURES.items() if heading not in ("class", "cone m", "missed")},
+    "length m": lambda v: f"{_length_m(v.feature.marking):.1f}",
+    "width m": lambda v: f"{v.feature.marking.width_m:.2f}",
+    "paint": lambda v: f"{v.feature.marking.colour}, {v.feature.marking.pattern}",
+    "missed": _FEATURES["missed"],
+}
+
+
+def _length_m(marking: Marking) -> float:
+    return float(sum(dist(a[:2], b[:2]) for a, b in pairwise(marking.vertices_m)))
 
 
 def show(
@@ -73,7 +87,7 @@ def show(
         return
     with open_map(settings) as conn:
         summary = map_summary(conn, settings.map_name)
-        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name))
+        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name, lines=True))
     if category:
         versions = [version for version in versions if version.feature.category in category]
     if as_json:
@@ -88,7 +102,9 @@ def show(
         classes = Counter(version.feature.category for version in versions)
         objects = [counted(count, noun_of(name)) for name, count in sorted(classes.items())] or [counted(0, "cone")]
         say(f"Map {summary.map_name}, EPSG:{summary.srid}: {', '.join(objects)}{when}, {changesets}.")
-        print_records("", class_if_mixed(_FEATURES, classes), versions)
+        points, lines = ([v for v in versions if (v.feature.marking is not None) is one] for one in (False, True))
+        print_records("", class_if_mixed(_FEATURES, {v.feature.category for v in points}), points)
+        print_records("", _LINES, lines)
 
 
 def log(
@@ -122,7 +138,9 @@ def log(
         # Newest first; what happened at the instant of a commit comes after it.
         rows: list[CommittedChangeset | HoldEvent] = [*reversed(changesets), *events]
         rows.sort(key=lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at)
-        print_records("", _LOG, rows[::-1], numbers_from=3)
+        markings = any(one.line_counts for one in changesets)
+        columns = {heading: read for heading, read in _LOG.items() if markings or heading != "lane markings"}
+        print_records("", columns, rows[::-1], numbers_from=3)
     else:
         print_records("", _HISTORY, entries, numbers_from=3)
         for entry, reason in zip(entries, reasons, strict=True):
@@ -160,6 +178,7 @@ _CHANGESETS: Columns = {
     "removed": "removed_count",
     "missed": "missed_count",
     "other": _others,
+    "lane markings": lambda c: ", ".join(f"{count} {kind}" for kind, count in sorted(c.line_counts.items())),
     "quarantined": "rejection_count",
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,8 +28,11 @@ from conetl.evaluation.drive_evaluation import (
     write_evaluation,
     write_pooled_page,
 )
+from conetl.evaluation.marking_evaluation import evaluate_markings
+from conetl.evaluation.markings import TRUTH_FILE, read_truth_markings
 from conetl.evaluation.truth import TABLE_3_COLUMNS, TruthCone, median_error, read_truth_cones
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings, read_settings
@@ -64,6 +68,7 @@ def evaluate(
 ) -> None:
     """Compare the cones of drives with surveyed truth: the paper's Table 3, errors over range, and whether sigmas hold.
 
+    Lane markings are compared with truth_markings.geojson of a drive where they are searched for (--category lane_marking).
     Several drives are evaluated one by one and together: one value in twenty is outside its 95 % band by chance. Nothing is
     written to the map, and no database is needed.
     """
@@ -78,7 +83,7 @@ def evaluate(
         name = results.drive.drive_id
         if name in done:
             raise InputError(f"{drive} is a second recording of drive {name}: evaluate each drive once")
-        done[name] = one = evaluate_drive(
+        one = evaluate_drive(
             cones,
             results.drive,
             results.records.tracks,
@@ -87,6 +92,10 @@ def evaluate(
             results.poses,
             within_m=within_m,
         )
+        if (marking_truth := drive / TRUTH_FILE).is_file() and LANE_MARKING in chosen.detection.categories:
+            markings = read_truth_markings(marking_truth, results.drive.map_srid)
+            one = replace(one, markings=evaluate_markings(markings, results.records.markings, results.drive))
+        done[name] = one
         summary = _summary(results, one, within_m)
         files = write_evaluation(folder if output is not None and len(truths) == 1 else folder / name, one, summary)
         if not as_json:
@@ -156,6 +165,13 @@ def _summary(results: AnalysedDrive, evaluation: DriveEvaluation, within_m: floa
         figures = evaluation.figures["tracks"]
         sentences.append(
             f"Median 3D error of the tracks {median:.3f} m, CE90 {figures.ce90_m:.3f} m, LE90 {figures.le90_m:.3f} m."
+        )
+    if evaluation.markings is not None:
+        lines = evaluation.markings.figures
+        found = lines.truth_m * (lines.completeness or 0.0)
+        sentences.append(
+            f"{found:.0f} of {lines.truth_m:.0f} m of lane markings found, "
+            f"{lines.found_m * (1.0 - (lines.correctness or 0.0)):.0f} m false ones."
         )
     return sentences
 

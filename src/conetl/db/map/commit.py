@@ -139,7 +139,15 @@ def commit_changeset(
     drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     committed_at = system_time(conn, info, now)
-    counts = RecordCounts(len(drive.frame_pairs), *(len(kind) for kind in records[1:6]))
+    counts = RecordCounts(
+        frame_pair_count=len(drive.frame_pairs),
+        detection_count=len(records.detections),
+        match_count=len(records.matches),
+        position_count=len(records.positions),
+        track_count=len(records.tracks),
+        marking_count=len(records.markings),
+        rejection_count=len(records.rejections),
+    )
     insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
     copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
@@ -171,7 +179,9 @@ def insert_changeset(
         facts = None if run.facts is None else json_text(dict(run.facts))
         kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
         execute(conn, load_sql("commit.insert_run"), vars(run) | kept)
-    kinds = Counter(delta.kind for delta in changeset.deltas)
+    kinds, line_kinds = (
+        Counter(delta.kind for delta in changeset.deltas if delta.is_of_line is of_line) for of_line in (False, True)
+    )
     parameters = {
         "changeset_id": changeset.changeset_id,
         "map_id": info.map_id,
@@ -183,6 +193,7 @@ def insert_changeset(
         "code_version": changeset.code_version,
         "committed_at": committed_at,
         **{f"{kind.value}_count": kinds[kind] for kind in DeltaKind},
+        "line_counts": json_text({kind.value: count for kind, count in sorted(line_kinds.items())}),
         **counts._asdict(),
     }
     execute(conn, load_sql("commit.insert_changeset"), parameters)
@@ -219,7 +230,7 @@ def made_ahead(source: Iterable[T], *, ahead: int) -> Iterator[Iterator[T]]:
 
 def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
     """Checks that foreign keys would make row by row, at a tenth of their cost. Raises MapMismatchError."""
-    drive, detections, matches, positions, tracks, _, _ = records
+    drive, detections, matches, positions, tracks, *_ = records
     frames = {pair.frame_index for pair in drive.frame_pairs}
     boxes = {(d.frame_index, d.side, d.detection_index) for d in detections}
     positioned = {(p.frame_index, p.match_index) for p in positions}
@@ -277,6 +288,7 @@ def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iter
         _blocks("conetl.position", records.positions, partial(columns.position_columns, drive_uuid, srid)),
         _blocks("conetl.track", records.tracks, partial(columns.track_columns, drive_uuid, srid)),
         _blocks("conetl.track_member", records.tracks, partial(columns.track_member_columns, drive_uuid)),
+        _blocks("conetl.marking_track", records.markings, partial(columns.marking_track_columns, drive_uuid, srid)),
     )
 
 

@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import Connection, database_errors, execute, stream
 from conetl.db.map.import_store import read_statements
+from conetl.db.map.marking_rows import covariances, marking_of
 from conetl.db.map.rows import jacobian_from_wire
 from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import DriveOrder, ImportedFeature
+from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Detection, FramePair, Pose, Rig, Track, Vec3
+from conetl.model.records import Detection, FramePair, Pose, Rig, Track, Vec3, sound
 
 _DETECTION = ("frame_index", "side", "detection_index", "category", "x_px", "y_px", "w_px", "h_px", "score")
 
@@ -31,7 +33,7 @@ Square = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class StoredDrive:
-    """The small part of a drive: its header, its path and its tracks."""
+    """The small part of a drive: its header, its path, its tracks and lane markings."""
 
     id_name: str
     content_sha256: str
@@ -45,6 +47,7 @@ class StoredDrive:
     path_m: NDArray[np.float64]
     """(N, 2), a row per frame pair; of an imported map, its stated positions."""
     tracks: list[Track]
+    markings: list[MarkingTrack]
     statements: list[ImportedFeature]
     """Of an imported map, instead of tracks."""
 
@@ -63,7 +66,7 @@ class StoredView:
 
 
 def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
-    """Header, path and tracks of an ingested drive. Raises MapMismatchError if it does not exist."""
+    """Header, path, tracks and lane markings of an ingested drive. Raises MapMismatchError if it does not exist."""
     parameters = {"drive_uuid": drive_uuid}
     with database_errors(f"Drive {drive_uuid} cannot be read"):
         headers = execute(conn, load_sql("drives.header"), parameters)
@@ -84,6 +87,7 @@ def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
             figures=AbsenceFigures.model_validate(figures) if figures else UNMEASURED_ABSENCE,
             path_m=np.array(list(path)).reshape(-1, 2),
             tracks=[_track(row) for row in stream(conn, load_sql("drives.tracks"), parameters)],
+            markings=[_marking_track(row) for row in stream(conn, load_sql("drives.marking_tracks"), parameters)],
             statements=statements,
         )
 
@@ -148,4 +152,20 @@ def _track(row: tuple[Any, ...]) -> Track:
         nearest_range_m=row[27],
         members=tuple((frame, match) for frame, match in row[28]),
         shared_jacobian=None if row[29] is None else jacobian_from_wire(row[29]),
+    )
+
+
+def _marking_track(row: tuple[Any, ...]) -> MarkingTrack:
+    return sound(
+        MarkingTrack,
+        marking_index=row[0],
+        category=row[1],
+        marking=marking_of(row[9:]),
+        relative_cov_m2=covariances(row[2]),
+        existence_probability=row[3],
+        observation_count=row[4],
+        first_seen_ns=row[5],
+        last_seen_ns=row[6],
+        contrast=row[7],
+        shared_jacobian=None if row[8] is None else jacobian_from_wire(row[8]),
     )

@@ -123,7 +123,7 @@ def commit_import(
 def read_statements(conn: Connection, drive_uuid: UUID) -> list[ImportedFeature]:
     """What an imported map states, in the order of its file."""
     rows = stream(conn, load_sql("drives.statements"), {"drive_uuid": drive_uuid})
-    return [ImportedFeature.model_construct(feature=feature_of(row), valid_from_ns=row[22]) for row in rows]
+    return [ImportedFeature.model_construct(feature=feature_of(row), valid_from_ns=row[30]) for row in rows]
 
 
 def read_licence(conn: Connection, map_name: str) -> str | None:

@@ -82,9 +82,9 @@ def map_names(conn: Connection) -> list[str]:
         return [row["map_name"] for row in execute(conn, load_sql("map.maps"))]
 
 
-def read_current_features(conn: Connection, *, map_name: str = "default") -> list[MapFeature]:
-    """The features that stand on the map now, by feature id; [] without such a map."""
-    return [version.feature for version in read_features_as_of(conn, map_name=map_name)]
+def read_current_features(conn: Connection, *, map_name: str = "default", lines: bool = False) -> list[MapFeature]:
+    """The point objects, and with `lines` the lane markings, that stand on the map now, by feature id; [] without such a map."""
+    return [version.feature for version in read_features_as_of(conn, map_name=map_name, lines=lines)]
 
 
 def read_features_as_of(
@@ -94,10 +94,11 @@ def read_features_as_of(
     known_at: datetime | None = None,
     map_name: str = "default",
     within: Bbox | None = None,
+    lines: bool = False,
 ) -> Iterator[FeatureAtInstant]:
-    """The features that stood on the road at `valid_at` (None: latest), as the database knew it at `known_at` (None: now).
+    """The point objects that stood on the road at `valid_at` (None: latest), as the database knew it at `known_at` (None: now).
 
-    By feature id, read as they are consumed. Raises ValueError for an instant without a time zone.
+    lines: the lane markings, too. By feature id, read as they are consumed. Raises ValueError for an instant without a time zone.
     """
     for instant in (valid_at, known_at):
         if instant is not None and instant.tzinfo is None:
@@ -107,12 +108,13 @@ def read_features_as_of(
     parameters = {
         "map_name": map_name, "srid": info.srid if info else 0, "max_rows": None,
         "west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m,
+        "lines": lines,
         "valid_at": valid_at.isoformat() if valid_at else "infinity",
         "known_at": known_at.isoformat() if known_at else "infinity",
     }  # fmt: skip
     with database_errors(f"The features of map {map_name} cannot be read"):
         for row in stream(conn, load_sql("map.features_as_of"), parameters):
-            yield FeatureAtInstant(feature_of(row), *row[22:27])
+            yield FeatureAtInstant(feature_of(row), *row[30:35])
 
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:

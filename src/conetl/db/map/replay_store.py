@@ -71,7 +71,7 @@ def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredV
     """All current versions of the features that ever stood around the drives."""
     with database_errors("The neighbourhood of the drives cannot be read"):
         return [
-            StoredVersion(version_row_id=row[27], drive_uuid=row[28], key=row[29:32], version=version_of(row))
+            StoredVersion(version_row_id=row[35], drive_uuid=row[36], key=row[37:40], version=version_of(row))
             for row in stream(conn, load_sql("replay.versions_around"), {"drive_uuids": list(drive_uuids)})
         ]
 

@@ -36,6 +36,7 @@ class RecordCounts(NamedTuple):
     match_count: int = 0
     position_count: int = 0
     track_count: int = 0
+    marking_count: int = 0
     rejection_count: int = 0
 
 
@@ -74,11 +75,14 @@ class CommittedChangeset:
     height_changed_count: int
     split_count: int
     merged_count: int
+    line_counts: Mapping[DeltaKind, int]
+    """Changes of stretches of lane markings, of each kind that there is; the counts before are of point objects."""
     frame_pair_count: int
     detection_count: int
     match_count: int
     position_count: int
     track_count: int
+    marking_count: int
     rejection_count: int
     captured_from_ns: int
     captured_to_ns: int

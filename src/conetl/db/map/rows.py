@@ -17,7 +17,9 @@ import numpy as np
 
 from conetl.db import copy_binary as binary
 from conetl.db.copy_binary import Column
+from conetl.db.map.marking_rows import marking_columns, marking_of, matrices
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
+from conetl.model.markings import MarkingTrack
 from conetl.model.records import Detection, FramePair, Position, SharedErrorJacobian, StereoMatch, Track, sound
 from conetl.model.rejections import Rejection
 
@@ -47,6 +49,7 @@ def feature_of(row: tuple[Any, ...]) -> MapFeature:
         first_seen_ns=row[19],
         last_seen_ns=row[20],
         shared_jacobian=None if row[21] is None else jacobian_from_wire(row[21]),
+        marking=None if row[22] is None else marking_of(row[22:30]),
     )
 
 
@@ -55,11 +58,11 @@ def version_of(row: tuple[Any, ...]) -> FeatureVersion:
     return sound(
         FeatureVersion,
         feature=feature_of(row),
-        changeset_id=row[22],
-        present=row[23],
-        suppressed=row[24],
-        valid_from_ns=row[25],
-        valid_to_ns=row[26],
+        changeset_id=row[30],
+        present=row[31],
+        suppressed=row[32],
+        valid_from_ns=row[33],
+        valid_to_ns=row[34],
     )
 
 
@@ -147,6 +150,20 @@ def track_member_columns(drive_uuid: UUID, tracks: Sequence[Track]) -> Columns:
     }
 
 
+def marking_track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[MarkingTrack]) -> Columns:
+    """Table marking_track."""
+    return {
+        "drive_uuid": binary.constant_uuid(drive_uuid, len(tracks)),
+        **_attributes(tracks, binary.integers, "marking_index", "observation_count"),
+        **_attributes(tracks, binary.texts, "category"),
+        **marking_columns(srid, [track.marking for track in tracks]),
+        "relative_cov": matrices([track.relative_cov_m2 for track in tracks]),
+        **_attributes(tracks, binary.doubles, "existence_probability", "contrast"),
+        **_attributes(tracks, binary.bigints, "first_seen_ns", "last_seen_ns"),
+        **jacobian_columns([track.shared_jacobian for track in tracks]),
+    }
+
+
 def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUID] = ()) -> Columns:
     """Temporary table delta_stage: one row per delta, with the resulting state of the feature.
 
@@ -158,7 +175,7 @@ def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUI
         **_attributes(deltas, binary.booleans, "is_change"),
         "present": binary.booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
         "suppressed": binary.booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
-        **cone_columns(srid, [delta.state_after for delta in deltas]),
+        **feature_columns(srid, [delta.state_after for delta in deltas]),
     }
 
 
@@ -168,6 +185,7 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
     return {
         "changeset_id": binary.uuids([changeset_id for changeset_id, _ in changes]),
         "new_version": binary.integers([version_after(d) for d in deltas]),
+        "of_line": binary.booleans([d.is_of_line for d in deltas]),
         **_change_columns(deltas),
     }
 
@@ -175,7 +193,7 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
 def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
     """Temporary table version_stage: whole versions, as they hold from now on."""
     return {
-        **cone_columns(srid, [v.feature for v in versions]),
+        **feature_columns(srid, [v.feature for v in versions]),
         "feature_id": binary.uuids([v.feature.feature_id for v in versions]),
         "version": binary.integers([v.feature.version for v in versions]),
         **_attributes(versions, binary.uuids, "changeset_id"),
@@ -212,6 +230,11 @@ def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Co
         **_attributes(rejections, binary.texts, "record", "detail"),
         **_attributes(rejections, binary.jsons, "payload"),
     }
+
+
+def feature_columns(srid: int, features: Sequence[MapFeature]) -> Columns:
+    """What is stored of the state of features."""
+    return {**cone_columns(srid, features), **marking_columns(srid, [feature.marking for feature in features])}
 
 
 def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,7 +14,7 @@ from conetl.db.map.map_store import require_map
 from conetl.db.zone_store import read_lanes_near, read_paths, read_versions
 from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
 from conetl.model.feature_classes import FEATURE_CLASSES
-from conetl.model.map_records import MapFeature
+from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.records import utc_from_ns
 from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
@@ -33,7 +34,7 @@ class MapZones:
     standing: list[MapFeature]
     paths: list[DrivePath]
     lane_lines_from: str | None
-    """File or base layers; None if there are no lane lines."""
+    """File, base layers or the map's lane markings; None if there are no lane lines."""
 
 
 def export_wzdx(
@@ -72,31 +73,49 @@ def read_zones(
 ) -> MapZones:
     """Current and ended work zones of a map until a time (None: now). Raises InputError if the map does not exist."""
     info = require_map(conn, map_name)
-    versions = [v for v in read_versions(conn, map_name=map_name, until=as_of) if v.feature.category in _IN_ROWS]
+    every = read_versions(conn, map_name=map_name, until=as_of)
+    versions = [v for v in every if v.feature.category in _IN_ROWS]
     paths = read_paths(conn, map_name=map_name, until=as_of)
     at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
     histories = zones_over_time(versions, paths, params, map_name=info.id_name, at_ns=at_ns)
-    lines, source = _lane_lines(conn, histories, lanes, map_name=map_name, srid=info.srid)
+    lines, source = _lane_lines(conn, histories, lanes, _standing(every, at_ns), map_name=map_name, srid=info.srid)
     zones = [
         describe(history, layout_of(history, paths, some, params), params)
         for history, some in zip(histories, lines, strict=True)
     ]
+    return MapZones(info.srid, zones, _standing(versions, at_ns), paths, source)
+
+
+def _standing(versions: Sequence[FeatureVersion], at_ns: int | None) -> list[MapFeature]:
+    """What stands at a time (None: now), of versions that began until then."""
     open_until = [v for v in versions if v.valid_to_ns is None or (at_ns is not None and v.valid_to_ns > at_ns)]
-    standing = [v.feature for v in open_until if v.present and not v.suppressed]
-    return MapZones(info.srid, zones, standing, paths, source)
+    return [v.feature for v in open_until if v.present and not v.suppressed]
 
 
 def _lane_lines(
-    conn: Connection, histories: list[ZoneHistory], lanes: Path | None, *, map_name: str, srid: int
+    conn: Connection,
+    histories: list[ZoneHistory],
+    lanes: Path | None,
+    standing: Sequence[MapFeature],
+    *,
+    map_name: str,
+    srid: int,
 ) -> tuple[list[list[LaneLine]], str | None]:
-    """Lane lines beside each zone and their source: the file if given, else the base layers of the map."""
+    """Lane lines beside each zone and their source: the file if given, else the base layers of the map, else its markings."""
     if lanes is not None:
         from conetl.readers.base_layers.line_files import read_lane_lines  # GDAL takes seconds to load
 
         return [read_lane_lines(lanes, srid=srid)] * len(histories), str(lanes)
     positions = [np.array([cone.xyz_m[:2] for cone in history.cones]) for history in histories]
     lines, layers = read_lanes_near(conn, positions, map_name=map_name)
-    return lines, f"base layers {', '.join(layers)}" if layers else None
+    if layers:
+        return lines, f"base layers {', '.join(layers)}"
+    markings = [
+        LaneLine(np.array(feature.marking.vertices_m)[:, :2], feature.marking.pattern)
+        for feature in standing
+        if feature.marking is not None
+    ]
+    return [markings] * len(histories), "lane markings of the map" if markings else None
 
 
 def zone_as_dict(zone: WorkZone) -> dict[str, object]:

@@ -116,7 +116,7 @@ def read_map_file(
     ids = rows.ids(sha256)
     statements = [rows.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
     name = f"{path.name}:{table.layer}" if len(table.layers) > 1 else path.name
-    return ImportedMap(name, str(path), sha256, srid, stated_ns, statements, founds_ids=rows.new_ids)
+    return ImportedMap(name, str(path), sha256, srid, stated_ns, statements, rows.new_ids, table.lines_left_out)
 
 
 def _content_sha256(table: MapTable) -> str:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pyogrio
 import shapely
@@ -25,6 +26,7 @@ from pyproj.exceptions import CRSError
 
 from conetl.files.documents import MAX_SHOWN, shown
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import LINE_CLASSES
 
 #: Larger files are not cone maps and do not fit into memory.
 MAX_ROWS = 1_000_000
@@ -63,6 +65,8 @@ class MapTable:
     """Names of the file's layers with geometry, in its order; empty for formats without layers."""
     layer: str | None = None
     """The one that was read."""
+    lines_left_out: int = 0
+    """Lane markings of an export: only point objects are read."""
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -205,7 +209,9 @@ def _read_parquet(path: Path) -> MapTable:
 def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry: str) -> None:
     parts = []
     count = 0
-    for batch in batches:
+    for every in batches:
+        batch = _without_lines(every)
+        table.lines_left_out += every.num_rows - batch.num_rows
         points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")
         bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
         if len(bad):
@@ -226,6 +232,12 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
             if name != geometry:
                 table.columns.setdefault(name, []).extend(column.to_pylist())
     table.xyz = np.concatenate(parts) if parts else table.xyz
+
+
+def _without_lines(batch: pa.RecordBatch) -> pa.RecordBatch:
+    if "category" not in batch.schema.names:
+        return batch
+    return batch.filter(pc.invert(pc.is_in(batch.column("category"), pa.array(LINE_CLASSES))))
 
 
 def _read_csv(path: Path) -> MapTable:

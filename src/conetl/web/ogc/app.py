@@ -17,15 +17,16 @@ from conetl.db.ogc_store import MapDirectory
 from conetl.db.reader_pool import STATEMENT_TIMEOUT, AsyncReaderPool
 from conetl.model.errors import DatabaseError
 from conetl.web.models import Problem
-from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS
+from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS, MARKING_COLUMNS
 from conetl.web.ogc.endpoints import ITEMS, endpoints
 from conetl.web.ogc.parameters import prepare, read_instants
 from conetl.web.ogc.values import BadParameterError
 
 TITLE = "conetl: maps of traffic cones"
 DESCRIPTION = (
-    "Each map has two collections: MAP.features, the cones as of an instant (at, known_at), "
-    "and MAP.changes, the changes between two instants (from, to, known_from, known_to)."
+    "Each map has three collections: MAP.features, the cones and other point objects, and MAP.lane_markings, the lane markings, "
+    "both as of an instant (at, known_at), and MAP.changes, the changes of points between two instants (from, to, known_from, "
+    "known_to)."
 )
 _API_DEFINITION_TYPE = "application/vnd.oai.openapi+json;version=3.1"
 #: tipg itself would also claim HTML, OpenAPI 3.0 (the API definition is of 3.1) and filter expressions.
@@ -113,7 +114,7 @@ def _definition(app: FastAPI) -> dict[str, Any]:
         operation = operations["get"]
         parameters = [p for p in operation.get("parameters", ()) if p["name"] not in _NOT_OFFERED]
         names = {p["name"] for p in parameters}
-        filters = {} if path not in _FILTERED else CHANGE_COLUMNS | FEATURE_COLUMNS
+        filters = {} if path not in _FILTERED else CHANGE_COLUMNS | MARKING_COLUMNS | FEATURE_COLUMNS
         operation["parameters"] = parameters + [
             {
                 "name": name, "in": "query", "required": False, "description": f"Only items with this value: {text}.",

@@ -1,4 +1,4 @@
-"""The two collections of each map as tipg collections: its features as of an instant, and its changes between two."""
+"""The collections of each map as tipg collections: points and lane markings as of an instant, changes of points between two."""
 
 from __future__ import annotations
 
@@ -106,6 +106,23 @@ CHANGE_COLUMNS = {
     "object_height_m": ("float8", "From the foot to the tip"),
     "version": ("integer", "After the change (removed: before)"),
 }
+MARKING_COLUMNS = {
+    **{name: FEATURE_COLUMNS[name] for name in ("feature_id", "version", "category", "existence_probability")},
+    "width_m": ("float8", "Of the paint, across the line"),
+    "width_sigma_m": ("float8", "Standard deviation"),
+    "colour": ("text", "white, yellow or other"),
+    "pattern": ("text", "solid or dashed; a dashed line runs through its gaps"),
+    "dash_m": ("float8", "Length of a dash (null: solid)"),
+    "gap_m": ("float8", "Between two dashes (null: solid)"),
+    "length_m": ("float8", "Of this stretch"),
+    "sigma_lateral_m": ("float8", "Standard deviation across the line, of the vertex with the largest one"),
+    **{
+        name: FEATURE_COLUMNS[name]
+        for name in (
+            "observation_count", "seen_count", "missed_count", "first_seen_at", "last_seen_at", "valid_from", "valid_to",
+        )
+    },
+}  # fmt: skip
 _FEATURE_PARAMETERS = {"map_name": "text", "from_at": "timestamptz", "to_at": "timestamptz", "known_at": "timestamptz"}
 _CHANGE_PARAMETERS = {
     "map_name": "text", "from_at": "timestamptz", "known_from": "timestamptz", "to_at": "timestamptz", "known_to": "timestamptz",
@@ -118,6 +135,11 @@ class AsOfCollection(PgCollection):
 
     served: ServedMap
     instants: Instants
+
+    @property
+    def _statement(self) -> str:
+        """Which statement makes a page."""
+        return "changes" if self.table == "changes" else "features"
 
     @property
     def extent(self) -> Extent:
@@ -164,21 +186,24 @@ class AsOfCollection(PgCollection):
         arguments = self._arguments(box, interval)
         by_place = None
         source = self.table
-        if self.table == "features":
+        if self.table != "changes":
             columns = {name: EVIDENCE_COLUMNS.get(name, column) for name, column in columns.items()}
-            if {name for name, _ in [*order, *(values or ())]}.isdisjoint(EVIDENCE_COLUMNS):
-                source = "standing"  # evidence is read after the limit
-                by_place = None if ids else self._by_place_of_many(box)
+        used = {name for name, _ in [*order, *(values or ())]}
+        if self.table == "features" and used.isdisjoint(EVIDENCE_COLUMNS):
+            source = "standing"  # evidence is read after the limit
+            by_place = None if ids else self._by_place_of_many(box)
         text = {
             "where": self._where_clause(where), "order": ", ".join(sql for _, sql in order), "source": f"{SCHEMA}.{source}",
             "properties": ", ".join(f"{column} as {name}" for name, column in columns.items()), "box": _named(arguments, 5),
         }  # fmt: skip
         if by_place is not None:
             return await self._page_of_many(conn, text | {"by_place": by_place}, arguments, limit, offset, links)
-        items, returned = await store.read_page(conn, self.table, text, [limit, offset, *links, *arguments.values()])
+        items, returned = await store.read_page(
+            conn, self._statement, text, [limit, offset, *links, *arguments.values()]
+        )
         if returned < limit and (returned or not offset):  # the last page gives the number of all
             return Page(items, returned, offset + returned)
-        if self.table == "features":
+        if self.table != "changes":
             return Page(items, returned, await self._count(conn, text, arguments))
         matched = await self._features_count_query(conn, where=where, function_parameters=_texts(arguments))
         return Page(items, returned, matched)
@@ -201,7 +226,7 @@ class AsOfCollection(PgCollection):
             return Page(b"", 0, await self._count(conn, text, arguments) if offset else 0)
         own = [value for name, value in arguments.items() if name not in _BOX]
         page_text = {**text, "box": "", "where": f"where version_row_id = any(${5 + len(own)}::bigint[])"}
-        items, returned = await store.read_page(conn, self.table, page_text, [limit, 0, *links, *own, versions])
+        items, returned = await store.read_page(conn, self._statement, page_text, [limit, 0, *links, *own, versions])
         return Page(items, returned, matched)
 
     async def _count(
@@ -250,7 +275,7 @@ class AsOfCollection(PgCollection):
 
     def _times(self, interval: Interval | None) -> dict[str, str | float]:
         asked = self.instants
-        if self.table == "features":
+        if self.table != "changes":
             start, end = interval or (asked.at or "infinity", asked.at)
             known_at = _text(asked.known_at or "infinity")
             return {"from_at": _text(start or "-infinity"), "to_at": _text(end or "infinity"), "known_at": known_at}
@@ -273,6 +298,15 @@ def features_of(served: ServedMap, instants: Instants) -> AsOfCollection:
     )  # fmt: skip
 
 
+def lane_markings_of(served: ServedMap, instants: Instants) -> AsOfCollection:
+    """The lane markings as of an instant on the road and a state of the database."""
+    return _collection(
+        "lane_markings", served, instants, MARKING_COLUMNS, _FEATURE_PARAMETERS, f"Lane markings of the map {served.map_name}",
+        "Stretches of lane markings at the instant `at` on the road, in the state of the database at `known_at`; by default the "
+        "latest.", geometry="LineString",
+    )  # fmt: skip
+
+
 def changes_of(served: ServedMap, instants: Instants) -> AsOfCollection:
     """The differences between two instants of the map."""
     return _collection(
@@ -284,9 +318,9 @@ def changes_of(served: ServedMap, instants: Instants) -> AsOfCollection:
 
 def _collection(
     name: str, served: ServedMap, instants: Instants, columns: Mapping[str, tuple[str, str]], parameters: Mapping[str, str],
-    title: str, description: str,
+    title: str, description: str, geometry: str = "Point",
 ) -> AsOfCollection:  # fmt: skip
-    place = Column(name="geom", type="geometry", geometry_type="Point", srid=4326, bounds=list(served.extent))
+    place = Column(name="geom", type="geometry", geometry_type=geometry, srid=4326, bounds=list(served.extent))
     listed = [Column(name=name, type=kind, description=text) for name, (kind, text) in columns.items()]
     types = dict(parameters) | dict.fromkeys(_BOX, "float8")  # tipg leaves out those without a value
     return AsOfCollection(
@@ -305,9 +339,11 @@ async def warm(conn: asyncpg.Connection) -> None:
     await features_of(nowhere, Instants()).page(conn, box=(90.0, 45.0, 90.0, 45.0), limit=1)
 
 
-def as_ewkt(point: dict[str, Any]) -> str:
-    """A GeoJSON point as PostGIS' extended well-known text."""
-    return f"SRID=4326;POINT({' '.join(map(repr, point['coordinates']))})"
+def as_ewkt(geometry: dict[str, Any]) -> str:
+    """A GeoJSON point or line as PostGIS' extended well-known text."""
+    kind, places = geometry["type"].upper(), geometry["coordinates"]
+    vertices = ",".join(" ".join(map(repr, place)) for place in ([places] if kind == "POINT" else places))
+    return f"SRID=4326;{kind}({vertices})"
 
 
 def _named(arguments: Mapping[str, Any], first: int) -> str:

@@ -86,7 +86,7 @@ async def items(
 
 def _pinned(request: Request, collection: AsOfCollection) -> dict[str, str]:
     """The query of a request with the state of the database that it shows: links to other pages lead to the same state."""
-    name = "known_at" if collection.table == "features" else "known_to"
+    name = "known_to" if collection.table == "changes" else "known_at"
     latest = collection.served.last_committed_at.isoformat().replace("+00:00", "Z")
     return {**request.query_params} | ({} if name in request.query_params else {name: latest})
 

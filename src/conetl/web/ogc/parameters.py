@@ -12,7 +12,7 @@ from tipg.resources.enums import MediaType
 
 from conetl.db.ogc_store import Degrees, MapDirectory, ServedMap
 from conetl.db.reader_pool import AsyncReaderPool
-from conetl.web.ogc.collections import AsOfCollection, Instants, changes_of, features_of
+from conetl.web.ogc.collections import AsOfCollection, Instants, changes_of, features_of, lane_markings_of
 from conetl.web.ogc.values import BadParameterError, Interval, parse_box, parse_interval
 from conetl.web.parameters import Instant
 
@@ -21,7 +21,7 @@ MAX_LIMIT = 10_000
 #: No map has more items.
 MAX_OFFSET = 2**31
 ItemForm = Annotated[Literal["geojson", "json", "csv", "geojsonseq", "ndjson"], Query(description="Format.")]
-_KINDS = {"features": features_of, "changes": changes_of}
+_KINDS = {"features": features_of, "lane_markings": lane_markings_of, "changes": changes_of}
 
 
 # All dependencies are coroutines: FastAPI runs plain functions in a thread each.
@@ -33,7 +33,7 @@ async def read_instants(
     known_from: Instant = None,
     known_to: Instant = None,
 ) -> Instants:
-    """Instants that every operation accepts: `at` and `known_at` for features, the others for changes."""
+    """Instants that every operation accepts: `at` and `known_at` for features and lane markings, the others for changes."""
     if start is not None and end is not None and start > end:
         raise BadParameterError(f"from={start.isoformat()} is later than to={end.isoformat()}.")
     return Instants(at, known_at, start, end, known_from, known_to)
@@ -61,7 +61,9 @@ async def prepare(request: Request) -> None:
 
 async def one_collection(
     request: Request,
-    collectionId: Annotated[str, Path(description="MAP.features or MAP.changes, where MAP is the name of a map")],
+    collectionId: Annotated[
+        str, Path(description="MAP.features, MAP.lane_markings or MAP.changes, where MAP is the name of a map")
+    ],
     instants: RequestInstants,
 ) -> AsOfCollection:
     """The collection of a path. Raises NotFound."""
@@ -82,7 +84,7 @@ async def all_collections(
     limit: Annotated[int, Query(ge=1, description="At most this number of collections.")] = MAX_LIMIT,
     offset: Annotated[int, Query(ge=0, le=MAX_OFFSET, description="Number of collections to skip.")] = 0,
 ) -> CollectionList:
-    """Two collections per map; the map that the server was started for comes first."""
+    """The collections of each map; the map that the server was started for comes first."""
     box = None if bbox is None else parse_box(bbox)
     end = None if datetime is None else parse_interval(datetime)[1]
     found = [m for m in await _maps(request) if _meets(m, box) and (end is None or end >= m.since)]

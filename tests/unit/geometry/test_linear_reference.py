@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.workzones.linear_reference import locate, project, smoothed, without_standstill
+from conetl.geometry.linear_reference import locate, project, smoothed, without_standstill
 
 BEND = np.stack([100 * np.sin(np.linspace(0, 1, 80)), 100 - 100 * np.cos(np.linspace(0, 1, 80))], axis=1)
 finite = st.floats(-30, 130)

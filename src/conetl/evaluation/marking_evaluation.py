@@ -1,0 +1,149 @@
+"""The lane markings of drives against their truth: tables and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from conetl.evaluation.accuracy import calibration_of, pose_and_calibration
+from conetl.evaluation.markings import (
+    CommonErrors,
+    MarkingErrors,
+    MarkingFigures,
+    TruthMarking,
+    compare_markings,
+    marking_consistency,
+    marking_figures,
+    visible_to,
+)
+from conetl.evaluation.nees_table import NEES_COLUMNS, NEES_TEXT, nees_as_dict, nees_rows
+from conetl.geometry.consistency import Consistency
+from conetl.geometry.packing import cov_matrices
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.markings import MarkingTrack
+from conetl.model.records import Drive
+from conetl.reports.html import Section
+
+#: Distance at which markings are measured well, where the pose's error is taken from.
+_TYPICAL_RANGE_M = 8.0
+_FIGURES = (
+    "", "visible m", "found m", "complete", "correct", "double", "lateral median", "95 %", "height median", "95 %", "width",
+    "dash", "gap", "pattern right", "colour right",
+)  # fmt: skip
+_FIGURES_TEXT = (
+    "Metres, and shares of length. Complete: of what was visible, found within 0.15 m; correct: of what was found, right "
+    "(Wiedemann 2003); double: right, but found before. Errors are medians of their size. Pattern: solid or dashed, dash and "
+    "gap to 0.5 m."
+)
+_EACH = ("marking", "pattern", "colour", "visible m", "complete", "lateral median", "height median", "width error")
+
+
+@dataclass(frozen=True)
+class MarkingEvaluation:
+    """The lane markings of one drive compared with the truth."""
+
+    truth: Sequence[TruthMarking]
+    errors: MarkingErrors
+    figures: MarkingFigures
+    nees: dict[str, Consistency | None]
+
+    def tables(self) -> list[Section]:
+        """Figures of all markings, one row per marking, and NEES."""
+        return [
+            Section("Lane markings", _FIGURES_TEXT, _FIGURES, [_row("all", self.figures)]),
+            Section("Each marking of the truth", "Metres, and shares of length.", _EACH, self._rows()),
+            Section(
+                "Do the sigmas of lane markings hold?",
+                f"Vertices, across the marking and in height. {NEES_TEXT}",
+                NEES_COLUMNS,
+                nees_rows(self.nees),
+            ),
+        ]
+
+    def as_dict(self) -> dict[str, object]:
+        """As JSON values."""
+        return {
+            **self.figures.model_dump(mode="json"),
+            "nees": {name: nees_as_dict(result) for name, result in self.nees.items()},
+        }
+
+    def _rows(self) -> list[tuple[object, ...]]:
+        rows: list[tuple[object, ...]] = []
+        for k, one in enumerate(self.truth):
+            figures = marking_figures([self.errors.of_truth(k)])
+            if figures.truth_m > 0:
+                errors = figures.lateral_median_m, figures.height_median_m, figures.width_median_m
+                shares = f"{figures.truth_m:.0f}", _shown(figures.completeness)
+                rows.append((one.marking_id, one.pattern, one.colour, *shares, *map(_shown, errors)))
+        return rows
+
+
+def evaluate_markings(truth: Sequence[TruthMarking], tracks: Sequence[MarkingTrack], drive: Drive) -> MarkingEvaluation:
+    """Compare the markings of a drive (refined poses) with those that were there."""
+    errors = compare_markings(truth, [track.marking for track in tracks], visible_to(drive), _common(tracks, drive))
+    return MarkingEvaluation(truth, errors, marking_figures([errors]), marking_consistency(errors))
+
+
+def pooled_markings(drives: Mapping[str, MarkingEvaluation]) -> list[Section]:
+    """One row per drive and one for all, and the NEES of all; nothing without drives."""
+    if not drives:
+        return []
+    rows = [_row(name, one.figures) for name, one in drives.items()]
+    rows.append(_row("all drives", marking_figures([one.errors for one in drives.values()])))
+    return [
+        Section("Lane markings, drive by drive", _FIGURES_TEXT, _FIGURES, rows),
+        Section(
+            "Do the sigmas of lane markings hold for all drives together?",
+            "",
+            NEES_COLUMNS,
+            nees_rows(_pooled_nees(drives)),
+        ),
+    ]
+
+
+def pooled_markings_as_dict(drives: Mapping[str, MarkingEvaluation]) -> dict[str, object]:
+    """The same as JSON values under one key."""
+    if not drives:
+        return {}
+    figures = marking_figures([one.errors for one in drives.values()]).model_dump(mode="json")
+    nees = {name: nees_as_dict(result) for name, result in _pooled_nees(drives).items()}
+    return {"lane_markings": {**figures, "nees": nees}}
+
+
+def _pooled_nees(drives: Mapping[str, MarkingEvaluation]) -> dict[str, Consistency | None]:
+    together: dict[str, Consistency | None] = {}
+    for drive in drives.values():
+        for name, one in drive.nees.items():
+            before = together.get(name)
+            together[name] = before if one is None else one if before is None else before + one
+    return together
+
+
+def _common(tracks: Sequence[MarkingTrack], drive: Drive) -> CommonErrors:
+    """The errors of pose and calibration that all vertices of a drive share, and the rest of their covariances.
+
+    The pose is that from which a vertex was about 8 m ahead, where markings are measured well.
+    """
+    vertices = np.array([vertex for track in tracks for vertex in track.marking.vertices_m]).reshape(-1, 3)
+    left = np.array([map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs])
+    ahead = np.einsum("nfi,fi->nf", vertices[:, None] - left[:, :3, 3], left[:, :3, 2])
+    chosen = [drive.frame_pairs[f].pose for f in np.abs(ahead - _TYPICAL_RANGE_M).argmin(axis=1)]
+    jacobian, sigmas = pose_and_calibration(vertices, chosen, drive.rig)
+    variances = np.mean(sigmas**2, axis=0) if len(sigmas) else np.zeros(6)
+    return CommonErrors(
+        jacobian,
+        block_diag(np.diag(variances), calibration_of(drive.rig)),
+        cov_matrices([cov for track in tracks for cov in track.relative_cov_m2]),
+    )
+
+
+def _row(name: str, figures: MarkingFigures) -> tuple[object, ...]:
+    lengths = (f"{figures.truth_m:.0f}", f"{figures.found_m:.0f}")
+    return (name, *lengths, *(_shown(value) for key, value in figures if not key.endswith(("truth_m", "found_m"))))
+
+
+def _shown(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"

@@ -1,0 +1,333 @@
+"""Lane markings of a drive or a map against their truth.
+
+Completeness, correctness and redundancy are those of C. Wiedemann, "External Evaluation of Road Networks", ISPRS Archives XXXIV
+(3/W8), 2003: shares of length within a buffer. Other than there, each piece of a found line counts for the nearest marking
+only, so that one line found is not both lines of a double marking.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from pyproj import Transformer
+
+from conetl.files.documents import first_message
+from conetl.geometry.camera import project as image_points
+from conetl.geometry.consistency import Consistency, consistency
+from conetl.geometry.linear_reference import directions_at, project, stations
+from conetl.geometry.packing import cov_matrices
+from conetl.geometry.rig import camera_of, map_SE3_camera
+from conetl.model.errors import InputError
+from conetl.model.markings import Marking, MarkingColour, MarkingPattern
+from conetl.model.records import Drive, NonNegative, Positive, Record, Vec3
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+TRUTH_FILE = "truth_markings.geojson"
+BUFFER_M = 0.15
+#: A dash or gap that differs by no more is the right one: patterns in use differ by 1 m and more.
+DASH_TOLERANCE_M = 0.5
+_STEP_M = 0.1
+#: Where a drive can be expected to show a marking: depth, and distance to the side of the camera.
+_DEPTHS_M = (4.0, 15.0)
+_ASIDE_M = 8.0
+_PER_FOUND = ("lateral_m", "height_m", "width_m", "dash_m", "gap_m", "pattern_right", "colour_right")
+
+
+class TruthMarking(Record):
+    """One lane marking that is there: centre line of its paint, in the map's CRS with ellipsoidal heights."""
+
+    marking_id: str
+    vertices_m: tuple[Vec3, ...]
+    pattern: MarkingPattern
+    colour: MarkingColour
+    width_m: Positive
+    dash_m: Positive | None = None
+    gap_m: Positive | None = None
+    dash_start_m: NonNegative | None = None
+    """Of the first dash, from the first vertex."""
+
+
+def read_truth_markings(path: Path, map_srid: int) -> list[TruthMarking]:
+    """The markings of a GeoJSON file (WGS 84, ellipsoidal heights). Raises InputError that names file and feature."""
+    try:
+        features = json.loads(path.read_text(encoding="utf-8"))["features"]
+    except (OSError, UnicodeDecodeError, ValueError, TypeError, KeyError) as error:
+        raise InputError(f"truth {path}: cannot be read as a GeoJSON FeatureCollection ({error})") from error
+    to_map = Transformer.from_crs(4326, map_srid, always_xy=True)
+    markings = []
+    for number, feature in enumerate(features, 1):
+        try:
+            lon, lat, height = np.array(feature["geometry"]["coordinates"], dtype=float).reshape(-1, 3).T
+            if len(lon) < 2:
+                raise ValueError("a line has at least two points")
+            vertices = np.column_stack([*to_map.transform(lon, lat), height]).tolist()
+            markings.append(TruthMarking.model_validate({**feature["properties"], "vertices_m": vertices}))
+        except ValidationError as error:
+            raise InputError(f"truth {path}, feature {number}, {first_message(error)}") from error
+        except (ValueError, TypeError, KeyError) as error:
+            raise InputError(f"truth {path}, feature {number}: expected a LineString with heights ({error})") from error
+    return markings
+
+
+@dataclass(frozen=True)
+class CommonErrors:
+    """How errors that all vertices of a drive share move V vertices; map frame."""
+
+    jacobian: Floats
+    """(V, 3, K)"""
+    cov: Floats
+    """(K, K)"""
+    own_cov_m2: Floats
+    """(V, 3, 3) of the vertices without them"""
+
+
+@dataclass(frozen=True)
+class MarkingErrors:
+    """Found markings compared with the truth, by samples 0.1 m apart: T of the truth, S of what was found.
+
+    Of vertices (V) that belong to a marking: errors across the marking and upwards.
+    """
+
+    truth_index: NDArray[np.int64]
+    """(T,)"""
+    truth_visible: Mask
+    """(T,)"""
+    truth_found: Mask
+    """(T,)"""
+    found_index: NDArray[np.int64]
+    """(S,)"""
+    matched: NDArray[np.int64]
+    """(S,) marking of the truth, -1 where there is none within the buffer"""
+    lateral_m: Floats
+    """(S,) positive to the left of the truth; this and the following are NaN where nothing matches"""
+    height_m: Floats
+    width_m: Floats
+    """Error of the width"""
+    dash_m: Floats
+    """Error of the length of dashes; NaN of solid lines too"""
+    gap_m: Floats
+    pattern_right: Floats
+    """1 or 0: solid or dashed, with dash and gap to 0.5 m"""
+    colour_right: Floats
+    vertex_m: Floats
+    """(V, 2)"""
+    vertex_cov_m2: Floats
+    """(V, 2, 2)"""
+    common_jacobian: Floats
+    """(V, 2, K)"""
+    common_cov: Floats
+    """(K, K)"""
+
+    def of_truth(self, index: int) -> MarkingErrors:
+        """The samples of one marking of the truth."""
+        names = ("found_index", "matched", *_PER_FOUND)
+        truth, found = self.truth_index == index, self.matched == index
+        return replace(
+            self,
+            **{name: getattr(self, name)[truth] for name in ("truth_index", "truth_visible", "truth_found")},
+            **{name: getattr(self, name)[found] for name in names},
+        )
+
+
+class MarkingFigures(Record):
+    """Figures of markings, metres and shares of length; None where nothing of the kind was found."""
+
+    truth_m: NonNegative
+    """Length of the markings that were visible"""
+    found_m: NonNegative
+    completeness: float | None
+    correctness: float | None
+    redundancy: float | None
+    """Share of the right length that is there twice"""
+    lateral_median_m: float | None
+    lateral_p95_m: float | None
+    height_median_m: float | None
+    height_p95_m: float | None
+    width_median_m: float | None
+    dash_median_m: float | None
+    gap_median_m: float | None
+    pattern_share: float | None
+    colour_share: float | None
+
+
+def visible_to(drive: Drive) -> Callable[[Floats], Mask]:
+    """Which points (N, 3) a drive can have seen well: in both images of a pair, 4 to 15 m deep and within 8 m to the side."""
+
+    def seen(points_m: Floats) -> Mask:
+        found = np.zeros(len(points_m), dtype=bool)
+        for pair in drive.frame_pairs:
+            inside = ~found
+            for side in ("left", "right"):
+                local_SE3_map = np.linalg.inv(map_SE3_camera(pair.pose, drive.rig, side))
+                rows = np.flatnonzero(inside)
+                local = points_m[rows] @ local_SE3_map[:3, :3].T + local_SE3_map[:3, 3]
+                near = (local[:, 2] >= _DEPTHS_M[0]) & (local[:, 2] <= _DEPTHS_M[1]) & (abs(local[:, 0]) <= _ASIDE_M)
+                camera = camera_of(drive.rig, side)
+                uv = image_points(camera, local[near])
+                inside[:] = False
+                limits = np.array([camera.width_px, camera.height_px]) - 0.5
+                inside[rows[near][((uv >= -0.5) & (uv <= limits)).all(axis=1)]] = True
+            found |= inside
+        return found
+
+    return seen
+
+
+def compare_markings(
+    truth: Sequence[TruthMarking],
+    found: Sequence[Marking],
+    visible: Callable[[Floats], Mask],
+    common: CommonErrors | None = None,
+) -> MarkingErrors:
+    """Errors of markings of a drive, or of stretches on the map. common: of all their vertices, in order; None: unknown.
+
+    Every found metre counts for correctness, also where the truth is not visible.
+    """
+    samples = [_sampled(np.array(one.vertices_m)) for one in found]
+    lines = [np.array(one.vertices_m) for one in truth]
+    index = np.repeat(np.arange(len(found)), [len(one) for one in samples])
+    nearest, lateral, height, _ = _nearest(np.concatenate([np.zeros((0, 3)), *samples]), lines)
+
+    truth_samples = [_sampled(line) for line in lines]
+    truth_index = np.repeat(np.arange(len(truth)), [len(one) for one in truth_samples])
+    points = np.concatenate([np.zeros((0, 3)), *truth_samples])
+    truth_found = np.zeros(len(points), dtype=bool)
+    for j, one in enumerate(samples):
+        distance, station, _ = _distances(one, points)
+        at = np.rint(np.clip(station, 0.0, None) / stations(one[:, :2])[-1] * (len(one) - 1)).astype(int)
+        truth_found |= (distance <= BUFFER_M) & (nearest[index == j][np.clip(at, 0, len(one) - 1)] == truth_index)
+
+    matched = nearest >= 0
+    pairs = [(found[j], truth[k]) for j, k in zip(index[matched].tolist(), nearest[matched].tolist(), strict=True)]
+
+    def per_sample(values: Sequence[float]) -> Floats:
+        column = np.full(len(index), np.nan)
+        column[matched] = values
+        return column
+
+    vertices = np.concatenate([np.zeros((0, 3)), *(np.array(one.vertices_m) for one in found)])
+    of, across, up, axes = _nearest(vertices, lines)
+    keep = of >= 0
+    axes = axes[keep]
+    if common is None:
+        own = cov_matrices([cov for one in found for cov in one.cov_m2])
+        common = CommonErrors(np.zeros((len(vertices), 3, 0)), np.zeros((0, 0)), own)
+    return MarkingErrors(
+        truth_index=truth_index,
+        truth_visible=visible(points),
+        truth_found=truth_found,
+        found_index=index,
+        matched=nearest,
+        lateral_m=lateral,
+        height_m=height,
+        width_m=per_sample([a.width_m - b.width_m for a, b in pairs]),
+        dash_m=per_sample([_difference(a.dash_m, b.dash_m) for a, b in pairs]),
+        gap_m=per_sample([_difference(a.gap_m, b.gap_m) for a, b in pairs]),
+        pattern_right=per_sample([_same_pattern(a, b) for a, b in pairs]),
+        colour_right=per_sample([a.colour == b.colour for a, b in pairs]),
+        vertex_m=np.column_stack([across, up])[keep],
+        vertex_cov_m2=axes @ common.own_cov_m2[keep] @ np.swapaxes(axes, 1, 2),
+        common_jacobian=axes @ common.jacobian[keep],
+        common_cov=common.cov,
+    )
+
+
+def marking_figures(drives: Sequence[MarkingErrors]) -> MarkingFigures:
+    """Figures of one drive or of several together."""
+    columns = {
+        name: np.concatenate([getattr(errors, name) for errors in drives])
+        for name in ("truth_visible", "truth_found", "matched", *_PER_FOUND)
+    }
+    visible, covered, matched = columns["truth_visible"], columns["truth_found"], columns["matched"] >= 0
+    return MarkingFigures(
+        truth_m=float(visible.sum()) * _STEP_M,
+        found_m=len(matched) * _STEP_M,
+        completeness=_mean(covered[visible]),
+        correctness=_mean(matched),
+        redundancy=max(1.0 - float(covered.sum() / matched.sum()), 0.0) if matched.any() else None,
+        lateral_median_m=_quantile(columns["lateral_m"], 0.5),
+        lateral_p95_m=_quantile(columns["lateral_m"], 0.95),
+        height_median_m=_quantile(columns["height_m"], 0.5),
+        height_p95_m=_quantile(columns["height_m"], 0.95),
+        width_median_m=_quantile(columns["width_m"], 0.5),
+        dash_median_m=_quantile(columns["dash_m"], 0.5),
+        gap_median_m=_quantile(columns["gap_m"], 0.5),
+        pattern_share=_mean(columns["pattern_right"]),
+        colour_share=_mean(columns["colour_right"]),
+    )
+
+
+def marking_consistency(errors: MarkingErrors) -> dict[str, Consistency | None]:
+    """NEES of the vertices: across the marking, in height, and of both together; None without vertices.
+
+    Vertices farther than the buffer from every marking are not among them. Where the common errors are not known, neighbours are
+    taken for independent: then only the mean says something, not the band.
+    """
+    results: dict[str, Consistency | None] = {}
+    for name, part in (("lateral", slice(0, 1)), ("height", slice(1, 2)), ("together", slice(0, 2))):
+        own, jacobian = errors.vertex_cov_m2[:, part, part], errors.common_jacobian[:, part]
+        known = len(errors.vertex_m) > 0
+        results[name] = consistency(errors.vertex_m[:, part], own, jacobian, errors.common_cov) if known else None
+    return results
+
+
+def _sampled(line_m: Floats) -> Floats:
+    """(N, 3) points about every 0.1 m of a line (K, 3), its ends among them."""
+    station = stations(line_m[:, :2])
+    at = np.linspace(0.0, station[-1], max(round(station[-1] / _STEP_M), 1) + 1)
+    return np.stack([np.interp(at, station, column) for column in line_m.T], axis=1)
+
+
+def _distances(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats, Floats]:
+    """Distance (N,) of points (N, 3) from a line (K, 3) in plan view, station of the nearest point on it, and offset (left)."""
+    station, offset = project(line_m[:, :2], points_m[:, :2])
+    length = stations(line_m[:, :2])[-1]
+    beyond = station - np.clip(station, 0.0, length)
+    return np.hypot(offset, beyond), station - beyond, offset
+
+
+def _nearest(points_m: Floats, lines: Sequence[Floats]) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+    """Of points (N, 3): the nearest line, -1 without one in the buffer; offset to its left and rise above it, both NaN then; axes
+    (N, 2, 3), unit vectors to the left of the line and up."""
+    count = len(points_m)
+    nearest = np.full(count, -1)
+    best, offset, rise = np.full(count, BUFFER_M), np.full(count, np.nan), np.full(count, np.nan)
+    axes = np.zeros((count, 2, 3))
+    axes[:, 1, 2] = 1.0
+    for k, line in enumerate(lines):
+        distance, station, aside = _distances(line, points_m)
+        nearer = distance <= best
+        along = directions_at(line[:, :2], station[nearer])
+        nearest[nearer], best[nearer], offset[nearer] = k, distance[nearer], aside[nearer]
+        rise[nearer] = points_m[nearer, 2] - np.interp(station[nearer], stations(line[:, :2]), line[:, 2])
+        axes[nearer, 0, :2] = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    return nearest, offset, rise, axes
+
+
+def _same_pattern(found: Marking, truth: TruthMarking) -> bool:
+    if found.pattern != truth.pattern:
+        return False
+    differences = _difference(found.dash_m, truth.dash_m), _difference(found.gap_m, truth.gap_m)
+    return truth.pattern == "solid" or max(map(abs, differences)) <= DASH_TOLERANCE_M
+
+
+def _difference(a: float | None, b: float | None) -> float:
+    return np.nan if a is None or b is None else a - b
+
+
+def _quantile(errors: Floats, share: float) -> float | None:
+    """Of the sizes of the errors that are known."""
+    known = np.abs(errors[~np.isnan(errors)])
+    return float(np.quantile(known, share)) if len(known) else None
+
+
+def _mean(values: Floats | Mask) -> float | None:
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else None

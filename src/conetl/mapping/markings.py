@@ -1,0 +1,282 @@
+"""Lane markings of one drive against those of the map -> deltas; docs/explanation/changes.md has the rules.
+
+A lane marking on the map is a row of stretches of at most 10 m, each a feature. The drive's offset is taken out, then each vertex
+of a stretch looks across its direction for a marking of the drive (`marking_lines.py`). A vertex is missed if the drive had it in
+view and no marking is there. A stretch is confirmed by two observed vertices unless half of its vertices are missed. Of those,
+one with a free marking beside it was painted anew (moved); one whose existence probability falls far enough is removed, and what
+was observed of it is founded again (split). Parts of the drive's markings that no stretch claims are added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from math import log
+from typing import NamedTuple
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.packing import cov_matrices
+from conetl.mapping.deltas import ended
+from conetl.mapping.existence_update import is_gone, missed, observed_line
+from conetl.mapping.fusion import OffsetErrors, offset_errors
+from conetl.mapping.marking_deltas import (
+    LineDrive,
+    Sighting,
+    added,
+    confirmed,
+    drive_of,
+    moved,
+    sighting,
+    split,
+    stretches_of,
+)
+from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset, lines_of
+from conetl.mapping.marking_visibility import MarkingView
+from conetl.mapping.visibility import NotObserved
+from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.markings import MarkingTrack
+from conetl.model.params import ReconcileParams
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+#: Vertices (n, 3) in the drive's map frame -> when they were in view; see `marking_visibility.markings_in_view`.
+ViewCheck = Callable[[Floats], MarkingView]
+#: A marking of another colour or width is as bad a match as one so much farther aside.
+_UNLIKE_M, _OTHER_WIDTH_M = 0.1, 0.06
+#: Sigmas of the distance at which two markings may still be the same one.
+_GATE_SIGMAS = 4.0
+#: A stretch is observed, or gone, by at least so many of its vertices.
+_LEAST_VERTICES = 2
+#: A drive that shows less than this share of the length that it misses may have been unable to see markings.
+_LEAST_SHOWN, _SPACING_M = 0.5, 2.5
+
+
+class _State(NamedTuple):
+    """What a drive says of the vertices (n,) of a stretch."""
+
+    seen: Mask
+    missed: Mask
+    view: MarkingView
+    """Of the vertices, since the stretch was last observed."""
+
+    @property
+    def half_is_gone(self) -> bool:
+        count = int(self.missed.sum())
+        return count >= _LEAST_VERTICES and 2 * count >= len(self.missed)
+
+    @property
+    def is_seen(self) -> bool:
+        return int(self.seen.sum()) >= _LEAST_VERTICES
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """The lines of a drive and of the map, and which are the same."""
+
+    drive: LineDrive
+    features: Sequence[MapFeature]
+    on_map: Lines
+    found: Feet
+    """All feet from the map's vertices to lines of the drive beside them."""
+    near: Mask
+    """(K,) of `found`: whether it may be the same marking."""
+    penalty_m: Floats
+    """(K,) of `found`."""
+    claims: Claims
+    same: Feet
+    """Those of `found` that are the same marking."""
+    shift_m: Floats
+    """(3,) what is subtracted from the drive's positions."""
+    taken: OffsetErrors | None
+    """Errors of `shift_m`; None where nothing is subtracted."""
+
+
+def reconcile_markings(
+    markings: Sequence[MarkingTrack],
+    stretches: Sequence[MapFeature],
+    check_view: ViewCheck,
+    params: ReconcileParams,
+    *,
+    offset: tuple[Floats, float],
+    founding_key: str,
+    pinned: Collection[UUID] = (),
+    summaries: Mapping[UUID, MissSummary] | None = None,
+) -> list[Delta]:
+    """Deltas that bring the lane markings of the map from before the drive to after it; no order matters.
+
+    offset: of the drive's cones (`association.common_offset`); where its weight is 0, that of the lines is used. Other arguments
+    as for `changes.reconcile`.
+    """
+    summaries = summaries or {}
+    c = _compared(markings, stretches, params, offset)
+    drive, features = c.drive, c.features
+    states = _states(c, check_view, params)
+
+    def evidence_for(j: int, one: Sighting) -> ExistenceEvidence:
+        old = features[j]
+        return observed_line(old, summaries.get(old.feature_id), drive.tracks[one.track], one.frames)
+
+    seen = {j: sighting(_main_line(c, j), drive, one.view, one.seen) for j, one in states.items() if one.is_seen}
+    confirmations = confirmed(seen, features, c.on_map, c.same, drive, {j: evidence_for(j, seen[j]) for j in seen})
+    fixed = {j for j, feature in enumerate(features) if feature.feature_id in pinned}
+    absent = {j: one for j, one in states.items() if one.half_is_gone and not (j in seen and j in fixed)}
+    deltas = [delta for j, delta in confirmations.items() if j not in absent]
+    against = _absences(absent, c, summaries, params)
+
+    sure = np.array([t.existence_probability >= params.founding_existence_probability for t in drive.tracks], bool)
+    vanished = {j for j, (_, one) in against.items() if is_gone(one, params, moved=True)} - fixed - seen.keys()
+    anew = _painted_anew(c, states, vanished, sure)
+    for j, own in anew.items():
+        where = np.isin(np.flatnonzero(c.on_map.line == j), own.point)
+        one = sighting(int(own.line[0]), drive, states[j].view, where)
+        deltas.append(moved(features[j], own, one, drive, c.shift_m, c.taken, evidence_for(j, one)))
+    for j in against.keys() - anew.keys():
+        absence, evidence = against[j]
+        end = _unobserved(features[j], absence, evidence, j not in fixed, summaries, params)
+        deltas.append(end)
+        if end.kind is DeltaKind.REMOVED and j in seen:
+            rest = _runs(states[j].seen)
+            deltas += [split(confirmations[j], run, end.changed_at_ns, founding_key) for run in rest]
+    for i in np.flatnonzero(sure).tolist():
+        for part_m in c.claims.free_parts(i, drive.length_m(i), params.marking_least_m):
+            for piece in stretches_of(drive, i, part_m):
+                view = check_view(piece.at(drive.lines.vertices_m))
+                one = sighting(i, drive, view, np.ones(len(piece.point), bool))
+                founding = observed_line(None, None, drive.tracks[i], one.frames)
+                deltas.append(added(piece, one, drive, c.shift_m, c.taken, founding_key, founding))
+    return deltas
+
+
+def _compared(
+    markings: Sequence[MarkingTrack],
+    stretches: Sequence[MapFeature],
+    params: ReconcileParams,
+    offset: tuple[Floats, float],
+) -> _Comparison:
+    drive = drive_of(sorted(markings, key=lambda track: track.marking_index))
+    features = sorted(stretches, key=lambda feature: feature.feature_id)
+    shapes = [feature.marking for feature in features if feature.marking is not None]
+    on_map = lines_of([np.array(shape.vertices_m) for shape in shapes])
+    map_cov = cov_matrices([cov for shape in shapes for cov in shape.cov_m2])
+    offset_m, weight = offset
+    if weight == 0:
+        offset_m, weight = lateral_offset(drive.lines, on_map, _variance(drive.cov_m2), _variance(map_cov), params)
+    placed = drive.lines._replace(vertices_m=drive.lines.vertices_m - offset_m)
+    found = feet(on_map, placed, params.marking_moved_max_m)
+    apart_m = (found.at(placed.vertices_m) - on_map.vertices_m[found.point])[:, 2]
+    # With a known offset only the errors that the drive does not share count; otherwise all do.
+    cov = found.at(drive.relative_m2) if weight > 0 else found.at(drive.cov_m2) + map_cov[found.point]
+    normal = on_map.normals[found.point]
+    sigma_m = np.sqrt(np.einsum("ki,kij,kj->k", normal, cov[:, :2, :2], normal))
+    near = np.abs(found.lateral_m) <= np.maximum(_GATE_SIGMAS * sigma_m, params.marking_gate_m)
+    near &= np.abs(apart_m) <= params.max_rise_m
+    penalty_m = _penalty_m(found, on_map, features, drive)
+    claims = Claims(found, on_map.line)
+    same = found.only(claims.claim(np.flatnonzero(near), penalty_m[near], lambda _: 1))
+    taken = None
+    if weight > 0 and len(same.point):
+        pairs = sorted({*zip(on_map.line[same.point].tolist(), same.line.tolist(), strict=True)})
+        jacobians = [drive.tracks[i].shared_jacobian for _, i in pairs]
+        taken = offset_errors([features[j] for j, _ in pairs], jacobians, weight)
+    return _Comparison(drive, features, on_map, found, near, penalty_m, claims, same, weight * offset_m, taken)
+
+
+def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive: LineDrive) -> Floats:
+    """(K,) for markings of another colour or width."""
+    penalty = np.zeros(len(found.point))
+    for k, (j, i) in enumerate(zip(on_map.line[found.point].tolist(), found.line.tolist(), strict=True)):
+        a, b = features[j].marking, drive.tracks[i].marking
+        if a is not None:
+            other_colour = len({a.colour, b.colour} - {"other"}) == 2
+            other_width = abs(a.width_m - b.width_m) > _OTHER_WIDTH_M
+            penalty[k] = _UNLIKE_M * (int(other_colour) + int(other_width))
+    return penalty
+
+
+def _states(c: _Comparison, check_view: ViewCheck, params: ReconcileParams) -> dict[int, _State]:
+    """Of the stretches of which the drive observed a vertex or had enough in view to miss one, by number."""
+    states = {}
+    observed = np.zeros(len(c.on_map.line), bool)
+    observed[c.same.point] = True
+    for j, feature in enumerate(c.features):
+        own = c.on_map.line == j
+        seen = observed[own]
+        view = check_view(c.on_map.vertices_m[own] + c.shift_m).after(feature.last_seen_ns)
+        gone = ~seen & (view.in_view.sum(axis=1) >= params.marking_min_frames)
+        if seen.any() or gone.any():
+            states[j] = _State(seen, gone, view)
+    return states
+
+
+def _main_line(c: _Comparison, j: int) -> int:
+    """The marking of the drive that most vertices of a stretch are on."""
+    return int(np.bincount(c.same.line[c.on_map.line[c.same.point] == j]).argmax())
+
+
+def _absences(
+    absent: Mapping[int, _State],
+    c: _Comparison,
+    summaries: Mapping[UUID, MissSummary],
+    params: ReconcileParams,
+) -> dict[int, tuple[NotObserved, ExistenceEvidence]]:
+    """Evidence against the stretches of which half is gone."""
+    shown_m = sum(c.drive.length_m(i) for i in range(len(c.drive.tracks)))
+    is_blind = shown_m < _LEAST_SHOWN * _SPACING_M * sum(int(state.missed.sum()) for state in absent.values())
+    ratio = log(params.marking_blind_probability if is_blind else params.marking_missed_probability)
+    against = {}
+    for j, state in absent.items():
+        period = state.view.period_of(state.missed)
+        if period is not None:
+            absence = NotObserved(frames=period[0], first_ns=period[1], log_likelihood_ratio=ratio)
+            summary = summaries.get(c.features[j].feature_id)
+            against[j] = absence, missed(c.features[j], summary, absence, params)
+    return against
+
+
+def _painted_anew(
+    c: _Comparison, states: Mapping[int, _State], vanished: Collection[int], sure: Mask
+) -> dict[int, Feet]:
+    """Of the vanished stretches those with a free marking of the drive beside more than half of their vertices."""
+    beside = np.flatnonzero(~c.near & np.isin(c.on_map.line[c.found.point], list(vanished)) & sure[c.found.line])
+    rows = c.claims.claim(beside, c.penalty_m[beside], lambda j: max(_LEAST_VERTICES, len(states[j].seen) // 2 + 1))
+    found = c.found.only(rows)
+    stretch = c.on_map.line[found.point]
+    return {j: found.only(stretch == j) for j in np.unique(stretch).tolist()}
+
+
+def _unobserved(
+    feature: MapFeature,
+    absence: NotObserved,
+    evidence: ExistenceEvidence,
+    is_loose: bool,
+    summaries: Mapping[UUID, MissSummary],
+    params: ReconcileParams,
+) -> Delta:
+    """The stretch removed, from the first miss on, or missed."""
+    from_ns = absence.first_ns
+    if is_loose and is_gone(evidence, params):
+        if feature.feature_id in summaries:
+            from_ns = min(summaries[feature.feature_id].first_missed_ns, from_ns)
+        return ended(DeltaKind.REMOVED, feature, from_ns, evidence=evidence)
+    return Delta(
+        kind=DeltaKind.MISSED,
+        feature_id=feature.feature_id,
+        old=feature,
+        new=feature,
+        changed_at_ns=from_ns,
+        evidence=evidence,
+    )
+
+
+def _variance(cov_m2: Floats) -> float:
+    """Mean horizontal variance of (N, 3, 3) covariances."""
+    return float(np.mean(cov_m2[:, 0, 0] + cov_m2[:, 1, 1])) / 2 if len(cov_m2) else 0.0
+
+
+def _runs(seen: Mask) -> list[NDArray[np.int64]]:
+    """Successive observed vertices, at least two each."""
+    rows = np.flatnonzero(seen)
+    return [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(run) >= _LEAST_VERTICES]

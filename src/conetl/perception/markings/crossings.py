@@ -1,0 +1,271 @@
+"""Lane markings in one frame pair: where rows of both images cross bright bands on the road.
+
+Both images are resampled to one grid on the road plane (`road_plane.py`): a row of the grid is a row of the left image, its
+columns are `_STEP_M` apart on the road. A band is a rising and a falling edge (extremes of the derivative of a Gaussian, to a
+part of a column) as far apart as paint is wide, brighter than the road on both sides of it, which are alike. Bands of the same
+row in both images are one point in space, whatever the shape of the road. Kerbs are bright bands too: the road beside paint is
+as high as the paint, which the dense disparities show.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.model.params import MarkingParams
+from conetl.model.records import Rig
+from conetl.perception.markings.points import MarkingPoints, PointColumns
+from conetl.perception.markings.road_plane import RoadPlane, find_road, right_from_parallel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Grid = NDArray[np.float32]
+
+#: Columns of the grid on the road: fine enough for the nearest rows, of which a pixel is about as wide.
+_STEP_M = 0.01
+#: Rows of the grid along the road.
+_ROW_STEP_M = 0.2
+#: Sigma of the Gaussian whose derivative finds edges.
+_EDGE_SIGMA_M = 0.02
+#: The road beside a band: from and to this distance from its edges.
+_BESIDE_M = (0.04, 0.14)
+#: Inside of a band: at least this far from its edges.
+_INSIDE_M = 0.02
+#: Where their mean grey levels are sampled, as shares of the width.
+_SAMPLES = np.linspace(0.0, 1.0, 9)
+#: A band's edges and its middle are at least this many sigmas of the row's noise above the road ...
+_NOISE_SIGMAS = 4.0
+#: ... and this share of the road's grey level; the two sides differ by at most this share of the contrast.
+_LEAST_RELATIVE, _SIDE_SHARE = 0.25, 0.5
+#: Bands of both images are one marking if they are this near on the road plane (it may lie 0.3 m higher or lower) ...
+_PARALLAX_M = 0.15
+#: ... and their widths and contrasts have at most these ratios.
+_WIDTH_RATIO, _CONTRAST_RATIO = 1.4, 1.6
+#: Where the height of the road beside a marking is measured: distances from its edges (m), and rows of the image.
+_ROAD_BESIDE_M = np.linspace(0.2, 0.6, 9)
+_ROAD_ROWS_PX = np.array([-4.0, 0.0, 4.0])
+_LEAST_ON_SIDE = 4
+
+
+class RoadGrid(NamedTuple):
+    """Image points of the grid's R rows and C columns on the road plane."""
+
+    rows_px: Floats
+    """(R,) rows of the left image."""
+    depth_m: Floats
+    """(R,) of the middle column."""
+    columns_px: Floats
+    """(R,) pixels between two columns."""
+    offsets: Floats
+    """(C,) columns from the middle one."""
+    plane: Floats
+
+    def u_px(self, row: Ints, column: Floats, cx_px: float) -> Floats:
+        """Columns of the left image, at (fractional) columns of the grid."""
+        return np.asarray(cx_px + (column + self.offsets[0]) * self.columns_px[row])
+
+    def road_px(self, row: Ints, u_px: Floats) -> Floats:
+        """Disparities of the road."""
+        return np.asarray(self.plane[0] * u_px + self.plane[1] * self.rows_px[row] + self.plane[2])
+
+
+class Bands(NamedTuple):
+    """Bright bands in one resampled image: N rows, and fractional columns of both edges."""
+
+    row: Ints
+    rise: Floats
+    fall: Floats
+    contrast: Floats
+    """Grey levels above the mean of both sides."""
+
+    @property
+    def middle(self) -> Floats:
+        return (self.rise + self.fall) / 2
+
+
+def find_points(
+    frame_index: int, left: NDArray[np.uint8], right: NDArray[np.uint8], rig: Rig, params: MarkingParams
+) -> MarkingPoints:
+    """All points of lane markings that one frame pair of colour images (H, W, 3) shows; none where it shows no road."""
+    grey_left, grey_right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (left, right))
+    road = find_road(grey_left, grey_right, rig)
+    if road is None:
+        return MarkingPoints(frame_index=frame_index)
+    grid = road_grid(road, rig, params)
+    if not len(grid.rows_px):
+        return MarkingPoints(frame_index=frame_index)
+    cx = rig.left.cx_px
+    all_rows = np.arange(len(grid.rows_px))[:, None]
+    u = grid.u_px(all_rows, np.arange(len(grid.offsets))[None, :].astype(np.float64), cx)
+    v = np.broadcast_to(grid.rows_px[:, None], u.shape)
+    sides = [resampled(left, u, v)]
+    turned = np.stack([u - grid.road_px(all_rows, u), v, np.ones_like(u)], axis=-1) @ right_from_parallel(rig).T
+    sides.append(resampled(right, turned[..., 0] / turned[..., 2], turned[..., 1] / turned[..., 2]))
+    ours, theirs = (find_bands(grey, params) for _, grey in sides)
+    first, second = matched(ours, theirs)
+    row, rise, fall = ours.row[first], ours.rise[first], ours.fall[first]
+    u_left = grid.u_px(row, (rise + fall) / 2, cx)
+    u_right = grid.u_px(row, theirs.middle[second], cx)
+    disparity = u_left - u_right + grid.road_px(row, u_right)
+    uv = np.stack([u_left, grid.rows_px[row]], axis=1)
+    height, focal_base = road.height_m(uv, disparity), rig.left.fx_px * rig.baseline_m
+    width = (fall - rise + theirs.fall[second] - theirs.rise[second]) / 2 * _STEP_M
+    blue, red = _tints(sides[0][0], ours, first)
+    found = PointColumns(
+        u_px=u_left,
+        v_px=uv[:, 1],
+        disparity_px=disparity,
+        width_m=width * focal_base / (grid.depth_m[row] * disparity),
+        contrast=(ours.contrast[first] + theirs.contrast[second]) / 2,
+        blue=blue,
+        red=red,
+        above_left_m=height - _road_height_beside(road, grid, row, grid.u_px(row, rise, cx), -1),
+        above_right_m=height - _road_height_beside(road, grid, row, grid.u_px(row, fall, cx), 1),
+        road_px=grid.road_px(row, u_left),
+        row=row.astype(np.float64),
+    )
+    return MarkingPoints(
+        frame_index=frame_index,
+        points=np.stack(found, axis=1),
+        rows=np.stack([grid.rows_px, grid.depth_m], axis=1),
+    )
+
+
+def road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> RoadGrid:
+    """Rows about `_ROW_STEP_M` apart between the least and the largest range that lie in the image; columns as far as params say.
+
+    Whole rows of the image: interpolated between two rows, an edge that crosses them at a flat angle has two steps.
+    """
+    camera, plane = rig.left, road.plane
+    depth = np.arange(params.min_range_m, params.max_range_m, _ROW_STEP_M)
+    focal_base, by_row = camera.fx_px * rig.baseline_m, np.array([plane[1], plane[2] + plane[0] * camera.cx_px])
+    rows = np.unique(np.rint((focal_base / depth - by_row[1]) / by_row[0]))[::-1]
+    rows = rows[(rows >= 0) & (rows <= camera.height_px - 1)]
+    depth = focal_base / (rows * by_row[0] + by_row[1])
+    half = int(params.max_offset_m / _STEP_M)
+    return RoadGrid(rows, depth, _STEP_M * camera.fx_px / depth, np.arange(-half, half + 1.0), plane)
+
+
+def resampled(image: NDArray[np.uint8], u: Floats, v: Floats) -> tuple[NDArray[np.uint8], Grid]:
+    """The colours (R, C, 3) and grey levels (R, C) of an image at points; NaN in the grey levels outside of it."""
+    colours = np.asarray(cv2.remap(image, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR), dtype=np.uint8)
+    grey = cv2.cvtColor(colours, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    height, width = image.shape[:2]
+    grey[(u < 0) | (u > width - 1) | (v < 0) | (v > height - 1)] = np.nan
+    return colours, grey
+
+
+def find_bands(grey: Grid, params: MarkingParams) -> Bands:
+    """Bands in a resampled image (R, C), NaN where there is none."""
+    valid = np.isfinite(grey)
+    sigma = _EDGE_SIGMA_M / _STEP_M
+    slope = _derivative(np.where(valid, grey, 0.0).astype(np.float32), sigma)
+    reach = int(np.ceil(3 * sigma)) + 1
+    inner = cv2.erode(valid.astype(np.uint8), np.ones((1, 2 * reach + 1), np.uint8), borderValue=0) > 0
+    slope[~inner] = 0.0
+    # A step of height 1 has this peak.
+    peak = 1 / (sigma * np.sqrt(2 * np.pi))
+    spread = np.where(inner, np.abs(slope), np.nan)
+    with np.errstate(all="ignore"):
+        noise = 1.4826 * np.nan_to_num(np.nanmedian(spread[:, ::4], axis=1)) / peak
+    least = np.maximum(params.min_contrast / 2, _NOISE_SIGMAS / 2 * noise)[:, None] * peak
+    rise_row, rise = _peaks(slope, least)
+    fall_row, fall = _peaks(-slope, least)
+    columns = grey.shape[1]
+    rise_key, fall_key = rise_row * columns + rise, fall_row * columns + fall
+    after = np.searchsorted(fall_key, rise_key)
+    # The last rising edge before a falling one.
+    last = np.append(after[1:] != after[:-1], True) if len(after) else np.zeros(0, dtype=bool)
+    usable = last & (after < len(fall_key))
+    rise_row, rise, after = rise_row[usable], rise[usable], after[usable]
+    width = (fall[after] - rise) * _STEP_M
+    fits = (fall_row[after] == rise_row) & (width >= params.min_width_m) & (width <= params.max_width_m)
+    row, rise, fall = rise_row[fits], rise[fits], fall[after[fits]]
+    inside, before, behind = _inside_and_beside(grey, row, rise, fall)
+    contrast = inside - (before + behind) / 2
+    darkest = np.maximum(before, behind)
+    good = inside - darkest >= np.maximum(params.min_contrast, _NOISE_SIGMAS * noise[row])
+    good &= (contrast >= _LEAST_RELATIVE * darkest) & (np.abs(before - behind) <= _SIDE_SHARE * contrast)
+    return Bands(row[good], rise[good], fall[good], contrast[good])
+
+
+def _derivative(grey: Grid, sigma: float) -> Grid:
+    """Along the rows, of the image smoothed by a Gaussian."""
+    at = np.arange(-int(np.ceil(3 * sigma)), int(np.ceil(3 * sigma)) + 1)
+    kernel = np.exp(-0.5 * (at / sigma) ** 2) / (sigma**3 * np.sqrt(2 * np.pi)) * at
+    return np.asarray(cv2.filter2D(grey, cv2.CV_32F, kernel[None].astype(np.float32)))
+
+
+def _peaks(slope: Grid, least: Floats) -> tuple[Ints, Floats]:
+    """Rows and fractional columns of the maxima along rows that reach `least` (R, 1), in order."""
+    middle = slope[:, 1:-1]
+    row, column = np.nonzero((middle >= slope[:, :-2]) & (middle > slope[:, 2:]) & (middle >= least))
+    a, b, c = (slope[row, column + k].astype(np.float64) for k in range(3))
+    return row, column + 1 + 0.5 * (a - c) / (a - 2 * b + c)
+
+
+def _inside_and_beside(
+    image: NDArray[np.generic], row: Ints, rise: Floats, fall: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """(N, ...) mean values of a resampled image (R, C, ...) in bands with these edges, and on their left and right."""
+    inset, near, far = _INSIDE_M / _STEP_M, _BESIDE_M[0] / _STEP_M, _BESIDE_M[1] / _STEP_M
+    parts = ((rise + inset, fall - inset), (rise - far, rise - near), (fall + near, fall + far))
+
+    def mean(start: Floats, end: Floats) -> Floats:
+        columns = np.rint(start[:, None] + (end - start)[:, None] * _SAMPLES).astype(np.intp)
+        values = image[row[:, None], np.clip(columns, 0, image.shape[1] - 1)]
+        return np.asarray(values.mean(axis=1, dtype=np.float64))
+
+    inside, before, behind = (mean(*part) for part in parts)
+    return inside, before, behind
+
+
+def matched(ours: Bands, theirs: Bands) -> tuple[Ints, Ints]:
+    """Bands of the left and the right image that are each other's nearest in a row, alike and near enough: their numbers."""
+    if not len(ours.row) or not len(theirs.row):
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    apart = 1e6
+    ours_key, theirs_key = ours.row * apart + ours.middle, theirs.row * apart + theirs.middle
+    forth, back = _nearest(theirs_key, ours_key), _nearest(ours_key, theirs_key)
+    first = np.flatnonzero(back[forth] == np.arange(len(forth)))
+    second = forth[first]
+    ratio = (ours.fall - ours.rise)[first] / (theirs.fall - theirs.rise)[second]
+    contrasts = ours.contrast[first] / theirs.contrast[second]
+    good = np.abs(ours_key[first] - theirs_key[second]) * _STEP_M <= _PARALLAX_M
+    good &= np.abs(np.log(ratio)) <= np.log(_WIDTH_RATIO)
+    good &= np.abs(np.log(contrasts)) <= np.log(_CONTRAST_RATIO)
+    return first[good], second[good]
+
+
+def _nearest(keys: Floats, wanted: Floats) -> Ints:
+    """Number of the nearest of rising keys."""
+    right = np.clip(np.searchsorted(keys, wanted), 1, max(len(keys) - 1, 1))
+    right = np.minimum(right, len(keys) - 1)
+    left = np.maximum(right - 1, 0)
+    return np.where(wanted - keys[left] <= keys[right] - wanted, left, right)
+
+
+def _road_height_beside(road: RoadPlane, grid: RoadGrid, row: Ints, edge_px: Floats, sign: int) -> Floats:
+    """(N,) median measured height above the plane beside an edge, on its outer side; NaN where too little was measured."""
+    if not len(row):
+        return np.zeros(0)
+    u = edge_px[:, None] + sign * _ROAD_BESIDE_M / _STEP_M * grid.columns_px[row][:, None]
+    uv = np.stack(np.broadcast_arrays(u[:, None, :], (grid.rows_px[row][:, None] + _ROAD_ROWS_PX)[:, :, None]), axis=-1)
+    heights = road.height_m(uv, road.measured_at(uv)).reshape(len(row), -1)
+    enough = np.isfinite(heights).sum(axis=1) >= _LEAST_ON_SIDE
+    found = np.full(len(row), np.nan)
+    found[enough] = np.nanmedian(heights[enough], axis=1)
+    return found
+
+
+def _tints(colours: NDArray[np.uint8], bands: Bands, chosen: Ints) -> tuple[Floats, Floats]:
+    """(N,) logarithms of how much brighter than the road the paint is in blue, and in red, each against green.
+
+    Ratios of paint to road do not depend on the white balance; of white paint they are equal in all colours.
+    """
+    paint, before, behind = _inside_and_beside(colours, bands.row[chosen], bands.rise[chosen], bands.fall[chosen])
+    blue, green, red = np.log(np.maximum(paint, 1) / np.maximum((before + behind) / 2, 1)).T
+    return blue - green, red - green

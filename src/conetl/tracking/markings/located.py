@@ -1,0 +1,106 @@
+"""Points of lane markings of a whole drive: in the map, and along and across the drive's path."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.linear_reference import project, smoothed, stations, without_standstill
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.records import Drive, Rig
+from conetl.perception.markings.points import MarkingPoints, PointColumns
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+#: The path is given by points so far apart, smoothed so much: the sway of a vehicle is none of the road.
+_PATH_STEP_M, _PATH_SIGMA_M, _LEAST_MOVE_M = 1.0, 3.0, 0.3
+#: A point lies so far behind and ahead of its camera along the path; a path may come back to the same road.
+_BEHIND_M, _AHEAD_M = 5.0, 15.0
+
+
+@dataclass(frozen=True)
+class LocatedPoints:
+    """N points of all frame pairs of a drive, and the path that their stations belong to."""
+
+    line_m: Floats
+    """(P, 2) easting and northing of the path of the left camera."""
+    frames: tuple[MarkingPoints, ...]
+    """The F frame pairs that were searched, ..."""
+    frame_station_m: Floats
+    """... (F,) where they are on the path, ..."""
+    map_SE3_left: Floats
+    """... and (F, 4, 4) their left cameras."""
+    frame: Ints
+    """(N,) number of the frame pair of each point."""
+    columns: PointColumns
+    xyz_m: Floats
+    """(N, 3) in the map, by intersection of the rays of both images."""
+    station_m: Floats
+    offset_m: Floats
+    """(N,) of these points from the path, positive to its left."""
+    road_station_m: Floats
+    road_offset_m: Floats
+    """(N,) of where the left ray meets the plane of the road: less noise, but wrong where the road is no plane."""
+    weight: Floats
+    """(N,) inverse variances, up to a common factor."""
+
+    def some(self, chosen: Ints | NDArray[np.bool_]) -> LocatedPoints:
+        """Those points only."""
+        return LocatedPoints(
+            self.line_m, self.frames, self.frame_station_m, self.map_SE3_left, self.frame[chosen],
+            PointColumns(*(column[chosen] for column in self.columns)), self.xyz_m[chosen], self.station_m[chosen],
+            self.offset_m[chosen], self.road_station_m[chosen], self.road_offset_m[chosen], self.weight[chosen],
+        )  # fmt: skip
+
+
+def camera_points(columns: PointColumns, disparity_px: Floats, rig: Rig) -> Floats:
+    """(N, 3) m, in the left camera's frame, at disparities (N,)."""
+    camera = rig.left
+    depth = camera.fx_px * rig.baseline_m / disparity_px
+    x, y = (columns.u_px - camera.cx_px) / camera.fx_px, (columns.v_px - camera.cy_px) / camera.fy_px
+    return np.stack([x * depth, y * depth, depth], axis=1)
+
+
+def locate_points(found: Sequence[MarkingPoints], drive: Drive, max_range_m: float) -> LocatedPoints | None:
+    """All points of a drive, with the drive's poses and rig; None for a drive that shows none or does not move."""
+    poses: Mapping[int, Floats] = {pair.frame_index: map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs}
+    path = np.stack([pose[:2, 3] for pose in poses.values()])
+    moved = without_standstill(path, _LEAST_MOVE_M)
+    frames = tuple(one for one in found if one.frame_index in poses and one.points)
+    if len(moved) < 2 or not frames:
+        return None
+    line = smoothed(moved, _PATH_STEP_M, _PATH_SIGMA_M)
+    left = np.stack([poses[one.frame_index] for one in frames])
+    along = stations(line)
+    # A path may cross itself: the station of a frame pair is found by how far the vehicle had come.
+    driven = dict(zip(poses, np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))]), strict=True))
+    share = along[-1] / max(*driven.values(), 1e-9)
+    guess = [share * driven[one.frame_index] for one in frames]
+    columns = [one.columns() for one in frames]
+    xyz, places, own_station = [], [], []
+    for pose, own, near in zip(left, columns, guess, strict=True):
+        first, last = np.searchsorted(along, [near - _BEHIND_M, near + max_range_m + _AHEAD_M])
+        first = min(max(first - 1, 0), len(line) - 2)
+        part = line[first : max(last + 1, first + 2)]
+        by_stereo, by_road = (
+            camera_points(own, disparity, drive.rig) @ pose[:3, :3].T + pose[:3, 3]
+            for disparity in (own.disparity_px, own.road_px)
+        )
+        s, d = project(part, np.concatenate([pose[None, :2, 3], by_stereo[:, :2], by_road[:, :2]]))
+        xyz.append(by_stereo)
+        own_station.append(s[0] + along[first])
+        places.append(np.concatenate([s[1:] + along[first], d[1:]]).reshape(4, -1))
+    together = PointColumns(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
+    station, road_station, offset, road_offset = np.concatenate(places, axis=1)
+    camera = camera_points(together, together.road_px, drive.rig)
+    # Errors of disparities grow where a marking crosses the rows at a flat angle, their effect with the distance.
+    oblique = camera[:, 0] / np.maximum(camera[:, 1], 0.3)
+    return LocatedPoints(
+        line, frames, np.array(own_station), left, np.repeat(np.arange(len(frames)), [len(own.u_px) for own in columns]),
+        together, np.concatenate(xyz), station, offset, road_station, road_offset,
+        1 / (camera[:, 2] ** 2 * (1 + oblique**2)),
+    )  # fmt: skip

@@ -1,0 +1,214 @@
+"""Where along a chain there is paint: solid and dashed pieces, lengths of dashes and gaps.
+
+Of every row that a frame pair searched it is known where it crosses the chain and whether paint was found there. The share of
+hits along the chain is the evidence for paint and, no less, for gaps.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from conetl.geometry.linear_reference import locate
+from conetl.model.markings import MarkingPattern
+from conetl.model.records import Rig
+from conetl.tracking.markings.located import LocatedPoints
+
+Floats = NDArray[np.float64]
+
+#: Cells along the chain, and the sigma by which their shares of hits are smoothed.
+_CELL_M, _SMOOTHING_M = 0.1, 0.15
+#: There is paint where the share of hits is at least this part of what it is where there is most.
+_PAINTED = 0.5
+#: Shorter gaps and shorter runs of paint are noise.
+_LEAST_GAP_M, _LEAST_RUN_M = 0.5, 0.4
+#: No dash is as long (motorways: 6 m); no solid line has a longer worn hole.
+_LONGEST_DASH_M, _LONGEST_HOLE_M = 8.0, 4.0
+#: Dashes and gaps of one line have at most this relative scatter (median absolute deviation).
+_REGULAR = 0.3
+#: A line with paint on more than this share of its length is solid, though worn.
+_WORN = 0.75
+#: The chain is drawn by points so far apart for its projection into the images.
+_DRAWN_M = 0.25
+
+
+class Searched(NamedTuple):
+    """Rows of all frame pairs that cross a chain, inside of both images."""
+
+    station_m: Floats
+    hit: NDArray[np.bool_]
+    """Whether paint was found there."""
+    weight: Floats
+    """A row far away covers more of the road."""
+
+
+class Piece(NamedTuple):
+    """Part of a chain with one pattern."""
+
+    start_m: float
+    end_m: float
+    pattern: MarkingPattern
+    painted_m: float
+    """Length of paint."""
+    hit_share: float
+    """Share of hits where there is paint."""
+    dash_m: float | None = None
+    gap_m: float | None = None
+
+
+def searched_rows(points: LocatedPoints, station_m: Floats, offset_m: Floats, height_m: Floats, rig: Rig) -> Searched:
+    """The searched rows that cross a chain; points: those of the chain alone, the rest: its course (K,) by rising station."""
+    camera, focal_base = rig.left, rig.left.fx_px * rig.baseline_m
+    drawn = np.arange(station_m[0], station_m[-1] + _DRAWN_M, _DRAWN_M)
+    across = locate(points.line_m, drawn, np.interp(drawn, station_m, offset_m))
+    course = np.column_stack([across, np.interp(drawn, station_m, height_m)])
+    found: list[Floats] = []
+    for number, one in enumerate(points.frames):
+        rows = one.searched()
+        reach = rows[:, 1].max() if len(rows) else 0.0
+        near = (drawn > points.frame_station_m[number]) & (drawn < points.frame_station_m[number] + reach + 5.0)
+        if near.sum() < 2:
+            continue
+        pose = points.map_SE3_left[number]
+        seen = (course[near] - pose[:3, 3]) @ pose[:3, :3]
+        ahead = seen[:, 2] > 1.0
+        seen, at = seen[ahead], drawn[near][ahead]
+        if len(seen) < 2:
+            continue
+        u, v = (
+            seen[:, k] / seen[:, 2] * f + c
+            for k, f, c in ((0, camera.fx_px, camera.cx_px), (1, camera.fy_px, camera.cy_px))
+        )
+        order = np.argsort(v)
+        own = points.frame == number
+        row_u, row_depth, row_s = (
+            np.interp(rows[:, 0], v[order], x[order], np.nan, np.nan) for x in (u, seen[:, 2], at)
+        )
+        with np.errstate(invalid="ignore"):
+            inside = (row_u > _margin(camera.width_px)) & (row_u < camera.width_px - _margin(camera.width_px))
+            inside &= row_u - focal_base / row_depth > _margin(camera.width_px)
+        hit = np.isin(np.arange(len(rows)), points.columns.row[own])
+        found.append(np.stack([row_s, hit, 1 / row_depth], axis=1)[inside])
+    station, hit, weight = np.concatenate(found).T if found else np.zeros((3, 0))
+    return Searched(station, hit > 0, weight**2)
+
+
+def _margin(width_px: int) -> float:
+    return 0.02 * width_px
+
+
+def pieces_of(searched: Searched, min_length_m: float) -> list[Piece]:
+    """Pieces of a chain with paint of at least a length, by rising station."""
+    if not len(searched.station_m):
+        return []
+    low = searched.station_m.min() - 1.0
+    cell = ((searched.station_m - low) / _CELL_M).astype(np.intp)
+    size = cell.max() + 11
+    sigma = _SMOOTHING_M / _CELL_M
+    seen, hits = (
+        gaussian_filter1d(np.bincount(cell, values, size), sigma, mode="constant")
+        for values in (searched.weight, searched.weight * searched.hit)
+    )
+    known = seen > 0.02 * np.median(seen[seen > 0])
+    share = np.where(known, hits / np.maximum(seen, 1e-12), 0.0)
+    at = low + (np.arange(size) + 0.5) * _CELL_M
+    usual = float(np.percentile(share[share > 0.05], 75)) if (share > 0.05).any() else 0.0
+    runs = _runs(at, share, known, _PAINTED * usual)
+    pieces = [_piece(group, searched) for group in _groups(runs)]
+    return [piece for piece in pieces if piece is not None and piece.painted_m >= min_length_m]
+
+
+class Run(NamedTuple):
+    """Paint from start to end; whether the gap before it and after it was seen to be empty."""
+
+    start_m: float
+    end_m: float
+    empty_before: bool
+    empty_after: bool
+
+    @property
+    def length_m(self) -> float:
+        return self.end_m - self.start_m
+
+
+def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> list[Run]:
+    """Runs of paint, their ends where the share of hits crosses `least`; across what was not seen a run goes on."""
+    above = (share >= least).astype(np.int8)
+    begins, ends = np.flatnonzero(np.diff(above) == 1), np.flatnonzero(np.diff(above) == -1)
+    bounds = [
+        [
+            float(np.interp(least, share[[i, i + 1]], at[[i, i + 1]])),
+            float(np.interp(-least, -share[[j, j + 1]], at[[j, j + 1]])),
+        ]
+        for i, j in zip(begins, ends, strict=True)
+    ]
+    joined: list[list[float]] = []
+    for start, end in bounds:
+        unseen = bool(joined) and not known[(at > joined[-1][1]) & (at < start)].all()
+        if joined and (start - joined[-1][1] < _LEAST_GAP_M or unseen):
+            joined[-1][1] = end
+        else:
+            joined.append([start, end])
+    runs = []
+    for start, end in joined:
+        before, after = ((at > a) & (at < b) for a, b in ((start - 0.5, start), (end, end + 0.5)))
+        runs.append(Run(start, end, bool(known[before].all()), bool(known[after].all())))
+    return [run for run in runs if run.length_m >= _LEAST_RUN_M]
+
+
+def _groups(runs: list[Run]) -> list[list[Run]]:
+    """Runs that belong together: parts of a solid line with each other, dashes with dashes."""
+    groups: list[list[Run]] = []
+    for run in runs:
+        short = run.length_m <= _LONGEST_DASH_M
+        if groups and short and all(one.length_m <= _LONGEST_DASH_M for one in groups[-1]):
+            groups[-1].append(run)
+        else:
+            groups.append([run])
+    whole: list[list[Run]] = []
+    for group in groups:
+        # One or two short runs beside a solid line are what is left between worn or hidden parts of it, more may be dashes.
+        parts = (whole[-1], group) if whole else ()
+        solid = [_dashes(part) is None for part in parts]
+        near = bool(whole) and group[0].start_m - whole[-1][-1].end_m <= _LONGEST_HOLE_M
+        if near and any(solid) and all(one or len(part) <= 2 for one, part in zip(solid, parts, strict=True)):
+            whole[-1] = whole[-1] + group
+        else:
+            whole.append(group)
+    return whole
+
+
+def _dashes(runs: list[Run]) -> tuple[float, float] | None:
+    """Lengths of dashes and gaps (m) of a dashed line; None of a solid one, which may be worn."""
+    if len(runs) == 1 or any(run.length_m > _LONGEST_DASH_M for run in runs):
+        return None
+    gaps = np.array([b.start_m - a.end_m for a, b in pairwise(runs)])
+    whole = [run.length_m for run in runs if run.empty_before and run.empty_after]
+    dashes = np.array(whole or [run.length_m for run in runs])
+    worn = sum(run.length_m for run in runs) > _WORN * (runs[-1].end_m - runs[0].start_m)
+    irregular = len(runs) > 2 and max(_scatter(gaps), _scatter(dashes)) > _REGULAR
+    return None if worn or irregular else (float(np.median(dashes)), float(np.median(gaps)))
+
+
+def _piece(runs: list[Run], searched: Searched) -> Piece | None:
+    """The piece that runs make; None where they are too far apart for a solid line and too irregular for a dashed one."""
+    painted = sum(run.length_m for run in runs)
+    inside = np.zeros(len(searched.station_m), dtype=bool)
+    for run in runs:
+        inside |= (searched.station_m >= run.start_m) & (searched.station_m <= run.end_m)
+    share = float(searched.hit[inside].mean()) if inside.any() else 0.0
+    ends, dashes = (runs[0].start_m, runs[-1].end_m), _dashes(runs)
+    if dashes is not None:
+        return Piece(*ends, "dashed", painted, share, *dashes)
+    if max((b.start_m - a.end_m for a, b in pairwise(runs)), default=0.0) > _LONGEST_HOLE_M:
+        return None
+    return Piece(*ends, "solid", painted, share)
+
+
+def _scatter(lengths: Floats) -> float:
+    middle = np.median(lengths)
+    return float(1.4826 * np.median(np.abs(lengths - middle)) / middle)

@@ -1,0 +1,278 @@
+"""Points of lane markings of one drive -> tracks: their course, attributes and covariances.
+
+The course is piecewise linear between vertices at equal distances along the drive's path, fitted to the points' offsets and
+heights by robust least squares with a small penalty on bends, which carries it across gaps. A vertex so is a weighted mean of
+points of some frame pairs, whose weights also carry the errors of poses and calibration to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, shared_cov
+from conetl.geometry.linear_reference import directions_at, locate
+from conetl.geometry.packing import cov3, vec3
+from conetl.model.feature_classes import LANE_MARKING
+from conetl.model.markings import Marking, MarkingColour, MarkingTrack
+from conetl.model.params import MarkingParams
+from conetl.model.records import Drive, FramePair
+from conetl.perception.markings.points import MarkingPoints
+from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov
+from conetl.tracking.markings.chains import chains_of
+from conetl.tracking.markings.located import LocatedPoints, locate_points
+from conetl.tracking.markings.patterns import Piece, pieces_of, searched_rows
+
+Floats = NDArray[np.float64]
+
+#: Huber's bound, in sigmas, and rounds of the robust fit.
+_ROBUST, _ROUNDS = 2.0, 4
+#: Weight of the squared bend (m per vertex) of a course against that of one point.
+_STIFFNESS = 3.0
+#: Neighbouring rows see the same blur and texture: so many count as one.
+_ROWS_AS_ONE = 1.5
+#: Sigmas of what all points of one frame pair have in common (glare, shadows, the motion during exposure), and of what all points
+#: of a marking have (shape of its edges, disparities).
+_FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
+#: Frame pairs of less weight than this share of the largest do not move a vertex.
+_LEAST_SHARE = 0.02
+#: Largest scatter of the points about the course (m) and of the widths (share).
+_MAX_SCATTER_M, _MAX_WIDTH_SCATTER = 0.08, 0.35
+#: Least share of hits where there is paint.
+_MIN_HITS = 0.3
+_FAR_PERCENT = 67.0
+#: Systematic error of a width: where the eye, and the filter, put an edge.
+_WIDTH_SIGMA_M = 0.006
+#: White paint outshines the road by equal shares in all colours, within this; yellow paint less in blue.
+_WHITE, _YELLOW = 0.2, -0.25
+#: A point that is so high above the road beside it is no paint: bands of cones, cars.
+_MAX_ABOVE_M = 0.12
+#: Existence: prior probability of a chain that was found, grey levels at which a frame pair's evidence is half of the most, and
+#: that evidence (logarithm of odds).
+_PRIOR, _HALF_CONTRAST, _EVIDENCE = 0.2, 20.0, 0.6
+
+
+class Course(NamedTuple):
+    """Fitted course: K vertices."""
+
+    station_m: Floats
+    offset_m: Floats
+    height_m: Floats
+    frames: NDArray[np.intp]
+    """(F,) numbers of the frame pairs that saw it."""
+    shares: Floats
+    """(K, F) weight of each of them in each vertex; each row's sum is 1."""
+    noise_m2: Floats
+    """(K, 2, 2) covariance of offset and height from the scatter of the points."""
+    kept: NDArray[np.bool_]
+    """(N,) the points that are no outliers."""
+
+
+def fuse_markings(
+    found: Sequence[MarkingPoints], drive: Drive, params: MarkingParams, poses: PoseCov
+) -> list[MarkingTrack]:
+    """All lane markings of a drive with its final poses and rig. poses: the covariance of these poses."""
+    points = locate_points(found, drive, params.max_range_m)
+    if points is None:
+        return []
+    above = np.fmax(points.columns.above_left_m, points.columns.above_right_m)
+    points = points.some(~(above > _MAX_ABOVE_M))
+    if not len(points.frame):
+        return []
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
+    tracks: list[MarkingTrack] = []
+    for chain in chains_of(points, params.max_gap_m):
+        own = points.some(chain)
+        if not _is_flat(own, params) or len(np.unique(own.frame)) < params.min_frames:
+            continue
+        rough = fit_course(own, float(own.station_m[0]), float(own.station_m[-1]), params.vertex_spacing_m)
+        if rough is None:
+            continue
+        own = own.some(rough.kept)
+        searched = searched_rows(own, rough.station_m, rough.offset_m, rough.height_m, drive.rig)
+        for piece in pieces_of(searched, params.min_length_m):
+            track = _track(len(tracks), own, piece, drive, pairs, params, poses)
+            if track is not None:
+                tracks.append(track)
+    return tracks
+
+
+def _is_flat(points: LocatedPoints, params: MarkingParams) -> bool:
+    """Whether the road on both sides is about as high as the marking, or higher; where it was measured on neither, it is not
+    known to be a marking."""
+    for above in (points.columns.above_left_m, points.columns.above_right_m):
+        known = above[np.isfinite(above)]
+        if len(known) < 0.1 * len(above) or np.median(known) > params.max_above_road_m:
+            return False
+    return True
+
+
+def fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: float) -> Course | None:
+    """Course of the points of one marking between two stations; None where it is too short or they are too few."""
+    inside = (points.station_m >= start_m - spacing_m / 2) & (points.station_m <= end_m + spacing_m / 2)
+    count = max(round((end_m - start_m) / spacing_m), 1) + 1
+    if inside.sum() < 3 * 2 or end_m - start_m < spacing_m:
+        return None
+    knots = np.linspace(start_m, end_m, count)
+    position = np.clip((points.station_m[inside] - start_m) / (knots[1] - knots[0]), 0, count - 1 - 1e-9)
+    first = position.astype(np.intp)
+    part = position - first
+    hats = np.zeros((len(first), count))
+    hats[np.arange(len(first)), first], hats[np.arange(len(first)), first + 1] = 1 - part, part
+    observed = np.stack([points.offset_m[inside], points.xyz_m[inside, 2]], axis=1)
+    prior = points.weight[inside] / np.median(points.weight[inside])
+    bend = np.zeros((max(count - 2, 0), count))
+    for k in range(count - 2):
+        bend[k, k : k + 3] = 1.0, -2.0, 1.0
+    penalty = _STIFFNESS * bend.T @ bend + 1e-9 * np.eye(count)
+    robust = np.ones(len(first))
+    for _ in range(_ROUNDS):
+        weight = prior * robust
+        normal = hats.T @ (hats * weight[:, None]) + penalty
+        inverse = np.linalg.inv(normal)
+        course = inverse @ (hats.T @ (observed * weight[:, None]))
+        residual = observed - hats @ course
+        scaled = residual * np.sqrt(prior)[:, None]
+        sigma = np.maximum(1.4826 * np.median(np.abs(scaled), axis=0), 1e-4)
+        size = np.sqrt((scaled**2 / sigma**2).mean(axis=1))
+        robust = np.minimum(1.0, _ROBUST / np.maximum(size, 1e-9))
+    frames, number = np.unique(points.frame[inside], return_inverse=True)
+    by_frame = np.zeros((len(frames), count))
+    np.add.at(by_frame, number, hats * weight[:, None])
+    shares = inverse @ by_frame.T
+    shares /= shares.sum(axis=1, keepdims=True)
+    core = size < 3 * _ROBUST
+    scatter = (scaled[core].T * weight[core]) @ scaled[core] / weight[core].sum() if core.any() else np.eye(2)
+    spread = inverse @ (normal - penalty) @ inverse
+    noise = _ROWS_AS_ONE * np.diagonal(spread)[:, None, None] * scatter
+    kept = np.zeros(len(points.station_m), dtype=bool)
+    kept[np.flatnonzero(inside)[core]] = True
+    return Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
+
+
+def _track(
+    index: int,
+    points: LocatedPoints,
+    piece: Piece,
+    drive: Drive,
+    pairs: dict[int, FramePair],
+    params: MarkingParams,
+    poses: PoseCov,
+) -> MarkingTrack | None:
+    course = fit_course(points, piece.start_m, piece.end_m, params.vertex_spacing_m)
+    if course is None or piece.hit_share < _MIN_HITS:
+        return None
+    own = points.some(course.kept)
+    frames = np.unique(own.frame)
+    if len(frames) < params.min_frames or not _is_flat(own, params):
+        return None
+    residual = own.road_offset_m - np.interp(own.road_station_m, course.station_m, course.offset_m)
+    direction = directions_at(points.line_m, own.station_m)
+    slope = np.interp(own.station_m, course.station_m, np.gradient(course.offset_m, course.station_m))
+    heading = direction + slope[:, None] * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+    aside = points.map_SE3_left[own.frame][:, :2, 0]
+    # Rows of the image cross a marking at an angle.
+    widths = own.columns.width_m * np.abs(heading[:, 1] * aside[:, 0] - heading[:, 0] * aside[:, 1])
+    # Blur widens them with the distance: the nearest third counts.
+    depth = own.columns.road_px
+    widths = widths[depth >= np.percentile(depth, _FAR_PERCENT)]
+    width = float(np.median(widths))
+    width_scatter = 1.4826 * float(np.median(np.abs(widths - width)))
+    if (
+        1.4826 * np.median(np.abs(residual - np.median(residual))) > _MAX_SCATTER_M
+        or width_scatter > _MAX_WIDTH_SCATTER * width
+    ):
+        return None
+    xyz = np.column_stack([locate(points.line_m, course.station_m, course.offset_m), course.height_m])
+    own_cov, pose_part, calibrated = _covariances(points, course, xyz, drive, pairs, poses)
+    middle = len(xyz) // 2
+    contrast = float(np.median(own.columns.contrast))
+    seen = [pairs[points.frames[number].frame_index].captured_at_ns for number in frames]
+    absolute = own_cov + pose_part[0] + shared_cov(calibrated, drive.rig)
+    return MarkingTrack(
+        marking_index=index,
+        category=LANE_MARKING,
+        marking=Marking(
+            vertices_m=tuple(map(vec3, xyz)),
+            cov_m2=tuple(map(cov3, absolute)),
+            width_m=width,
+            width_sigma_m=float(np.hypot(width_scatter / np.sqrt(len(frames)), _WIDTH_SIGMA_M)),
+            colour=_colour(own),
+            pattern=piece.pattern,
+            dash_m=piece.dash_m,
+            gap_m=piece.gap_m,
+        ),
+        relative_cov_m2=tuple(map(cov3, own_cov + pose_part[1])),
+        existence_probability=_existence(len(frames), contrast, piece.hit_share),
+        observation_count=len(frames),
+        first_seen_ns=min(seen),
+        last_seen_ns=max(seen),
+        contrast=contrast,
+        shared_jacobian=jacobian_of(calibrated[middle], drive.rig),
+    )
+
+
+def _covariances(
+    points: LocatedPoints, course: Course, xyz: Floats, drive: Drive, pairs: dict[int, FramePair], poses: PoseCov
+) -> tuple[Floats, tuple[Floats, Floats], Floats]:
+    """Of K vertices: (K, 3, 3) m^2 from the images; the same from all errors of the poses, and from the part of them that the
+    frame pairs do not share; (K, 3, C) derivatives by the calibration's parameters."""
+    rig, count = drive.rig, len(xyz)
+    direction = directions_at(points.line_m, course.station_m)
+    across = np.stack([-direction[:, 1], direction[:, 0], np.zeros(count)], axis=1)
+    axes = np.stack([across, np.broadcast_to([0.0, 0.0, 1.0], across.shape)], axis=2)
+    own = axes @ course.noise_m2 @ np.swapaxes(axes, 1, 2)
+    whole, change, calibrated = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), []
+    for k, vertex in enumerate(xyz):
+        used = np.abs(course.shares[k]) > _LEAST_SHARE * np.abs(course.shares[k]).max()
+        frames, shares = course.frames[used], course.shares[k, used] / course.shares[k, used].sum()
+        left = points.map_SE3_left[frames]
+        seen = np.einsum("fji,fj->fi", left[:, :3, :3], vertex - left[:, :3, 3])
+        seen[:, 2] = np.maximum(seen[:, 2], 1.0)
+        own[k] += _image_errors(left, seen, shares, axes[k], rig.left.fx_px, rig.left.fx_px * rig.baseline_m)
+        members = [pairs[points.frames[number].frame_index] for number in frames]
+        moved = shares[:, None, None] * moved_by_poses(
+            np.broadcast_to(vertex, seen.shape), [one.pose for one in members]
+        )
+        cov = poses([one.frame_index for one in members])
+        rank = np.arange(len(members))
+        for target, part in ((whole, cov), (change, constant_and_change(cov)[1])):
+            target[k] = moved_cov(moved, rank, part).reshape(len(rank), 3, len(rank), 3).sum(axis=(0, 2))
+        by_calibration = left[:, :3, :3] @ calibration_jacobian(seen, rig)
+        calibrated.append(np.einsum("f,fij->ij", shares, by_calibration))
+    return own, (_symmetric(whole), _symmetric(change)), np.stack(calibrated)
+
+
+def _image_errors(
+    left: Floats, seen: Floats, shares: Floats, axes: Floats, focal_px: float, focal_base: float
+) -> Floats:
+    """(3, 3) m^2 across the marking and in height: errors of column and disparity that the points of a frame pair share, and that
+    all share."""
+    by_column = seen[:, 2:] / focal_px * np.array([1.0, 0.0, 0.0])
+    by_disparity = -seen * seen[:, 2:] / focal_base
+    moved = shares[:, None, None] * (left[:, :3, :3] @ np.stack([by_column, by_disparity], axis=2))
+    moved = axes @ axes.T @ moved
+    total = moved.sum(axis=0)
+    found = _FRAME_SIGMA_PX**2 * np.einsum("fik,fjk->ij", moved, moved) + _COMMON_SIGMA_PX**2 * total @ total.T
+    return np.asarray(found)
+
+
+def _symmetric(matrices: Floats) -> Floats:
+    return np.asarray((matrices + np.swapaxes(matrices, 1, 2)) / 2)
+
+
+def _colour(points: LocatedPoints) -> MarkingColour:
+    blue, red = (float(np.median(tint)) for tint in (points.columns.blue, points.columns.red))
+    if blue < _YELLOW and red > blue:
+        return "yellow"
+    return "white" if abs(blue) <= _WHITE and abs(red) <= _WHITE else "other"
+
+
+def _existence(frames: int, contrast: float, hit_share: float) -> float:
+    """Odds of the prior times, for every frame pair, a factor that grows with contrast and with the share of hits."""
+    gain = _EVIDENCE * frames * hit_share * contrast / (contrast + _HALF_CONTRAST)
+    return float(1 / (1 + (1 - _PRIOR) / _PRIOR * np.exp(-gain)))

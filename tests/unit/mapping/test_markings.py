@@ -1,0 +1,185 @@
+"""Lane markings of drives against those of the map: what is confirmed, added, moved, removed and split, and with what sigmas."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from conetl.geometry.packing import cov_matrix
+from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
+from conetl.mapping.marking_deltas import STRETCH_M
+from conetl.mapping.marking_visibility import MarkingView, not_in_view
+from conetl.model.map_records import Decisions, Delta, Location, MapFeature
+from tests.synthetic.painted_road import Paint, painted_drive
+from tests.synthetic.world import ORIGIN_M
+
+EDGE, CENTRE, LEFT, YELLOW = Paint(4.5), Paint(1.5, pattern="dashed"), Paint(-2.0), Paint(-4.0, colour="yellow")
+ROAD = (EDGE, CENTRE, LEFT, YELLOW)
+
+
+def drives_of(days: Sequence[Sequence[Paint]], seed: int = 3, **options) -> list[DriveEvidence]:
+    rng = np.random.default_rng(seed)
+    return [painted_drive(paints, rng, day, day=day, **options) for day, paints in enumerate(days)]
+
+
+def deltas_of(history: MapHistory, drive: DriveEvidence) -> list[Delta]:
+    return history.updates[drive.changeset_id].deltas
+
+
+def kinds_of(history: MapHistory, drive: DriveEvidence) -> dict[str, int]:
+    return dict(Counter(delta.kind.value for delta in deltas_of(history, drive)))
+
+
+def aside_m(feature: MapFeature) -> float:
+    return feature.xyz_m[1] - float(ORIGIN_M[1])
+
+
+def standing(history: MapHistory) -> list[MapFeature]:
+    return [chain[-1].feature for chain in history.chains.values() if chain[-1].present]
+
+
+def test_a_first_drive_founds_rows_of_stretches_and_the_next_ones_confirm_them() -> None:
+    drives = drives_of([ROAD] * 3)
+    history = replay_drives(drives)
+    first = deltas_of(history, drives[0])
+    assert [kinds_of(history, drive) for drive in drives[1:]] == [{"confirmed": len(first)}] * 2
+    for track in drives[0].markings:
+        ends = [track.marking.vertices_m[0], track.marking.vertices_m[-1]]
+        row = sorted(d.new.marking.vertices_m for d in first if d.new.marking.vertices_m[0] in track.marking.vertices_m)
+        assert [row[0][0], row[-1][-1]] == ends
+        assert all(a[-1] == b[0] for a, b in pairwise(row)), "one stretch goes on where the other ends"
+        assert all(np.hypot(*np.subtract(one[-1], one[0])[:2]) <= STRETCH_M + 1e-6 for one in row)
+        assert all(len(one) > 2 for one in row)
+    for feature in standing(history):
+        shape = feature.marking
+        assert feature.version == 3 and feature.observation_count >= 15
+        assert (feature.xyz_m, feature.cov_m2) == (
+            shape.vertices_m[len(shape.vertices_m) // 2],
+            shape.cov_m2[len(shape.cov_m2) // 2],
+        )
+        assert min(abs(aside_m(feature) - paint.aside_m) for paint in ROAD) < 0.2
+        assert (shape.pattern == "dashed") == (abs(aside_m(feature) - CENTRE.aside_m) < 0.2)
+        assert shape.width_sigma_m == pytest.approx(0.01 / np.sqrt(3))
+
+
+def test_one_marking_removed_and_one_moved_are_exactly_these_changes() -> None:
+    moved = replace(LEFT, aside_m=-2.5)
+    drives = drives_of([ROAD, (EDGE, moved, YELLOW), (EDGE, moved, YELLOW)])
+    history = replay_drives(drives)
+    rows = Counter(round(2 * aside_m(delta.new)) / 2 for delta in deltas_of(history, drives[0]))
+    counts = {paint.aside_m: rows[paint.aside_m] for paint in ROAD}
+    assert kinds_of(history, drives[1]) == {
+        "removed": counts[1.5], "moved": counts[-2.0], "confirmed": counts[4.5] + counts[-4.0],
+    }  # fmt: skip
+    for delta in deltas_of(history, drives[1]):
+        if delta.kind == "removed":
+            assert abs(aside_m(delta.old) - 1.5) < 0.2
+        if delta.kind == "moved":
+            assert abs(aside_m(delta.old) + 2.0) < 0.2 and delta.shift_m == pytest.approx(0.5, abs=0.1)
+            assert delta.new.first_seen_ns == delta.old.first_seen_ns
+    assert kinds_of(history, drives[2]) == {"confirmed": sum(counts.values()) - counts[1.5]}
+
+
+def test_where_half_of_a_stretch_is_gone_the_rest_is_split_off() -> None:
+    gap = (Paint(1.5, (-1e9, 43.0)), Paint(1.5, (61.0, 1e9)))
+    drives = drives_of([ROAD, (EDGE, LEFT, YELLOW, *gap), (EDGE, LEFT, YELLOW, *gap)])
+    history = replay_drives(drives)
+    kinds = kinds_of(history, drives[1])
+    assert kinds["removed"] >= 2 and set(kinds) <= {"removed", "split", "confirmed"}
+    assert set(kinds_of(history, drives[2])) == {"confirmed"}, "nothing flickers"
+    own = [f.marking.vertices_m for f in standing(history) if abs(aside_m(f) - 1.5) < 0.2]
+    covered = [(one[0][0] - ORIGIN_M[0], one[-1][0] - ORIGIN_M[0]) for one in own]
+    assert not any(begin < 56.0 and end > 48.0 for begin, end in covered), "the middle of the gap is free"
+    assert max(end for begin, end in covered if begin < 43.0) > 38.0
+    assert min(begin for begin, end in covered if end > 61.0) < 66.0
+    [split] = [delta for delta in deltas_of(history, drives[1]) if delta.kind == "split"] or [None]
+    if split is not None:
+        assert split.other_feature_id in {d.feature_id for d in deltas_of(history, drives[1]) if d.kind == "removed"}
+
+
+def test_a_poor_drive_removes_nothing_and_several_of_them_do() -> None:
+    drives = drives_of([ROAD, *[()] * 4])
+    history = replay_drives(drives)
+    assert set(kinds_of(history, drives[1])) == {"missed"} and not standing(history)
+    glimpse = replace(drives[1], check_view=lambda v, seen=drives[1].check_view: few_frames(seen(v)))
+    assert kinds_of(replay_drives([drives[0], glimpse]), glimpse) == {}
+    blind = replace(drives[1], check_view=not_in_view)
+    assert kinds_of(replay_drives([drives[0], blind]), blind) == {}, "a drive that did not search says nothing"
+
+
+def few_frames(view: MarkingView) -> MarkingView:
+    return MarkingView(view.captured_at_ns[::5], view.in_view[:, ::5])
+
+
+def test_decisions_hold_for_stretches() -> None:
+    drives = drives_of([ROAD, (EDGE, LEFT, YELLOW), (EDGE, LEFT, YELLOW)])
+    first = [delta.new for delta in deltas_of(replay_drives(drives[:1]), drives[0])]
+    gone = [feature for feature in first if abs(aside_m(feature) - 1.5) < 0.2]
+    place = Location(xy_m=gone[0].xyz_m[:2], radius_m=0.3)
+    pinned = replay_drives(drives, Decisions(pinned=(place,)))
+    assert {f.feature_id for f in standing(pinned)} == {f.feature_id for f in first} - {f.feature_id for f in gone[1:]}
+    there = next(feature for feature in first if abs(aside_m(feature) - 4.5) < 0.2)
+    suppressed = replay_drives(drives, Decisions(suppressed=(Location(xy_m=there.xyz_m[:2], radius_m=0.3),)))
+    assert [key for key, chain in suppressed.chains.items() if chain[-1].suppressed] == [there.feature_id]
+
+
+@pytest.mark.parametrize("sigma_m", [0.05, 0.4])
+def test_an_offset_of_the_drive_moves_no_marking(sigma_m: float) -> None:
+    for seed in range(4):
+        drives = drives_of([ROAD] * 3, seed, sigma_m=sigma_m)
+        assert [set(kinds_of(replay_drives(drives), drive)) for drive in drives[1:]] == [{"confirmed"}] * 2
+
+
+def test_a_drive_that_moves_most_of_what_it_shows_is_left_to_a_person() -> None:
+    aside = [replace(paint, aside_m=paint.aside_m + 0.5) for paint in ROAD]
+    drives = drives_of([ROAD, aside], sigma_m=0.02)
+    held = replay_drives(drives).updates[drives[1].changeset_id]
+    assert held.hold is not None and "stretches" in held.hold.detail and not held.deltas
+    accepted = replay_drives(drives, Decisions(accepted=frozenset({drives[1].changeset_id})))
+    assert set(kinds_of(accepted, drives[1])) == {"moved"}
+
+
+def test_markings_of_a_double_line_stay_two() -> None:
+    double = (EDGE, Paint(0.14), Paint(-0.14, colour="yellow"), YELLOW)
+    drives = drives_of([double] * 3)
+    history = replay_drives(drives)
+    assert [set(kinds_of(history, drive)) for drive in drives[1:]] == [{"confirmed"}] * 2
+    rows = Counter((f.marking.colour, round(aside_m(f), 1)) for f in standing(history) if abs(aside_m(f)) < 0.4)
+    assert {colour for colour, _ in rows} == {"white", "yellow"}
+    assert all((aside > 0) == (colour == "white") for colour, aside in rows)
+
+
+def test_the_opposite_direction_confirms_and_the_newest_attributes_hold() -> None:
+    drives = drives_of([ROAD, (replace(EDGE, colour="yellow", width_m=0.16), CENTRE, LEFT, YELLOW)])
+    back = [
+        track.model_copy(
+            update={
+                "marking": track.marking.model_copy(update={"vertices_m": track.marking.vertices_m[::-1]}),
+            }
+        )
+        for track in drives[1].markings
+    ]
+    history = replay_drives([drives[0], replace(drives[1], markings=back)])
+    assert set(kinds_of(history, drives[1])) == {"confirmed"}
+    edge = [f for f in standing(history) if abs(aside_m(f) - 4.5) < 0.2]
+    assert {f.marking.colour for f in edge} == {"yellow"}
+    assert all(f.marking.width_m == pytest.approx(0.14) for f in edge)
+    assert all(f.marking.vertices_m[0][0] < f.marking.vertices_m[-1][0] for f in edge)
+
+
+def test_sigmas_of_fused_vertices_are_those_of_their_errors() -> None:
+    """Normalised estimation error squared, across the line and in height, of maps of four drives each: 1 on average."""
+    values = []
+    for seed in range(12):
+        history = replay_drives(drives_of([(EDGE, CENTRE, LEFT)] * 4, seed))
+        for feature in standing(history):
+            aside = min((4.5, 1.5, -2.0), key=lambda one: abs(aside_m(feature) - one))
+            for vertex, cov in zip(feature.marking.vertices_m, feature.marking.cov_m2, strict=True):
+                error = np.subtract(vertex, ORIGIN_M)[1:] - (aside, 0.0)
+                values.append(error @ np.linalg.solve(cov_matrix(cov)[1:, 1:], error) / 2)
+    assert 0.6 < np.mean(values) < 1.5
