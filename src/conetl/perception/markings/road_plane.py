@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Image = NDArray[np.integer[Any] | np.floating[Any]]
 
 #: Wider images are reduced for the dense disparities.
-_MAX_WIDTH_PX = 720
+_MAX_WIDTH_PX = 640
 _BLOCK_PX = 11
 #: Depths between which the road is searched, and half the width of the strip ahead (m).
 _NEAREST_M, _FARTHEST_M, _ASIDE_M = 4.0, 15.0, 3.0
@@ -33,6 +33,8 @@ _TOLERANCES = (0.1, 0.05, 0.03, 0.03)
 #: Largest slope of the road against the body: brakes and ramps.
 _MAX_TILT_RAD = 0.12
 _MIN_POINTS = 200
+#: One of so many rows and columns of the disparities is used.
+_EVERY = 4
 
 
 class RoadPlane(NamedTuple):
@@ -109,8 +111,8 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
 def _plane(measured: NDArray[np.float32], step: float, first_row: int, rig: Rig, down: Floats) -> Floats | None:
     """(3,) of `RoadPlane.plane`, by a vote about the height, then least squares with shrinking tolerances."""
     camera, focal_base = rig.left, rig.left.fx_px * rig.baseline_m
-    some = measured[::3, ::3].astype(np.float64)
-    v, u = np.indices(some.shape) * 3.0
+    some = measured[::_EVERY, ::_EVERY].astype(np.float64)
+    v, u = np.indices(some.shape) * float(_EVERY)
     u, v = (u + 0.5) * step - 0.5, (v + 0.5) * step - 0.5 + first_row
     ray = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones_like(u)], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -130,6 +132,7 @@ def _plane(measured: NDArray[np.float32], step: float, first_row: int, rig: Rig,
         close = np.abs(disparity - predicted) < np.maximum(tolerance * predicted, 0.5)
         if close.sum() < _MIN_POINTS:
             return None
-        plane = np.linalg.lstsq(design[close], disparity[close], rcond=None)[0]
+        normal = design[close].T @ design[close]
+        plane = np.linalg.solve(normal, design[close].T @ disparity[close])
         predicted = design @ plane
     return np.asarray(plane)
