@@ -31,13 +31,18 @@ class FeatureClass:
     body: tuple[float, float] = (0.10, 0.31)
     """Of round objects: half width of the body at its upper and lower end, as shares of the width of the box, which holds the
     base too."""
+    outline_share: float | None = 0.03
+    """Sigma, as a share of the height of the box, of what all boxes of one object have in common: which part of it they take for
+    its foot and axis. Measured on rendered objects; None of cones, whose feet networks give."""
     geometry: Literal["point", "line"] = "point"
     """Point objects are found by the detector, lines by `perception/lane_markings.py`, which needs no network."""
 
 
 FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
     {
-        CONE: FeatureClass((0.25, 1.15), (0.15, 1.8), 0.55, round_foot=True, on_road=True, in_rows=True),
+        CONE: FeatureClass(
+            (0.25, 1.15), (0.15, 1.8), 0.55, round_foot=True, on_road=True, in_rows=True, outline_share=None
+        ),
         "tubular_marker": FeatureClass(
             (0.4, 1.4), (0.25, 2.0), 0.3, round_foot=True, on_road=True, in_rows=True, body=(0.20, 0.22)
         ),

@@ -233,6 +233,9 @@ def _stereo_match(
     if a.foot_px is not None and b.foot_px is not None:
         across, of_cone = _spread(_FOOT_ACROSS, height, height), _spread(_FOOT_OF_CONE, height, height)
         along = _spread(_FOOT_ALONG, width, height)
+    share = FEATURE_CLASSES[a.category].outline_share
+    if share is not None:
+        of_cone = _spread((_FOOT_OF_CONE[0], share, 0.0), height, height)
     axis_left, axis_right = foot_left[0], foot_right[0]
     sigma_u = pointing_sigma
     if area is not None:
