@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.camera import matrix_k
+from conetl.geometry.camera import first_road_row, matrix_k
 from conetl.geometry.rig import left_SE3_right, up_in_left_camera
 from conetl.model.records import Rig
 
@@ -76,7 +76,7 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
     camera = rig.left
     focal_base = camera.fx_px * rig.baseline_m
     down = -up_in_left_camera(rig)
-    first_row = int(np.clip(camera.cy_px - camera.fy_px * down[2] / down[1], 0, camera.height_px - 64))
+    first_row = first_road_row(camera, [np.outer([0.0, 0.0, 1.0], -down)], margin_rad=0.0)
     scale = min(1.0, _MAX_WIDTH_PX / camera.width_px)
     shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, first_row], [0.0, 0.0, 1.0]])
     size = camera.width_px, camera.height_px - first_row
@@ -91,6 +91,8 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
     lower, parallel = map(np.ascontiguousarray, images)
     step = size[0] / lower.shape[1]
     most = int(np.ceil(focal_base / step / (0.8 * _NEAREST_M) / 16)) * 16
+    if lower.shape[0] < 2 * _BLOCK_PX or lower.shape[1] < most + 2 * _BLOCK_PX:
+        return None
     matcher = cv2.StereoBM.create(numDisparities=most, blockSize=_BLOCK_PX)
     matcher.setTextureThreshold(5)
     matcher.setUniquenessRatio(5)
