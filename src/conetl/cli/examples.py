@@ -68,7 +68,7 @@ EXAMPLES = {
     "rig convert": ("rig convert camchain.yaml rig.yaml --to rig",),
     "evaluate": ("evaluate drives/2026-03-02 --truth surveyed.csv --out accuracy",),
     "lidar-check": ("lidar-check drives/2026-03-02",),
-    "simulate": ("simulate simulated --pass 1",),
+    "simulate": ("simulate simulated --pass 1", "simulate mixed --world mixed --seed 3"),
 }
 
 

@@ -19,6 +19,7 @@ from conetl.evaluation.accuracy import (
     pooled_consistency,
     pooled_statistics,
     position_errors,
+    select,
     single_nees,
     statistics,
     track_errors,
@@ -37,6 +38,7 @@ from conetl.evaluation.truth import (
 from conetl.geometry.consistency import Consistency
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import known_of, noun_of
 from conetl.model.records import Drive, Position, Track
 from conetl.reports.html import Section, render, write_page
 from conetl.tracking.association import MotionError
@@ -50,6 +52,7 @@ _STATISTICS = (
 _BANDS = (
     "range m", "estimates", "median 3D", "RMSE along", "across", "up", "stated along", "across", "up", "bias along"
 )  # fmt: skip
+_CLASSES = ("class", "found", "false", "median 3D", "largest", "NEES relative", "absolute", "95 % band")
 _DRIVES = ("drive", "cones found", "false", "median 3D", "tracks: relative", "common", "absolute",
            "single positions: relative", "common", "absolute")  # fmt: skip
 _DRIVES_TEXT = (
@@ -83,7 +86,7 @@ class DriveEvaluation:
         return [line.truth.cone_id for line in self.lines if line.feature is None]
 
     def tables(self) -> list[Section]:
-        """Cones, errors, errors by range, and NEES; the same of lane markings."""
+        """Objects, errors, errors by range, and NEES; figures by class where there are several; lane markings."""
         cones = table_3_rows(self.lines, missing="missed")
         errors = [
             (name, f.count, *(f"{value:.3f}" for value in (f.median_3d_m, f.rmse_3d_m, *f.rmse_enu_m)),
@@ -109,6 +112,7 @@ class DriveEvaluation:
                 bands,
             ),
             Section("Do the stated sigmas hold?", NEES_TEXT, NEES_COLUMNS, nees_rows(self.nees)),
+            *_class_section([self]),
             *(self.markings.tables() if self.markings else []),
         ]
 
@@ -128,6 +132,7 @@ class DriveEvaluation:
             "errors": {name: figures.model_dump(mode="json") for name, figures in self.figures.items()},
             "by_range": [band.model_dump(mode="json") for band in self.bands],
             "nees": {name: nees_as_dict(result) for name, result in self.nees.items()},
+            "by_class": class_figures([self]),
             **({"lane_markings": self.markings.as_dict()} if self.markings else {}),
         }
 
@@ -162,6 +167,45 @@ def evaluate_drive(
     return DriveEvaluation(drive.drive_id, lines, false, path_m, of_tracks, of_singles, figures, bands, nees)
 
 
+def class_figures(drives: Sequence[DriveEvaluation]) -> dict[str, dict[str, object]]:
+    """Figures of the tracks of each class of the truth, as JSON values."""
+    figures: dict[str, dict[str, object]] = {}
+    for category in known_of(line.truth.category for drive in drives for line in drive.lines):
+        lines = [line for drive in drives for line in drive.lines if line.truth.category == category]
+        errors_m = [line.error_3d_m for line in lines if line.error_3d_m is not None]
+        figures[category] = {
+            "found": len(errors_m),
+            "of": len(lines),
+            "false": sum(track.category == category for drive in drives for track in drive.false),
+            "median_3d_m": float(np.median(errors_m)) if errors_m else None,
+            "largest_3d_m": max(errors_m, default=None),
+            "nees": nees_as_dict(pooled_consistency([_of_class(drive, category) for drive in drives])),
+        }
+    return figures
+
+
+def _of_class(drive: DriveEvaluation, category: str) -> PointErrors:
+    named = {line.truth.cone_id for line in drive.lines if line.truth.category == category}
+    return select(drive.tracks, np.array([name in named for name in drive.tracks.cone_ids], dtype=bool))
+
+
+def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
+    """A row per class; nothing where the truth has one class only."""
+    rows: list[tuple[object, ...]] = []
+    for category, figures in class_figures(drives).items():
+        nees = figures["nees"]
+        assert isinstance(nees, dict)
+        absolute, relative = nees["absolute"], nees["relative"]
+        rows.append((
+            noun_of(category), f"{figures['found']} of {figures['of']}", figures["false"],
+            *("" if value is None else f"{value:.3f}" for value in (figures["median_3d_m"], figures["largest_3d_m"])),
+            *("" if part is None else f"{part['per_dof']:.2f}" for part in (relative, absolute)),
+            "" if absolute is None else f"{absolute['low'] / absolute['dof']:.2f} to {absolute['high'] / absolute['dof']:.2f}",
+        ))  # fmt: skip
+    note = "Metres; NEES of tracks per degree of freedom, and the band of the absolute one."
+    return [Section("By class", note, _CLASSES, rows)] if len(rows) > 1 else []
+
+
 def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequence[str]) -> list[Path]:
     """Write the plots and, last, the page. Raises InputError if the folder cannot be written."""
     from conetl.reports import accuracy_plots  # matplotlib takes half a second to load
@@ -192,14 +236,14 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
             single=single_nees(singles), tracks=single_nees(tracks), title=f"{name}: do the stated sigmas hold?"
         ),
     }
-    cones, errors, bands, nees, *markings = evaluation.tables()
+    cones, errors, bands, nees, *others = evaluation.tables()
     sections = [
         cones,
         Section("Directions of the errors", image=images["plan.png"], image_alt="plan view with error vectors"),
         errors,
         replace(bands, image=images["errors_over_range.png"], image_alt="errors over range"),
         replace(nees, image=images["nees.png"], image_alt="histogram of NEES against chi-square"),
-        *markings,
+        *others,
     ]
     page = _write_page(folder, f"{name} against truth", summary, sections, images)
     return [*(folder / file for file in images), page]
@@ -224,6 +268,7 @@ class PooledDrives:
         return [
             Section("Drive by drive", _DRIVES_TEXT, _DRIVES, rows),
             Section("Do the stated sigmas hold for all drives together?", "", NEES_COLUMNS, nees_rows(self.nees)),
+            *_class_section(list(self.drives.values())),
             *pooled_markings(self._markings),
         ]
 
@@ -232,6 +277,7 @@ class PooledDrives:
         return {
             "errors": {kind: figures.model_dump(mode="json") for kind, figures in self.figures.items()},
             "nees": {kind: nees_as_dict(result) for kind, result in self.nees.items()},
+            "by_class": class_figures(list(self.drives.values())),
             **pooled_markings_as_dict(self._markings),
         }
 

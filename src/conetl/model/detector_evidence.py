@@ -95,6 +95,9 @@ class DetectorEvidence(Record):
     """Number of images on which false boxes were counted, by height band."""
     false_boxes_per_picture: tuple[tuple[Positive, ...], ...]
     """Boxes on no cone at or above the threshold, by threshold and height band."""
+    false_boxes_by_class: dict[str, Positive] | None = None
+    """Of classes other than cones: boxes on no object of the class at or above `reference_score`, per image. None, or a class
+    that is not in it: not counted."""
     look_correlation: ImageCorrelation
     """Of the log-likelihood ratios, cone against lookalike, of two images of one object."""
     miss_correlation: ImageCorrelation | None = None
@@ -134,8 +137,11 @@ class AbsenceFigures(Record):
 
 
 def evidence_of(evidence: DetectorEvidence, category: str) -> DetectorEvidence:
-    """What the boxes of a category say: only those of cones were measured."""
-    return evidence if category == CONE else UNMEASURED_CLASS
+    """What the boxes of a category say: of other classes than cones at most the number of false boxes was measured."""
+    if category == CONE:
+        return evidence
+    false_boxes = (evidence.false_boxes_by_class or {}).get(category)
+    return UNMEASURED_CLASS if false_boxes is None else _of_other_class(false_boxes)
 
 
 def absence_log_ratio(
@@ -295,5 +301,12 @@ UNMEASURED = DetectorEvidence(
 )
 #: For the boxes of other classes than cones: one box in two images, so that several drives must miss an object before it is gone.
 UNMEASURED_CLASS = UNMEASURED.model_copy(update={"detected": (((0.5,),),), "found_again": (0.5,)})
+
+
+@lru_cache(maxsize=32)
+def _of_other_class(false_boxes: float) -> DetectorEvidence:
+    return UNMEASURED_CLASS.model_copy(update={"false_boxes_per_picture": ((false_boxes,),)})
+
+
 #: `UNMEASURED` with the default threshold of `DetectionParams`.
 UNMEASURED_ABSENCE = AbsenceFigures(evidence=UNMEASURED, score_threshold=0.3)

@@ -247,7 +247,7 @@ class MarkingParams(Params):
     """Least grey levels between paint and road."""
     max_above_road_m: Positive = 0.04
     """Of the paint above the road on either side of it: kerbs are at least 0.06 m high."""
-    max_gap_m: Positive = 12.5
+    max_gap_m: Positive = 14.0
     """Longest gap between the dashes of one line: 9 m (Germany, other roads) to 12 m (motorways)."""
     min_length_m: Positive = 3.0
     """Least length of the paint of one marking."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from conetl.model.errors import DriveFolderError
-from conetl.model.feature_classes import CONE
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.params import DetectionParams
 from conetl.model.records import MIN_DETAIL, Detection, Drive, ImageDetail, Side, Vec2
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
@@ -35,20 +35,23 @@ def check_boxes(
         x, y, width, height, score = row[:5]
         if score < params.score_threshold or height < params.min_height_px:
             continue
+        category = categories[int(row[9])] if len(row) > 9 else CONE
+        # Nothing of a sign or board stands on the ground: what a network gives there was never taught.
+        has_foot = category not in FEATURE_CLASSES or FEATURE_CLASSES[category].on_road
         try:
             detections.append(
                 Detection(
                     frame_index=frame_index,
                     side=side,
                     detection_index=len(detections),
-                    category=categories[int(row[9])] if len(row) > 9 else CONE,
+                    category=category,
                     x_px=x,
                     y_px=y,
                     w_px=width,
                     h_px=height,
                     score=score,
-                    foot_px=_point(row[5:7]),
-                    tip_px=_point(row[7:9]),
+                    foot_px=_point(row[5:7]) if has_foot else None,
+                    tip_px=_point(row[7:9]) if has_foot else None,
                 )
             )
         except ValidationError as error:

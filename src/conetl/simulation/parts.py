@@ -75,7 +75,8 @@ def cone_parts(cone: Cone, seed: int) -> list[Part]:
     ]
 
 
-def _at(item: RoadObject, mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
+def at_object(item: RoadObject, mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
+    """The mesh in the road frame, from that of the object, there at (x, y, z)."""
     return meshes.placed(mesh, motion(item.x_m, item.y_m, 0.0, item.yaw_rad) @ motion(x, y, z))
 
 
@@ -85,8 +86,8 @@ def _bollard(item: RoadObject, seed: int) -> list[Part]:
     body = meshes.lathe([0.055, 0.055, 0.0], [0.0, h, h + 0.01], 24)
     foot = meshes.lathe([0.17, 0.14, 0.0], [0.0, 0.05, 0.06], 24)
     return [
-        Part(_at(item, body), textures.striped((red, white, red, white, red), seed)),
-        Part(_at(item, foot), (0.1, 0.1, 0.1)),
+        Part(at_object(item, body), textures.striped((red, white, red, white, red), seed)),
+        Part(at_object(item, foot), (0.1, 0.1, 0.1)),
     ]
 
 
@@ -96,8 +97,8 @@ def _barrier_post(item: RoadObject, seed: int) -> list[Part]:
     board = meshes.box([0.03, 0.25, item.height_m - 0.15], 0.15)
     foot = meshes.box([0.8, 0.4, 0.12])
     return [
-        Part(_at(item, board), textures.striped((red, white) * 3, seed)),
-        Part(_at(item, foot), textures.mottled(seed, (0.16, 0.16, 0.16), 0.2, size=64)),
+        Part(at_object(item, board), textures.striped((red, white) * 3, seed)),
+        Part(at_object(item, foot), textures.mottled(seed, (0.16, 0.16, 0.16), 0.2, size=64)),
     ]
 
 
@@ -108,7 +109,7 @@ def _drum(item: RoadObject, seed: int) -> list[Part]:
     body = meshes.lathe([0.29 * h, 0.24 * h, 0.22 * h, 0.08 * h, 0.0], [0.04, 0.85 * h, 0.97 * h, h, h], 28)
     ring = meshes.lathe([0.38 * h, 0.36 * h, 0.0], [0.0, 0.06, 0.07], 24)
     bands = (item.colour, white, item.colour, white, item.colour)
-    return [Part(_at(item, body), textures.striped(bands, seed)), Part(_at(item, ring), (0.1, 0.1, 0.1))]
+    return [Part(at_object(item, body), textures.striped(bands, seed)), Part(at_object(item, ring), (0.1, 0.1, 0.1))]
 
 
 def _barricade(item: RoadObject, seed: int) -> list[Part]:
@@ -116,36 +117,42 @@ def _barricade(item: RoadObject, seed: int) -> list[Part]:
     white = (0.92, 0.92, 0.9)
     parts = [
         Part(
-            _at(item, meshes.box([0.04, 1.5, 0.2], item.height_m * share)),
+            at_object(item, meshes.box([0.04, 1.5, 0.2], item.height_m * share)),
             textures.striped((item.colour, white) * 2, seed),
         )
         for share in (0.45, 0.8)
     ]
     for y in (-0.6, 0.6):
-        parts.append(Part(_at(item, meshes.box([0.06, 0.06, item.height_m]), x=0.05, y=y), (0.8, 0.8, 0.78)))
-        parts.append(Part(_at(item, meshes.box([0.7, 0.08, 0.06]), y=y), (0.2, 0.2, 0.2)))
+        parts.append(Part(at_object(item, meshes.box([0.06, 0.06, item.height_m]), x=0.05, y=y), (0.8, 0.8, 0.78)))
+        parts.append(Part(at_object(item, meshes.box([0.7, 0.08, 0.06]), y=y), (0.2, 0.2, 0.2)))
     return parts
 
 
 def _post(item: RoadObject, seed: int) -> list[Part]:
     return [
-        Part(_at(item, meshes.lathe([0.038, 0.038, 0.0], [0.0, item.height_m, item.height_m], 20)), item.colour, 0.3)
+        Part(
+            at_object(item, meshes.lathe([0.038, 0.038, 0.0], [0.0, item.height_m, item.height_m], 20)),
+            item.colour,
+            0.3,
+        )
     ]
 
 
 def _round_sign(item: RoadObject, seed: int) -> list[Part]:
     turn = np.linspace(0, 2 * np.pi, 36, endpoint=False)
     disc = meshes.prism(np.column_stack([0.3 * np.cos(turn), item.height_m - 0.3 + 0.3 * np.sin(turn)]), 0.02)
-    return [*_post(item, seed), Part(_at(item, disc, x=-0.05), textures.round_sign(seed))]
+    return [*_post(item, seed), Part(at_object(item, disc, x=-0.05), textures.round_sign(seed))]
 
 
 def _triangle_sign(item: RoadObject, seed: int) -> list[Part]:
     parts = _post(item, seed)
     for scale, colour, x in ((1.0, (0.8, 0.07, 0.08), -0.05), (0.66, (0.93, 0.93, 0.9), -0.065)):
         outline = np.array([[0.45, -0.26], [0.0, 0.52], [-0.45, -0.26]]) * scale
-        parts.append(Part(_at(item, meshes.prism(outline + np.array([0.0, item.height_m - 0.5]), 0.015), x=x), colour))
+        parts.append(
+            Part(at_object(item, meshes.prism(outline + np.array([0.0, item.height_m - 0.5]), 0.015), x=x), colour)
+        )
     bar = meshes.box([0.012, 0.06, 0.26], item.height_m - 0.62)
-    return [*parts, Part(_at(item, bar, x=-0.08), (0.05, 0.05, 0.05))]
+    return [*parts, Part(at_object(item, bar, x=-0.08), (0.05, 0.05, 0.05))]
 
 
 def _bin(item: RoadObject, seed: int) -> list[Part]:
@@ -155,8 +162,8 @@ def _bin(item: RoadObject, seed: int) -> list[Part]:
     )
     dark = tuple(0.7 * c for c in item.colour)
     return [
-        Part(_at(item, body), textures.mottled(seed, item.colour, 0.1, size=128)),
-        Part(_at(item, lid), (dark[0], dark[1], dark[2])),
+        Part(at_object(item, body), textures.mottled(seed, item.colour, 0.1, size=128)),
+        Part(at_object(item, lid), (dark[0], dark[1], dark[2])),
     ]
 
 
@@ -166,7 +173,7 @@ def _hydrant(item: RoadObject, seed: int) -> list[Part]:
         [0.13, 0.13, 0.09, 0.09, 0.13, 0.12, 0.05, 0.0], np.array([0, 0.06, 0.1, 0.7, 0.72, 0.84, 0.98, 1]) * h
     )
     arm = meshes.placed(meshes.box([0.09, 0.34, 0.09]), motion(0.0, 0.0, 0.55 * h))
-    return [Part(_at(item, body), item.colour, 0.3), Part(_at(item, arm), item.colour, 0.3)]
+    return [Part(at_object(item, body), item.colour, 0.3), Part(at_object(item, arm), item.colour, 0.3)]
 
 
 def _van(item: RoadObject, seed: int) -> list[Part]:
@@ -179,7 +186,7 @@ def _van(item: RoadObject, seed: int) -> list[Part]:
     side = meshes.placed(meshes.prism(outline @ np.array([[-1.0, 0.0], [0.0, 1.0]]), width), turn)
     skin = textures.mottled(seed, item.colour, 0.03, size=256)
     # The hull between the two sides: one thin box per edge of the outline.
-    parts = [Part(_at(item, meshes.placed(side, motion(0, 0, 0, math.pi))), skin, 0.15)]
+    parts = [Part(at_object(item, meshes.placed(side, motion(0, 0, 0, math.pi))), skin, 0.15)]
     for (x0, z0), (x1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         run = math.hypot(x1 - x0, z1 - z0)
         lean = math.atan2(z1 - z0, x1 - x0)
@@ -188,24 +195,28 @@ def _van(item: RoadObject, seed: int) -> list[Part]:
         windscreen = x0 == nose - 0.55
         parts.append(
             Part(
-                _at(item, meshes.placed(meshes.box([run, width + 0.004, 0.03], -0.015), place)),
+                at_object(item, meshes.placed(meshes.box([run, width + 0.004, 0.03], -0.015), place)),
                 glass if windscreen else skin, 0.1 if windscreen else 0.15,
             )
         )  # fmt: skip
     for y in (-width / 2 - 0.012, width / 2 + 0.012):
-        parts.append(Part(_at(item, meshes.box([0.8, 0.02, 0.5], 1.2), x=nose - 1.55, y=y), glass, 0.1))
-        parts.append(Part(_at(item, meshes.box([length - 0.2, 0.015, 0.12], 0.75), y=y), (0.85, 0.85, 0.85)))
+        parts.append(Part(at_object(item, meshes.box([0.8, 0.02, 0.5], 1.2), x=nose - 1.55, y=y), glass, 0.1))
+        parts.append(Part(at_object(item, meshes.box([length - 0.2, 0.015, 0.12], 0.75), y=y), (0.85, 0.85, 0.85)))
         wheel = meshes.lathe([0.0, 0.2, 0.33, 0.33, 0.2, 0.0], [0.0, 0.0, 0.02, 0.2, 0.22, 0.22], 28)
         lying = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0.33], [0, 0, 0, 1.0]])
         for x in (-0.31 * length, 0.31 * length):
-            parts.append(Part(_at(item, meshes.placed(wheel, lying), x=x, y=y - 0.11 - math.copysign(0.06, y)), black))
+            parts.append(
+                Part(at_object(item, meshes.placed(wheel, lying), x=x, y=y - 0.11 - math.copysign(0.06, y)), black)
+            )
     for y in (-0.48, 0.48):
-        parts.append(Part(_at(item, meshes.box([0.02, 0.7, 0.55], 1.25), x=-nose - 0.03, y=y), glass, 0.1))
+        parts.append(Part(at_object(item, meshes.box([0.02, 0.7, 0.55], 1.25), x=-nose - 0.03, y=y), glass, 0.1))
         parts.append(
-            Part(_at(item, meshes.box([0.03, 0.14, 0.35], 0.75), x=-nose - 0.03, y=1.8 * y), (0.6, 0.04, 0.03))
+            Part(at_object(item, meshes.box([0.03, 0.14, 0.35], 0.75), x=-nose - 0.03, y=1.8 * y), (0.6, 0.04, 0.03))
         )
-        parts.append(Part(_at(item, meshes.box([0.03, 0.3, 0.18], 0.75), x=nose + 0.02, y=1.4 * y), (0.9, 0.9, 0.85)))
-    parts.append(Part(_at(item, meshes.box([0.02, 0.52, 0.11], 0.55), x=-nose - 0.03), (0.9, 0.9, 0.88)))
+        parts.append(
+            Part(at_object(item, meshes.box([0.03, 0.3, 0.18], 0.75), x=nose + 0.02, y=1.4 * y), (0.9, 0.9, 0.85))
+        )
+    parts.append(Part(at_object(item, meshes.box([0.02, 0.52, 0.11], 0.55), x=-nose - 0.03), (0.9, 0.9, 0.88)))
     return parts
 
 
@@ -221,10 +232,11 @@ def _worker(item: RoadObject, seed: int) -> list[Part]:
         ([0.13, 0.12, 0.6], 0.82, 0.3, item.colour), ([0.2, 0.17, 0.24], 1.47, 0.0, (0.75, 0.55, 0.45)),
     ]  # fmt: skip
     parts = [
-        Part(_at(item, meshes.box(np.array(size) * k, base * k), y=y * k), colour) for size, base, y, colour in pieces
+        Part(at_object(item, meshes.box(np.array(size) * k, base * k), y=y * k), colour)
+        for size, base, y, colour in pieces
     ]
     helmet = meshes.lathe(np.array([0.14, 0.14, 0.1, 0.0]) * k, np.array([1.66, 1.7, 1.78, 1.81]) * k, 20)
-    return [*parts, Part(_at(item, helmet), (0.9, 0.75, 0.1) if seed % 3 else (0.92, 0.92, 0.9), 0.2)]
+    return [*parts, Part(at_object(item, helmet), (0.9, 0.75, 0.1) if seed % 3 else (0.92, 0.92, 0.9), 0.2)]
 
 
 def _house(item: RoadObject, seed: int) -> list[Part]:
@@ -232,8 +244,8 @@ def _house(item: RoadObject, seed: int) -> list[Part]:
     front = meshes.box([item.length_m, 6.0, item.height_m])
     roof = meshes.box([item.length_m + 0.6, 6.8, 0.35], item.height_m)
     return [
-        Part(_at(item, front), wall),
-        Part(_at(item, roof), textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256)),
+        Part(at_object(item, front), wall),
+        Part(at_object(item, roof), textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256)),
     ]
 
 
@@ -246,7 +258,7 @@ def _hedge(item: RoadObject, seed: int) -> list[Part]:
     for x in np.linspace(-item.length_m / 2, item.length_m / 2, count):
         size = [2.6, rng.uniform(0.8, 1.1), item.height_m * rng.uniform(0.88, 1.08)]
         parts.append(
-            Part(_at(item, meshes.placed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), x=x), skin)
+            Part(at_object(item, meshes.placed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), x=x), skin)
         )
     return parts
 
@@ -256,13 +268,13 @@ def _tree(item: RoadObject, seed: int) -> list[Part]:
     h = item.height_m
     trunk = meshes.lathe([0.22, 0.14, 0.1], [0.0, 0.5 * h, 0.7 * h], 16)
     leaves = textures.mottled(seed, item.colour, 0.45, size=256, grain_px=2.0)
-    parts = [Part(_at(item, trunk), textures.mottled(seed, (0.32, 0.25, 0.18), 0.3, size=128))]
+    parts = [Part(at_object(item, trunk), textures.mottled(seed, (0.32, 0.25, 0.18), 0.3, size=128))]
     angle = np.linspace(0.0, np.pi, 9)
     for _ in range(7):
         r = 0.2 * h * rng.uniform(0.7, 1.1)
         ball = meshes.lathe(r * np.sin(angle), -r * np.cos(angle), 14)
         x, y = rng.normal(0.0, 0.13 * h, 2)
-        parts.append(Part(_at(item, ball, x=x, y=y, z=h * rng.uniform(0.58, 0.88)), leaves))
+        parts.append(Part(at_object(item, ball, x=x, y=y, z=h * rng.uniform(0.58, 0.88)), leaves))
     return parts
 
 

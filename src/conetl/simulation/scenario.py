@@ -49,7 +49,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class RoadObject:
-    """Any other object on or beside the road; `kind` is a key of `parts.BUILDERS`."""
+    """Any other object on or beside the road; `kind` is a key of `scene.BUILDERS`."""
 
     kind: str
     x_m: float
@@ -58,6 +58,9 @@ class RoadObject:
     height_m: float = 1.0
     colour: Colour = (0.5, 0.5, 0.5)
     length_m: float = 1.0
+    """Of plates and boards the width."""
+    object_id: str = ""
+    """In truth.csv, of kinds that have a class; empty: not surveyed."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,7 @@ class ScenarioPass:
     start_utc: datetime
     world: World
     changes: dict[str, str]
-    """cone_id -> added, confirmed, moved or removed, relative to the previous pass."""
+    """cone_id or object_id -> added, confirmed, moved or removed, relative to the previous pass."""
     removed: tuple[Cone, ...]
     """Cones of the previous pass that were removed."""
     exposure: float

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError
-from conetl.simulation import meshes, textures
-from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
+from conetl.simulation import classed_parts, meshes, parts, textures
+from conetl.simulation.parts import Part, cone_parts, motion
 from conetl.simulation.scenario import PAINT_HEIGHT_M, World, painted_lines
 
 Array = NDArray[np.float64]
@@ -25,6 +25,8 @@ FULL_WELL_ELECTRONS = 9000.0
 READ_NOISE_ELECTRONS = 6.0
 BLUR_SIGMA_PX = 0.45
 """Of lens and pixel together."""
+
+BUILDERS = parts.BUILDERS | classed_parts.BUILDERS
 
 
 @dataclass(frozen=True)
@@ -122,12 +124,12 @@ def _sky(mi: Any, world: World) -> dict[str, Any]:
 
 
 def _world_parts(world: World) -> list[Part]:
-    parts: list[Part] = []
+    found: list[Part] = []
     for number, cone in enumerate(world.cones):
-        parts += cone_parts(cone, 1000 * world.texture_seed + number)
+        found += cone_parts(cone, 1000 * world.texture_seed + number)
     for number, item in enumerate(world.objects):
-        parts += BUILDERS[item.kind](item, 1000 * world.texture_seed + 500 + number)
-    return parts + _ground(world)
+        found += BUILDERS[item.kind](item, 1000 * world.texture_seed + 500 + number)
+    return found + _ground(world)
 
 
 def _flat(x0: float, x1: float, y0: float, y1: float, z: float, tile_m: float) -> meshes.Mesh:
@@ -145,23 +147,23 @@ def _ground(world: World) -> list[Part]:
     x0, x1 = road.start_m, road.end_m
     stone = textures.mottled(seed + 2, (0.58, 0.57, 0.54), 0.10, size=256)
     grass = textures.mottled(seed + 3, road.verge, 0.30, size=1024)
-    parts = [Part(_flat(x0, x1, road.right_m, road.left_m, 0.0, 12.0), textures.asphalt(seed, road.asphalt))]
+    ground = [Part(_flat(x0, x1, road.right_m, road.left_m, 0.0, 12.0), textures.asphalt(seed, road.asphalt))]
     for marking in road.markings:
         paint = textures.paint(seed + 1, marking, road.asphalt)
         for line in painted_lines(marking):
-            parts.append(Part(meshes.ribbon(line, marking.width_m, PAINT_HEIGHT_M, 2.0), paint))
+            ground.append(Part(meshes.ribbon(line, marking.width_m, PAINT_HEIGHT_M, 2.0), paint))
     for y, outwards in ((road.right_m, -1.0), (road.left_m, 1.0)):
         kerb = meshes.box([x1 - x0, 0.14, 0.12])
         kerb = kerb._replace(uv=kerb.uv * [(x1 - x0) / 1.0, 0.3])
-        parts.append(Part(meshes.placed(kerb, motion((x0 + x1) / 2, y + outwards * 0.07)), stone))
-    parts.append(Part(_flat(-900.0, 900.0, -900.0, 900.0, -0.05, 25.0), grass))  # up to the horizon
+        ground.append(Part(meshes.placed(kerb, motion((x0 + x1) / 2, y + outwards * 0.07)), stone))
+    ground.append(Part(_flat(-900.0, 900.0, -900.0, 900.0, -0.05, 25.0), grass))  # up to the horizon
     pavement_edge = road.right_m - 0.14 - road.pavement_width_m
     if road.pavement_width_m > 0:
         slabs = textures.slabs(seed + 4, (0.60, 0.59, 0.56))
-        parts.append(Part(_flat(x0, x1, pavement_edge, road.right_m - 0.14, 0.10, 1.8), slabs))
-    parts.append(Part(_flat(x0, x1, pavement_edge - 90.0, pavement_edge, 0.08, 7.0), grass))
-    parts.append(Part(_flat(x0, x1, road.left_m + 0.14, road.left_m + 90.0, 0.08, 7.0), grass))
-    return parts
+        ground.append(Part(_flat(x0, x1, pavement_edge, road.right_m - 0.14, 0.10, 1.8), slabs))
+    ground.append(Part(_flat(x0, x1, pavement_edge - 90.0, pavement_edge, 0.08, 7.0), grass))
+    ground.append(Part(_flat(x0, x1, road.left_m + 0.14, road.left_m + 90.0, 0.08, 7.0), grass))
+    return ground
 
 
 def _shape(mi: Any, part: Part, path: Path) -> dict[str, Any]:

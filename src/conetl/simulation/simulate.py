@@ -1,4 +1,4 @@
-"""One pass of the sample scenario as a drive in the layout of KITTI's raw data (synced and rectified), plus its truth."""
+"""One pass of a simulated world as a drive in the layout of KITTI's raw data (synced and rectified), plus its truth."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError
 from conetl.simulation import trajectory
+from conetl.simulation.mixed_world import mixed_pass
 from conetl.simulation.rig import SimulatedRig, simulated_rig
 from conetl.simulation.scenario import scenario_pass
 from conetl.simulation.scene import build_scene, develop, encode_jpeg, exposure_gain, load_mitsuba, render
@@ -19,6 +21,7 @@ from conetl.simulation.truth_files import write_truth
 
 Array = NDArray[np.float64]
 
+WorldName = Literal["taper", "mixed"]
 JPEG_QUALITY = 74
 CAMERAS = (2, 3)
 
@@ -68,6 +71,7 @@ def simulate_drive(
     *,
     pass_number: int,
     seed: int,
+    world: WorldName = "taper",
     width_px: int = 960,
     height_px: int = 320,
     samples_per_pixel: int = 16,
@@ -75,16 +79,16 @@ def simulate_drive(
 ) -> Path:
     """Render pass 1, 2 or 3 into `out_dir` (new or empty) and return it.
 
-    The true trajectory places the cameras; oxts/ contains the noisy one. `seed` determines the noise of cameras and GNSS/INS,
-    not the scene: equal arguments give equal files. progress: called with (images done, total images). Raises InputError
-    without Mitsuba, for a folder that is not empty, and for invalid numbers.
+    The true trajectory places the cameras; oxts/ contains the noisy one. `seed` determines the noise of cameras and GNSS/INS, and
+    the scene of the mixed world, not that of the taper: equal arguments give equal files. progress: called with (images done,
+    total images). Raises InputError without Mitsuba, for a folder that is not empty, and for invalid numbers.
     """
-    scenario = scenario_pass(pass_number)
     if width_px < 16 or height_px < 16 or samples_per_pixel < 1 or seed < 0:
         raise InputError(
             f"cannot render {width_px} x {height_px} pixels with {samples_per_pixel} samples and seed {seed}: "
             "at least 16 pixels each way, one sample and a seed of 0 or more"
         )
+    scenario = mixed_pass(seed, pass_number) if world == "mixed" else scenario_pass(pass_number)
     load_mitsuba()
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
         raise InputError(f"{out_dir}: exists and is not empty; choose a new folder")

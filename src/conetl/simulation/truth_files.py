@@ -13,29 +13,38 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from conetl.geometry.linear_reference import resampled
+from conetl.model.feature_classes import CONE
+from conetl.simulation.classed_parts import true_shape
 from conetl.simulation.scenario import PAINT_HEIGHT_M, RoadMarking, ScenarioPass
 from conetl.simulation.trajectory import MAP_SRID, map_SE3_road
 
 Array = NDArray[np.float64]
 
 TRUTH_COLUMNS = (
-    "cone_id", "easting_m", "northing_m", "height_ellipsoidal_m", "cone_height_m", "map_srid", "present", "change"
+    "cone_id", "easting_m", "northing_m", "height_ellipsoidal_m", "cone_height_m", "map_srid", "present", "change",
+    "category",
 )  # fmt: skip
 _LINE_STEP_M = 10.0
 
 
 def write_truth(folder: Path, scenario: ScenarioPass) -> None:
-    """truth.csv: the foot centre (of the base plate's underside) of each cone, present or removed; and the lane markings."""
+    """truth.csv with the foot (of cones the centre of the base plate's underside, of plates the middle of their lower edge) and
+    height of each object, present or removed; and the lane markings. Without other objects than cones it has no `category`."""
     place = map_SE3_road()
+    cones = [(c, 1) for c in scenario.world.cones] + [(c, 0) for c in scenario.removed]
+    rows = [(c.cone_id, (c.x_m, c.y_m, 0.0), c.height_m, present, CONE) for c, present in cones]
+    for item in scenario.world.objects:
+        if item.object_id:
+            category, foot_m, height_m = true_shape(item)
+            rows.append((item.object_id, (item.x_m, item.y_m, foot_m), height_m, 1, category))
+    columns = len(TRUTH_COLUMNS) - (len(rows) == len(cones))
     with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(TRUTH_COLUMNS)
-        for cone, present in [(c, 1) for c in scenario.world.cones] + [(c, 0) for c in scenario.removed]:
-            e, n, h = place[:3, :3] @ [cone.x_m, cone.y_m, 0.0] + place[:3, 3]
-            change = scenario.changes[cone.cone_id]
-            writer.writerow(
-                [cone.cone_id, f"{e:.4f}", f"{n:.4f}", f"{h:.4f}", f"{cone.height_m:.3f}", MAP_SRID, present, change]
-            )
+        writer.writerow(TRUTH_COLUMNS[:columns])
+        for name, foot, height, present, category in rows:
+            xyz = (f"{value:.4f}" for value in place[:3, :3] @ foot + place[:3, 3])
+            row = (name, *xyz, f"{height:.3f}", MAP_SRID, present, scenario.changes[name], category)
+            writer.writerow(row[:columns])
     write_marking_truth(folder, scenario.world.road.markings)
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 
 from conetl.evaluation.accuracy import PointErrors, position_errors
 from conetl.evaluation.drive_evaluation import DriveEvaluation, pool
 from conetl.evaluation.truth import TruthCone, TruthLine
+from conetl.model.feature_classes import CONE
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.world import Cone, make_rig
 
@@ -22,10 +24,15 @@ def drawn(seed: int) -> PointErrors:
 
 
 def evaluation(name: str, errors: PointErrors, missed: int = 0) -> DriveEvaluation:
-    cone = TruthCone(cone_id="a", xyz_m=(0.0, 0.0, 0.0), cone_height_m=0.5)
-    found = TruthLine(cone, object(), 1.0, 1.0)  # type: ignore[type-var]
-    lines = [found] * 4 + [TruthLine(cone, None, 1.0, None)] * missed
-    return DriveEvaluation(name, lines, [], np.empty((0, 3)), errors, errors, {}, [], {})  # type: ignore[arg-type]
+    """Two cones and two drums, each found 1 cm too far east, a false drum, and missed cones."""
+    lines = []
+    for k, cone_id in enumerate(sorted(set(errors.cone_ids))):
+        truth = TruthCone(cone_id=cone_id, category="drum" if k > 1 else CONE, xyz_m=(0.0, 0.0, 0.0), cone_height_m=0.5)
+        lines.append(TruthLine(truth, SimpleNamespace(xyz_m=(0.01, 0.0, 0.0)), 1.0, 1.0))  # type: ignore[type-var]
+    cone = TruthCone(cone_id="missed", xyz_m=(9.0, 0.0, 0.0), cone_height_m=0.5)
+    lines += [TruthLine(cone, None, 1.0, None)] * missed
+    false = [SimpleNamespace(category="drum")]
+    return DriveEvaluation(name, lines, false, np.empty((0, 3)), errors, errors, {}, [], {})  # type: ignore[arg-type]
 
 
 def test_one_row_per_drive_and_one_for_all() -> None:
@@ -33,9 +40,11 @@ def test_one_row_per_drive_and_one_for_all() -> None:
     wrong = dataclasses.replace(other, own_cov_m2=other.own_cov_m2 / 9, common_cov=other.common_cov / 9)
     pooled = pool({"good": evaluation("good", good), "wrong": evaluation("wrong", wrong, missed=1)})
     assert pooled.figures["tracks"].count == len(good.difference_m) + len(other.difference_m)
-    drives, nees = pooled.tables()
+    drives, nees, by_class = pooled.tables()
     of_good, of_wrong, of_all = ([str(value) for value in row] for row in drives.rows)
     assert of_good[:2] == ["good", "4 of 4"] and not any("*" in value for value in of_good)
     assert of_wrong[:2] == ["wrong", "4 of 5"] and any("*" in value for value in of_wrong)
     assert of_all[:2] == ["all drives", "8 of 9"]
     assert any(row[0] == "single positions, relative" and row[-1] == "too small" for row in nees.rows)
+    cones, drums = by_class.rows
+    assert cones[:4] == ("cone", "4 of 5", 0, "0.010") and drums[:4] == ("drum", "4 of 4", 2, "0.010")

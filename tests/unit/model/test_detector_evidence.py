@@ -18,6 +18,7 @@ from conetl.model.detector_evidence import (
     box_log_ratio,
     calibrated_probability,
     detect_probability,
+    evidence_of,
     evidence_sha256,
     false_boxes_per_image,
     joint_log_ratio,
@@ -148,5 +149,14 @@ def test_the_hash_depends_on_all_figures_and_is_that_of_older_files() -> None:
     other = EVIDENCE.model_copy(update={"true_boxes": 301})
     later = EVIDENCE.model_copy(update={"miss_correlation": EVIDENCE.look_correlation})
     assert len({evidence_sha256(e) for e in (None, EVIDENCE, other, later)}) == 4
-    text = EVIDENCE.model_dump_json(exclude={"miss_correlation"})
+    text = EVIDENCE.model_dump_json(exclude={"miss_correlation", "false_boxes_by_class"})
     assert evidence_sha256(DetectorEvidence.model_validate_json(text)) == hashlib.sha256(text.encode()).hexdigest()
+
+
+def test_counted_false_boxes_of_a_class_change_its_prior_odds_alone() -> None:
+    counted = UNMEASURED.model_copy(update={"false_boxes_by_class": {"drum": 0.03}})
+    assert evidence_of(counted, "traffic_cone") is counted
+    drum, sign = evidence_of(counted, "drum"), evidence_of(counted, "traffic_sign")
+    assert false_boxes_per_image(drum, 22.0, 0.3) == pytest.approx(0.03)
+    assert sign == evidence_of(UNMEASURED, "drum") and false_boxes_per_image(sign, 22.0, 0.3) == pytest.approx(0.3)
+    assert box_log_ratio(drum, 0.7, 30.0, 0.0, 0.02) == box_log_ratio(sign, 0.7, 30.0, 0.0, 0.02)

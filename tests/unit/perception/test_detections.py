@@ -47,3 +47,12 @@ def test_boxes_alone_have_neither_foot_nor_tip() -> None:
     )
     assert found.foot_px is None
     assert found.tip_px is None
+
+
+def test_signs_and_boards_have_no_foot() -> None:
+    boxes = np.array([[10.0 + 30 * k, 10.0, 8.0, 20.0, 0.9 - 0.1 * k, 14.0, 28.5, 14.1, 10.2, k] for k in range(3)])
+    categories = ("drum", "work_zone_sign", "arrow_board")
+    found, _ = check_boxes(boxes, frame_index=0, side="left", params=DetectionParams(), categories=categories)
+    assert [(d.category, d.foot_px is None, d.tip_px is None) for d in found] == [
+        ("drum", False, False), ("work_zone_sign", True, True), ("arrow_board", True, True)
+    ]  # fmt: skip

@@ -17,8 +17,9 @@ from conetl.geometry.rig import body_SE3_camera, map_SE3_camera
 from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
 from conetl.simulation import trajectory
+from conetl.simulation.classed_parts import true_shape
 from conetl.simulation.rig import simulated_rig
-from conetl.simulation.scenario import Cone, World, scenario_pass
+from conetl.simulation.scenario import Cone, Road, RoadObject, World, scenario_pass
 from conetl.simulation.scene import PinholeCamera, build_scene, develop, exposure_gain, render
 from conetl.simulation.simulate import simulate_drive
 
@@ -152,3 +153,38 @@ def test_without_mitsuba_the_extra_is_named(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code, str(target)], capture_output=True, text=True, check=True)
     assert "pip install 'conetl[simulate]'" in done.stdout
     assert not target.exists()
+
+
+def test_objects_of_all_classes_are_rendered_where_their_truth_says() -> None:
+    """Side by side 14 m ahead: what they change in the image spans their height, of plates with the post below it."""
+    kinds = {
+        "drum": (1.0, 1.0), "tubular_marker": (1.0, 0.1), "vertical_panel": (1.1, 0.3), "type_3": (1.4, 1.4),
+        "diamond": (1.7, 1.0), "work_triangle": (1.5, 0.9), "arrow_board": (2.6, 1.8), "speed_disc": (2.0, 0.6),
+        "mandatory_disc": (2.0, 0.6),
+        "warning_triangle": (2.0, 0.8), "rectangle": (2.2, 0.6),
+    }  # fmt: skip
+    camera = PinholeCamera(width_px=480, height_px=80, f_px=200.0, cx_px=239.5, cy_px=35.0)
+    items = [
+        RoadObject(kind, 14.0, 13.0 - 2.6 * n, height_m=height, length_m=width, colour=(0.95, 0.4, 0.1))
+        for n, (kind, (height, width)) in enumerate(kinds.items())
+    ]
+    road = Road(right_m=-16.0, left_m=16.0, pavement_width_m=0.0, markings=())
+    images = [
+        render(
+            build_scene(World((), objects, sun_elevation_deg=60.0, sun_azimuth_deg=180.0, sun_scale=0.0, road=road)),
+            camera, _looking_along_x(1.5, 0.0), samples_per_pixel=16, seed=4,
+        ).mean(axis=-1)
+        for objects in (tuple(items), ())
+    ]  # fmt: skip
+    changed = np.abs(images[0] - images[1]) > 0.1 * images[1]
+    for item in items:
+        shape = true_shape(item)
+        middle = camera.cx_px - camera.f_px * item.y_m / item.x_m
+        columns = slice(round(middle) - 1, round(middle) + 2)
+        rows = np.flatnonzero(changed[:, columns].any(axis=1))
+        top, low = (
+            camera.cy_px + camera.f_px * (1.5 - z) / item.x_m for z in (shape.foot_m + shape.height_m, shape.foot_m)
+        )
+        assert shape.foot_m + shape.height_m == pytest.approx(item.height_m)
+        assert rows.min() == pytest.approx(top, abs=2.0), item.kind
+        assert rows.max() > low - 2.0, item.kind

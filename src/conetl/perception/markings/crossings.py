@@ -98,12 +98,14 @@ def find_points(
     if not len(grid.rows_px):
         return MarkingPoints(frame_index=frame_index)
     cx = rig.left.cx_px
-    all_rows = np.arange(len(grid.rows_px))[:, None]
-    u = grid.u_px(all_rows, np.arange(len(grid.offsets))[None, :].astype(np.float64), cx)
-    v = np.broadcast_to(grid.rows_px[:, None], u.shape)
-    sides = [resampled(left, u, v)]
-    turned = np.stack([u - grid.road_px(all_rows, u), v, np.ones_like(u)], axis=-1) @ right_from_parallel(rig).T
-    sides.append(resampled(right, turned[..., 0] / turned[..., 2], turned[..., 1] / turned[..., 2]))
+    rows, offsets = grid.rows_px[:, None].astype(np.float32), grid.offsets.astype(np.float32)
+    u = np.float32(cx) + offsets * grid.columns_px[:, None].astype(np.float32)
+    by_u, by_v, constant = road.plane.astype(np.float32)
+    parallel = u * (1 - by_u) - (rows * by_v + constant)
+    turn = right_from_parallel(rig).astype(np.float32)
+    ahead = turn[2, 0] * parallel + (turn[2, 1] * rows + turn[2, 2])
+    u_right, v_right = ((one[0] * parallel + (one[1] * rows + one[2])) / ahead for one in turn[:2])
+    sides = [resampled(left, u, np.broadcast_to(rows, u.shape)), resampled(right, u_right, v_right)]
     ours, theirs = (find_bands(grey, params) for _, grey in sides)
     first, second = matched(ours, theirs)
     row, rise, fall = ours.row[first], ours.rise[first], ours.fall[first]
@@ -149,9 +151,9 @@ def road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> RoadGrid:
     return RoadGrid(rows, depth, _STEP_M * camera.fx_px / depth, np.arange(-half, half + 1.0), plane)
 
 
-def resampled(image: NDArray[np.uint8], u: Floats, v: Floats) -> tuple[NDArray[np.uint8], Grid]:
+def resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.uint8], Grid]:
     """The colours (R, C, 3) and grey levels (R, C) of an image at points; NaN in the grey levels outside of it."""
-    colours = np.asarray(cv2.remap(image, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR), dtype=np.uint8)
+    colours = np.asarray(cv2.remap(image, u, np.ascontiguousarray(v), cv2.INTER_LINEAR), dtype=np.uint8)
     grey = cv2.cvtColor(colours, cv2.COLOR_BGR2GRAY).astype(np.float32)
     height, width = image.shape[:2]
     grey[(u < 0) | (u > width - 1) | (v < 0) | (v > height - 1)] = np.nan
@@ -168,9 +170,11 @@ def find_bands(grey: Grid, params: MarkingParams) -> Bands:
     slope[~inner] = 0.0
     # A step of height 1 has this peak.
     peak = 1 / (sigma * np.sqrt(2 * np.pi))
-    spread = np.where(inner, np.abs(slope), np.nan)
-    with np.errstate(all="ignore"):
-        noise = 1.4826 * np.nan_to_num(np.nanmedian(spread[:, ::4], axis=1)) / peak
+    # The median of the usable ones: where they are not, infinity is sorted behind them.
+    spread = np.sort(np.where(inner, np.abs(slope), np.inf)[:, ::8], axis=1)
+    middle = np.isfinite(spread).sum(axis=1) // 2
+    typical = spread[np.arange(len(spread)), middle]
+    noise = 1.4826 * np.where(np.isfinite(typical), typical, 0.0) / peak
     least = np.maximum(params.min_contrast / 2, _NOISE_SIGMAS / 2 * noise)[:, None] * peak
     rise_row, rise = _peaks(slope, least)
     fall_row, fall = _peaks(-slope, least)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.camera import matrix_k
+from conetl.geometry.camera import first_road_row, matrix_k
 from conetl.geometry.rig import left_SE3_right, up_in_left_camera
 from conetl.model.records import Rig
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Image = NDArray[np.integer[Any] | np.floating[Any]]
 
 #: Wider images are reduced for the dense disparities.
-_MAX_WIDTH_PX = 720
+_MAX_WIDTH_PX = 640
 _BLOCK_PX = 11
 #: Depths between which the road is searched, and half the width of the strip ahead (m).
 _NEAREST_M, _FARTHEST_M, _ASIDE_M = 4.0, 15.0, 3.0
@@ -33,6 +33,8 @@ _TOLERANCES = (0.1, 0.05, 0.03, 0.03)
 #: Largest slope of the road against the body: brakes and ramps.
 _MAX_TILT_RAD = 0.12
 _MIN_POINTS = 200
+#: One of so many rows and columns of the disparities is used.
+_EVERY = 4
 
 
 class RoadPlane(NamedTuple):
@@ -74,7 +76,7 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
     camera = rig.left
     focal_base = camera.fx_px * rig.baseline_m
     down = -up_in_left_camera(rig)
-    first_row = int(np.clip(camera.cy_px - camera.fy_px * down[2] / down[1], 0, camera.height_px - 64))
+    first_row = first_road_row(camera, [np.outer([0.0, 0.0, 1.0], -down)], margin_rad=0.0)
     scale = min(1.0, _MAX_WIDTH_PX / camera.width_px)
     shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, first_row], [0.0, 0.0, 1.0]])
     size = camera.width_px, camera.height_px - first_row
@@ -89,6 +91,8 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
     lower, parallel = map(np.ascontiguousarray, images)
     step = size[0] / lower.shape[1]
     most = int(np.ceil(focal_base / step / (0.8 * _NEAREST_M) / 16)) * 16
+    if lower.shape[0] < 2 * _BLOCK_PX or lower.shape[1] < most + 2 * _BLOCK_PX:
+        return None
     matcher = cv2.StereoBM.create(numDisparities=most, blockSize=_BLOCK_PX)
     matcher.setTextureThreshold(5)
     matcher.setUniquenessRatio(5)
@@ -109,8 +113,8 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
 def _plane(measured: NDArray[np.float32], step: float, first_row: int, rig: Rig, down: Floats) -> Floats | None:
     """(3,) of `RoadPlane.plane`, by a vote about the height, then least squares with shrinking tolerances."""
     camera, focal_base = rig.left, rig.left.fx_px * rig.baseline_m
-    some = measured[::3, ::3].astype(np.float64)
-    v, u = np.indices(some.shape) * 3.0
+    some = measured[::_EVERY, ::_EVERY].astype(np.float64)
+    v, u = np.indices(some.shape) * float(_EVERY)
     u, v = (u + 0.5) * step - 0.5, (v + 0.5) * step - 0.5 + first_row
     ray = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones_like(u)], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -130,6 +134,7 @@ def _plane(measured: NDArray[np.float32], step: float, first_row: int, rig: Rig,
         close = np.abs(disparity - predicted) < np.maximum(tolerance * predicted, 0.5)
         if close.sum() < _MIN_POINTS:
             return None
-        plane = np.linalg.lstsq(design[close], disparity[close], rcond=None)[0]
+        normal = design[close].T @ design[close]
+        plane = np.linalg.solve(normal, design[close].T @ disparity[close])
         predicted = design @ plane
     return np.asarray(plane)

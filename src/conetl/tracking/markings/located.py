@@ -18,6 +18,8 @@ Ints = NDArray[np.intp]
 
 #: The path is given by points so far apart, smoothed so much: the sway of a vehicle is none of the road.
 _PATH_STEP_M, _PATH_SIGMA_M, _LEAST_MOVE_M = 1.0, 3.0, 0.3
+#: Length of the end of a path by which it is continued.
+_BEND_M = 10.0
 #: A point lies so far behind and ahead of its camera along the path; a path may come back to the same road.
 _BEHIND_M, _AHEAD_M = 5.0, 15.0
 
@@ -65,6 +67,18 @@ def camera_points(columns: PointColumns, disparity_px: Floats, rig: Rig) -> Floa
     return np.stack([x * depth, y * depth, depth], axis=1)
 
 
+def _extended(line: Floats, length_m: float) -> Floats:
+    """The line (P, 2) and as much more in the bend of its last `_BEND_M`: cameras see farther than the drive goes."""
+    steps = np.diff(line, axis=0)
+    heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    step = float(np.hypot(*steps[-1]))
+    count = min(int(_BEND_M / step), len(heading) - 1)
+    turn = (heading[-1] - heading[-1 - count]) / count if count > 0 else 0.0
+    ahead = heading[-1] + turn * np.arange(1, int(length_m / step) + 2)
+    added = line[-1] + step * np.cumsum(np.stack([np.cos(ahead), np.sin(ahead)], axis=1), axis=0)
+    return np.concatenate([line, added])
+
+
 def locate_points(found: Sequence[MarkingPoints], drive: Drive, max_range_m: float) -> LocatedPoints | None:
     """All points of a drive, with the drive's poses and rig; None for a drive that shows none or does not move."""
     poses: Mapping[int, Floats] = {pair.frame_index: map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs}
@@ -73,12 +87,13 @@ def locate_points(found: Sequence[MarkingPoints], drive: Drive, max_range_m: flo
     frames = tuple(one for one in found if one.frame_index in poses and one.points)
     if len(moved) < 2 or not frames:
         return None
-    line = smoothed(moved, _PATH_STEP_M, _PATH_SIGMA_M)
+    driven_line = smoothed(moved, _PATH_STEP_M, _PATH_SIGMA_M)
+    line = _extended(driven_line, max_range_m)
     left = np.stack([poses[one.frame_index] for one in frames])
     along = stations(line)
     # A path may cross itself: the station of a frame pair is found by how far the vehicle had come.
     driven = dict(zip(poses, np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))]), strict=True))
-    share = along[-1] / max(*driven.values(), 1e-9)
+    share = along[len(driven_line) - 1] / max(*driven.values(), 1e-9)
     guess = [share * driven[one.frame_index] for one in frames]
     columns = [one.columns() for one in frames]
     xyz, places, own_station = [], [], []

@@ -23,13 +23,15 @@ Floats = NDArray[np.float64]
 #: Cells along the chain, and the sigma by which their shares of hits are smoothed.
 _CELL_M, _SMOOTHING_M = 0.1, 0.15
 #: There is paint where the share of hits is at least this part of what it is where there is most.
-_PAINTED = 0.5
+_PAINTED = 0.4
 #: Shorter gaps and shorter runs of paint are noise.
 _LEAST_GAP_M, _LEAST_RUN_M = 0.5, 0.4
 #: No dash is as long (motorways: 6 m); no solid line has a longer worn hole.
 _LONGEST_DASH_M, _LONGEST_HOLE_M = 8.0, 4.0
 #: Dashes and gaps of one line have at most this relative scatter (median absolute deviation).
 _REGULAR = 0.3
+#: Shorter gaps than this share of the longest one are worn holes in dashes.
+_HOLE_SHARE = 0.4
 #: A line with paint on more than this share of its length is solid, though worn.
 _WORN = 0.75
 #: The chain is drawn by points so far apart for its projection into the images.
@@ -186,6 +188,14 @@ def _dashes(runs: list[Run]) -> tuple[float, float] | None:
     """Lengths of dashes and gaps (m) of a dashed line; None of a solid one, which may be worn."""
     if len(runs) == 1 or any(run.length_m > _LONGEST_DASH_M for run in runs):
         return None
+    most = max(b.start_m - a.end_m for a, b in pairwise(runs))
+    joined = runs[:1]
+    for run in runs[1:]:
+        if run.start_m - joined[-1].end_m < _HOLE_SHARE * most:
+            joined[-1] = joined[-1]._replace(end_m=run.end_m, empty_after=run.empty_after)
+        else:
+            joined.append(run)
+    runs = joined
     gaps = np.array([b.start_m - a.end_m for a, b in pairwise(runs)])
     whole = [run.length_m for run in runs if run.empty_before and run.empty_after]
     dashes = np.array(whole or [run.length_m for run in runs])

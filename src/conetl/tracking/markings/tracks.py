@@ -37,6 +37,8 @@ _ROWS_AS_ONE = 1.5
 #: Sigmas of what all points of one frame pair have in common (glare, shadows, the motion during exposure), and of what all points
 #: of a marking have (shape of its edges, disparities).
 _FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
+#: Sigma of the paint's own course against a straight line, and its share of the bend at a vertex.
+_COURSE_SIGMA_M, _BEND_SHARE = 0.0015, 0.15
 #: Frame pairs of less weight than this share of the largest do not move a vertex.
 _LEAST_SHARE = 0.02
 #: Largest scatter of the points about the course (m) and of the widths (share).
@@ -233,6 +235,9 @@ def _covariances(
         left = points.map_SE3_left[frames]
         seen = np.einsum("fji,fj->fi", left[:, :3, :3], vertex - left[:, :3, 3])
         seen[:, 2] = np.maximum(seen[:, 2], 1.0)
+        bend = course.offset_m[max(k - 1, 0) : k + 2]
+        unlike_a_line = np.ptp(np.diff(bend)) * _BEND_SHARE if len(bend) == 3 else _COURSE_SIGMA_M
+        own[k] += (_COURSE_SIGMA_M**2 + unlike_a_line**2) * np.outer(across[k], across[k])
         own[k] += _image_errors(left, seen, shares, axes[k], rig.left.fx_px, rig.left.fx_px * rig.baseline_m)
         members = [pairs[points.frames[number].frame_index] for number in frames]
         moved = shares[:, None, None] * moved_by_poses(

@@ -1,13 +1,13 @@
-"""Area-based least-squares matching of one cone between the left and the right rectified image.
+"""Area-based least-squares matching of one object between the left and the right rectified image.
 
 Boxes are loose by a pixel or more; matching grey values determines the disparity to a twentieth of a pixel. A normalised
 cross-correlation over whole pixels is followed by least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with
 gain and offset per colour.
 
 The left image is matched along the disparity *surface* of an upright body of revolution (`cone_outline.py`, `cone_pixels.py`);
-the result is the disparity of its axis at the foot. Lean of the cone, nearness of its surface and shift of each edge are
-unknowns with priors, so that sigma contains their effect. Sigma is that of the residuals under slopes common to both images
-(`covariance.py`).
+of flat objects along a plane (`plate_pixels.py`); the result is the disparity of its axis at the foot. Lean of the cone,
+nearness of its surface and shift of each edge are unknowns with priors, so that sigma contains their effect. Sigma is that of
+the residuals under slopes common to both images (`covariance.py`).
 
 Only pixels of the body and its edges are used. The background mixed into the edges by blur differs between the images: its
 change is measured just beyond the edge and subtracted. Both images are blurred alike by the B-spline of the interpolation,
@@ -27,6 +27,7 @@ from conetl.model.records import Camera
 from conetl.tracking.matching.cone_outline import Outline
 from conetl.tracking.matching.cone_pixels import ConePixels, SplinePatch, cone_pixels
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_cov
+from conetl.tracking.matching.plate_pixels import Plate, plate_pixels
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -74,7 +75,7 @@ class AreaMatch:
 def match_area(
     left: NDArray[np.uint8],
     right: NDArray[np.uint8],
-    outline: Outline,
+    outline: Outline | Plate,
     disparity_px: float,
     search_px: float,
     *,
@@ -83,7 +84,7 @@ def match_area(
     at_infinity_px: float = 0.0,
     row_offset_px: float = 0.0,
 ) -> AreaMatch | None:
-    """Disparity of the cone with `outline` in the left image, or None if the images do not determine it.
+    """Disparity of the object with `outline` in the left image, or None if the images do not determine it.
 
     left, right: rectified images, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
     camera: the left one. up: unit vector (3,) in its frame (x right, y down, z forward). at_infinity_px: disparity of a point
@@ -91,7 +92,9 @@ def match_area(
     """
     if left.ndim == 2:
         left, right = left[:, :, None], right[:, :, None]
-    pixels = cone_pixels(left, outline, camera, up)
+    pixels = (
+        plate_pixels(left, outline, camera) if isinstance(outline, Plate) else cone_pixels(left, outline, camera, up)
+    )
     if pixels is None:
         return None
     coarse = _whole_pixel_disparity(pixels, right, disparity_px, search_px, at_infinity_px, round(row_offset_px))
@@ -145,7 +148,7 @@ def _least_squares(
     # Disparity of the axis at the foot, row offset, lean of the axis, surplus of the surface's nearness, shift of either edge.
     unknown = np.array([start, row_offset_px, 0.0, 0.0, 0.0, 0.0])
     weights, size = np.ones(len(pixels.rows)), np.zeros(len(pixels.rows))
-    background = np.zeros_like(beyond.values[:, 0])
+    background = np.zeros((max(len(beyond.values), 1), pixels.values.shape[1]))
     for iteration in range(_MAX_ITERATIONS):
         disparity, down, lean, surplus = unknown[:4]
         if abs(disparity - start) > _MAX_WAY_PX or abs(down - row_offset_px) > _MAX_ROW_OFFSET_PX:
@@ -154,7 +157,7 @@ def _least_squares(
         depth = pixels.depth + lean * pixels.height - surplus * pixels.nearer
         columns = pixels.columns - at_infinity_px - scale / depth - pixels.at_edge @ unknown[4:]
         # The background is fixed in the second half: otherwise it may oscillate with the disparity.
-        sample_background = iteration < _MAX_ITERATIONS // 2
+        sample_background = len(beyond.values) > 0 and iteration < _MAX_ITERATIONS // 2
         beside = beyond.columns - at_infinity_px - scale / beyond.depth
         sample, slope_u, slope_v = (
             patch.at(np.concatenate([pixels.rows, beyond.rows]), np.concatenate([columns, beside]), down)

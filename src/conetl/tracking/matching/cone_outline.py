@@ -1,4 +1,4 @@
-"""Axis and width of the body of a standing cone in one image.
+"""Axis and width of the body of a standing cone, or another round object, in one image.
 
 A box gives the width of the base plate, not of the body. Both edges of the body are straight lines, each estimated as the line
 of largest change of grey values across the rows, near to the prediction from box, foot and tip.
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.records import Detection
 
 Floats = NDArray[np.float64]
 
-#: Half width of a cone's body as a share of its box's width, at the tip and at the foot: predicted values from the sample
-#: drives and one real street, and search ranges.
-_PRIOR_TOP, _PRIOR_FOOT = 0.10, 0.31
+#: Search ranges of the half width of a body, at the tip and at the foot, as shares of the width of its box. The predicted values
+#: (`FeatureClass.body`) and these are from the sample drives and one real street.
 _REACH_TOP, _REACH_FOOT = 0.08, 0.12
 #: Rows of the body alone, as shares from tip to foot, without the blunt tip and the base plate.
 BODY_ROWS = (0.08, 0.84)
@@ -60,6 +60,7 @@ class Outline:
 def expected_outline(detection: Detection) -> Outline:
     """The outline predicted from box, foot and tip."""
     width = detection.w_px
+    half_top, half_foot = (width * share for share in FEATURE_CLASSES[detection.category].body)
     middle = detection.x_px + width / 2
     tip_x, tip_y = detection.tip_px or (middle, detection.y_px)
     foot_x, foot_y = detection.foot_px or (middle, detection.y_px + detection.h_px)
@@ -67,8 +68,8 @@ def expected_outline(detection: Detection) -> Outline:
         tip_x, tip_y, foot_x, foot_y = middle, detection.y_px, middle, detection.y_px + detection.h_px
     return Outline(
         tip_row=tip_y - 0.5, foot_row=foot_y - 0.5,
-        left_top=tip_x - 0.5 - _PRIOR_TOP * width, right_top=tip_x - 0.5 + _PRIOR_TOP * width,
-        left_foot=foot_x - 0.5 - _PRIOR_FOOT * width, right_foot=foot_x - 0.5 + _PRIOR_FOOT * width,
+        left_top=tip_x - 0.5 - half_top, right_top=tip_x - 0.5 + half_top,
+        left_foot=foot_x - 0.5 - half_foot, right_foot=foot_x - 0.5 + half_foot,
     )  # fmt: skip
 
 
@@ -98,7 +99,8 @@ def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
         left_top=left_top, left_foot=left_foot, right_top=right_top, right_foot=right_foot,
     )  # fmt: skip
     radii = found.radius(rows[[0, -1]])
-    return found if radii[0] > 0 and radii[1] > radii[0] else expected
+    least = 0.0 if detection.category != CONE else radii[0]  # only a cone must become wider towards its foot
+    return found if radii[0] > 0 and radii[1] > least else expected
 
 
 def _edges(steps: Floats, share: Floats, top: Floats, foot: Floats, width_px: float, floor: float) -> Floats:

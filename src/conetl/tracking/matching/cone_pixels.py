@@ -24,8 +24,8 @@ from conetl.tracking.matching.cone_outline import Outline
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-_MIN_PIXELS = 24
-_MAX_PIXELS = 1200
+MIN_PIXELS = 24
+MAX_PIXELS = 1200
 #: Used rows of the body, as shares from tip to foot; the base plate is not at the axis.
 _ROWS = (0.02, 0.90)
 #: Width of the edge inside the outline, and of the margin outside: shares of the radius at the foot, limited in pixels. A far
@@ -90,10 +90,10 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
     u = np.arange(low, high + 1)
     aside = u[None, :] - axis[:, None]
     inside = np.abs(aside) <= radius[:, None] + out_px
-    every = int(np.ceil(inside.sum() / _MAX_PIXELS))
+    every = int(np.ceil(inside.sum() / MAX_PIXELS))
     inside[np.arange(len(v)) % every != 0] = False  # neighbouring rows of a near cone are redundant
     i, j = np.nonzero(inside)
-    if len(i) < _MIN_PIXELS:
+    if len(i) < MIN_PIXELS:
         return None
     surface = _cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
     if surface is None:
@@ -101,7 +101,7 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
     # At the edge the blurred outline is visible, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > edge_px
     nearer = (surface.limb - surface.depth) * inner
-    values, *slopes = (part[i, j] for part in _smooth(left, v, u))
+    values, *slopes = (part[i, j] for part in smooth(left, v, u))
     right_half = aside[i, j] > 0
     cover = ndtr((np.abs(aside[i, j]) - radius[i]) / _BLUR_PX)
     beyond = _beyond(left, outline, camera, up, v)
@@ -129,7 +129,7 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
     return Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
 
 
-def _smooth(image: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
+def smooth(image: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
     """Grey values (rows, columns, channels) blurred like `SplinePatch` at whole pixels, and their slopes along columns and
     rows."""
     top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, image.shape[0] - 1)

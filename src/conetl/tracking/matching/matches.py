@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from conetl.geometry.rig import infinity_shift_px
-from conetl.model.feature_classes import CONE, FEATURE_CLASSES
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import MatchParams
 from conetl.model.records import Camera, Detection, Rig, StereoMatch, Vec2
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import Outline, find_outline
+from conetl.tracking.matching.plate_pixels import Plate, find_plate
 
 Image = NDArray[np.uint8]
 Number = TypeVar("Number", float, NDArray[np.float64])
@@ -51,8 +52,8 @@ class _Sought(NamedTuple):
     """Disparity of points at infinity, at the middle of the box."""
     row_offset_px: float
     """How much lower they are in the right image."""
-    outlines: list[Outline]
-    """Of its cone: computed for the first candidate, so none or one."""
+    outlines: list[Outline | Plate]
+    """Of its object: computed for the first candidate, so none or one."""
 
 
 def match_pair(
@@ -195,10 +196,11 @@ def _candidate(
     lowest_m, highest_m = FEATURE_CLASSES[a.category].match_heights_m
     if not lowest_m <= height_m <= highest_m:
         return None
-    area, images = None, images if a.category == CONE else None  # the outline is that of a cone
+    area = None
     if images is not None:
         if not outlines:
-            outlines.append(find_outline(images[0], a))
+            round_body = FEATURE_CLASSES[a.category].round_foot
+            outlines.append(find_outline(images[0], a) if round_body else find_plate(a))
         area = match_area(
             images[0], images[1], outlines[0], disparity + at_infinity, max(3.0, 0.3 * a.w_px),
             camera=rig.left, up=up, at_infinity_px=at_infinity, row_offset_px=row_offset_px,
@@ -231,6 +233,9 @@ def _stereo_match(
     if a.foot_px is not None and b.foot_px is not None:
         across, of_cone = _spread(_FOOT_ACROSS, height, height), _spread(_FOOT_OF_CONE, height, height)
         along = _spread(_FOOT_ALONG, width, height)
+    share = FEATURE_CLASSES[a.category].outline_share
+    if share is not None:
+        of_cone = _spread((_FOOT_OF_CONE[0], share, 0.0), height, height)
     axis_left, axis_right = foot_left[0], foot_right[0]
     sigma_u = pointing_sigma
     if area is not None:

@@ -1,0 +1,72 @@
+"""Pixels of the left image used to match a flat object: a sign, a board, a panel, a barricade.
+
+Its surface is a plane that faces the camera, with slopes across and down as the unknowns of the matching that for a cone are the
+nearness of its surface and its lean (`area_matching.py`). Only the middle of the box is used: what is in its corners, and between
+the boards of a barricade, lies behind the object, and is down-weighted where it disagrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.model.feature_classes import FEATURE_CLASSES
+from conetl.model.records import Camera, Detection
+from conetl.tracking.matching.cone_pixels import MAX_PIXELS, MIN_PIXELS, Beyond, ConePixels, smooth
+
+Floats = NDArray[np.float64]
+#: Half axes of the ellipse inside of a plate, as shares of the box: that of a diamond touches it at 0.35.
+_ELLIPSE = 0.36
+#: The used part of the box of other flat objects: half width, and rows from the top, where their boards are.
+_HALF_WIDTH, _ROWS = 0.42, (0.04, 0.75)
+
+
+@dataclass(frozen=True)
+class Plate:
+    """The middle of a flat object in an image: a rectangle, or the ellipse inside of it (px)."""
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+    foot_row: float
+    """Of the lower edge of the box."""
+    elliptic: bool
+
+
+def find_plate(detection: Detection) -> Plate:
+    """The part of a detection's box that shows its object."""
+    middle, top = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px - 0.5
+    elliptic = not FEATURE_CLASSES[detection.category].on_road
+    half = detection.w_px * (_ELLIPSE if elliptic else _HALF_WIDTH)
+    first, last = (0.5 - _ELLIPSE, 0.5 + _ELLIPSE) if elliptic else _ROWS
+    height = detection.h_px
+    return Plate(middle - half, middle + half, top + first * height, top + last * height, top + height, elliptic)
+
+
+def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera) -> ConePixels | None:
+    """The pixels of a plate, with the plane over them; None if there are too few."""
+    v = np.arange(max(int(np.ceil(plate.top)), 0), min(int(plate.bottom), left.shape[0] - 1) + 1)
+    u = np.arange(max(int(np.ceil(plate.left)), 0), min(int(plate.right), left.shape[1] - 1) + 1)
+    if len(v) < 4 or len(u) < 4:
+        return None
+    middle = (plate.left + plate.right) / 2
+    inside = np.ones((len(v), len(u)), dtype=bool)
+    if plate.elliptic:
+        across = (u - middle) / (plate.right - middle)
+        down = (2 * v - plate.top - plate.bottom) / (plate.bottom - plate.top)
+        inside = across[None, :] ** 2 + down[:, None] ** 2 <= 1
+    inside[np.arange(len(v)) % int(np.ceil(inside.sum() / MAX_PIXELS)) != 0] = False
+    i, j = np.nonzero(inside)
+    count = len(i)
+    if count < MIN_PIXELS:
+        return None
+    values, *slopes = (part[i, j] for part in smooth(left, v, u))
+    none = np.zeros(0)
+    return ConePixels(
+        v[i], u[j], values, np.stack(slopes), depth=np.ones(count), nearer=(u[j] - middle) / camera.fx_px,
+        height=(plate.foot_row - v[i]) / camera.fy_px, at_edge=np.zeros((count, 2)), edge=np.zeros(count, dtype=np.intp),
+        cover=np.zeros(count), beyond=Beyond(none.astype(np.intp), none, none, np.zeros((0, 2, values.shape[1]))),
+    )  # fmt: skip

@@ -1,0 +1,150 @@
+"""Tracks of lane markings from made-up points along a bend: course, pattern, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conetl.geometry import pose as se3
+from conetl.geometry.packing import cov_matrices, vec3
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.markings import MarkingTrack
+from conetl.model.params import MarkingParams
+from conetl.model.records import Camera, Drive, FramePair, Pose, Rig
+from conetl.perception.markings.points import MarkingPoints, PointColumns
+from conetl.tracking.markings.tracks import fuse_markings
+
+Floats = NDArray[np.float64]
+CAMERA = Camera(width_px=1200, height_px=400, fx_px=700.0, fy_px=700.0, cx_px=600.0, cy_px=150.0)
+_LEFT = se3.se3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.0, 0.0, 1.6])
+RIG = Rig(
+    rig_id="test", left=CAMERA, right=CAMERA, body_SE3_left=se3.to_matrix4(_LEFT),
+    body_SE3_right=se3.to_matrix4(se3.compose(_LEFT, se3.se3(np.eye(3), [0.54, 0.0, 0.0]))),
+)  # fmt: skip
+RADIUS_M, STEP_M, FRAMES = 80.0, 1.0, 60
+CENTRE = np.array([458_000.0, 5_428_000.0])
+HEIGHT_M, DEPTHS_M = 115.0, np.arange(4.0, 17.0, 0.2)
+#: Where there is paint, by the length along the bend.
+Paint = Callable[[Floats], NDArray[np.bool_]]
+
+
+def _at(along_m: Floats, offset_m: Floats) -> Floats:
+    """(N, 2) on a bend to the left."""
+    angle = along_m / RADIUS_M
+    return np.asarray(CENTRE + (RADIUS_M - offset_m)[..., None] * np.stack([np.sin(angle), -np.cos(angle)], axis=-1))
+
+
+def _drive() -> Drive:
+    """Along the bend, changing lanes by 1 m: markings drift across the path."""
+    pairs = []
+    for k in range(FRAMES):
+        along = np.array([k * STEP_M, k * STEP_M + 0.1])
+        places = _at(along, 1 / (1 + np.exp(-(along - 30) / 5)))
+        heading = np.arctan2(*(places[1] - places[0])[::-1])
+        place = np.array([*places[0], HEIGHT_M])
+        pose = Pose(
+            map_R_body=se3.to_matrix3(se3.rotation_from_rpy(0.0, 0.0, heading)), map_t_body_m=vec3(place),
+            sigma_enu_m=(0.02, 0.02, 0.03), sigma_rpy_rad=(0.0003, 0.0003, 0.0003),
+        )  # fmt: skip
+        pairs.append(FramePair(frame_index=k, left_path="l", right_path="r", captured_at_ns=1 + k * 10**8, pose=pose))
+    return Drive(
+        drive_id="bend", source_path="bend", rig=RIG, map_srid=32632, content_sha256="0" * 64, frame_pairs=tuple(pairs),
+        expected_frame_count=FRAMES,
+    )  # fmt: skip
+
+
+DRIVE = _drive()
+
+
+def _points(
+    markings: dict[float, Paint], *, above_m: float = 0.0, share: float = 0.95, seed: int = 1
+) -> list[MarkingPoints]:
+    """What each frame pair shows of markings at these offsets from the middle of the road, 1 m to its left."""
+    rng = np.random.default_rng(seed)
+    fine = np.arange(-5.0, FRAMES * STEP_M + 25.0, 0.02)
+    found = []
+    rows = CAMERA.cy_px + CAMERA.fy_px * 1.6 / DEPTHS_M
+    for pair in DRIVE.frame_pairs:
+        pose, values = map_SE3_left(pair.pose, RIG), []
+        for offset, paint in markings.items():
+            xyz = np.column_stack([_at(fine, np.full(len(fine), offset)), np.full(len(fine), HEIGHT_M)])
+            seen = (xyz - pose[:3, 3]) @ pose[:3, :3]
+            ahead = (seen[:, 2] > 3.5) & (seen[:, 2] < 18.0) & (np.abs(fine - pair.frame_index * STEP_M) < 25)
+            order = np.argsort(seen[ahead, 2])
+            side, along = (np.interp(DEPTHS_M, seen[ahead, 2][order], x[ahead][order]) for x in (seen[:, 0], fine))
+            disparity = CAMERA.fx_px * RIG.baseline_m / DEPTHS_M
+            u = CAMERA.cx_px + CAMERA.fx_px * side / DEPTHS_M
+            shown = (u > 0) & (u < 1199) & (u - disparity > 0) & paint(along) & (rng.random(len(u)) < share)
+            noise = rng.normal(0, 1, (4, len(u)))
+            values.append(np.column_stack([
+                u + 0.2 * noise[0], rows, disparity + 0.2 * noise[1], 0.12 + 0.01 * noise[2], np.full(len(u), 60.0),
+                np.zeros(len(u)), np.zeros(len(u)), above_m + 0.02 * noise[3], np.zeros(len(u)),
+                disparity + 0.05 * noise[1], np.arange(len(u)),
+            ])[shown])  # fmt: skip
+        assert values[0].shape[1] == len(PointColumns._fields)
+        found.append(
+            MarkingPoints(
+                frame_index=pair.frame_index, points=np.concatenate(values), rows=np.stack([rows, DEPTHS_M], axis=1)
+            )
+        )
+    return found
+
+
+def fused(markings: dict[float, Paint], **how: float) -> list[MarkingTrack]:
+    return fuse_markings(
+        _points(markings, **how), DRIVE, MarkingParams(), lambda frames: np.eye(6 * len(frames)) * 1e-8
+    )
+
+
+def everywhere(along_m: Floats) -> NDArray[np.bool_]:
+    return np.full(along_m.shape, True)
+
+
+def dashes(length_m: float, period_m: float) -> Paint:
+    return lambda along_m: along_m % period_m < length_m
+
+
+def _across(track: MarkingTrack, offset_m: float) -> Floats:
+    """Errors of the vertices, to the outside of the bend."""
+    xy = np.array(track.marking.vertices_m)[:, :2]
+    return np.asarray(np.linalg.norm(xy - CENTRE, axis=1) - (RADIUS_M - offset_m))
+
+
+@pytest.mark.parametrize(("dash_m", "period_m"), [(3.0, 6.0), (3.0, 9.0), (6.0, 15.0), (1.0, 2.0)])
+def test_solid_and_dashed_lines_of_a_bend_are_found_where_they_are(dash_m: float, period_m: float) -> None:
+    tracks = sorted(fused({-1.5: everywhere, 2.5: dashes(dash_m, period_m)}), key=lambda t: _across(t, 0)[0])
+    assert [track.marking.pattern for track in tracks] == ["dashed", "solid"]
+    for track, offset in zip(tracks, (2.5, -1.5), strict=True):
+        errors = _across(track, offset)
+        assert np.median(np.abs(errors)) < 0.02
+        assert np.abs(errors).max() < 0.1
+        assert np.abs(np.array(track.marking.vertices_m)[:, 2] - HEIGHT_M).max() < 0.03
+        assert track.marking.colour == "white"
+        assert track.existence_probability > 0.9
+        own = np.sqrt(np.trace(cov_matrices(track.relative_cov_m2)[:, :2, :2], axis1=1, axis2=2))
+        assert 0.2 < np.median(np.abs(errors) / own) < 1.5
+    assert tracks[0].marking.dash_m == pytest.approx(dash_m, abs=0.2)
+    assert tracks[0].marking.gap_m == pytest.approx(period_m - dash_m, abs=0.2)
+    steps = np.linalg.norm(np.diff(np.array(tracks[1].marking.vertices_m)[:, :2], axis=0), axis=1)
+    assert 2.0 < steps.min() <= steps.max() < 3.0
+
+
+def test_a_worn_line_is_solid_and_a_long_break_ends_it() -> None:
+    worn = fused({-1.5: lambda along: ~((along > 20) & (along < 22)) & ~((along > 30) & (along < 33))})
+    assert [track.marking.pattern for track in worn] == ["solid"]
+    broken = fused({-1.5: lambda along: (along < 22) | (along > 34)})
+    assert [track.marking.pattern for track in broken] == ["solid", "solid"]
+
+
+def test_a_solid_line_that_goes_on_as_dashes_is_two_markings() -> None:
+    tracks = fused({-1.5: lambda along: (along < 25) | (along % 6 < 3)})
+    assert [track.marking.pattern for track in tracks] == ["solid", "dashed"]
+
+
+def test_kerbs_and_what_is_seldom_seen_are_no_markings() -> None:
+    assert fused({-1.5: everywhere}, above_m=0.1) == []
+    assert fused({-1.5: everywhere}, share=0.1) == []
+    assert fused({-1.5: lambda along: (along > 20) & (along < 22)}) == []
