@@ -16,6 +16,8 @@ from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_of
 from conetl.model.records import Positive, Record
 from conetl.model.records import Probability as Fraction
 
+SIGN_MARGIN_RAD = 0.3
+
 
 class Params(Record):
     """Base of all parameter groups."""
@@ -33,6 +35,13 @@ class DetectionParams(Params):
     search_right: Literal["along_epipolar_lines", "everywhere"] = "along_epipolar_lines"
     """Search the right images along the epipolar lines of the left boxes only (`tracking/matching/epipolar_search.py`), or
     everywhere, which takes up to 50 % longer for the same positions."""
+
+    @property
+    def searched_margin_rad(self) -> float:
+        """`horizon_margin_rad`, and more where signs or boards are searched for: one that ends 3 m above the road is below 0.3
+        rad from 5 m on. What is searched for must be searched for wherever it counts as visible."""
+        above_road = any(not FEATURE_CLASSES[category].on_road for category in self.categories)
+        return max(self.horizon_margin_rad, SIGN_MARGIN_RAD) if above_road else self.horizon_margin_rad
 
     @field_validator("categories")
     @classmethod

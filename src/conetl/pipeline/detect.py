@@ -225,7 +225,7 @@ def _first_rows(chunk: Chunk) -> dict[Side, int]:
         side: first_road_row(
             camera_of(chunk.rig, side),
             [map_SE3_camera(pair.pose, chunk.rig, side)[:3, :3] for pair in chunk.frame_pairs],
-            chunk.params.detection.horizon_margin_rad,
+            chunk.params.detection.searched_margin_rad,
         )
         for side in _SIDES
     }

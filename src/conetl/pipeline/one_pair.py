@@ -37,7 +37,7 @@ def search_image(
     first_row = 0
     if pair is not None:
         map_R_cam = map_SE3_camera(pair.pose, rig, side)[:3, :3]
-        first_row = first_road_row(camera_of(rig, side), [map_R_cam], params.horizon_margin_rad)
+        first_row = first_road_row(camera_of(rig, side), [map_R_cam], params.searched_margin_rad)
     boxes = detect_image(
         detector, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
         single_image=pair is None, categories=params.categories,

@@ -7,3 +7,9 @@ def test_equal_parameters_have_equal_hashes_and_others_do_not() -> None:
     one = IngestParams(detection=DetectionParams(score_threshold=0.4))
     assert params_sha256(one) == params_sha256(IngestParams.model_validate({"detection": {"score_threshold": 0.4}}))
     assert params_sha256(one) != params_sha256(IngestParams())
+
+
+def test_more_of_the_images_is_searched_for_signs() -> None:
+    cones, signs = (DetectionParams(categories=names) for names in (("traffic_cone", "drum"), ("drum", "traffic_sign")))
+    assert cones.searched_margin_rad == cones.horizon_margin_rad < signs.searched_margin_rad
+    assert DetectionParams(categories=("traffic_sign",), horizon_margin_rad=0.5).searched_margin_rad == 0.5

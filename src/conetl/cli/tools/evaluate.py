@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -72,9 +72,9 @@ def evaluate(
     Several drives are evaluated one by one and together: one value in twenty is outside its 95 % band by chance. Nothing is
     written to the map, and no database is needed.
     """
-    truths = _truths_of(drives, truth)
     settings = read_settings()
     chosen = read_params(params, category, settings)
+    truths = _truths_of(drives, truth, chosen.detection.categories)
     folder = output or settings.exports_folder / "evaluate"
     done: dict[str, DriveEvaluation] = {}
     answers: list[dict[str, object]] = []
@@ -118,8 +118,10 @@ def evaluate(
     say(f"\n{page}: all drives on one page")
 
 
-def _truths_of(drives: Sequence[Path], truth: Path | None) -> dict[Path, tuple[Path, list[TruthCone], int]]:
-    """File, cones and EPSG code of the truth of each drive, all read before the first drive is analysed.
+def _truths_of(
+    drives: Sequence[Path], truth: Path | None, categories: Collection[str]
+) -> dict[Path, tuple[Path, list[TruthCone], int]]:
+    """File, objects of these categories and EPSG code of the truth of each drive, all read before the first drive is analysed.
 
     Raises InputError if a drive is given twice or has no truth.
     """
@@ -132,7 +134,13 @@ def _truths_of(drives: Sequence[Path], truth: Path | None) -> dict[Path, tuple[P
         file = truth or drive / "truth.csv"
         if not file.is_file() and truth is None:
             raise InputError(f"{drive} has no truth.csv: give the surveyed cones with --truth")
-        truths[drive] = (file, *read_truth_cones(file))
+        known, srid = read_truth_cones(file)
+        searched = [cone for cone in known if cone.category in categories]
+        if not searched:
+            raise InputError(
+                f"{file} has no object of the classes that are searched for: choose others with --category"
+            )
+        truths[drive] = (file, searched, srid)
     return truths
 
 
