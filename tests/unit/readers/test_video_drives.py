@@ -26,7 +26,7 @@ from conetl.readers.rigs import read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
 from tests.unit.readers.drive_formats import SAMPLE
 from tests.unit.readers.trajectory_files import write_csv
-from tests.video_drives import known_of, same_image, write_frames, write_video_drive
+from tests.video_drives import known_of, same_image, write_frames, write_svo2, write_video_drive
 
 VIDEOS = {
     "two files": {},
@@ -212,6 +212,43 @@ def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: 
     assert "--to 2 is not after --from 5" in str(backwards.exception)
     drive = CliRunner().invoke(app, ["init", str(SAMPLE), "--json"])
     assert json.loads(drive.output)["next"][1] == f"conetl ingest {SAMPLE}"
+
+
+@pytest.mark.parametrize("codec", ["libx264", "libx265"])
+def test_init_makes_a_drive_of_a_zed_recording(codec: str, folder: Path, tmp_path: Path, sample: Drive) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    for name in ("drive.yaml", "left.mp4", "right.mp4"):
+        (copy / name).unlink()
+    both = [np.hstack([read_pair_image(p, s, sample.rig) for s in ("left", "right")]) for p in sample.frame_pairs]
+    times_ns = [pair.captured_at_ns for pair in sample.frame_pairs]
+    options = {"crf": "18", "g": "5"} | ({} if codec == "libx264" else {"x265-params": "log-level=none"})
+    path = write_svo2(copy / "road.svo2", both, times_ns, codec, options)
+    with pytest.raises(DriveFolderError, match=f"conetl init {copy}"):
+        read_drive(copy)
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+    assert made.exit_code == 0, made.output
+    assert f"{COUNT} frames" in made.output and "SN38486288.conf" in made.output
+    drive, rejections = read_drive(copy)
+    assert rejections == [] and (read_header(copy).problem, len(drive.frame_pairs)) == (None, COUNT)
+    assert max(abs(p.captured_at_ns - t) for p, t in zip(drive.frame_pairs, times_ns, strict=True)) <= 1_000
+    for n, side in ((0, "left"), (7, "right"), (15, "left"), (3, "right")):
+        found, true = (read_pair_image(d.frame_pairs[n], side, d.rig) for d in (drive, sample))
+        assert same_image(found, true)
+    again = CliRunner().invoke(app, ["init", str(copy), "--yes", "--force"])
+    assert again.exit_code == 0, again.output
+    path.write_bytes(path.read_bytes()[:-2000])
+    assert "mcap recover" in str(CliRunner().invoke(app, ["init", str(copy), "--yes", "--force"]).exception)
+
+
+def test_zed_recordings_of_other_layouts_name_the_tool_that_exports_them(tmp_path: Path) -> None:
+    (tmp_path / "a.svo").write_bytes(b"ZED")
+    said = [str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception)]
+    (tmp_path / "a.svo").unlink()
+    images = [np.zeros((64, 128, 3), np.uint8)] * 2
+    write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "mjpeg", {"strict": "-1"})
+    said.append(str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception))
+    assert all("svo_export.py --mode 0" in text for text in said), said
+    assert not (tmp_path / "a.mp4").exists()
 
 
 def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path) -> None:

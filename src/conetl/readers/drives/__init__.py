@@ -62,6 +62,8 @@ def read_drive(
 
 
 def _not_a_drive(path: Path) -> DriveFolderError:
+    if path.suffix.lower() == ".svo2":
+        return _of_zed(path, path.parent)
     if not path.is_dir():
         return DriveFolderError(f"{path}: this is a file; give the folder of one drive, or a .mcap or .bag file")
     children = sorted(child for child in path.iterdir() if not child.name.startswith("."))
@@ -69,6 +71,8 @@ def _not_a_drive(path: Path) -> DriveFolderError:
         return DriveFolderError(
             f"{path}: the folder is empty; a drive holds image_02, image_03, oxts and the calibration"
         )
+    if recordings := [child for child in children if child.suffix.lower() in (".svo2", ".svo")]:
+        return _of_zed(recordings[0], path)
     drives = [child.name for child in children if drive_format(child)]
     if drives:
         return DriveFolderError(
@@ -79,4 +83,11 @@ def _not_a_drive(path: Path) -> DriveFolderError:
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt), a "
         f"plain one (left, right, trajectory.csv, rig.yaml), a EuRoC one (mav0/cam0, cam1) or a "
         f"bag (metadata.yaml, *.mcap, *.bag); found {', '.join(child.name for child in children[:5])}"
+    )
+
+
+def _of_zed(recording: Path, folder: Path) -> DriveFolderError:
+    return DriveFolderError(
+        f"{recording}: a recording of a ZED camera becomes a drive with 'conetl init {folder}', which copies its video into an "
+        "MP4 file and writes drive.yaml"
     )
