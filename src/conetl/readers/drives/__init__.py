@@ -9,12 +9,14 @@ from pathlib import Path
 
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, reached
-from conetl.model.errors import DriveFolderError
-from conetl.model.records import Drive
+from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.records import Drive, SurveyedPoint
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside
 from conetl.readers.drives.formats import DriveFormat, opened
-from conetl.readers.drives.pairs import without_frozen
+from conetl.readers.drives.pairs import Source, without_frozen
+from conetl.readers.surveyed_points import read_surveyed_points
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
 
@@ -56,9 +58,33 @@ def read_drive(
         if found is None:
             raise _not_a_drive(path)
         source = opened(path, map_srid=map_srid, images_folder=images_folder, headers_only=headers_only)
+        points = _control_file(source)
         drive, rejections = found.read(source)
+        drive = drive.model_copy(update={"control_points": _control_points(source, points, drive.map_srid)})
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
+
+
+def _control_file(source: Source) -> Path | None:
+    """The file of control points, which becomes part of the drive's hash. Raises DriveFolderError."""
+    if source.settings.control_points is None:
+        return None
+    folder = source.root.parent if source.root.is_file() else source.root
+    path = inside(folder, source.settings.control_points.file, DRIVE_YAML)
+    if not path.is_file():
+        raise DriveFolderError(f"{path}: the control points are missing")
+    source.content.add(source.settings.control_points.file, path.read_bytes())
+    return path
+
+
+def _control_points(source: Source, path: Path | None, srid: int) -> tuple[SurveyedPoint, ...]:
+    given = source.settings.control_points
+    if path is None or given is None:
+        return ()
+    try:
+        return tuple(read_surveyed_points(path, srid, crs=given.crs, heights=given.heights, sigma_m=given.sigma_m))
+    except InputError as error:
+        raise DriveFolderError(f"control points: {error}") from error
 
 
 def _not_a_drive(path: Path) -> DriveFolderError:
