@@ -83,8 +83,8 @@ def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
         raise DriveFolderError(f"drive.yaml: trajectory.frame, map_frame: {shown(str(error))}") from error
     if not group.transformers or not group.best_available:
         raise DriveFolderError(
-            f"drive.yaml: trajectory.frame, map_frame: PROJ has no transformation from {shown(source.name)} to {shown(target.name)} "
-            f"at {lat:.1f}, {lon:.1f} degrees: transform the positions before"
+            f"drive.yaml: trajectory.frame, map_frame: PROJ has no transformation from {shown(source.name)} to "
+            f"{shown(target.name)} at {lat:.1f}, {lon:.1f} degrees: transform the positions before"
         )
     return group.transformers[0]
 
