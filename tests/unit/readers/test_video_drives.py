@@ -24,9 +24,18 @@ from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import Image, pair_by_stamp
 from conetl.readers.rigs import read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
-from tests.unit.readers.drive_formats import SAMPLE
+from tests.unit.readers.drive_formats import SAMPLE, write_ros1_bag
 from tests.unit.readers.trajectory_files import write_csv
-from tests.video_drives import known_of, same_image, write_frames, write_svo2, write_video_drive
+from tests.video_drives import (
+    LOGS,
+    frames_of,
+    known_of,
+    same_image,
+    with_log,
+    write_frames,
+    write_svo2,
+    write_video_drive,
+)
 
 VIDEOS = {
     "two files": {},
@@ -48,6 +57,20 @@ def whole() -> Drive:
 @pytest.fixture(scope="module")
 def sample(whole: Drive) -> Drive:
     return whole.model_copy(update={"frame_pairs": whole.frame_pairs[:COUNT]})
+
+
+@pytest.fixture(scope="module")
+def cones(whole: Drive, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    """(N, 3) as found in the images."""
+    found = analyse(whole, settings=Settings(home=tmp_path_factory.mktemp("home"), workers=2))
+    return np.array([track.xyz_m for track in found.tracks])
+
+
+def largest_m(drive: Drive, cones: np.ndarray, home: Path) -> float:
+    """Of the distances between the cones of a drive and these, which are as many."""
+    found = np.array([t.xyz_m for t in analyse(drive, settings=Settings(home=home / "home", workers=2)).tracks])
+    assert len(found) == len(cones)
+    return float(np.linalg.norm(found[:, None] - cones, axis=2).min(axis=0).max())
 
 
 @pytest.fixture(scope="module")
@@ -89,17 +112,34 @@ def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) ->
     assert read_drive(root)[0].content_sha256 == drive.content_sha256
 
 
-def test_cones_are_where_those_of_the_images_are(whole: Drive, tmp_path: Path) -> None:
+def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
     folder = write_video_drive(tmp_path / "run", whole)
     # On a smooth road what passes by must not be taken for a shift of the files.
     lag = find_video_lag(*(index_video(folder / f"{side}.mp4") for side in ("left", "right")))
     assert lag is None or abs(lag.offset_s) < 0.025
-    settings = Settings(home=tmp_path / "home", workers=2)
-    found, true = (analyse(drive, settings=settings) for drive in (read_drive(folder)[0], whole))
-    assert len(found.tracks) == len(true.tracks)
-    for track in true.tracks:
-        nearest = min(np.linalg.norm(np.subtract(t.xyz_m, track.xyz_m)) for t in found.tracks)
-        assert nearest < 0.02
+    assert largest_m(read_drive(folder)[0], cones, tmp_path) < 0.02
+
+
+def test_cones_of_a_bag_are_those_of_the_images(whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
+    root = write_ros1_bag(tmp_path / "run", frames_of(whole), whole.rig)
+    assert largest_m(read_drive(root, images_folder=tmp_path / "images")[0], cones, tmp_path) < 0.002
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_every_log_gives_the_poses_of_the_drive(name: str, folder: Path, tmp_path: Path, sample: Drive) -> None:
+    """Positions alone show neither attitude nor, by their heading, how far the camera is from the antenna."""
+    videos = with_settings(folder, tmp_path, (folder / "drive.yaml").read_text())
+    (videos / "drive.csv").unlink()
+    drive, _ = read_drive(with_log(videos, tmp_path / "run", LOGS[name], known_of(sample)))
+    assert len(drive.frame_pairs) >= COUNT - 2
+    true = {pair.captured_at_ns // 10**6: pair.pose for pair in sample.frame_pairs}
+    attitude = name not in ("RTKLIB .pos", "NMEA, positions", "GPX")
+    for pair in drive.frame_pairs:
+        pose = true[min(true, key=lambda t, at=pair.captured_at_ns // 10**6: abs(t - at))]  # type: ignore[misc]
+        off_m = np.linalg.norm(np.subtract(pair.pose.map_t_body_m, pose.map_t_body_m))
+        turned = np.arccos(min(1.0, (np.trace(np.transpose(pose.map_R_body) @ pair.pose.map_R_body) - 1) / 2))
+        assert off_m < (2e-3 if attitude else 0.1)
+        assert turned < (1e-3 if attitude else 0.05)
 
 
 def test_a_part_of_the_recording(folder: Path, tmp_path: Path, sample: Drive) -> None:
