@@ -58,6 +58,11 @@ def init(
     to_s: Annotated[float | None, typer.Option("--to", min=0.0, help="... to this one.")] = None,
     trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
     date: Annotated[str | None, typer.Option(help="Day of the recording, for logs without a date.")] = None,
+    log_time: Annotated[
+        str | None,
+        typer.Option("--time", help="Times of the log, if they are not UTC: gps, or a zone like Europe/Berlin."),
+    ] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of the log's positions, like EPSG:25832.")] = None,
     heights: Annotated[str | None, typer.Option(help="ellipsoidal, or a height system like EPSG:5773.")] = None,
     sigma: Annotated[str | None, typer.Option(help="Horizontal sigma of the log in metres, if it states none.")] = None,
     rig: Annotated[
@@ -90,7 +95,7 @@ def init(
         raise InputError(f"{root / DRIVE_YAML} exists: edit it, or replace it with --force")
     given = {
         "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory,
-        "date": date, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
+        "date": date, "time": log_time, "crs": crs, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
     }  # fmt: skip
     answers = _of_zed(root, as_json=as_json) | {key: value for key, value in given.items() if value is not None}
     if to_s is not None and to_s <= from_s:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.geometry import rig as rigs
-from conetl.model.errors import CalibrationError, DriveFolderError, InputError
+from conetl.model.errors import CalibrationError, ConetlError, DriveFolderError, InputError
 from conetl.model.records import Drive, Rig
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.video import index_video, video_facts
@@ -299,6 +299,10 @@ def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path
     made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
     assert made.exit_code != 0
     assert all(f"--{option}: " in str(made.exception) for option in ("left", "trajectory", "rig"))
+    for header, option in (("time,easting,northing,h", "crs"), ("time,lat,lon,h_msl", "heights")):
+        (copy / "log.csv").write_text(f"{header}\n1707297300,49,8,110\n1707297301,49.0001,8,110\n")
+        made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+        assert f"--{option}: In which" in str(made.exception), made.exception
     assert not (copy / "drive.yaml").exists()
 
 
@@ -315,8 +319,15 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
     (copy / "drive.csv").write_text("\n".join([*rows, rows[-1].replace("T09:", "T19:", 1)]))
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
     assert "hours with the video) to search" in str(made.exception)
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", "noon"])
-    assert "--start: expected a time stamp" in str(made.exception)
+    for option, value, says in (
+        ("--start", "noon", "--start: expected a time stamp"),
+        ("--date", "noon", "options of the trajectory: date"),
+        ("--time", "noon", "expected utc, gps or a zone"),
+        ("--layout", "noon", "noon"),
+    ):
+        made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", option, value])
+        assert isinstance(made.exception, ConetlError | SystemExit), (option, made.exception)
+        assert says in f"{made.exception}{made.output}", option
 
 
 # --------------------------------------------------------------------------- files that a stranger may have made
