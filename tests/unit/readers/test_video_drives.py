@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
@@ -219,6 +220,35 @@ def test_a_mount_takes_the_place_of_the_pose_in_the_rig(folder: Path, tmp_path: 
     ahead = pose[:3, 2]  # the optical axis on the body
     assert np.degrees(np.arcsin(ahead[2])) == pytest.approx(-10)
     assert np.degrees(np.arctan2(ahead[1], ahead[0])) == pytest.approx(5)
+
+
+def test_one_recording_is_a_drive_for_each_stereo_pair(folder: Path, tmp_path: Path) -> None:
+    """Of a rig of four cameras, two of which are one metre to the left of the others."""
+    rig = read_rig_yaml(folder / "rig.yaml")
+    cameras = {}
+    for name, aside_m in (("main", 0.0), ("wide", 1.0)):
+        for side in ("left", "right"):
+            pose = rigs.body_SE3_camera(rig, side) + np.outer([0, aside_m, 0, 0], [0, 0, 0, 1])
+            camera = rigs.camera_of(rig, side).model_dump(exclude={"lens"})
+            cameras[f"{name}_{side}"] = camera | {
+                "body_SE3_camera": {"R": pose[:3, :3].tolist(), "t_m": pose[:3, 3].tolist()}
+            }
+    text = (folder / "drive.yaml").read_text()
+    found = {}
+    for name in ("main", "wide", "none"):
+        (tmp_path / name).mkdir()
+        chosen = f"pair: [{name}_left, {name}_right]\n" if name != "none" else ""
+        copy = with_settings(folder, tmp_path / name, f"{text}drive_id: {name}\n{chosen}")
+        (copy / "rig.yaml").unlink()
+        (copy / "rig.yaml").write_text(yaml.safe_dump({"rig_id": "van", "cameras": cameras}))
+        if not chosen:
+            with pytest.raises(CalibrationError, match=r"4 cameras.*'pair: \[LEFT, RIGHT\]' in drive\.yaml"):
+                read_drive(copy)
+        else:
+            found[name] = read_drive(copy)[0]
+    lefts = [rigs.body_SE3_camera(found[name].rig, "left")[:3, 3] for name in ("main", "wide")]
+    assert np.subtract(*lefts) == pytest.approx([0.0, -1.0, 0.0])
+    assert found["main"].rig.rig_id == "van-main_left-main_right"
 
 
 def test_frames_are_found_for_people_inside_the_drive_only(folder: Path) -> None:

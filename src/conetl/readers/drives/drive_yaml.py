@@ -132,6 +132,8 @@ class DriveYaml(Record):
 
     drive_id: str | None = Field(default=None, min_length=1, max_length=200)
     rig_id: str | None = Field(default=None, min_length=1)
+    pair: tuple[str, str] | None = None
+    """Left and right of the cameras of a rig.yaml with more than two."""
     map_srid: int | None = Field(default=None, gt=0)
     timestamps_timezone: str = "UTC"
     """IANA name of the time stamps' zone."""
