@@ -13,15 +13,13 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
@@ -29,14 +27,13 @@ from benchmarks.harness import KITTI, SAMPLE, arguments_of, print_rows, write_js
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import ConetlError
 from conetl.model.health import hold_reason
-from conetl.model.records import Drive
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.video import read_timing
 from tests.unit.readers import trajectory_files as logs
-from tests.unit.readers.drive_formats import Frame, write_bag, write_ros1_bag
-from tests.video_drives import known_of, write_video_drive
+from tests.unit.readers.drive_formats import write_bag, write_ros1_bag
+from tests.video_drives import LOGS, frames_of, known_of, with_log, write_video_drive
 
 #: A cone farther than this from every cone of the images is another one.
 SAME_M = 2.0
@@ -49,27 +46,6 @@ VIDEOS: dict[str, dict[str, Any]] = {
 BAGS = {"ROS 1 bag": write_ros1_bag, "ROS 2 bag": write_bag}
 CLOCK_ERRORS_S = (-20, -5, 0, 5, 20)
 FIGURES = ("largest m", "median m", "horizontal m", "in sigmas", "pairs", "s per pair", "throughput")
-
-
-class Log(NamedTuple):
-    """How to write a trajectory, what its file does not say (keys of `trajectory`), and whether it has sigmas."""
-
-    write: Callable[[Path, logs.Known], Path]
-    says: Callable[[logs.Known], dict[str, Any]] = lambda _: {}
-    has_sigma: bool = True
-
-
-LOGS = {
-    "SBET + smrmsg": Log(logs.write_sbet, lambda t: {"week": logs.gps_time(t)[0][0]}),
-    "Inertial Explorer": Log(logs.write_inertial_explorer),
-    "NMEA with PASHR": Log(logs.write_nmea),
-    "CSV": Log(logs.write_csv),
-    "CSV, German": Log(logs.write_german, lambda _: {"time": "Europe/Berlin"}),
-    "TSV, projected": Log(logs.write_tsv, lambda _: {"crs": "EPSG:25832"}, has_sigma=False),
-    "RTKLIB .pos": Log(logs.write_rtklib),
-    "NMEA, positions": Log(partial(logs.write_nmea, attitude=False)),
-    "GPX": Log(logs.write_gpx, has_sigma=False),
-}
 
 
 class Run(NamedTuple):
@@ -139,34 +115,6 @@ def compared(names: Mapping[str, str], root: Path, home: Path, true: Run, *, col
         "throughput": true.per_pair_s / found.per_pair_s if cold else None,
         "held": hold_reason(found.analysed.health) or "no",
     }
-
-
-def frames_of(drive: Drive) -> list[Frame]:
-    """The image files of a drive with its poses, for bags."""
-    t = known_of(drive)
-    angles = np.radians(np.column_stack([t.rph[:, 0], -t.rph[:, 1], 90 - t.rph[:, 2]]))
-    return [
-        Frame(Path(pair.left_path).read_bytes(), Path(pair.right_path).read_bytes(), pair.captured_at_ns, pair.captured_at_ns,
-              (*t.llh[k].tolist(), *angles[k].tolist()), tuple(t.sigma[k].tolist()))
-        for k, pair in enumerate(drive.frame_pairs)
-    ]  # fmt: skip
-
-
-def with_log(videos: Path, root: Path, log: Log, t: logs.Known, **more: Any) -> Path:
-    """The same videos with another log, and more settings: those of `images` are added to what is there."""
-    root.mkdir(parents=True)
-    for path in videos.iterdir():
-        if path.name != "drive.yaml":
-            (root / path.name).hardlink_to(path)
-    file = log.write(root, t)
-    settings = yaml.safe_load((videos / "drive.yaml").read_text())
-    settings["images"] |= more.pop("images", {})
-    settings |= {"trajectory": {"file": file.name, **log.says(t)}, **more}
-    if not log.has_sigma:
-        horizontal, vertical = (float(np.median(t.sigma[:, k])) for k in (0, 2))
-        settings["sigmas"] = {"horizontal_m": horizontal, "vertical_m": vertical}
-    (root / "drive.yaml").write_text(yaml.safe_dump(settings))
-    return root
 
 
 def every_second(t: logs.Known) -> logs.Known:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import base64
+import json
+import struct
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import av
 import cv2
 import numpy as np
+import yaml
+from mcap.writer import CompressionType, Writer
 
 from conetl.geometry import geodesy
 from conetl.model.records import Drive
 from conetl.perception.rectified_image import read_pair_image
 from conetl.readers.rigs import write_rig_yaml
+from tests.unit.readers import trajectory_files as logs
+from tests.unit.readers.drive_formats import Frame
 from tests.unit.readers.trajectory_files import Known, write_csv
 
 #: Time stamps of the videos, in a second.
@@ -37,6 +46,49 @@ def write_frames(
                 container.mux(packet)
         for packet in stream.encode(None):
             container.mux(packet)
+    return path
+
+
+def write_svo2(
+    path: Path,
+    images: Sequence[np.ndarray],
+    times_ns: Sequence[int],
+    codec: str,
+    options: dict[str, str],
+    *,
+    serial: int = 38486288,
+) -> Path:
+    """Images of both cameras side by side as a recording of a ZED camera, in the layout that `readers/svo2.py` describes."""
+    height, width = images[0].shape[:2]
+    encoder = av.CodecContext.create(codec, "w")
+    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = width, height, "yuv420p", Fraction(10)
+    encoder.time_base, encoder.options = Fraction(1, 10), {"bf": "0", **options}
+    packets = []
+    for number, image in enumerate(images):
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
+        frame.pts = number
+        packets += encoder.encode(frame)
+    packets += encoder.encode(None)
+    header = base64.b64encode(struct.pack("<4I", width // 2, height, serial, 10).ljust(128, b"\0")).decode()
+    topic = f"Camera_SN{serial}/side_by_side"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 16, compression=CompressionType.NONE, enable_crcs=False)
+        writer.start(library="libmcap stereolabs")
+        kind = writer.register_schema("sl_type", "jsonschema", b"{}")
+        video = writer.register_channel(topic, "zed_sdk_encoded", writer.register_schema(topic, "zed_sdk_encoded", b""))
+        texts = {name: writer.register_channel(name, "json", kind) for name in ("svo_header", "svo_footer")}
+        content = {"header": header, "version": "2.0.5", "ZED_SDK_version": "5.1.2"}
+        # Their times are not those of the recording.
+        writer.add_message(texts["svo_header"], 1, json.dumps(content).encode(), 1)
+        for packet, time_ns in zip(packets, times_ns, strict=True):
+            data = bytes(packet)
+            footer = struct.pack("<2I4iQIi", width, height, 0x5C002C00, 1, 2, -1, time_ns, len(data), 0).ljust(
+                56, b"\0"
+            )
+            sizes = struct.pack("<2I", len(data) + len(footer) + 4, len(data))
+            writer.add_message(video, time_ns, sizes + data + footer, time_ns)
+        writer.add_message(texts["svo_footer"], 2, json.dumps({topic: list(times_ns)}).encode(), 2)
+        writer.finish()
     return path
 
 
@@ -93,3 +145,55 @@ def known_of(drive: Drive) -> Known:
 
 def same_image(found: np.ndarray, true: np.ndarray) -> bool:
     return found.shape == true.shape and cv2.PSNR(found, true) > 27
+
+
+# --------------------------------------------------------------------------- the same drive with other logs, as bags
+
+
+class Log(NamedTuple):
+    """How to write a trajectory, what its file does not say (keys of `trajectory`), and whether it has sigmas."""
+
+    write: Callable[[Path, Known], Path]
+    says: Callable[[Known], dict[str, Any]] = lambda _: {}
+    has_sigma: bool = True
+
+
+LOGS = {
+    "SBET + smrmsg": Log(logs.write_sbet, lambda t: {"week": logs.gps_time(t)[0][0]}),
+    "Inertial Explorer": Log(logs.write_inertial_explorer),
+    "NMEA with PASHR": Log(logs.write_nmea),
+    "CSV": Log(logs.write_csv),
+    "CSV, German": Log(logs.write_german, lambda _: {"time": "Europe/Berlin"}),
+    "TSV, projected": Log(logs.write_tsv, lambda _: {"crs": "EPSG:25832"}, has_sigma=False),
+    "RTKLIB .pos": Log(logs.write_rtklib),
+    "NMEA, positions": Log(partial(logs.write_nmea, attitude=False)),
+    "GPX": Log(logs.write_gpx, has_sigma=False),
+}
+
+
+def with_log(videos: Path, root: Path, log: Log, t: Known, **more: Any) -> Path:
+    """The same videos with another log, and more settings: those of `images` are added to what is there."""
+    root.mkdir(parents=True)
+    for path in videos.iterdir():
+        if path.name != "drive.yaml":
+            (root / path.name).hardlink_to(path)
+    file = log.write(root, t)
+    settings = yaml.safe_load((videos / "drive.yaml").read_text())
+    settings["images"] |= more.pop("images", {})
+    settings |= {"trajectory": {"file": file.name, **log.says(t)}, **more}
+    if not log.has_sigma:
+        horizontal, vertical = (float(np.median(t.sigma[:, k])) for k in (0, 2))
+        settings["sigmas"] = {"horizontal_m": horizontal, "vertical_m": vertical}
+    (root / "drive.yaml").write_text(yaml.safe_dump(settings))
+    return root
+
+
+def frames_of(drive: Drive) -> list[Frame]:
+    """The image files of a drive with its poses, for bags."""
+    t = known_of(drive)
+    angles = np.radians(np.column_stack([t.rph[:, 0], -t.rph[:, 1], 90 - t.rph[:, 2]]))
+    return [
+        Frame(Path(pair.left_path).read_bytes(), Path(pair.right_path).read_bytes(), pair.captured_at_ns, pair.captured_at_ns,
+              (*t.llh[k].tolist(), *angles[k].tolist()), tuple(t.sigma[k].tolist()))
+        for k, pair in enumerate(drive.frame_pairs)
+    ]  # fmt: skip

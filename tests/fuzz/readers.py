@@ -43,6 +43,7 @@ from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_sc
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.recording import open_arriving
 from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
+from conetl.readers.surveyed_points import read_surveyed_points
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.oxts import parse_oxts
 from tests.fuzz import video_files as videos
@@ -235,6 +236,13 @@ def read_map(path: Path, _: Path) -> object:
     return read_map_file(path, ImportParams(), map_srid=32632)
 
 
+def write_surveyed(folder: Path) -> Path:
+    rows = [f"P{n},{458300 + 9 * n},5427840.5,116.2,0.01,0.01,0.02" for n in range(3)]
+    header = "name,easting,northing,height_m,sigma_e_m,sigma_n_m,sigma_u_m"
+    (folder / "points.csv").write_text("\n".join([header, *rows]) + "\n")
+    return folder / "points.csv"
+
+
 def read_points(path: Path, _: Path) -> object:
     count, _crs = read_las_header(path)
     return sum(len(cloud.xyz_m) for cloud in las_chunks(path, count))
@@ -359,6 +367,7 @@ READERS: dict[str, Reader] = {
         videos.read_video_drive,
     ),
     "video_search": Reader(videos.write_video("mp4", small_rig(), 40, "images: {{}}\n"), videos.search_times),
+    "svo2": Reader(videos.write_zed, videos.read_zed),
     "oxts": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/data/0000000000.txt", f)), read_oxts),
     "timestamps": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/timestamps.txt", f)), read_stamps),
     "velodyne": Reader(write_scans, read_scans),
@@ -394,6 +403,7 @@ READERS: dict[str, Reader] = {
     "map_gpkg": Reader(write_by_gdal("map.gpkg", "GPKG"), read_map),
     "map_fgb": Reader(write_by_gdal("map.fgb", "FlatGeobuf"), read_map),
     "map_parquet": Reader(write_geoparquet, read_map),
+    "surveyed_points": Reader(write_surveyed, lambda path, _: read_surveyed_points(path, 32632, crs="EPSG:25832")),
     "params": Reader(
         written("p.yaml", yaml.safe_dump(PARAMS)), lambda path, _: read_yaml_model(path, IngestParams, "parameters")
     ),

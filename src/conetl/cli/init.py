@@ -19,6 +19,7 @@ from conetl.readers.drives.proposal import Proposal, Question, propose
 from conetl.readers.drives.video import NAME, read_timing
 from conetl.readers.drives.video_timing import Timing, UnknownTimeError
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
+from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 
 _TIME_QUESTIONS = {
     "start": "When was the first frame of the left camera taken (UTC, like 2026-03-02 10:00:00.250)",
@@ -57,6 +58,11 @@ def init(
     to_s: Annotated[float | None, typer.Option("--to", min=0.0, help="... to this one.")] = None,
     trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
     date: Annotated[str | None, typer.Option(help="Day of the recording, for logs without a date.")] = None,
+    log_time: Annotated[
+        str | None,
+        typer.Option("--time", help="Times of the log, if they are not UTC: gps, or a zone like Europe/Berlin."),
+    ] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of the log's positions, like EPSG:25832.")] = None,
     heights: Annotated[str | None, typer.Option(help="ellipsoidal, or a height system like EPSG:5773.")] = None,
     sigma: Annotated[str | None, typer.Option(help="Horizontal sigma of the log in metres, if it states none.")] = None,
     rig: Annotated[
@@ -89,9 +95,9 @@ def init(
         raise InputError(f"{root / DRIVE_YAML} exists: edit it, or replace it with --force")
     given = {
         "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory,
-        "date": date, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
+        "date": date, "time": log_time, "crs": crs, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
     }  # fmt: skip
-    answers = {key: value for key, value in given.items() if value is not None}
+    answers = _of_zed(root, as_json=as_json) | {key: value for key, value in given.items() if value is not None}
     if to_s is not None and to_s <= from_s:
         raise InputError(f"--to {to_s:g} is not after --from {from_s:g}")
     part: dict[str, float] = {"every": every} if every > 1 else {}
@@ -136,6 +142,22 @@ def _settled(
             raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
 
 
+def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
+    """What a recording of a ZED camera answers itself; its video is copied into an MP4 file beside it."""
+    path = svo2_of(root)
+    if path is None:
+        return {}
+    found, target = read_svo2(path), path.with_suffix(".mp4")
+    if not target.exists():
+        with spinner(f"copying the video of {path.name}"):
+            copy_video(path, target)
+    if not as_json:
+        camera = "" if found.serial is None else f", its factory calibration is SN{found.serial}.conf"
+        say(f"  ZED recording {path.name}: {found.frames:,} frames, copied to {target.name}{camera}")
+    answers = {"left": target.name, "layout": "left-right"}
+    return answers if found.start_ns is None else answers | {"start": _stated(found.start_ns)}
+
+
 def _answer(question: Question) -> str:
     return str(typer.prompt(question.text, default=question.default))
 
@@ -172,12 +194,16 @@ def _add_timing(settings: dict[str, Any], timing: Timing) -> None:
     """What the images showed, so that it is not searched again."""
     images = settings["images"]
     if timing.start_ns is not None:
-        seconds, rest = divmod(timing.start_ns, 10**9)
-        images["start"] = f"{utc_from_ns(seconds * 10**9):%Y-%m-%d %H:%M:%S}.{rest:09d}Z"
+        images["start"] = _stated(timing.start_ns)
         if "layout" not in images:
             images["right_offset_s"] = round(timing.right_offset_s, 6)
     if timing.clock.sigma_s:
         settings["clock"] = {"offset_s": 0.0, "sigma_s": round(timing.clock.sigma_s, 4)}
+
+
+def _stated(time_ns: int) -> str:
+    seconds, rest = divmod(time_ns, 10**9)
+    return f"{utc_from_ns(seconds * 10**9):%Y-%m-%d %H:%M:%S}.{rest:09d}Z"
 
 
 def _write(root: Path, settings: dict[str, Any]) -> None:

@@ -272,6 +272,15 @@ class ImageDetail(Record):
     detail: NonNegative
 
 
+class SurveyedPoint(Record):
+    """A surveyed point in the CRS of the map, with ellipsoidal height, on which a cone's foot stands."""
+
+    name: str
+    xyz_m: Vec3
+    sigma_m: tuple[Positive, Positive, Positive]
+    """East, north, up."""
+
+
 class Drive(Record):
     """One recording by one rig, without the frame pairs that the reader rejected."""
 
@@ -286,6 +295,8 @@ class Drive(Record):
     """Number of frame pairs in the folder, rejected ones included."""
     clock_sigma_s: Positive | None = None
     """Of the offset between the clocks of images and poses; None: as the parameters assume (`TrajectoryParams`)."""
+    control_points: tuple[SurveyedPoint, ...] = ()
+    """They take part in the adjustment of its poses."""
 
     @model_validator(mode="after")
     def _frames_in_order(self) -> Drive:

@@ -22,10 +22,11 @@ from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key
 from conetl.pipeline.executor import Tick, ignore
+from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.health import check_trajectory
 from conetl.tracking.self_calibration import SelfCalibration, choose_spans, span_params, spread_spans
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
-from conetl.tracking.trajectory import RefinedTrajectory, refine_with_cones
+from conetl.tracking.trajectory import RefinedTrajectory
 
 _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
@@ -138,7 +139,7 @@ def refine(drive: Drive, motions: list[Path], matches: list[Path], params: Inges
     measured, _ = load_results(motions, RelativeMotion)
     found, _ = load_results(matches, StereoMatch)
     params = params.model_copy(update={"trajectory": _by_its_clock(drive, params.trajectory)})
-    result = refine_with_cones(drive.frame_pairs, drive.rig, measured, found, params)
+    result = refine_with_control(drive.frame_pairs, drive.rig, measured, found, params, drive.control_points)
     _log.info("Trajectory %s: %s", result.outcome.replace("_", " "), result.detail)
     return result
 
@@ -157,7 +158,8 @@ def check_poses(
         if pair.frame_index in details
     ]
     measured, _ = load_results(motions, RelativeMotion)
-    return check_trajectory(pairs, drive.rig, measured, trajectory, _by_its_clock(drive, params))
+    checks = check_trajectory(pairs, drive.rig, measured, trajectory, _by_its_clock(drive, params))
+    return checks if trajectory.control is None else [*checks, trajectory.control]
 
 
 def _by_its_clock(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:

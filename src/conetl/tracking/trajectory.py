@@ -23,6 +23,7 @@ from conetl.geometry.motion.pose_graph import (
     POSE,
     STATE,
     LandmarkObservation,
+    LandmarkPrior,
     LoggedPoses,
     MeasuredMotions,
     adjust,
@@ -33,6 +34,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov3, cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import FramePair, Pose, Position, Rig, StereoMatch, Vec3
 from conetl.tracking.association import MotionError, chain_positions
@@ -88,6 +90,19 @@ class RefinedTrajectory:
     """(K, 3) one sigma of a drift of GNSS/INS, about the middle of the drive; None where none is suspected."""
     logged: tuple[FramePair, ...] = ()
     """Poses as logged, at the instants of the images where the clock was corrected."""
+    control: HealthCheck | None = None
+    """What the control points say; None without them."""
+
+
+@dataclass(frozen=True)
+class ControlCone:
+    """A cone that stands on a control point."""
+
+    positions: tuple[Position, ...]
+    xyz_m: Floats
+    """(3,) of the point."""
+    cov_m2: Floats
+    """(3, 3) of the survey, and of what all positions of the cone err in common."""
 
 
 def refine_trajectory(
@@ -96,8 +111,9 @@ def refine_trajectory(
     motions: Sequence[RelativeMotion],
     params: TrajectoryParams,
     cones: Sequence[Sequence[Position]] = (),
+    control: Sequence[ControlCone] = (),
 ) -> RefinedTrajectory:
-    """Adjust a drive's poses to visual odometry and, optionally, to groups of positions of one cone each.
+    """Adjust a drive's poses to visual odometry and, optionally, to groups of positions of one cone each and control points.
 
     motions: any subset of the drive's intervals, each once. Without any, and if the adjustment would move a pose beyond its
     stated sigmas, the poses are unchanged and `outcome` has the reason.
@@ -119,7 +135,9 @@ def refine_trajectory(
         detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
         return as_logged(RefinementOutcome.NO_MEASUREMENT, detail)
     kept = MeasuredMotions(measured.start[good], measured.next_SE3_first[good], measured.cov[good])
-    solved = adjust(log, kept, _sightings(frame_pairs, cones), params.robust_sigmas, params.scale_sigma)
+    sightings = _sightings(frame_pairs, [*(cone.positions for cone in control), *cones])
+    priors = [LandmarkPrior(k, cone.xyz_m, np.asarray(np.linalg.inv(cone.cov_m2))) for k, cone in enumerate(control)]
+    solved = adjust(log, kept, sightings, params.robust_sigmas, params.scale_sigma, priors)
     if solved is None:
         return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
     rotations, places, scale, normal = solved
@@ -349,12 +367,13 @@ def refine_with_cones(
     motions: Sequence[RelativeMotion],
     matches: Sequence[StereoMatch],
     params: IngestParams,
+    control: Sequence[ControlCone] = (),
 ) -> RefinedTrajectory:
-    """Refined poses by visual odometry and by cones observed often enough to be tracks.
+    """Refined poses by visual odometry, by cones observed often enough to be tracks, and by those on control points.
 
     Visual odometry follows points that change from frame to frame, and a calibration error scales all its distances; a cone is
     one fixed point in many frames. The poses are those of the adjustment with cones, their covariance that of the adjustment
-    without: the same observations make the tracks afterwards and must count only once.
+    without: the same observations make the tracks afterwards and must count only once. Those on control points do count.
 
     A clock that the drive shows to be off is corrected first; what is left of its offset, and the error of the lever arm, are in
     the covariance. frame_pairs: as logged. motions: as for `refine_trajectory`. The result is that of visual odometry alone
@@ -367,9 +386,9 @@ def refine_with_cones(
     clock = estimate_clock(frame_pairs, log, measured) if params.trajectory.refine else None
     if clock is not None and clock.is_applied(params.trajectory.clock_sigma_s):
         frame_pairs = at_images(frame_pairs, log, clock.offset_s)
-    refined = _refine_with_cones(frame_pairs, rig, motions, matches, params)
+    refined = _refine_with_cones(frame_pairs, rig, motions, matches, params, control)
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
-    return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory)
+    return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory, control)
 
 
 def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:
@@ -377,16 +396,19 @@ def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:
     return abs(scale) > max(_DOUBTFUL_SIGMAS * prior_sigma, _SIGNIFICANT_SIGMAS * sigma)
 
 
-def _with_common_errors(refined: RefinedTrajectory, params: TrajectoryParams) -> RefinedTrajectory:
-    """The trajectory with the errors of clock and lever arm, and of GNSS/INS as its best record states it, which move all poses
-    together: however many records there are, their common error is not averaged out. Where images and log show different
-    distances, the log may drift by the difference."""
+def _with_common_errors(
+    refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone]
+) -> RefinedTrajectory:
+    """The trajectory with the errors of clock and lever arm, and of GNSS/INS as its best record (or control point) states it,
+    which move all poses together: however many records there are, their common error is not averaged out. Where images and log
+    show different distances, the log may drift by the difference."""
     assert refined.covariance is not None
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
     turn = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).as_rotvec()
     steps = np.hstack([np.diff(poses[:, :3, 3], axis=0), turn]) / np.maximum(np.diff(times_s), _LEAST_STEP_S)[:, None]
-    best = np.min([pair.pose.sigma_enu_m for pair in refined.logged], axis=0)
+    stated = [np.array(pair.pose.sigma_enu_m) for pair in refined.logged]
+    best = np.min([*stated, *(np.sqrt(np.diag(cone.cov_m2)) for cone in control)], axis=0)
     known = np.diagonal(refined.covariance.cov, axis1=1, axis2=2)[:, :3].min(axis=0)
     systematic = np.sqrt(np.maximum(best**2 - known, 0.0))
     reach = np.zeros((len(poses), STATE, 9))
@@ -414,20 +436,19 @@ def _refine_with_cones(
     motions: Sequence[RelativeMotion],
     matches: Sequence[StereoMatch],
     params: IngestParams,
+    control: Sequence[ControlCone],
 ) -> RefinedTrajectory:
-    alone = refine_trajectory(frame_pairs, rig, motions, params.trajectory)
+    alone = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
     if not params.trajectory.cone_landmarks or alone.outcome is not RefinementOutcome.REFINED:
         return alone
     if np.median([max(pair.pose.sigma_enu_m[:2]) for pair in frame_pairs]) < params.trajectory.cone_landmarks_from_m:
         return alone
-    pairs = {pair.frame_index: pair for pair in alone.frame_pairs}
-    positions, _ = locate_positions([m for m in matches if m.refined], pairs, rig, params.position)
-    left = {index: map_SE3_left(pair.pose, rig) for index, pair in pairs.items()}
-    groups = chain_positions(positions, left, params.track, motion_error(alone))
-    cones = [[_down_weighted(p) for p in group] for group in groups if len(group) >= params.track.min_observations]
+    known = {(p.frame_index, p.match_index) for cone in control for p in cone.positions}
+    groups = cone_groups(alone, rig, matches, params)
+    cones = [group for group in groups if known.isdisjoint((p.frame_index, p.match_index) for p in group)]
     if not cones:
         return alone
-    together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones)
+    together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control)
     if together.outcome is not RefinementOutcome.REFINED:
         return alone
     pairs_of = zip(together.frame_pairs, alone.frame_pairs, strict=True)
@@ -438,6 +459,17 @@ def _refine_with_cones(
         scale=alone.scale,
         detail=f"{together.detail}; {len(cones)} cones as landmarks",
     )
+
+
+def cone_groups(
+    trajectory: RefinedTrajectory, rig: Rig, matches: Sequence[StereoMatch], params: IngestParams
+) -> list[tuple[Position, ...]]:
+    """The positions of each cone that is observed often enough to be a track, with covariances as of landmarks."""
+    pairs = {pair.frame_index: pair for pair in trajectory.frame_pairs}
+    positions, _ = locate_positions([m for m in matches if m.refined], pairs, rig, params.position)
+    left = {index: map_SE3_left(pair.pose, rig) for index, pair in pairs.items()}
+    groups = chain_positions(positions, left, params.track, motion_error(trajectory))
+    return [tuple(map(_down_weighted, group)) for group in groups if len(group) >= params.track.min_observations]
 
 
 def _with_sigmas(pair: FramePair, sigma_enu_m: Vec3, sigma_rpy_rad: Vec3) -> FramePair:

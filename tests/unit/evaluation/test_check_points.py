@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from conetl.evaluation.check_points import check_map, read_check_points
+from conetl.evaluation.check_points import check_map
 from conetl.model.errors import InputError
+from conetl.readers.surveyed_points import read_surveyed_points
 from tests import records
 
 SRID = 32632
@@ -32,7 +33,7 @@ def test_rmse_and_nees_equal_an_independent_computation(tmp_path: Path) -> None:
     cov_m2 = records.cov_of(0.03)
     places = (truth + errors).tolist()
     features = [records.feature(f"cone {n}", **records.standing_at(places[n], cov_m2=cov_m2)) for n in range(36)]
-    points = read_check_points(points_file(tmp_path / "points.csv", truth), SRID, crs=f"EPSG:{SRID}")
+    points = read_surveyed_points(points_file(tmp_path / "points.csv", truth), SRID, crs=f"EPSG:{SRID}")
     checked = check_map(points, features)
     assert [r.feature is None for r in checked.residuals] == [False] * 36 + [True] * 4
     e = errors[:36]
@@ -56,7 +57,7 @@ def test_points_in_another_crs_are_the_same_points(tmp_path: Path) -> None:
         np.column_stack([lon, lat, xyz[:, 2]]),
         "id,lon,lat,height_m,sigma_e_m,sigma_n_m,sigma_u_m",
     )
-    found = read_check_points(file, SRID, crs="EPSG:4979")
+    found = read_surveyed_points(file, SRID, crs="EPSG:4979")
     assert np.array([point.xyz_m for point in found]) == pytest.approx(xyz, abs=1e-3)
     assert found[1].name == "P1"
 
@@ -68,13 +69,13 @@ def test_points_in_another_crs_are_the_same_points(tmp_path: Path) -> None:
         (
             "name,easting,northing,high,sigma_e_m,sigma_n_m,sigma_u_m",
             {"crs": "EPSG:32632"},
-            "row 1: a check point needs",
+            "row 1: a point needs",
         ),
         (HEADER, {}, "states no coordinate reference system"),
         (
             "name,easting,northing,height_m,sigma_e_m,sigma_n_m,sigma_u_m",
             {"crs": "mine"},
-            "--crs mine is not known to PROJ",
+            "the crs mine is not known to PROJ",
         ),
         (
             "name,easting,northing,height_m,sigma_e_m,sigma_n_m,sigma_u_m",
@@ -85,4 +86,4 @@ def test_points_in_another_crs_are_the_same_points(tmp_path: Path) -> None:
 )
 def test_what_is_missing_is_named(header: str, options: dict[str, str], message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
-        read_check_points(points_file(tmp_path / "points.csv", ORIGIN[None], header), SRID, **options)
+        read_surveyed_points(points_file(tmp_path / "points.csv", ORIGIN[None], header), SRID, **options)

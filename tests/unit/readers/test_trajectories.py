@@ -222,6 +222,9 @@ def test_times_of_tables(column: str, first: str, settings: dict[str, Any], shif
         (["time,easting,northing,h", "1707297300,458000,5427000,110"], {}, "crs"),
         (["time,easting,northing,h", "1707297300,458000,5427000,110"], {"crs": "EPSG:4326"}, "projected"),
         (["time,easting,northing,h", "1707297300,3458000,5427000,110"], {"crs": "EPSG:31467"}, "BETA2007"),
+        (["time,lat,lon,h", "1707297300,49,8,110"], {"frame": "ITRF2020"}, "belong together"),
+        (["time,lat,lon,h", "1707297300,49,8,110"], {"frame": "ITRF2020", "map_frame": "JGD2011"}, "no transformation"),
+        (["time,lat,lon,h", "1707297300,49,8,110"], {"frame": "ITRS", "map_frame": "ETRF2000"}, "frame: 'ITRS' is not known"),
         (["time,lat,lon,height_ft", "1707297300,49,8,110"], {}, "unit ft"),
         (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"lat": "Lat"}}, "names the column 'Lat'"),
         (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"latt": "lat"}}, "'latt' is unknown"),
@@ -306,6 +309,21 @@ def test_a_geoid_grid_beside_the_file(tmp_path: Path) -> None:
     found = read_trajectory(path, TrajectoryFile(heights="geoid.gtx"))
     assert found.positions[0] == pytest.approx([49.0, 8.4, 157.5], abs=1e-9)
     assert "outside the area" in next(iter(found.bad.values()))
+
+
+def test_frames_are_transformed_at_the_time_of_each_record(tmp_path: Path) -> None:
+    """Against the 14 parameters from ITRF2014 to ETRF2000 of EUREF Technical Note 1 (2018), for epoch 2010.0."""
+    shift_m, shift_m_a = np.array([0.0547, 0.0522, -0.0741]), np.array([1e-4, 1e-4, -1.9e-3])
+    turn, turn_a = (np.radians(np.array(mas) / 3.6e6) for mas in ([1.701, 10.290, -16.632], [0.081, 0.490, -0.792]))
+    rows = ["2010-01-01T00:00:00Z,49,8.4,110", "2024-07-01T12:00:00Z,49,8.4,110"]
+    path = files.write(tmp_path, "a.csv", ["time,lat,lon,h_ell", *rows])
+    found = read_trajectory(path, TrajectoryFile(frame="ITRF2014", map_frame="ETRF2000"))
+    xyz = np.array(TO_ECEF.transform(49.0, 8.4, 110.0))
+    for position, years in zip(found.positions, (0.0, 14.5), strict=True):
+        scale = 2.12e-9 + 0.11e-9 * years
+        expected = xyz + shift_m + shift_m_a * years + scale * xyz + np.cross(turn + turn_a * years, xyz)
+        assert np.linalg.norm(np.array(TO_ECEF.transform(*position)) - expected) < 1e-3
+    assert np.linalg.norm(np.subtract(*(TO_ECEF.transform(*p) for p in found.positions))) > 0.3
 
 
 def test_geocentric_and_numbered_columns(tmp_path: Path) -> None:

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.geometry import rig as rigs
-from conetl.model.errors import CalibrationError, DriveFolderError, InputError
+from conetl.model.errors import CalibrationError, ConetlError, DriveFolderError, InputError
 from conetl.model.records import Drive, Rig
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.video import index_video, video_facts
@@ -24,9 +25,18 @@ from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import Image, pair_by_stamp
 from conetl.readers.rigs import read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
-from tests.unit.readers.drive_formats import SAMPLE
+from tests.unit.readers.drive_formats import SAMPLE, write_ros1_bag
 from tests.unit.readers.trajectory_files import write_csv
-from tests.video_drives import known_of, same_image, write_frames, write_video_drive
+from tests.video_drives import (
+    LOGS,
+    frames_of,
+    known_of,
+    same_image,
+    with_log,
+    write_frames,
+    write_svo2,
+    write_video_drive,
+)
 
 VIDEOS = {
     "two files": {},
@@ -48,6 +58,20 @@ def whole() -> Drive:
 @pytest.fixture(scope="module")
 def sample(whole: Drive) -> Drive:
     return whole.model_copy(update={"frame_pairs": whole.frame_pairs[:COUNT]})
+
+
+@pytest.fixture(scope="module")
+def cones(whole: Drive, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    """(N, 3) as found in the images."""
+    found = analyse(whole, settings=Settings(home=tmp_path_factory.mktemp("home"), workers=2))
+    return np.array([track.xyz_m for track in found.tracks])
+
+
+def largest_m(drive: Drive, cones: np.ndarray, home: Path) -> float:
+    """Of the distances between the cones of a drive and these, which are as many."""
+    found = np.array([t.xyz_m for t in analyse(drive, settings=Settings(home=home / "home", workers=2)).tracks])
+    assert len(found) == len(cones)
+    return float(np.linalg.norm(found[:, None] - cones, axis=2).min(axis=0).max())
 
 
 @pytest.fixture(scope="module")
@@ -89,17 +113,34 @@ def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) ->
     assert read_drive(root)[0].content_sha256 == drive.content_sha256
 
 
-def test_cones_are_where_those_of_the_images_are(whole: Drive, tmp_path: Path) -> None:
+def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
     folder = write_video_drive(tmp_path / "run", whole)
     # On a smooth road what passes by must not be taken for a shift of the files.
     lag = find_video_lag(*(index_video(folder / f"{side}.mp4") for side in ("left", "right")))
     assert lag is None or abs(lag.offset_s) < 0.025
-    settings = Settings(home=tmp_path / "home", workers=2)
-    found, true = (analyse(drive, settings=settings) for drive in (read_drive(folder)[0], whole))
-    assert len(found.tracks) == len(true.tracks)
-    for track in true.tracks:
-        nearest = min(np.linalg.norm(np.subtract(t.xyz_m, track.xyz_m)) for t in found.tracks)
-        assert nearest < 0.02
+    assert largest_m(read_drive(folder)[0], cones, tmp_path) < 0.02
+
+
+def test_cones_of_a_bag_are_those_of_the_images(whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
+    root = write_ros1_bag(tmp_path / "run", frames_of(whole), whole.rig)
+    assert largest_m(read_drive(root, images_folder=tmp_path / "images")[0], cones, tmp_path) < 0.002
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_every_log_gives_the_poses_of_the_drive(name: str, folder: Path, tmp_path: Path, sample: Drive) -> None:
+    """Positions alone show neither attitude nor, by their heading, how far the camera is from the antenna."""
+    videos = with_settings(folder, tmp_path, (folder / "drive.yaml").read_text())
+    (videos / "drive.csv").unlink()
+    drive, _ = read_drive(with_log(videos, tmp_path / "run", LOGS[name], known_of(sample)))
+    assert len(drive.frame_pairs) >= COUNT - 2
+    true = {pair.captured_at_ns // 10**6: pair.pose for pair in sample.frame_pairs}
+    attitude = name not in ("RTKLIB .pos", "NMEA, positions", "GPX")
+    for pair in drive.frame_pairs:
+        pose = true[min(true, key=lambda t, at=pair.captured_at_ns // 10**6: abs(t - at))]  # type: ignore[misc]
+        off_m = np.linalg.norm(np.subtract(pair.pose.map_t_body_m, pose.map_t_body_m))
+        turned = np.arccos(min(1.0, (np.trace(np.transpose(pose.map_R_body) @ pair.pose.map_R_body) - 1) / 2))
+        assert off_m < (2e-3 if attitude else 0.1)
+        assert turned < (1e-3 if attitude else 0.05)
 
 
 def test_a_part_of_the_recording(folder: Path, tmp_path: Path, sample: Drive) -> None:
@@ -181,6 +222,35 @@ def test_a_mount_takes_the_place_of_the_pose_in_the_rig(folder: Path, tmp_path: 
     assert np.degrees(np.arctan2(ahead[1], ahead[0])) == pytest.approx(5)
 
 
+def test_one_recording_is_a_drive_for_each_stereo_pair(folder: Path, tmp_path: Path) -> None:
+    """Of a rig of four cameras, two of which are one metre to the left of the others."""
+    rig = read_rig_yaml(folder / "rig.yaml")
+    cameras = {}
+    for name, aside_m in (("main", 0.0), ("wide", 1.0)):
+        for side in ("left", "right"):
+            pose = rigs.body_SE3_camera(rig, side) + np.outer([0, aside_m, 0, 0], [0, 0, 0, 1])
+            camera = rigs.camera_of(rig, side).model_dump(exclude={"lens"})
+            cameras[f"{name}_{side}"] = camera | {
+                "body_SE3_camera": {"R": pose[:3, :3].tolist(), "t_m": pose[:3, 3].tolist()}
+            }
+    text = (folder / "drive.yaml").read_text()
+    found = {}
+    for name in ("main", "wide", "none"):
+        (tmp_path / name).mkdir()
+        chosen = f"pair: [{name}_left, {name}_right]\n" if name != "none" else ""
+        copy = with_settings(folder, tmp_path / name, f"{text}drive_id: {name}\n{chosen}")
+        (copy / "rig.yaml").unlink()
+        (copy / "rig.yaml").write_text(yaml.safe_dump({"rig_id": "van", "cameras": cameras}))
+        if not chosen:
+            with pytest.raises(CalibrationError, match=r"4 cameras.*'pair: \[LEFT, RIGHT\]' in drive\.yaml"):
+                read_drive(copy)
+        else:
+            found[name] = read_drive(copy)[0]
+    lefts = [rigs.body_SE3_camera(found[name].rig, "left")[:3, 3] for name in ("main", "wide")]
+    assert np.subtract(*lefts) == pytest.approx([0.0, -1.0, 0.0])
+    assert found["main"].rig.rig_id == "van-main_left-main_right"
+
+
 def test_frames_are_found_for_people_inside_the_drive_only(folder: Path) -> None:
     drive, _ = read_drive(folder)
     path = drive.frame_pairs[0].left_path
@@ -214,6 +284,43 @@ def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: 
     assert json.loads(drive.output)["next"][1] == f"conetl ingest {SAMPLE}"
 
 
+@pytest.mark.parametrize("codec", ["libx264", "libx265"])
+def test_init_makes_a_drive_of_a_zed_recording(codec: str, folder: Path, tmp_path: Path, sample: Drive) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    for name in ("drive.yaml", "left.mp4", "right.mp4"):
+        (copy / name).unlink()
+    both = [np.hstack([read_pair_image(p, s, sample.rig) for s in ("left", "right")]) for p in sample.frame_pairs]
+    times_ns = [pair.captured_at_ns for pair in sample.frame_pairs]
+    options = {"crf": "18", "g": "5"} | ({} if codec == "libx264" else {"x265-params": "log-level=none"})
+    path = write_svo2(copy / "road.svo2", both, times_ns, codec, options)
+    with pytest.raises(DriveFolderError, match=f"conetl init {copy}"):
+        read_drive(copy)
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+    assert made.exit_code == 0, made.output
+    assert f"{COUNT} frames" in made.output and "SN38486288.conf" in made.output
+    drive, rejections = read_drive(copy)
+    assert rejections == [] and (read_header(copy).problem, len(drive.frame_pairs)) == (None, COUNT)
+    assert max(abs(p.captured_at_ns - t) for p, t in zip(drive.frame_pairs, times_ns, strict=True)) <= 1_000
+    for n, side in ((0, "left"), (7, "right"), (15, "left"), (3, "right")):
+        found, true = (read_pair_image(d.frame_pairs[n], side, d.rig) for d in (drive, sample))
+        assert same_image(found, true)
+    again = CliRunner().invoke(app, ["init", str(copy), "--yes", "--force"])
+    assert again.exit_code == 0, again.output
+    path.write_bytes(path.read_bytes()[:-2000])
+    assert "mcap recover" in str(CliRunner().invoke(app, ["init", str(copy), "--yes", "--force"]).exception)
+
+
+def test_zed_recordings_of_other_layouts_name_the_tool_that_exports_them(tmp_path: Path) -> None:
+    (tmp_path / "a.svo").write_bytes(b"ZED")
+    said = [str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception)]
+    (tmp_path / "a.svo").unlink()
+    images = [np.zeros((64, 128, 3), np.uint8)] * 2
+    write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "mjpeg", {"strict": "-1"})
+    said.append(str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception))
+    assert all("svo_export.py --mode 0" in text for text in said), said
+    assert not (tmp_path / "a.mp4").exists()
+
+
 def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path) -> None:
     copy = with_settings(folder, tmp_path, "")
     for name in ("drive.yaml", "rig.yaml", "drive.csv"):
@@ -222,6 +329,10 @@ def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path
     made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
     assert made.exit_code != 0
     assert all(f"--{option}: " in str(made.exception) for option in ("left", "trajectory", "rig"))
+    for header, option in (("time,easting,northing,h", "crs"), ("time,lat,lon,h_msl", "heights")):
+        (copy / "log.csv").write_text(f"{header}\n1707297300,49,8,110\n1707297301,49.0001,8,110\n")
+        made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+        assert f"--{option}: In which" in str(made.exception), made.exception
     assert not (copy / "drive.yaml").exists()
 
 
@@ -238,8 +349,15 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
     (copy / "drive.csv").write_text("\n".join([*rows, rows[-1].replace("T09:", "T19:", 1)]))
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
     assert "hours with the video) to search" in str(made.exception)
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", "noon"])
-    assert "--start: expected a time stamp" in str(made.exception)
+    for option, value, says in (
+        ("--start", "noon", "--start: expected a time stamp"),
+        ("--date", "noon", "options of the trajectory: date"),
+        ("--time", "noon", "expected utc, gps or a zone"),
+        ("--layout", "noon", "noon"),
+    ):
+        made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", option, value])
+        assert isinstance(made.exception, ConetlError | SystemExit), (option, made.exception)
+        assert says in f"{made.exception}{made.output}", option
 
 
 # --------------------------------------------------------------------------- files that a stranger may have made

@@ -10,9 +10,10 @@ import typer
 from conetl.cli.console import JsonOption, MapOption, counted, parse_instant, print_json, print_table, say
 from conetl.cli.database import open_map
 from conetl.db.map.map_store import read_features_as_of, require_map
-from conetl.evaluation.check_points import CheckedMap, check_map, read_check_points
+from conetl.evaluation.check_points import CheckedMap, check_map
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
 from conetl.pipeline.settings import read_settings
+from conetl.readers.surveyed_points import read_surveyed_points
 
 _AXES = ("east", "north", "up", "horizontal", "3D")
 
@@ -47,7 +48,7 @@ def check_points(
     with open_map(settings) as conn:
         info = require_map(conn, settings.map_name)
         versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name))
-    points = read_check_points(file, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
+    points = read_surveyed_points(file, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
     checked = check_map(points, [version.feature for version in versions], within_m=within_m)
     if as_json:
         print_json(_values(checked, info.srid))
@@ -62,7 +63,7 @@ def _values(checked: CheckedMap, srid: int) -> dict[str, object]:
         "points": [
             {
                 "name": r.point.name,
-                "xyz_m": r.point.xyz_m.tolist(),
+                "xyz_m": list(r.point.xyz_m),
                 "feature_id": r.feature and str(r.feature.feature_id),
                 "difference_m": None if r.difference_m is None else r.difference_m.tolist(),
             }

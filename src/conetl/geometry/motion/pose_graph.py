@@ -71,12 +71,22 @@ class LandmarkObservation:
     information: Floats
 
 
+@dataclass(frozen=True)
+class LandmarkPrior:
+    """What is known of one cone beside its observations: the foot in the map's frame."""
+
+    cone: int
+    xyz: Floats
+    information: Floats
+
+
 def adjust(
     log: LoggedPoses,
     motions: MeasuredMotions,
     sightings: Sequence[LandmarkObservation],
     robust_sigmas: float,
     scale_sigma: float,
+    priors: Sequence[LandmarkPrior] = (),
 ) -> tuple[Floats, Floats, float, ChainNormal] | None:
     """Rotations (K, 3, 3), positions (K, 3), scale of the measured motions less one, and the last normal equations, whose first
     shared unknown it is; None where the iteration does not converge."""
@@ -89,6 +99,10 @@ def adjust(
         shared[1 + 3 * cone : 4 + 3 * cone] = np.median(feet, axis=0) if feet else 0.0
     for _ in range(_MAX_ITERATIONS):
         normal = _normal_equations(log, rotations, places, bias, shared, motions, sightings, robust_sigmas, scale_sigma)
+        for prior in priors:
+            at = slice(1 + 3 * prior.cone, 4 + 3 * prior.cone)
+            normal.corner[at, at] += prior.information
+            normal.right_shared[at] += prior.information @ (prior.xyz - shared[at])
         try:
             step, common = chain_solver.solve(normal)
         except np.linalg.LinAlgError:

@@ -9,12 +9,14 @@ from pathlib import Path
 
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, reached
-from conetl.model.errors import DriveFolderError
-from conetl.model.records import Drive
+from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.records import Drive, SurveyedPoint
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside
 from conetl.readers.drives.formats import DriveFormat, opened
-from conetl.readers.drives.pairs import without_frozen
+from conetl.readers.drives.pairs import Source, without_frozen
+from conetl.readers.surveyed_points import read_surveyed_points
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
 
@@ -56,12 +58,38 @@ def read_drive(
         if found is None:
             raise _not_a_drive(path)
         source = opened(path, map_srid=map_srid, images_folder=images_folder, headers_only=headers_only)
+        points = _control_file(source)
         drive, rejections = found.read(source)
+        drive = drive.model_copy(update={"control_points": _control_points(source, points, drive.map_srid)})
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
 
 
+def _control_file(source: Source) -> Path | None:
+    """The file of control points, which becomes part of the drive's hash. Raises DriveFolderError."""
+    if source.settings.control_points is None:
+        return None
+    folder = source.root.parent if source.root.is_file() else source.root
+    path = inside(folder, source.settings.control_points.file, DRIVE_YAML)
+    if not path.is_file():
+        raise DriveFolderError(f"{path}: the control points are missing")
+    source.content.add(source.settings.control_points.file, path.read_bytes())
+    return path
+
+
+def _control_points(source: Source, path: Path | None, srid: int) -> tuple[SurveyedPoint, ...]:
+    given = source.settings.control_points
+    if path is None or given is None:
+        return ()
+    try:
+        return tuple(read_surveyed_points(path, srid, crs=given.crs, heights=given.heights, sigma_m=given.sigma_m))
+    except InputError as error:
+        raise DriveFolderError(f"control points: {error}") from error
+
+
 def _not_a_drive(path: Path) -> DriveFolderError:
+    if path.suffix.lower() == ".svo2":
+        return _of_zed(path, path.parent)
     if not path.is_dir():
         return DriveFolderError(f"{path}: this is a file; give the folder of one drive, or a .mcap or .bag file")
     children = sorted(child for child in path.iterdir() if not child.name.startswith("."))
@@ -69,6 +97,8 @@ def _not_a_drive(path: Path) -> DriveFolderError:
         return DriveFolderError(
             f"{path}: the folder is empty; a drive holds image_02, image_03, oxts and the calibration"
         )
+    if recordings := [child for child in children if child.suffix.lower() in (".svo2", ".svo")]:
+        return _of_zed(recordings[0], path)
     drives = [child.name for child in children if drive_format(child)]
     if drives:
         return DriveFolderError(
@@ -79,4 +109,11 @@ def _not_a_drive(path: Path) -> DriveFolderError:
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt), a "
         f"plain one (left, right, trajectory.csv, rig.yaml), a EuRoC one (mav0/cam0, cam1) or a "
         f"bag (metadata.yaml, *.mcap, *.bag); found {', '.join(child.name for child in children[:5])}"
+    )
+
+
+def _of_zed(recording: Path, folder: Path) -> DriveFolderError:
+    return DriveFolderError(
+        f"{recording}: a recording of a ZED camera becomes a drive with 'conetl init {folder}', which copies its video into an "
+        "MP4 file and writes drive.yaml"
     )

@@ -128,7 +128,7 @@ def bag_files(path: Path) -> Path | None:
 def open_bag(path: Path) -> Iterator[Bag]:
     """The bag of `bag_files`. Raises DriveFolderError where it is cut off or damaged."""
     with ExitStack() as opened:
-        with _library_errors(path):
+        with library_errors(path):
             if path.is_dir():
                 if (path / METADATA).is_file():
                     read_yaml(path / METADATA)  # within the limits, before rosbags builds it
@@ -143,7 +143,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 @contextmanager
-def _library_errors(path: Path) -> Iterator[None]:
+def library_errors(path: Path) -> Iterator[None]:
     """All errors of the bag libraries in a damaged file, which are of many types, as DriveFolderError."""
     try:
         yield
@@ -164,7 +164,7 @@ def _library_errors(path: Path) -> Iterator[None]:
 def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
-        with _library_errors(path):
+        with library_errors(path):
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
                 content = _decoded(reader.deserialize, raw, connection.msgtype)
                 if connection.msgtype == CAMERA_INFO and not reader.is2 and content is not None:
@@ -203,7 +203,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [topic for topic in topics if topic in types]
         # Without an index the file is in the order of recording; to sort it, all of it would be kept in memory.
-        with _library_errors(path):
+        with library_errors(path):
             for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
                 content = _decoded(store.deserialize_cdr, message.data, types[channel.topic])
                 yield Message(channel.topic, content, message.log_time)

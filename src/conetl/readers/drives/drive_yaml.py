@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from conetl.files.documents import shown
 from conetl.files.names import printable
@@ -110,11 +110,30 @@ class Clock(Record):
     """The offset is searched between minus and plus this."""
 
 
+class ControlPoints(Record):
+    """Surveyed feet of cones that take part in the adjustment of the poses; a text is the name of the file."""
+
+    file: str = Field(min_length=1, max_length=1000)
+    """CSV, GeoJSON, GeoPackage, FlatGeobuf or GeoParquet inside the drive folder."""
+    crs: str | None = Field(default=None, min_length=1, max_length=10_000)
+    heights: str | None = Field(default=None, min_length=1, max_length=10_000)
+    """As for a trajectory; default ellipsoidal."""
+    sigma_m: Positive | None = None
+    """Of the survey, where the file has no sigma_e_m, sigma_n_m, sigma_u_m."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_alone(cls, value: object) -> object:
+        return {"file": value} if isinstance(value, str) else value
+
+
 class DriveYaml(Record):
     """The whole file."""
 
     drive_id: str | None = Field(default=None, min_length=1, max_length=200)
     rig_id: str | None = Field(default=None, min_length=1)
+    pair: tuple[str, str] | None = None
+    """Left and right of the cameras of a rig.yaml with more than two."""
     map_srid: int | None = Field(default=None, gt=0)
     timestamps_timezone: str = "UTC"
     """IANA name of the time stamps' zone."""
@@ -129,6 +148,7 @@ class DriveYaml(Record):
     trajectory: TrajectoryFile = TrajectoryFile()
     clock: Clock | None = None
     """None: images and trajectory have one clock."""
+    control_points: ControlPoints | None = None
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
     max_pose_gap_s: float | None = Field(default=None, gt=0, le=3600)

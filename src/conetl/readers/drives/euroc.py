@@ -154,7 +154,7 @@ def _stamp(text: str, where: str) -> int | str:
 @calibration_errors()
 def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Array]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
-    given = own_rig(root / RIG_YAML)
+    given = own_rig(root / RIG_YAML, settings.pair)
     if given is not None:
         return rig_on_body(*given, settings, root / RIG_YAML)
     cameras: list[Camera] = []

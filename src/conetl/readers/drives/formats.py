@@ -24,7 +24,7 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_y
 from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, Source
 from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
-from conetl.readers.rigs.common import rectified_rig
+from conetl.readers.rigs.common import Pair, rectified_rig
 
 Array = NDArray[np.float64]
 
@@ -152,14 +152,16 @@ def overrides(settings: DriveYaml) -> dict[str, object]:
     return changes | ({"sigma_px": settings.sigmas.image_px} if "image_px" in settings.sigmas.model_fields_set else {})
 
 
-def own_rig(path: Path) -> tuple[Rig, Array] | None:
+def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Array] | None:
     """Rig of a rig.yaml beside the recording, which overrides the recording's own calibration, and its body_SE3_left.
+
+    pair: of its cameras, where it has more than two.
 
     None without the file. Raises CalibrationError where the file has no pose of the left camera on the body.
     """
     if not path.is_file():
         return None
-    rig = read_rig_yaml(path)
+    rig = read_rig_yaml(path, pair=pair)
     if rigs.body_is_left_camera(rig):
         raise CalibrationError(
             f"{path}: 'body_SE3_left' is missing: R and t_m, from points of the left camera to points of the body whose "

@@ -16,7 +16,7 @@ from conetl.files.storage import is_remote
 from conetl.model.errors import ConetlError, DriveFolderError, ServiceError, is_of_storage
 from conetl.model.records import utc_from_ns
 from conetl.readers.drives import find_format, kitti
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
 
 #: Drives may be sorted into folders by month, day, vehicle; deeper folders are not searched.
@@ -101,6 +101,9 @@ def read_header(folder: Path) -> DriveHeader:
         add_settings(facts.content, folder, (DRIVE_YAML,))
         settings = read_drive_yaml(folder)
         drive_id = settings.id_of(folder)
+        if settings.control_points is not None and folder.is_dir():
+            inside(folder, settings.control_points.file, DRIVE_YAML)
+            facts.add_file(folder, settings.control_points.file)
         facts.content.add("drive_id", drive_id.encode())
         if not is_remote(folder):
             require_utf8(folder)

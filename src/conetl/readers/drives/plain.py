@@ -186,7 +186,7 @@ def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig
 
     A rig.yaml with lenses or turned cameras describes raw images: they are rectified when they are read.
     """
-    found = own_rig(root / RIG_YAML)
+    found = own_rig(root / RIG_YAML, settings.pair)
     if found is None:
         raise CalibrationError(
             f"{root}: {RIG_YAML} is missing; it describes the two cameras and their pose on the body"

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from conetl.files.yaml_model import validated
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Rig
@@ -27,6 +28,12 @@ from conetl.readers.trajectories.times import parse_timestamp
 
 _RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})
 _LARGEST_RIG_BYTES = 4_000_000
+#: What a trajectory may lack: its reader says how to state the key in drive.yaml.
+_UNSTATED = {
+    "date": "On which day was it recorded, like 2026-03-02?",
+    "crs": "In which coordinate reference system are its positions, like EPSG:25832?",
+    "heights": "In which system are its heights, like EPSG:5773?",
+}
 
 
 class Question(NamedTuple):
@@ -118,15 +125,17 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
         names = ", ".join(path.relative_to(root).as_posix() for path in candidates) or "none was recognised"
         proposal.questions.append(Question("trajectory", f"Which file is the GNSS/INS trajectory ({names})?"))
         return
-    settings |= {key: answers[key] for key in ("date", "heights") if key in answers}
+    settings |= {key: answers[key] for key in ("date", "time", "crs", "heights") if key in answers}
     proposal.settings["trajectory"] = settings
     path = root / settings["file"]
+    checked = validated(settings, TrajectoryFile, "options of the trajectory")
     try:
-        recorded = _recorded(path, TrajectoryFile.model_validate(settings).model_dump_json())
+        recorded = _recorded(path, checked.model_dump_json())
     except DriveFolderError as error:
-        if "date" in answers or "date" not in str(error):
+        asked = next((key for key in _UNSTATED if key not in answers and f"{{{key}: " in str(error)), None)
+        if asked is None:
             raise
-        proposal.questions.append(Question("date", f"On which day was it recorded, like 2026-03-02? ({error})"))
+        proposal.questions.append(Question(asked, f"{_UNSTATED[asked]} ({error})"))
         return
     proposal.found.append(_described(recorded, trajectory_format(path) or ""))
     if "sigma" in answers:

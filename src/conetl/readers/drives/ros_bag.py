@@ -239,7 +239,7 @@ def _root(variance: float) -> float:
 
 def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> tuple[Rig, Array]:
     """The rectified rig and sensor_R_body (3, 3). Raises CalibrationError."""
-    given = own_rig(rig_path)
+    given = own_rig(rig_path, settings.pair)
     if given is not None:
         return rig_on_body(*given, settings, rig_path)
     rig = rig_of_infos(topics, found.infos, source)

@@ -135,7 +135,7 @@ def _rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Fl
             "calibration of another program"
         )
     add_settings(content, root)
-    rig = read_rig_yaml(path)
+    rig = read_rig_yaml(path, pair=settings.pair)
     if settings.mount is not None:
         return rig_on_body(rig, _body_SE3_left(settings.mount), settings, path)
     if rigs.body_is_left_camera(rig):

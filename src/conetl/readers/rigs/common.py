@@ -118,7 +118,7 @@ def choose_pair(path: Path, names: Sequence[str], pair: Sequence[str] | None) ->
     if pair is None:
         raise CalibrationError(
             f"{path}: the file has {len(names)} cameras, {listed}; choose the stereo pair: conetl rig convert with "
-            "--pair LEFT,RIGHT"
+            "--pair LEFT,RIGHT, or for a drive's rig.yaml 'pair: [LEFT, RIGHT]' in drive.yaml"
         )
     left, right = pair
     for name in (left, right):

@@ -29,6 +29,7 @@ UNSTATED_HEIGHT_SIGMA_M = 100.0
 _NOMINAL_M = 2.0
 """Datum shifts without a grid that PROJ states to be at least this accurate (ETRS89 or NAD83 to WGS 84, 1 to 2 m) are names of
 one and the same frame for the receivers of a region; their accuracy is not added to the sigmas."""
+_YEAR_NS = 365.2425 * 86400e9
 _GRID_SUFFIXES = (".tif", ".gtx")
 
 
@@ -39,6 +40,7 @@ def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator
     """
     steps: list[Transformer] = []
     accuracy_m = 0.0
+    shift: Transformer | None = None
     unstated = reading.heights == "unstated" and settings.heights is None and settings.crs is None
     for piece in reading.pieces:
         if not steps and _needs_transformation(reading, settings, path):
@@ -50,7 +52,54 @@ def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator
         if unstated or accuracy_m:
             vertical_m = UNSTATED_HEIGHT_SIGMA_M if unstated else accuracy_m
             piece = piece._replace(sigma=_increased(piece.sigma, accuracy_m, vertical_m))  # noqa: PLW2901
-        yield _transformed(steps, reading.axes, piece, settings) if steps else piece
+        found = _transformed(steps, reading.axes, piece, settings) if steps else piece
+        if settings.frame is not None or settings.map_frame is not None:
+            usable = np.flatnonzero(np.isfinite(found.positions).all(axis=1))
+            if shift is None and len(usable):
+                shift = _between_frames(settings, found.positions[usable[0]])
+            found = found if shift is None else _shifted(shift, found)
+        yield found
+
+
+def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
+    """From the frame of the positions to that of the map, where a file begins (3,). Raises DriveFolderError."""
+    if settings.frame is None or settings.map_frame is None:
+        raise DriveFolderError(
+            "drive.yaml: trajectory.frame (of the positions, like ITRF2020) and trajectory.map_frame (of the map's coordinates, "
+            "like ETRF2000) belong together: state both"
+        )
+    known = {key: _crs(getattr(settings, key), key) for key in ("frame", "map_frame")}
+    for key, crs in known.items():
+        if not crs.is_geographic:
+            raise DriveFolderError(f"drive.yaml: trajectory.{key}: {shown(crs.name)} is not the name of a frame")
+    source, target = (crs.to_3d() for crs in known.values())
+    lat, lon = (float(value) for value in start[:2])
+    area = AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05) if abs(lon) < 179 and abs(lat) < 89 else None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a missing grid counts as no transformation
+            group = TransformerGroup(source, target, True, area, allow_ballpark=False)
+    except (ProjError, CRSError, ValueError) as error:
+        raise DriveFolderError(f"drive.yaml: trajectory.frame, map_frame: {shown(str(error))}") from error
+    if not group.transformers or not group.best_available:
+        raise DriveFolderError(
+            f"drive.yaml: trajectory.frame, map_frame: PROJ has no transformation from {shown(source.name)} to "
+            f"{shown(target.name)} at {lat:.1f}, {lon:.1f} degrees: transform the positions before"
+        )
+    return group.transformers[0]
+
+
+def _shifted(shift: Transformer, piece: Records) -> Records:
+    """The records in another frame, each at its own time."""
+    years = 1970 + piece.times_ns / _YEAR_NS
+    lat, lon, height = piece.positions.T
+    try:
+        lon, lat, height = shift.transform(lon, lat, height, years)[:3]
+    except ProjError as error:
+        raise DriveFolderError(f"drive.yaml: trajectory.frame, map_frame: {shown(str(error))}") from error
+    positions = np.column_stack([lat, lon, height])
+    positions[~np.isfinite(positions)] = np.nan
+    return piece._replace(positions=positions)
 
 
 def _increased(sigma: Floats, horizontal_m: float, vertical_m: float) -> Floats:
@@ -109,7 +158,9 @@ def _crs(text: str, key: str) -> CRS:
     try:
         return CRS.from_user_input(int(text) if text.strip().isdigit() else text)
     except (CRSError, ValueError, OverflowError) as error:
-        example = "EPSG:25832" if key == "crs" else "ellipsoidal, EPSG:5773 or the name of a geoid grid"
+        example = {"crs": "EPSG:25832", "frame": "ITRF2020", "map_frame": "ETRF2000"}.get(
+            key, "ellipsoidal, EPSG:5773 or the name of a geoid grid"
+        )
         raise DriveFolderError(
             f"drive.yaml: trajectory.{key}: {shown(text)} is not known to PROJ; expected for example {example}"
         ) from error

@@ -114,12 +114,15 @@ def assembled(
     """
     kept: list[Records] = []
     bad: dict[int, str] = {}
+    found_ns: list[int] = []
     count, first_problem, latest_ns = 0, "", time.time_ns() + MAX_AHEAD_NS
     for piece in pieces:
         wrong = problems(piece, is_local)
         good = (piece.times_ns >= EARLIEST_NS) & (piece.times_ns <= latest_ns)
         for i in np.flatnonzero(~good).tolist():
             wrong.setdefault(i, f"the time {clock_problem(int(piece.times_ns[i]))}")
+        if good.any():
+            found_ns += [int(piece.times_ns[good].min()), int(piece.times_ns[good].max())]
         inside = good & _within(piece.times_ns, between_ns)
         if wrong:
             names = dict(enumerate(piece.names)) if piece.names is not None else {}
@@ -137,7 +140,7 @@ def assembled(
             kept.append(Records(piece.times_ns[inside], piece.positions[inside], turned, piece.sigma[inside], {}))
     if not kept:
         raise DriveFolderError(
-            f"{path}: not one usable pose: {first_problem or 'there are no records' + _of(between_ns)}"
+            f"{path}: not one usable pose: {first_problem or 'there are no records' + _of(between_ns, found_ns)}"
         )
     times = np.concatenate([piece.times_ns for piece in kept])
     order = np.argsort(times, kind="stable")
@@ -189,8 +192,14 @@ def _within(times_ns: Times, between_ns: tuple[int, int] | None) -> NDArray[np.b
     return (times_ns >= between_ns[0]) & (times_ns <= between_ns[1])
 
 
-def _of(between_ns: tuple[int, int] | None) -> str:
-    if between_ns is None:
+def _of(between_ns: tuple[int, int] | None, found_ns: list[int]) -> str:
+    """found_ns: with the first and the last time that the file has."""
+    if between_ns is None or not found_ns:
         return ""
-    first, last = (np.datetime64(ns, "ns").astype("datetime64[ms]") for ns in between_ns)
-    return f" between {first} and {last} UTC, the time of the drive"
+    first, last, own_first, own_last = (
+        np.datetime64(ns, "ns").astype("datetime64[s]") for ns in (*between_ns, min(found_ns), max(found_ns))
+    )
+    return (
+        f" between {first} and {last} UTC, the time of the images; its own are from {own_first} to {own_last} UTC. Are its times "
+        "local ones (trajectory.time: Europe/Berlin) or GPS time, or is images.start wrong?"
+    )

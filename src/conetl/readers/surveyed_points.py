@@ -1,0 +1,97 @@
+"""Surveyed points of a file of any map format: control points of a drive, check points of a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from conetl.files.documents import shown
+from conetl.files.names import printable
+from conetl.geometry import geodesy
+from conetl.geometry.packing import vec3
+from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.records import SurveyedPoint
+from conetl.readers.maps.tables import MapTable, read_table
+from conetl.readers.trajectories.earth import in_wgs84
+from conetl.readers.trajectories.recorded import Reading, Records
+from conetl.readers.trajectories.settings import TrajectoryFile
+
+Floats = NDArray[np.float64]
+_NAMES = ("name", "id", "point", "point_id", "cone_id", "nr", "no")
+_HEIGHTS = ("height_m", "height", "h", "z")
+_SIGMAS = ("sigma_e_m", "sigma_n_m", "sigma_u_m")
+
+
+def read_surveyed_points(
+    path: Path, srid: int, *, crs: str | None = None, heights: str | None = None, sigma_m: float | None = None
+) -> list[SurveyedPoint]:
+    """Points of a CSV, GeoJSON, GeoPackage, FlatGeobuf or GeoParquet file, in the CRS of a map (srid).
+
+    crs: of the file, unless it states one; heights: `ellipsoidal`, or their system, such as EPSG:5773. sigma_m: of the survey,
+    unless the columns sigma_e_m, sigma_n_m, sigma_u_m state it. Raises InputError.
+    """
+    table = read_table(path)
+    source = crs or (table.crs.to_wkt() if table.crs is not None else None)
+    if source is None:
+        raise InputError(f"{path}: states no coordinate reference system; give its crs (--crs), like EPSG:25832")
+    xyz = _with_heights(table)
+    if not np.isfinite(xyz).all():
+        row = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0]) + 1
+        raise InputError(f"{path}, row {row}: a point needs east, north and a height ({', '.join(_HEIGHTS)})")
+    settings = TrajectoryFile(crs=source, heights=heights)
+    try:
+        geographic = CRS.from_user_input(source).is_geographic
+    except CRSError as error:
+        raise InputError(f"{path}: the crs {source[:60]} is not known to PROJ; expected one like EPSG:25832") from error
+    own = xyz[:, [1, 0, 2]] if geographic else xyz
+    count = len(own)
+    records = Records(np.zeros(count, np.int64), own, None, np.full((count, 6), np.nan), {})
+    try:
+        reading = Reading(iter([records]), axes="geodetic" if geographic else "projected")
+        lat, lon, height = np.vstack([piece.positions for piece in in_wgs84(reading, settings, path)]).T
+        xyz = geodesy.to_map(srid, lat, lon, height)
+    except DriveFolderError as error:
+        raise InputError(str(error)) from error
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    if not np.isfinite(xyz).all():
+        row = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0]) + 1
+        raise InputError(f"{path}, row {row}: the point is outside the area of {shown(source)} or of EPSG:{srid}")
+    sigmas = _sigmas(table, sigma_m, path)
+    names = next((table.columns[name] for name in _NAMES if name in table.columns), None) or range(1, count + 1)
+    return [
+        SurveyedPoint(name=printable(str(name))[:60], xyz_m=vec3(p), sigma_m=vec3(s))
+        for name, p, s in zip(names, xyz, sigmas, strict=True)
+    ]
+
+
+def _with_heights(table: MapTable) -> Floats:
+    """(N, 3) positions of the rows, with heights of their geometry or else of a column; NaN where there are none."""
+    xyz, column = table.xyz.copy(), next((table.columns[name] for name in _HEIGHTS if name in table.columns), None)
+    if column is not None and np.isnan(xyz[:, 2]).all():
+        try:
+            xyz[:, 2] = [np.nan if value is None else float(value) for value in column]
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{table.path}: a height is no number: {shown(str(error))}") from error
+    return xyz
+
+
+def _sigmas(table: MapTable, sigma_m: float | None, path: Path) -> Floats:
+    """(N, 3). Raises InputError."""
+    if sigma_m is None and not all(name in table.columns for name in _SIGMAS):
+        raise InputError(f"{path}: states no sigmas of the survey ({', '.join(_SIGMAS)}); give one sigma_m (--sigma-m)")
+    try:
+        found = (
+            np.full((len(table), 3), sigma_m)
+            if sigma_m is not None
+            else np.array([[float(v) for v in table.columns[name]] for name in _SIGMAS]).T
+        )
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: a sigma is no number: {shown(str(error))}") from error
+    if not ((found > 0) & np.isfinite(found)).all():
+        raise InputError(f"{path}: sigmas must be above 0 m")
+    return found

@@ -1,0 +1,274 @@
+"""Surveyed control points in the adjustment of a drive's poses: detected cones with known coordinates.
+
+Points and cones belong together by position; names do not matter. Which points agree is decided by the joint covariance of the
+cones before any takes part: one that the others contradict is named and left out (data snooping, Baarda 1968). Where three agree
+that GNSS/INS is wrong by more than it states they are believed; fewer are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.packing import cov_matrices, vec3
+from conetl.model.health import HealthCheck, Verdict
+from conetl.model.params import IngestParams
+from conetl.model.records import FramePair, Position, Rig, StereoMatch, SurveyedPoint
+from conetl.tracking.error_propagation import moved_by_poses, moved_cov, outline_errors, pose_cov
+from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, RefinementOutcome, cone_groups, refine_with_cones
+
+Floats = NDArray[np.float64]
+NAME = "control points"
+#: Chi-square of 3 degrees of freedom at 0.001: beyond it a point contradicts the others.
+_GATE_CHI2 = 16.3
+#: Where GNSS/INS may be wrong by so much more than it states (m, 1 sigma), so many points have to agree on it.
+_FREE_M, _LEAST_AGREEING = 1.0, 3
+#: Another assignment that fits worse by less than this (chi-square) may be the right one.
+_AMBIGUOUS_CHI2 = 9.0
+#: The cone nearest to a point is at most so far away (m), beside three sigmas of GNSS/INS.
+_NEAR_M = 2.0
+#: Of observations nearer to each other than this (m) that were not joined, the larger group is the cone.
+_SAME_M = 0.75
+
+
+@dataclass(frozen=True)
+class _Cones:
+    """G cones near the points, as a trajectory locates them."""
+
+    groups: list[tuple[Position, ...]]
+    xyz_m: Floats
+    """(G, 3)"""
+    joint_cov: Floats
+    """(G, 3, G, 3) with the errors of the poses."""
+    outline_cov: Floats
+    """(G, 3, 3) of what all positions of a cone err in common."""
+
+    def control(self, number: int, point: SurveyedPoint) -> ControlCone:
+        cov_m2 = np.diag(np.square(point.sigma_m)) + self.outline_cov[number]
+        return ControlCone(self.groups[number], np.array(point.xyz_m), cov_m2)
+
+
+@dataclass(frozen=True)
+class _Tie:
+    """Which points stand on which cones."""
+
+    cones: _Cones
+    cone_of: dict[int, int]
+    """By point, of those that agree with each other."""
+    wrong: dict[int, float]
+    """By point: m from the cone that is there, where the others contradict it."""
+    ambiguous: bool = False
+
+
+def refine_with_control(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    motions: Sequence[RelativeMotion],
+    matches: Sequence[StereoMatch],
+    params: IngestParams,
+    points: Sequence[SurveyedPoint],
+) -> RefinedTrajectory:
+    """As `refine_with_cones`, adjusted to those control points that agree; `control` of the result says which do not."""
+    plain = refine_with_cones(frame_pairs, rig, motions, matches, params)
+    if not points or not params.trajectory.refine:
+        return plain
+
+    def adjusted(pairs: Sequence[FramePair], before: RefinedTrajectory, *, as_stated: bool) -> RefinedTrajectory:
+        tie = _tied(before, rig, matches, params, points)
+        check = _check(points, tie, as_stated=as_stated)
+        if not check.value:
+            return replace(plain, control=check)
+        control = [tie.cones.control(g, points[i]) for i, g in tie.cone_of.items()]
+        refined = refine_with_cones(pairs, rig, motions, matches, params, control)
+        if refined.outcome is RefinementOutcome.REFINED:
+            return replace(refined, control=check)
+        return replace(plain, control=_held(f"The poses cannot be adjusted to the control points: {refined.detail}."))
+
+    found = adjusted(frame_pairs, plain, as_stated=True)
+    if found.control is not None and found.control.verdict is not Verdict.PASS:
+        loose = [_with_larger_sigmas(pair) for pair in frame_pairs]
+        free = adjusted(loose, refine_with_cones(loose, rig, motions, matches, params), as_stated=False)
+        if free.control is not None and (free.control.value or 0) > (found.control.value or 0):
+            return free
+    return found
+
+
+def _with_larger_sigmas(pair: FramePair) -> FramePair:
+    sigma = vec3(np.hypot(pair.pose.sigma_enu_m, _FREE_M))
+    return pair.model_copy(update={"pose": pair.pose.model_copy(update={"sigma_enu_m": sigma})})
+
+
+def _tied(
+    trajectory: RefinedTrajectory,
+    rig: Rig,
+    matches: Sequence[StereoMatch],
+    params: IngestParams,
+    points: Sequence[SurveyedPoint],
+) -> _Tie:
+    """The largest set of points that agree about the cones of a trajectory."""
+    xyz_m = np.array([point.xyz_m for point in points])
+    reach_m = _NEAR_M + 3 * max(max(pair.pose.sigma_enu_m[:2]) for pair in trajectory.logged)
+    cones = _located(trajectory, cone_groups(trajectory, rig, matches, params), rig, params, xyz_m, reach_m)
+    if not cones.groups:
+        return _Tie(cones, {}, {})
+    survey = np.square([point.sigma_m for point in points])[:, :, None] * np.eye(3)
+    off = xyz_m[:, None] - cones.xyz_m
+    near = np.linalg.norm(off[:, :, :2], axis=2) <= reach_m
+    found: list[tuple[int, float, dict[int, int]]] = []
+    for i, g in zip(*np.nonzero(near & (_chi2(cones, survey, off, {}) <= _GATE_CHI2)), strict=True):
+        chosen = {int(i): int(g)}
+        chi2 = np.where(near, _chi2(cones, survey, off, chosen), np.inf)
+        total = float(_chi2(cones, survey, off, {})[i, g])
+        for k, h in _best_first(chi2):
+            if k not in chosen and h not in chosen.values():
+                chosen[k] = h
+                total += float(chi2[k, h])
+        found.append((-len(chosen), total, chosen))
+    found.sort(key=lambda item: item[:2])
+    chosen = found[0][2] if found else {}
+    ambiguous = any(
+        size == found[0][0] and total < found[0][1] + _AMBIGUOUS_CHI2 and other != chosen
+        for size, total, other in found[1:]
+    )
+    chosen = _without_contradictions(cones, survey, off, chosen)
+    apart = np.linalg.norm(off - _expected(cones, survey, off, chosen)[0], axis=2)
+    wrong = {}
+    for k in range(len(points)):
+        free = [g for g in range(len(cones.groups)) if g not in chosen.values() and near[k, g]]
+        if k not in chosen and free:
+            nearest_m = float(apart[k, free].min())
+            if nearest_m <= _NEAR_M:
+                wrong[k] = nearest_m
+    return _Tie(cones, chosen, wrong, ambiguous)
+
+
+def _located(
+    trajectory: RefinedTrajectory,
+    groups: Sequence[tuple[Position, ...]],
+    rig: Rig,
+    params: IngestParams,
+    xyz_m: Floats,
+    reach_m: float,
+) -> _Cones:
+    """The cones within reach of a point (N, 3), with their joint covariance.
+
+    Each has the pose error of its nearest observation.
+    """
+    rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
+    kept: list[tuple[Position, ...]] = []
+    places: list[Floats] = []
+    own, outlines, states = [], [], []
+    for group in sorted(groups, key=len, reverse=True):
+        left = trajectory.map_SE3_left[[rank[p.frame_index] for p in group]]
+        turn = left[:, :3, :3]
+        seen = np.einsum("fij,fj->fi", turn, [p.camera_xyz_m for p in group]) + left[:, :3, 3]
+        weights = np.linalg.inv(turn @ cov_matrices([p.camera_cov_m2 for p in group]) @ np.swapaxes(turn, 1, 2))
+        cov = np.linalg.inv(weights.sum(axis=0))
+        place = cov @ (weights @ seen[:, :, None]).sum(axis=0)[:, 0]
+        if np.linalg.norm(xyz_m[:, :2] - place[:2], axis=1).min() > reach_m:
+            continue
+        if any(np.linalg.norm(place[:2] - other[:2]) < _SAME_M for other in places):
+            continue
+        nearest = min(range(len(group)), key=lambda k, group=group: group[k].range_m)  # type: ignore[misc]
+        outline = turn[nearest] @ outline_errors(group[nearest], rig)
+        of_scale = (params.trajectory.scale_sigma * group[nearest].range_m) ** 2 * np.eye(3)
+        kept.append(group)
+        places.append(place)
+        outlines.append(outline @ outline.T + of_scale)
+        own.append(cov + outlines[-1])
+        states.append(group[nearest].frame_index)
+    frames = sorted(set(states))
+    feet = np.array(places).reshape(-1, 3)
+    joint = np.zeros((len(kept), 3, len(kept), 3))
+    if kept:
+        jacobian = moved_by_poses(feet, [trajectory.frame_pairs[rank[index]].pose for index in states])
+        of_poses = pose_cov(trajectory, params.trajectory)(frames)
+        joint += moved_cov(jacobian, np.searchsorted(frames, states), of_poses).reshape(joint.shape)
+        joint[np.arange(len(kept)), :, np.arange(len(kept))] += np.array(own)
+    return _Cones(kept, feet, joint, np.array(outlines).reshape(-1, 3, 3))
+
+
+def _expected(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> tuple[Floats, Floats]:
+    """What each point is expected to be off each cone, given those that are chosen: (G, 3) and its covariance (G, 3, 3).
+
+    survey (N, 3, 3): covariance of the points, which is not in the result; off (N, G, 3): points minus cones.
+    """
+    count = len(cones.groups)
+    alone = cones.joint_cov[np.arange(count), :, np.arange(count)]
+    if not chosen:
+        return np.zeros((count, 3)), alone
+    at, size = list(chosen.values()), 3 * len(chosen)
+    known = cones.joint_cov[at][:, :, at].copy()
+    known[np.arange(len(at)), :, np.arange(len(at))] += survey[list(chosen)]
+    with_known = cones.joint_cov[:, :, at].reshape(3 * count, size)
+    gain = np.linalg.solve(known.reshape(size, size), with_known.T).T
+    mean = gain @ np.concatenate([off[i, g] for i, g in chosen.items()])
+    less = np.einsum("gik,gjk->gij", gain.reshape(count, 3, size), with_known.reshape(count, 3, size))
+    return mean.reshape(count, 3), alone - less
+
+
+def _chi2(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> Floats:
+    """(N, G) of each point on each cone, given those that are chosen."""
+    mean, cov = _expected(cones, survey, off, chosen)
+    residual = off - mean
+    total = cov + survey[:, None]
+    return np.asarray(np.einsum("ngi,ngi->ng", residual, np.linalg.solve(total, residual[..., None])[..., 0]))
+
+
+def _best_first(chi2: Floats) -> Iterator[tuple[int, int]]:
+    """Pairs within the gate."""
+    for flat in np.argsort(chi2, axis=None).tolist():
+        k, h = divmod(flat, chi2.shape[1])
+        if chi2[k, h] > _GATE_CHI2:
+            return
+        yield k, h
+
+
+def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> dict[int, int]:
+    """The points that all others confirm: the one that fits worst goes until all do."""
+    while len(chosen) > 1:
+        misfits = {
+            i: float(_chi2(cones, survey, off, {k: h for k, h in chosen.items() if k != i})[i, g])
+            for i, g in chosen.items()
+        }
+        worst = max(misfits, key=lambda i: misfits[i])
+        if misfits[worst] <= _GATE_CHI2:
+            break
+        chosen = {k: h for k, h in chosen.items() if k != worst}
+    return chosen
+
+
+def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> HealthCheck:
+    """What the points say; its value is how many are used."""
+    used, wrong, count = len(tie.cone_of), len(tie.wrong), f"{len(points)} control points"
+    named = ", ".join(f"{points[k].name} ({metres:.2f} m from the cone there)" for k, metres in tie.wrong.items())
+    if not used and not wrong:
+        return _unused(f"None of the {count} has a cone near it: is their crs or height system another?")
+    if (wrong and (used < 2 or used <= wrong)) or (not as_stated and used < _LEAST_AGREEING):
+        agreeing = f" {', '.join(points[k].name for k in tie.cone_of)} alone fit." if used else ""
+        return _held(
+            f"The control points contradict each other or GNSS/INS: {named}.{agreeing} Check the points, their datum and that of "
+            f"GNSS/INS, or survey more: {_LEAST_AGREEING} that agree are believed."
+        )
+    if tie.ambiguous:
+        return _unused(f"The {count} fit to the cones in more than one way: survey more of them.")
+    detail = f"{used} of {count} have a cone and agree: the poses are adjusted to them."
+    if not as_stated:
+        off_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
+        detail += f" GNSS/INS is {np.linalg.norm(off_m):.2f} m off them, more than it states: check the datum of both."
+    if wrong:
+        detail += f" Not used, because the others contradict them: {named}."
+    verdict = Verdict.WARN if wrong else Verdict.PASS if as_stated else Verdict.CORRECTED
+    return HealthCheck(name=NAME, verdict=verdict, value=float(used), detail=detail)
+
+
+def _held(detail: str) -> HealthCheck:
+    return HealthCheck(name=NAME, verdict=Verdict.HOLD, value=0.0, detail=detail)
+
+
+def _unused(detail: str) -> HealthCheck:
+    return HealthCheck(name=NAME, verdict=Verdict.WARN, value=0.0, detail=detail)

@@ -1,0 +1,170 @@
+"""Control points in the adjustment: true sigmas, logs that are wrong, and points that are wrong."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conetl.evaluation.truth import read_truth_cones
+from conetl.geometry import pose as se3
+from conetl.geometry.packing import cov_matrix
+from conetl.model.errors import DriveFolderError
+from conetl.model.health import Verdict
+from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.records import Drive, FramePair, SurveyedPoint
+from conetl.pipeline.analysis import AnalysedDrive, analyse
+from conetl.pipeline.settings import Settings
+from conetl.readers.drives import read_drive
+from conetl.tracking.control_points import refine_with_control
+from conetl.tracking.trajectory import RefinedTrajectory
+from tests.synthetic.noisy_drive import PoseErrors, draw_positions
+from tests.synthetic.odometry import log_of, motions_of, pose_errors
+from tests.synthetic.world import ORIGIN_M, Cone, make_path, make_rig
+from tests.unit.readers.drive_formats import SAMPLE
+
+RIG, PARAMS = make_rig(), TrajectoryParams()
+CONES = [Cone((12.0 + 4.0 * k, 3.2 - 6.0 * (k % 2), 0.0)) for k in range(6)]
+TRUTH = np.stack([se3.map_SE3_body(pair.pose) for pair in make_path(32)])
+OFF_M = np.array([0.4, 0.3, 0.2])
+
+
+def surveyed(
+    feet: np.ndarray, rng: np.random.Generator, wrong: dict[int, tuple[float, float, float]] | None = None
+) -> list[SurveyedPoint]:
+    return [
+        SurveyedPoint(
+            name=f"P{n}", xyz_m=tuple((foot + rng.normal(0, 0.01, 3) + (wrong or {}).get(n, 0.0)).tolist()),
+            sigma_m=(0.01, 0.01, 0.01),
+        )
+        for n, foot in enumerate(feet)
+    ]  # fmt: skip
+
+
+def moved(pairs: list[FramePair] | tuple[FramePair, ...], off_m: np.ndarray, sigma_m: float | None) -> list[FramePair]:
+    """Frame pairs whose logged positions are off by (K, 3)."""
+    changes = [
+        {"map_t_body_m": tuple(np.add(p.pose.map_t_body_m, o).tolist())} for p, o in zip(pairs, off_m, strict=True)
+    ]
+    for change in changes if sigma_m else ():
+        change["sigma_enu_m"] = (sigma_m, sigma_m, sigma_m)
+    return [
+        p.model_copy(update={"pose": p.pose.model_copy(update=change)})
+        for p, change in zip(pairs, changes, strict=True)
+    ]
+
+
+def refined(
+    seed: int, off_m: np.ndarray, sigma_m: float, points: list[int], wrong: dict[int, tuple[float, float, float]]
+) -> tuple[RefinedTrajectory, np.ndarray]:
+    """The trajectory of a drawn drive whose log states sigma_m and is off_m away, with points on these cones; errors (K, 3)."""
+    rng = np.random.default_rng(seed)
+    matches = draw_positions(rng, RIG, CONES, PoseErrors()).matches
+    log, motions = log_of(TRUTH, rng, sigma_m, 0.0009, PARAMS), motions_of(TRUTH, RIG, rng, PARAMS)
+    log = moved(log, np.tile(off_m, (len(log), 1)), None)
+    feet = np.add([CONES[n].foot_m for n in points], ORIGIN_M)
+    result = refine_with_control(log, RIG, motions, matches, IngestParams(), surveyed(feet, rng, wrong))
+    return result, pose_errors(result.frame_pairs, TRUTH)[:, :3]
+
+
+def test_sigmas_of_poses_hold() -> None:
+    """NEES of a pose in the middle, with a log of 0.4 m. Cones are taken to err alike in all their images, which drawn ones do
+    not, so that it is below 1."""
+    nees, errors_m = [], []
+    for seed in range(10):
+        result, error = refined(seed, np.zeros(3), 0.4, [0, 2, 4], {})
+        assert result.control is not None and result.covariance is not None
+        assert result.control.verdict is Verdict.PASS, result.control.detail
+        nees.append(error[12] @ np.linalg.solve(result.covariance.cov[12][:3, :3], error[12]) / 3)
+        errors_m.append(np.linalg.norm(error[12]))
+    assert 0.1 < np.mean(nees) < 1.25
+    assert np.mean(errors_m) < 0.08
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "points", "wrong", "verdict", "says"),
+    [
+        (0.5, [0, 2, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "contradict them: P1 ("),
+        (0.5, [0, 2, 4], {2: (0.0, 0.0, 0.5)}, Verdict.WARN, "contradict them: P2 ("),
+        (0.02, [0, 2, 3, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "GNSS/INS is 0.5"),
+        (0.5, [0, 4], {1: (0.7, 0.7, 0.0)}, Verdict.HOLD, "contradict each other"),
+        (0.02, [0, 4], {}, Verdict.HOLD, "P0 (0.5"),  # two do not contradict a log
+        (0.5, [0, 4], dict.fromkeys(range(2), (500.0, 0.0, 0.0)), Verdict.WARN, "None of the 2 control points"),
+    ],
+)
+def test_wrong_points_are_named_and_not_believed(
+    sigma_m: float, points: list[int], wrong: dict[int, tuple[float, float, float]], verdict: Verdict, says: str
+) -> None:
+    result, error = refined(3, OFF_M, sigma_m, points, wrong)
+    assert result.control is not None
+    assert result.control.verdict is verdict and says in result.control.detail, result.control
+    if verdict is Verdict.WARN and result.control.value:
+        assert np.linalg.norm(error[12]) < 0.1
+
+
+@pytest.fixture(scope="module")
+def sample() -> tuple[Drive, np.ndarray]:
+    cones, _ = read_truth_cones(SAMPLE / "truth.csv")
+    return read_drive(SAMPLE)[0], np.array([cone.xyz_m for cone in cones])
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Detections are the same in all tests."""
+    return tmp_path_factory.mktemp("home")
+
+
+def analysed(drive: Drive, pairs: list[FramePair], points: list[SurveyedPoint], home: Path) -> AnalysedDrive:
+    changed = drive.model_copy(update={"frame_pairs": tuple(pairs), "control_points": tuple(points)})
+    return analyse(changed, settings=Settings(home=home, workers=2))
+
+
+def largest_chi2(found: AnalysedDrive, feet: np.ndarray) -> float:
+    """Of the cones against their true feet."""
+    chi2 = []
+    for track in found.tracks:
+        error = np.array(track.xyz_m) - feet[np.linalg.norm(feet - track.xyz_m, axis=1).argmin()]
+        chi2.append(float(error @ np.linalg.solve(cov_matrix(track.cov_m2), error)))
+    assert len(chi2) == len(feet)
+    return max(chi2)
+
+
+@pytest.mark.parametrize(("drifts", "sigma_m"), [(False, 0.5), (True, None)])
+def test_three_points_correct_a_log_that_is_half_a_metre_off(
+    drifts: bool, sigma_m: float | None, sample: tuple[Drive, np.ndarray], home: Path
+) -> None:
+    """Also where it states 2 cm: then the check says so."""
+    drive, feet = sample
+    share = np.linspace(0, 1, len(drive.frame_pairs)) if drifts else np.ones(len(drive.frame_pairs))
+    pairs = moved(drive.frame_pairs, share[:, None] * OFF_M, sigma_m)
+    found = analysed(drive, pairs, surveyed(feet[[0, 3, 6]], np.random.default_rng(1)), home)
+    control = found.trajectory.control
+    assert control is not None and control in found.health
+    assert control.verdict is (Verdict.PASS if sigma_m else Verdict.CORRECTED)
+    assert largest_chi2(found, feet) < 7.8  # 5 % of 3 degrees of freedom, far below for the median of the cones
+    errors = [np.linalg.norm(feet - track.xyz_m, axis=1).min() for track in found.tracks]
+    assert max(errors) < 0.05
+
+
+def test_the_file_is_named_in_drive_yaml(tmp_path: Path, sample: tuple[Drive, np.ndarray]) -> None:
+    drive, feet = sample
+    copy = tmp_path / "run"
+    shutil.copytree(SAMPLE, copy)
+    rows = [f"K{n},{e},{north},{h}" for n, (e, north, h) in enumerate(feet[:3].tolist())]
+    (copy / "points.csv").write_text("\n".join(["name,easting,northing,height_m", *rows]))
+    (copy / "drive.yaml").write_text(
+        f"control_points: {{file: points.csv, crs: 'EPSG:{drive.map_srid}', sigma_m: 0.02}}\n"
+    )
+    found, _ = read_drive(copy)
+    assert [point.name for point in found.control_points] == ["K0", "K1", "K2"]
+    assert np.array([point.xyz_m for point in found.control_points]) == pytest.approx(feet[:3], abs=1e-4)
+    (copy / "points.csv").write_text((copy / "points.csv").read_text().replace("K0", "K9"))
+    assert read_drive(copy)[0].content_sha256 != found.content_sha256
+    (copy / "drive.yaml").write_text("control_points: points.csv\n")
+    with pytest.raises(DriveFolderError, match=r"control points: .*points\.csv: states no coordinate reference system"):
+        read_drive(copy)
+    (copy / "drive.yaml").write_text("control_points: other.csv\n")
+    with pytest.raises(DriveFolderError, match="the control points are missing"):
+        read_drive(copy)
