@@ -30,11 +30,11 @@ class FeatureClass:
     body: tuple[float, float] = (0.10, 0.31)
     """Of round objects: half width of the body at its upper and lower end, as shares of the width of the box, which holds the
     base too."""
-    outline_share: float | None = 0.03
+    outline_share: float | None = 0.02
     """Sigma, as a share of the height of the box, of what all boxes of one object have in common: which part of it they take for
     its foot and axis. Measured on rendered objects; None of cones, whose feet networks give."""
     geometry: Literal["point", "line"] = "point"
-    """Point objects are found by the detector, lines by `perception/markings/`, which needs no network."""
+    """Point objects are found by the detector, lines by `perception/lane_markings.py`, which needs no network."""
 
 
 FEATURE_CLASSES = {
@@ -46,9 +46,13 @@ FEATURE_CLASSES = {
     ),
     "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), 0.65, round_foot=True, on_road=True, in_rows=True, body=(0.33, 0.39)),
     "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), 0.4, round_foot=False, on_road=True, in_rows=True),
-    "barricade": FeatureClass((0.5, 2.0), (0.35, 2.6), 1.2, round_foot=False, on_road=True, in_rows=True),
+    "barricade": FeatureClass(
+        (0.5, 2.0), (0.35, 2.6), 1.2, round_foot=False, on_road=True, in_rows=True, outline_share=0.04
+    ),
     "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), 1.0, round_foot=False, on_road=False, in_rows=False),
-    "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), 1.5, round_foot=False, on_road=False, in_rows=False),
+    "arrow_board": FeatureClass(
+        (0.5, 3.0), (0.3, 4.0), 1.5, round_foot=False, on_road=False, in_rows=False, outline_share=0.05
+    ),
     "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), 0.9, round_foot=False, on_road=False, in_rows=False),
     LANE_MARKING: FeatureClass(
         (0.0005, 0.006), (0.0, 0.02), 30.0, round_foot=False, on_road=True, in_rows=False, geometry="line"
