@@ -22,17 +22,19 @@ Floats = NDArray[np.float64]
 Image = NDArray[np.integer[Any] | np.floating[Any]]
 
 #: Wider images are reduced for the dense disparities.
-_MAX_WIDTH_PX = 640
+_MAX_WIDTH_PX = 800
 _BLOCK_PX = 11
 #: Depths between which the road is searched, and half the width of the strip ahead (m).
 _NEAREST_M, _FARTHEST_M, _ASIDE_M = 4.0, 15.0, 3.0
+#: Least usual height of a camera, and how far the road is needed.
+_USUAL_HEIGHT_M, _SEARCHED_M = 0.9, 18.0
 #: Heights of a camera above the road (m), and the resolution at which the first guess is made.
 _HEIGHTS_M, _HEIGHT_STEP_M = (0.3, 4.0), 0.05
 #: Shares of the disparity, one after the other, within which a point counts as road.
 _TOLERANCES = (0.1, 0.05, 0.03, 0.03)
 #: Largest slope of the road against the body: brakes and ramps.
 _MAX_TILT_RAD = 0.12
-_MIN_POINTS = 200
+_MIN_POINTS = 80
 #: One of so many rows and columns of the disparities is used.
 _EVERY = 4
 
@@ -76,7 +78,9 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
     camera = rig.left
     focal_base = camera.fx_px * rig.baseline_m
     down = -up_in_left_camera(rig)
-    first_row = first_road_row(camera, [np.outer([0.0, 0.0, 1.0], -down)], margin_rad=0.0)
+    # From the horizon down, without the rows in which cameras at usual heights see the road far away.
+    far_px = _USUAL_HEIGHT_M / _SEARCHED_M * camera.fy_px
+    first_row = first_road_row(camera, [np.outer([0.0, 0.0, 1.0], -down)], margin_rad=0.0) + int(far_px)
     scale = min(1.0, _MAX_WIDTH_PX / camera.width_px)
     shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, first_row], [0.0, 0.0, 1.0]])
     size = camera.width_px, camera.height_px - first_row
@@ -96,7 +100,9 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
     matcher = cv2.StereoBM.create(numDisparities=most, blockSize=_BLOCK_PX)
     matcher.setTextureThreshold(5)
     matcher.setUniquenessRatio(5)
-    raw = matcher.compute(lower, parallel)
+    # Block matching leaves out as many columns on the left as there are disparities, whether their partners are seen or not.
+    padded = [cv2.copyMakeBorder(image, 0, 0, most, 0, cv2.BORDER_CONSTANT) for image in (lower, parallel)]
+    raw = matcher.compute(*padded)[:, most:]
     measured = np.where(raw > 0, raw.astype(np.float32) / 16 * np.float32(step), np.float32(np.nan))
     road = _plane(measured, step, first_row, rig, down)
     if road is None:

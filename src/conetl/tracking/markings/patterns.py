@@ -30,6 +30,8 @@ _LEAST_GAP_M, _LEAST_RUN_M = 0.5, 0.4
 _LONGEST_DASH_M, _LONGEST_HOLE_M = 8.0, 4.0
 #: Dashes and gaps of one line have at most this relative scatter (median absolute deviation).
 _REGULAR = 0.3
+#: Gaps of more than so many dashes are none (1 : 3 in North America is the longest in use).
+_LONGEST_GAP = 4.0
 #: Shorter gaps than this share of the longest one are worn holes in dashes.
 _HOLE_SHARE = 0.4
 #: A line with paint on more than this share of its length is solid, though worn.
@@ -201,7 +203,8 @@ def _dashes(runs: list[Run]) -> tuple[float, float] | None:
     dashes = np.array(whole or [run.length_m for run in runs])
     worn = sum(run.length_m for run in runs) > _WORN * (runs[-1].end_m - runs[0].start_m)
     irregular = len(runs) > 2 and max(_scatter(gaps), _scatter(dashes)) > _REGULAR
-    return None if worn or irregular else (float(np.median(dashes)), float(np.median(gaps)))
+    dash, gap = float(np.median(dashes)), float(np.median(gaps))
+    return None if worn or irregular or gap > _LONGEST_GAP * dash else (dash, gap)
 
 
 def _piece(runs: list[Run], searched: Searched) -> Piece | None:
