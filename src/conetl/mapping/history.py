@@ -229,9 +229,13 @@ def apply_drive(
 
 
 def is_within(feature: MapFeature, locations: Sequence[Location]) -> bool:
-    """Whether a feature is at one of the locations (horizontally)."""
+    """Whether a feature is at one of the locations (horizontally) of its kind."""
     x, y, _ = feature.xyz_m
-    return any(float(np.hypot(x - one.xy_m[0], y - one.xy_m[1])) <= one.radius_m for one in locations)
+    is_line = feature.marking is not None
+    return any(
+        one.of_line == is_line and float(np.hypot(x - one.xy_m[0], y - one.xy_m[1])) <= one.radius_m
+        for one in locations
+    )
 
 
 def _miss(delta: Delta, changeset_id: UUID) -> MissedObservation:
