@@ -124,10 +124,10 @@ _CLOSURES = (
     """
     insert into conetl.changeset (changeset_id, map_id, changeset_no, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,
         committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count, match_count,
-        position_count, track_count, rejection_count, missed_count, height_changed_count, split_count, merged_count)
+        position_count, track_count, marking_count, rejection_count, missed_count, height_changed_count, split_count, merged_count)
     select md5(%(map)s || 'changeset' || d)::uuid, m.map_id, d + 1, md5(%(map)s || 'drive' || d)::uuid,
         encode(sha256((%(map)s || 'key' || d)::bytea), 'hex'), '', '', '0', timestamptz '2026-03-01T20:00Z' + d * interval '1 day',
-        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
+        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
     from conetl.map m, generate_series(0, %(versions)s - 1) d
     where m.map_name = %(map)s
     """,
@@ -162,9 +162,9 @@ _CLOSURES = (
     """,
     """
     insert into conetl.delta (cell, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
-        system_period)
+        system_period, of_line)
     select v.cell, v.changeset_id, v.feature_id, case when v.version = 1 then 'added' else 'confirmed' end, nullif(v.version - 1, 0), v.version,
-        null, v.valid_from_ns, lower(v.valid_period), case when v.version > 1 then 0 end, v.system_period
+        null, v.valid_from_ns, lower(v.valid_period), case when v.version > 1 then 0 end, v.system_period, false
     from conetl.feature_version v
     join conetl.map m using (map_id)
     where m.map_name = %(map)s
@@ -179,11 +179,11 @@ select %(drive)s, %(map_id)s, %(srid)s, %(key)s, '', %(key)s, '{}', %(from_ns)s,
 _CHANGESET = """
 insert into conetl.changeset (changeset_id, map_id, changeset_no, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,
     committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count, match_count,
-    position_count, track_count, rejection_count,
+    position_count, track_count, marking_count, rejection_count,
     missed_count, height_changed_count, split_count, merged_count)
 values (%(changeset)s, %(map_id)s,
     (select coalesce(max(c.changeset_no), 0) + 1 from conetl.changeset c where c.map_id = %(map_id)s), %(drive)s, %(key)s, '', '', 'bench', to_timestamp(%(committed_s)s), %(added)s, %(confirmed)s,
-    0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)"""
+    0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)"""
 _FEATURES = f"""
 insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
 select {_ID}, %(map_id)s, %(srid)s, %(changeset)s, {_CELL} from generate_series(%(start)s, %(stop)s) i"""
@@ -211,10 +211,10 @@ from (values (1, false, true), (1, true, false), (2, false, false)) r (version, 
 where %(history)s or r.closed"""
 _DELTAS = f"""
 insert into conetl.delta (
-    cell, changeset_id, feature_id, kind, old_version, new_version, changed_at_ns, changed_at, shift_m, system_period
+    cell, changeset_id, feature_id, kind, old_version, new_version, changed_at_ns, changed_at, shift_m, system_period, of_line
 )
 select {_CELL}, d.changeset_id, {_ID}, d.kind, d.old_version, d.new_version, d.at_ns, to_timestamp(d.at_ns / 1e9), d.shift_m,
-    tstzrange(to_timestamp(d.at_s), null)
+    tstzrange(to_timestamp(d.at_s), null), false
 from (
     values (%(changeset)s::uuid, 'added', null, 1, %(from_ns)s, %(committed_s)s, null),
         (%(later)s::uuid, 'confirmed', 1, 2, %(later_ns)s, %(later_s)s, 0.0)

@@ -391,14 +391,15 @@ where fits and not coalesce(xx <= 1.0001 * cov_xx and yy <= 1.0001 * cov_yy and 
 -- Columns: feature_id, version, problem.
 -- A micrometre around the edge of a location is ignored: two programs compare distances with radii there.
 with location as (
-    select map_id, geom, radius_m from conetl.active_decision where kind = 'suppress'
+    select map_id, geom, radius_m, of_line from conetl.active_decision where kind = 'suppress'
 )
 select v.feature_id, v.version, 'is suppressed, but at no suppressed location' as problem
 from conetl.feature_version v
 where v.suppressed and upper_inf(v.system_period)
-and not exists (select from location p where p.map_id = v.map_id and ST_DWithin(v.geom, p.geom, p.radius_m + 1e-6))
+and not exists (select from location p where p.map_id = v.map_id and p.of_line = (v.line is not null) and ST_DWithin(v.geom, p.geom, p.radius_m + 1e-6))
 union
 select v.feature_id, v.version, 'stands at a suppressed location, but is not suppressed'
 from location p
-join conetl.feature_version v on v.map_id = p.map_id and ST_DWithin(v.geom, p.geom, greatest(p.radius_m - 1e-6, 0))
+join conetl.feature_version v on v.map_id = p.map_id and p.of_line = (v.line is not null)
+    and ST_DWithin(v.geom, p.geom, greatest(p.radius_m - 1e-6, 0))
 where v.present and upper_inf(v.system_period);

@@ -58,6 +58,15 @@ alter table conetl.changeset add column line_counts jsonb not null default '{}';
 comment on column conetl.changeset.line_counts is 'Number of changes of stretches of lane markings by kind, as committed; the other counts are of point objects.';
 alter table conetl.changeset add column marking_count integer not null default 0;
 alter table conetl.changeset alter column marking_count drop default;
+
+-- A cone often stands on a lane marking: a decision about one of them is none about the other.
+alter table conetl.decision add column of_line boolean not null default false;
+comment on column conetl.decision.of_line is 'Of suppress and pin: whether it is about lines; else about point objects.';
+create or replace view conetl.active_decision as
+select d.*
+from conetl.decision d
+where d.kind <> 'withdraw' and not exists (select from conetl.decision w where w.withdraws = d.decision_id);
+
 -- Lane markings for other programs -----------------------------------------------------------------------------------------------
 
 create index feature_version_of_line on conetl.feature_version using gist (line) where line is not null;

@@ -15,7 +15,7 @@ import pytest
 
 from conetl.geometry.geodesy import to_geodetic
 from conetl.readers.maps.gazetteer import Gazetteer
-from tests.browser.test_view import click_cone, open_view, settle
+from tests.browser.test_view import ADDED, click_cone, open_view, pixels_of, screenshot, settle
 from tests.view_map import commit, cone, serving
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -325,3 +325,23 @@ def test_far_sites_are_listed(page, address, conn, samples, images):
     settle(page)
     x, _ = page.evaluate("id => window.conetlProject(id)", str(far.feature_id))
     assert 0 < x < page.locator(".view canvas").first.bounding_box()["width"]
+
+
+def test_a_lane_marking_is_a_line_that_can_be_clicked_and_hidden(page, address, conn, samples, images):
+    """After the sites: it changes the map, too."""
+    vertices_m = np.linspace((458_000.0, 5_428_006.0, 114.5), (458_010.0, 5_428_007.0, 114.5), 5)
+    shape = samples.marking(vertices_m, pattern="dashed", dash_m=3.0, gap_m=1.0, colour="yellow", width_m=0.2)
+    line = samples.line_feature(shape, seen_ns=samples.START_NS + 3 * samples.DAY_NS + 7)
+    commit(conn, samples, images, "4", 3, samples.added(line, track_index=None))
+    open_view(page, address, "#view=plan&cam=5,7,15,0,0.01,20", cones=6)
+    assert page.locator(".classes label").all_inner_texts() == ["Traffic cone\n5", "Lane marking\n1"]
+    shown = pixels_of(screenshot(page), ADDED)
+    click_cone(page, str(line.feature_id))
+    page.wait_for_selector(".panel dd:text-is('yellow, dashed, 3.0 m with gaps of 1.0 m')")
+    assert "0.200 ± 0.010 m" in page.locator(".panel").inner_text()
+    assert "foot centre" not in page.locator(".panel").inner_text()
+    page.keyboard.press("Escape")
+    page.uncheck("#class-lane_marking")
+    page.wait_for_selector('html[data-cones="5"]', state="attached")
+    settle(page)
+    assert pixels_of(screenshot(page), ADDED) < shown - 500

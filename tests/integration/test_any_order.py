@@ -32,7 +32,7 @@ from conetl.model.errors import ConflictError, InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import SharedErrorJacobian
-from conetl.pipeline.maps.decisions import accept_drive, revert
+from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
 from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import (
@@ -139,6 +139,25 @@ def test_lane_markings_change_alike_in_every_order(conn, map_of):
         assert sorted(map(values_of, points)) == sorted(map(values_of, alone))
     whole = valid_time_map(conn)
     assert [map_of(*map(painted, order)) == whole for order in ((2, 1, 0), (1, 2, 0), (0, 2, 1))] == [True] * 3
+
+
+def test_people_decide_about_stretches_as_about_cones(conn):
+    merge(conn, painted(0))
+    before = {f.feature_id: f for f in read_current_features(conn, lines=True) if f.marking}
+    cones = read_current_features(conn)
+    gone, kept = sorted(f.feature_id for f in before.values() if abs(f.xyz_m[1] - ORIGIN_M[1] - 1.5) < 0.4)[:2]
+    decide_place(conn, "pin", str(kept), map_name="default", radius_m=1.0)
+    suppressed = decide_place(conn, "suppress", str(gone), map_name="default", radius_m=1.0)
+    assert {f.feature_id for f in read_current_features(conn, lines=True) if f.marking} == before.keys() - {gone}
+    assert read_current_features(conn) == cones
+    merge(conn, painted(1))  # which does not show this marking any more
+    left = {f.feature_id for f in read_current_features(conn, lines=True) if f.marking}
+    assert [key for key in left if abs(before[key].xyz_m[1] - ORIGIN_M[1] - 1.5) < 0.4] == [kept]
+    assert failed_audits(conn) == []
+    revert(conn, "2", map_name="default")
+    revert(conn, str(suppressed.decision_id), map_name="default")
+    assert {f.feature_id: f for f in read_current_features(conn, lines=True) if f.marking} == before
+    assert failed_audits(conn) == []
 
 
 @pytest.mark.parametrize("order", list(permutations((0, 1, 2))), ids=lambda order: "".join(map(str, order)))

@@ -220,6 +220,8 @@ export interface Decision {
   feature_id: string | null;
   changeset_id: string | null;
   drive_id: string | null;
+  /** Whether it is about lane markings. */
+  of_line: boolean;
   decided_by: string | null;
   reason: string;
   decided_at: string;

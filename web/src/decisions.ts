@@ -27,21 +27,22 @@ export interface Choice {
   done: string;
 }
 
-export function aboutFeature(all: Decision[], id: string, xyz: [number, number, number] | undefined): Decision[] {
+/** A decision about a place is one about lines, or about what stands there. */
+export function aboutFeature(all: Decision[], id: string, xyz: [number, number, number] | undefined, isLine: boolean): Decision[] {
   return all.filter((d) => {
     if (d.changeset_id !== null) return false;
     if (d.feature_id === id) return true;
-    return xyz !== undefined && d.xy_m !== null && Math.hypot(d.xy_m[0] - xyz[0], d.xy_m[1] - xyz[1]) <= (d.radius_m ?? 0);
+    return xyz !== undefined && d.of_line === isLine && d.xy_m !== null && Math.hypot(d.xy_m[0] - xyz[0], d.xy_m[1] - xyz[1]) <= (d.radius_m ?? 0);
   });
 }
 
-export const placeChoice = (kind: "suppress" | "pin", id: string, version: number): Choice => ({
+export const placeChoice = (kind: "suppress" | "pin", id: string, version: number, noun: "cone" | "lane marking"): Choice => ({
   text: kind === "suppress" ? "Suppress …" : "Pin …",
   explain:
     kind === "suppress"
-      ? "No cone stands here, whatever drives observe: it is removed from the map, its history is kept."
-      : "This cone stands: drives can confirm it, but neither remove nor move it.",
-  submit: kind === "suppress" ? "Suppress this cone" : "Pin this cone",
+      ? `No ${noun} stands here, whatever drives observe: it is removed from the map, its history is kept.`
+      : `This ${noun} stands: drives can confirm it, but neither remove nor move it.`,
+  submit: `${kind === "suppress" ? "Suppress" : "Pin"} this ${noun}`,
   withRadius: true,
   request: (by) => ({ kind, feature_id: id, expected_version: version, ...by }),
   done: kind === "suppress" ? "Suppressed." : "Pinned.",

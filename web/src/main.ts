@@ -391,7 +391,7 @@ function readPaths(drives: TimelineItem[]): Promise<Trajectory[]> {
 function show(next: Cone[], drives: Trajectory[]): void {
   // A drive is shown as it was committed; later decisions are marked.
   const suppressed = state.mode === "drive" ? (decisions?.decisions ?? []).filter((d) => d.kind === "suppress") : [];
-  all = suppressed.length ? next.map((c) => (aboutFeature(suppressed, c.id, c.xyz).length ? { ...c, kind: "suppressed" } : c)) : next;
+  all = suppressed.length ? next.map((c) => (aboutFeature(suppressed, c.id, c.xyz, c.marking !== null).length ? { ...c, kind: "suppressed" } : c)) : next;
   countClasses(all);
   overlays.showPaths(drives);
   stage.start();
@@ -547,7 +547,7 @@ function kindShown(c: Chosen): Kind | null {
   const drawn = all.find((cone) => cone.id === c.id)?.kind;
   const now = stateOf(c);
   if (drawn || !now) return drawn ?? null;
-  const about = aboutFeature(decisions?.decisions ?? [], c.id, c.history.at(-1)?.xyz_m);
+  const about = aboutFeature(decisions?.decisions ?? [], c.id, c.history.at(-1)?.xyz_m, Boolean(c.history[0]?.marking));
   if (about.some((d) => d.kind === "suppress")) return "suppressed";
   return state.mode !== "drive" && !isGone(now.kind) ? "standing" : now.kind;
 }

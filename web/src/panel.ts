@@ -94,7 +94,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     if (!first) return;
     const now = stateOf(chosen);
     const kind = chosen.kind ?? now?.kind;
-    const about = aboutFeature(chosen.decisions?.decisions ?? [], chosen.id, chosen.history.at(-1)?.xyz_m);
+    const about = aboutFeature(chosen.decisions?.decisions ?? [], chosen.id, chosen.history.at(-1)?.xyz_m, Boolean(first.marking));
     setHead(chosen.id, kind ? el("span", { class: "chip kind" }, icon(kind), STYLES[kind].label) : el("span", { class: "chip kind", textContent: "not yet on the map" }),
       ...(about.some((d) => d.kind === "pin") ? [el("span", { class: "chip pinned", textContent: "pinned" })] : [])); // prettier-ignore
     fill(reason, now && sentenceOf(now));
@@ -140,16 +140,17 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
 
   function showDecisions({ id, map, history, decisions }: Chosen): void {
     const newest = history.at(-1);
-    decide.hidden = decisions === null || !newest || (!decisions.writable && !aboutFeature(decisions.decisions, id, newest.xyz_m).length);
+    decide.hidden = decisions === null || !newest || (!decisions.writable && !aboutFeature(decisions.decisions, id, newest.xyz_m, Boolean(newest.marking)).length);
     if (!decisions || !newest) return;
-    const about = aboutFeature(decisions.decisions, id, newest.xyz_m);
+    const about = aboutFeature(decisions.decisions, id, newest.xyz_m, Boolean(newest.marking));
     fill(decided, ...about.map(sentence));
     if (!decisions.writable) return decider.show(`${id} reading`, [], { map, changed: () => undefined });
+    const noun = newest.marking ? "lane marking" : "cone";
     const has = (kind: string) => about.some((d) => d.kind === kind);
     const context: DecideContext = { map, changed: () => actions.decided() };
     decider.show(`${id} ${newest.version} ${about.map((d) => d.decision_id).join(" ")}`, [
-      ...(has("suppress") || isGone(newest.kind) ? [] : [placeChoice("suppress", id, newest.version)]),
-      ...(has("pin") || has("suppress") ? [] : [placeChoice("pin", id, newest.version)]),
+      ...(has("suppress") || isGone(newest.kind) ? [] : [placeChoice("suppress", id, newest.version, noun)]),
+      ...(has("pin") || has("suppress") ? [] : [placeChoice("pin", id, newest.version, noun)]),
       ...about.map(withdrawChoice),
     ], context); // prettier-ignore
   }

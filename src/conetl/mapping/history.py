@@ -251,9 +251,13 @@ def classified(drive: DriveEvidence, decided: Sequence[Classification]) -> Drive
 
 
 def is_within(feature: MapFeature | Track, locations: Sequence[Location]) -> bool:
-    """Whether a feature is at one of the locations (horizontally)."""
+    """Whether a feature is at one of the locations (horizontally) of its kind."""
     x, y, _ = feature.xyz_m
-    return any(float(np.hypot(x - one.xy_m[0], y - one.xy_m[1])) <= one.radius_m for one in locations)
+    is_line = isinstance(feature, MapFeature) and feature.marking is not None
+    return any(
+        one.of_line == is_line and float(np.hypot(x - one.xy_m[0], y - one.xy_m[1])) <= one.radius_m
+        for one in locations
+    )
 
 
 def _miss(delta: Delta, changeset_id: UUID) -> MissedObservation:

@@ -200,6 +200,8 @@ class Location(Record):
 
     xy_m: Vec2
     radius_m: Positive
+    of_line: bool = False
+    """Whether the decision is about lane markings; else it is about point objects."""
 
 
 class Classification(Location):

@@ -282,6 +282,8 @@ class Decision(Answer):
     changeset_id: UUID | None
     drive_id: str | None
     """Drive of a changeset that is reverted or on hold."""
+    of_line: bool
+    """Of suppress and pin: whether it is about lane markings, else about point objects."""
     decided_by: str | None
     reason: str
     decided_at: datetime

@@ -120,11 +120,15 @@ def test_decisions_hold_for_stretches() -> None:
     drives = drives_of([ROAD, (EDGE, LEFT, YELLOW), (EDGE, LEFT, YELLOW)])
     first = [delta.new for delta in deltas_of(replay_drives(drives[:1]), drives[0])]
     gone = [feature for feature in first if abs(aside_m(feature) - 1.5) < 0.2]
-    place = Location(xy_m=gone[0].xyz_m[:2], radius_m=0.3)
+    place = Location(xy_m=gone[0].xyz_m[:2], radius_m=0.3, of_line=True)
     pinned = replay_drives(drives, Decisions(pinned=(place,)))
     assert {f.feature_id for f in standing(pinned)} == {f.feature_id for f in first} - {f.feature_id for f in gone[1:]}
     there = next(feature for feature in first if abs(aside_m(feature) - 4.5) < 0.2)
-    suppressed = replay_drives(drives, Decisions(suppressed=(Location(xy_m=there.xyz_m[:2], radius_m=0.3),)))
+    of_cone = Location(xy_m=there.xyz_m[:2], radius_m=0.3)
+    assert not any(
+        chain[-1].suppressed for chain in replay_drives(drives, Decisions(suppressed=(of_cone,))).chains.values()
+    )
+    suppressed = replay_drives(drives, Decisions(suppressed=(of_cone.model_copy(update={"of_line": True}),)))
     assert [key for key, chain in suppressed.chains.items() if chain[-1].suppressed] == [there.feature_id]
 
 

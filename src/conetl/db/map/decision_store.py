@@ -78,6 +78,7 @@ def insert_decision(
         "note": clean_text(note),
         "decided_by": clean_text(decided_by) if decided_by else None,
         "decided_at": decided_at,
+        "of_line": place is not None and place.of_line,
     }
     execute(conn, load_sql("decisions.insert_decision"), parameters)
     return decision_id

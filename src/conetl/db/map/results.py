@@ -213,13 +213,15 @@ class StoredDecision:
     decided_by: str | None
     """None of a hold, and if no name was given."""
     decided_at: datetime
+    of_line: bool
+    """Of a place: whether it is about lane markings."""
 
     @property
     def place(self) -> Location | None:
         """The place that it is about; None of a revert."""
         if self.easting_m is None or self.northing_m is None or self.radius_m is None:
             return None
-        return Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m)
+        return Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m, of_line=self.of_line)
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ def decide_place(
                 f"feature {state.feature_id} changed meanwhile: you decided on version {expected_version}, it is at version "
                 f"{state.version} now. Look at it again."
             )
-        place = Location(xy_m=state.xyz_m[:2], radius_m=radius_m)
+        place = Location(xy_m=state.xyz_m[:2], radius_m=radius_m, of_line=state.marking is not None)
         if kind == CLASSIFY:
             place = _classification(state, category, place)
         decision_id = at.insert(kind, place=place, feature_id=state.feature_id)
