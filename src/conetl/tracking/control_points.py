@@ -27,10 +27,14 @@ NAME = "control points"
 _GATE_CHI2 = 16.3
 #: Where GNSS/INS may be wrong by so much more than it states (m, 1 sigma), so many points have to agree on it.
 _FREE_M, _LEAST_AGREEING = 1.0, 3
+#: At most about so many points are tried as the one from which the others are predicted.
+_MOST_SEEDS = 12
 #: Another assignment that fits worse by less than this (chi-square) may be the right one.
 _AMBIGUOUS_CHI2 = 9.0
 #: The cone nearest to a point is at most so far away (m), beside three sigmas of GNSS/INS.
 _NEAR_M = 2.0
+#: Points farther than this from all poses (m) have no cone in view.
+_FAR_M = 100.0
 #: Of observations nearer to each other than this (m) that were not joined, the larger group is the cone.
 _SAME_M = 0.75
 
@@ -76,6 +80,12 @@ def refine_with_control(
     plain = refine_with_cones(frame_pairs, rig, motions, matches, params)
     if not points or not params.trajectory.refine:
         return plain
+    path = np.array([pair.pose.map_t_body_m[:2] for pair in frame_pairs])
+    low, high = path.min(axis=0) - _FAR_M, path.max(axis=0) + _FAR_M
+    count = len(points)
+    points = [point for point in points if ((low <= point.xyz_m[:2]) & (point.xyz_m[:2] <= high)).all()]
+    if not points:
+        return replace(plain, control=_none_near(count))
 
     def adjusted(pairs: Sequence[FramePair], before: RefinedTrajectory, *, as_stated: bool) -> RefinedTrajectory:
         tie = _tied(before, rig, matches, params, points)
@@ -118,23 +128,26 @@ def _tied(
     survey = np.square([point.sigma_m for point in points])[:, :, None] * np.eye(3)
     off = xyz_m[:, None] - cones.xyz_m
     near = np.linalg.norm(off[:, :, :2], axis=2) <= reach_m
+    alone = _chi2(cones, survey, off, near, {})
+    first = np.flatnonzero((alone <= _GATE_CHI2).any(axis=1))
     found: list[tuple[int, float, dict[int, int]]] = []
-    for i, g in zip(*np.nonzero(near & (_chi2(cones, survey, off, {}) <= _GATE_CHI2)), strict=True):
-        chosen = {int(i): int(g)}
-        chi2 = np.where(near, _chi2(cones, survey, off, chosen), np.inf)
-        total = float(_chi2(cones, survey, off, {})[i, g])
-        for k, h in _best_first(chi2):
-            if k not in chosen and h not in chosen.values():
-                chosen[k] = h
-                total += float(chi2[k, h])
-        found.append((-len(chosen), total, chosen))
+    # One of the points from which the others are predicted has to be right.
+    for i in first[:: len(first) // _MOST_SEEDS + 1].tolist():
+        for g in np.flatnonzero(alone[i] <= _GATE_CHI2).tolist():
+            chosen, total = {i: g}, float(alone[i, g])
+            chi2 = _chi2(cones, survey, off, near, chosen)
+            for k, h in _best_first(chi2):
+                if k not in chosen and h not in chosen.values():
+                    chosen[k] = h
+                    total += float(chi2[k, h])
+            found.append((-len(chosen), total, chosen))
     found.sort(key=lambda item: item[:2])
     chosen = found[0][2] if found else {}
     ambiguous = any(
         size == found[0][0] and total < found[0][1] + _AMBIGUOUS_CHI2 and other != chosen
         for size, total, other in found[1:]
     )
-    chosen = _without_contradictions(cones, survey, off, chosen)
+    chosen = _without_contradictions(cones, survey, off, dict(chosen))
     apart = np.linalg.norm(off - _expected(cones, survey, off, chosen)[0], axis=2)
     wrong = {}
     for k in range(len(points)):
@@ -211,12 +224,16 @@ def _expected(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]
     return mean.reshape(count, 3), alone - less
 
 
-def _chi2(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> Floats:
-    """(N, G) of each point on each cone, given those that are chosen."""
+def _chi2(cones: _Cones, survey: Floats, off: Floats, near: NDArray[np.bool_], chosen: dict[int, int]) -> Floats:
+    """(N, G) of each point on each cone near it, given those that are chosen; infinite for others."""
     mean, cov = _expected(cones, survey, off, chosen)
-    residual = off - mean
-    total = cov + survey[:, None]
-    return np.asarray(np.einsum("ngi,ngi->ng", residual, np.linalg.solve(total, residual[..., None])[..., 0]))
+    points, at = np.nonzero(near)
+    residual = off[points, at] - mean[at]
+    found = np.full(near.shape, np.inf)
+    found[points, at] = np.einsum(
+        "pi,pi->p", residual, np.linalg.solve(cov[at] + survey[points], residual[..., None])[..., 0]
+    )
+    return found
 
 
 def _best_first(chi2: Floats) -> Iterator[tuple[int, int]]:
@@ -231,14 +248,19 @@ def _best_first(chi2: Floats) -> Iterator[tuple[int, int]]:
 def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> dict[int, int]:
     """The points that all others confirm: the one that fits worst goes until all do."""
     while len(chosen) > 1:
-        misfits = {
-            i: float(_chi2(cones, survey, off, {k: h for k, h in chosen.items() if k != i})[i, g])
-            for i, g in chosen.items()
-        }
-        worst = max(misfits, key=lambda i: misfits[i])
+        at, count = list(chosen.values()), len(chosen)
+        known = cones.joint_cov[at][:, :, at].copy()
+        known[np.arange(count), :, np.arange(count)] += survey[list(chosen)]
+        # What one is off its prediction by all others, in terms of the inverse of all (e.g. Rasmussen & Williams 2006, 5.4.2).
+        inverse = np.linalg.inv(known.reshape(3 * count, 3 * count)).reshape(known.shape)
+        off_chosen = np.array([off[i, g] for i, g in chosen.items()])
+        weighed = np.einsum("iajb,jb->ia", inverse, off_chosen)
+        own = inverse[np.arange(count), :, np.arange(count)]
+        misfits = np.einsum("ia,ia->i", weighed, np.linalg.solve(own, weighed[..., None])[..., 0])
+        worst = int(misfits.argmax())
         if misfits[worst] <= _GATE_CHI2:
             break
-        chosen = {k: h for k, h in chosen.items() if k != worst}
+        del chosen[list(chosen)[worst]]
     return chosen
 
 
@@ -247,7 +269,7 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> He
     used, wrong, count = len(tie.cone_of), len(tie.wrong), f"{len(points)} control points"
     named = ", ".join(f"{points[k].name} ({metres:.2f} m from the cone there)" for k, metres in tie.wrong.items())
     if not used and not wrong:
-        return _unused(f"None of the {count} has a cone near it: is their crs or height system another?")
+        return _none_near(len(points))
     if (wrong and (used < 2 or used <= wrong)) or (not as_stated and used < _LEAST_AGREEING):
         agreeing = f" {', '.join(points[k].name for k in tie.cone_of)} alone fit." if used else ""
         return _held(
@@ -272,3 +294,7 @@ def _held(detail: str) -> HealthCheck:
 
 def _unused(detail: str) -> HealthCheck:
     return HealthCheck(name=NAME, verdict=Verdict.WARN, value=0.0, detail=detail)
+
+
+def _none_near(count: int) -> HealthCheck:
+    return _unused(f"None of {count} control points has a cone near it: is their crs or height system another?")
