@@ -99,4 +99,4 @@ fuzz: setup     ## all readers on mutated files: no crash, 2 s and 1 GB at most 
 
 lock:           ## renew the locked dependencies from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt
-	uv pip compile pyproject.toml -c requirements.txt --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements-runtime.txt
+	uv pip compile pyproject.toml --extra s3 --extra dask -c requirements.txt --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements-runtime.txt

@@ -33,6 +33,7 @@ from conetl.pipeline.settings import Settings
 from flows.artifacts import send_events
 from flows.batch_artifacts import BatchBoard, open_board, show_progress, show_summary
 from flows.dispatch import (
+    BACKFILL_QUEUE,
     WORKERS_GONE_S,
     DriveRun,
     Where,
@@ -134,7 +135,9 @@ def backfill(
             )
         if not plan.todo:  # started for what was pending
             return Completed(name="NothingNew", message=f"nothing new: {len(plan.lines)} drives are done")
-        return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
+        return run_batch(
+            database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where, queue=BACKFILL_QUEUE
+        )  # fmt: skip
 
 
 def run_batch(
@@ -146,8 +149,12 @@ def run_batch(
     map_srid: int | None,
     max_parallel: int | None,
     where: Where,
+    queue: str | None = None,
 ) -> State[Any]:
-    """Execute a plan inside a flow run. The state says how many drives failed; the receipts say which and why."""
+    """Execute a plan inside a flow run. The state says how many drives failed; the receipts say which and why.
+
+    queue: in which its drives wait for workers; None: that of the deployment `ingest-drive`.
+    """
     place = resolve_where(where)
     parallel = max_parallel or (max(1, online_workers()) if place == "workers" else 1)
     write_plan(plan, parallel, settings.home / "plans")
@@ -167,7 +174,7 @@ def run_batch(
                     with database.connection() as conn:
                         standing.ended.append(_refused(conn, line, plan, settings))
                     continue
-                standing.running.append(launch(line, number, settings, params, map_srid, place, parallel))
+                standing.running.append(launch(line, number, settings, params, map_srid, place, parallel, queue))
                 _tell(standing, board)
             with database.connection() as conn:
                 landed = _landed(conn, standing.running, plan, settings)

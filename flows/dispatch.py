@@ -31,6 +31,8 @@ from flows.runs import client, drive_run_name, drive_tags
 POOL = "conetl"
 DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
 DRIVE_QUEUE = "drives"
+#: Made after the queue of the deployment, so workers take it up when that one is empty.
+BACKFILL_QUEUE = "backfill"
 #: Workers are restarted, and Prefect takes a minute or two to notice that one is gone.
 WORKERS_GONE_S = 180.0
 Where = Literal["auto", "workers", "here"]
@@ -86,7 +88,8 @@ def missing_workers() -> str | None:
 def _workers() -> list[Worker]:
     """The workers of the pool that ingest drives, online or not."""
     with client() as api:
-        return [worker for worker in api.read_workers_for_work_pool(POOL) if DRIVE_QUEUE in worker.name]
+        pool = api.read_deployment_by_name(DRIVE_DEPLOYMENT).work_pool_name or POOL
+        return [worker for worker in api.read_workers_for_work_pool(pool) if DRIVE_QUEUE in worker.name]
 
 
 def launch(
@@ -97,8 +100,9 @@ def launch(
     map_srid: int | None,
     where: Literal["workers", "here"],
     parallel: int,
+    queue: str | None,
 ) -> DriveRun:
-    """Start the ingest of one drive as a sub-flow of the present flow run."""
+    """Start the ingest of one drive as a sub-flow of the present flow run. queue: of workers; None: the deployment's."""
     header, attempt_id = line.header, uuid4()
     parameters: dict[str, Any] = {
         "drive": str(header.path),
@@ -119,6 +123,7 @@ def launch(
                 name=name,
                 tags=labels,
                 parent_task_run_id=parent,
+                work_queue_name=queue,
             )
             return DriveRun(line, number, attempt_id, run.id, None)
         run = api.create_flow_run(

@@ -5,6 +5,9 @@ body uses, and the child could not make sense of their names.
 """
 
 import time
+from collections.abc import Callable
+from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 from uuid import UUID, uuid4
@@ -46,6 +49,17 @@ def ingest_in_run(
     )  # fmt: skip
 
 
+_work: ContextVar[Callable[[], IngestReport]] = ContextVar("work")
+
+
+def _do_work() -> IngestReport:
+    """The work of the present command, which holds a connection and a progress bar.
+
+    The flow must not hold it: processes and Dask get the flow along with each task, and connections cannot be sent.
+    """
+    return _work.get()()
+
+
 def ingest_by_command(
     header: DriveHeader,
     settings: Settings,
@@ -59,9 +73,14 @@ def ingest_by_command(
 
     @flow(name="ingest", flow_run_name=lambda: drive_run_name(header), task_runner=task_runner(settings))
     def ingest_flow(drive: str, map_name: str) -> IngestReport:
-        return ingest_in_run(header, settings, params, map_srid=map_srid, database=database, progress=progress)
+        return _do_work()
 
-    return ingest_flow(header.shown_path, settings.map_name)
+    work = partial(ingest_in_run, header, settings, params, map_srid=map_srid, database=database, progress=progress)
+    mark = _work.set(work)
+    try:
+        return ingest_flow(header.shown_path, settings.map_name)
+    finally:
+        _work.reset(mark)
 
 
 @flow(name="ingest-drive", task_runner=task_runner(read_settings()))

@@ -17,6 +17,7 @@ from prefect.exceptions import ObjectAlreadyExists
 from prefect.variables import Variable
 
 from conetl.model.errors import ServiceError
+from conetl.pipeline.settings import read_settings
 from flows.dispatch import POOL
 from flows.runs import client
 
@@ -54,7 +55,8 @@ def ensure_deployments() -> bool:
     Returns whether they were registered now. Raises ServiceError with Prefect's message.
     """
     path = deployments_file()
-    wanted = f"{version('conetl')} {hashlib.sha256(path.read_bytes()).hexdigest()}"
+    pool = read_settings().drives_pool
+    wanted = f"{version('conetl')} {hashlib.sha256(path.read_bytes()).hexdigest()} {pool}"
     with client() as api:
         registered = {deployment.name for deployment in api.read_deployments()}
     if Variable.get(_VARIABLE) == wanted and "ingest-drive" in registered:
@@ -62,7 +64,7 @@ def ensure_deployments() -> bool:
     done = subprocess.run(
         [sys.executable, "-m", "prefect", "--no-prompt", "deploy", "--all", "--prefect-file", str(path)],
         capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=_TIMEOUT_S, cwd=path.parent,
-        env={**os.environ, "PREFECT_LOGGING_LEVEL": "ERROR"},
+        env={**os.environ, "CONETL_DRIVES_POOL": pool, "PREFECT_LOGGING_LEVEL": "ERROR"},
     )  # fmt: skip
     if done.returncode != 0:
         raise ServiceError(

@@ -236,6 +236,11 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     assert {state for state, _ in receipts.values()} <= {"committed", "known"}
     on_map = desk.rows("select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1")
     assert [row["drive_id"] for row in on_map] == ["2026-03-20_dropped", *sorted(receipts)]
+    queues = {queue["name"]: queue["priority"] for queue in desk.post("/work_pools/conetl/queues/filter", {})}
+    assert queues["drives"] < queues["backfill"], "the drop folder's drives come first"
+    of_flow = {"flows": {"name": {"any_": ["ingest-drive"]}}}
+    by_queue = {(run["work_queue_name"], SMALL in run["name"]) for run in desk.post("/flow_runs/filter", of_flow)}
+    assert by_queue == {("drives", False), ("backfill", True)}
     assert desk.rows("select count(*) as cones from conetl.feature_version")[0]["cones"] > 0
     tasks = desk.post("/task_runs/filter", {"task_runs": {"name": {"like_": "detect"}}})
     assert tasks and not any(task["tags"] for task in tasks), "each tag of a task costs a request before it begins"

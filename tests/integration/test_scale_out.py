@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import cloudpickle
 import pytest
+from distributed import Client
 from prefect import flow
 from prefect.settings import PREFECT_API_AUTH_STRING, PREFECT_API_URL, temporary_settings
 
@@ -109,25 +115,82 @@ def storage() -> Iterator[str]:
         yield f"s3://{BUCKET}"
 
 
-def test_a_drive_in_object_storage_makes_the_same_map(
-    home: Path, chunks: list[Chunk], database_url: str, storage: str, monkeypatch: pytest.MonkeyPatch
+@contextmanager
+def dask_workers(folder: Path, count: int) -> Iterator[tuple[str, dict[str, subprocess.Popen[bytes]]]]:
+    """A Dask scheduler on loopback and its workers, each a process of one thread: address, and processes by name."""
+    file, dask = folder / "scheduler.json", [sys.executable, "-m", "dask"]
+    commands = {"scheduler": [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]}
+    for number in range(count):
+        name = f"worker-{number}"
+        commands[name] = [*dask, "worker", "--name", name, "--no-nanny", "--nthreads", "1", "--no-dashboard"]
+        commands[name] += ["--local-directory", str(folder)]
+    with ExitStack() as stack:
+        processes = {}
+        for name, command in commands.items():
+            processes[name] = stack.enter_context(subprocess.Popen([*command, "--scheduler-file", str(file)]))
+            stack.callback(processes[name].kill)
+        deadline = time.monotonic() + 120
+        while not file.exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        with Client(scheduler_file=str(file)) as client:
+            client.wait_for_workers(count, timeout=120)
+            address = client.scheduler.address
+        yield address, {name: process for name, process in processes.items() if name != "scheduler"}
+
+
+def kill_one(address: str, workers: dict[str, subprocess.Popen[bytes]], results: Path) -> dict[str, int]:
+    """Kill a worker that searches for cones once a result is there; what was there then: file name and inode."""
+    deadline = time.monotonic() + 120
+    with Client(address) as client:
+        while time.monotonic() < deadline:
+            there = {path.name: path.stat().st_ino for path in results.glob("*.parquet")}
+            names = {worker: info["name"] for worker, info in client.scheduler_info(n_workers=-1)["workers"].items()}
+            for worker, keys in client.processing().items() if there else ():
+                if any(str(key).startswith("detect") for key in keys):
+                    workers[names[worker]].kill()
+                    return there
+            time.sleep(0.02)
+    raise AssertionError("no worker was seen at work")
+
+
+def test_a_drive_in_object_storage_makes_the_same_map_even_if_a_worker_of_dask_dies(
+    home: Path, chunks: list[Chunk], database_url: str, storage: str, tmp_path: Path
 ) -> None:
+    """Drives from disk by threads, from storage by threads, and from storage by three workers, of which one is killed.
+
+    The killed worker costs the chunk that it had: what was finished before is not computed again.
+    """
     folder = Path(chunks[0].frame_pairs[0].left_path).parents[2]
     remote = as_path(f"{storage}/{folder.name}")
     remote.fs.put(f"{folder}/", f"{BUCKET}/{folder.name}/", recursive=True)  # type: ignore[attr-defined]
     features = []
-    for name, drive in (("disk", folder), ("storage", Path(str(remote)))):
-        settings = Settings(home=home / name, map_name=name, database_url=database_url)  # type: ignore[arg-type]
-        reports, code = ingest_drives([drive], settings, IngestParams(), map_srid=None, show=lambda _: None)
-        assert (code, reports[0].status) == (0, "committed")
-        with connect(database_url) as conn:
-            features.append(
-                execute(
-                    conn,
-                    "select st_astext(geom) as at, existence_probability, cone_height_m, observation_count "
-                    "from conetl.map_as_of(%(name)s, now()) order by 1",
-                    {"name": name},
-                )
+    with dask_workers(tmp_path, 3) as (address, workers), ThreadPoolExecutor() as beside:
+        for name, drive, dask in (
+            ("disk", folder, {}),
+            ("storage", Path(str(remote)), {}),
+            ("dask", Path(str(remote)), {"task_runner": "dask", "dask_address": address}),
+        ):
+            settings = Settings(home=home / name, map_name=name, database_url=database_url, **dask)  # type: ignore[arg-type]
+            killed = beside.submit(kill_one, address, workers, settings.results_folder) if dask else None
+            reports, code = ingest_drives(
+                [drive], settings, IngestParams(chunk_pairs=1), map_srid=None, show=lambda _: None
             )
-    assert features[0] == features[1]
+            assert (code, reports[0].status) == (0, "committed")
+            with connect(database_url) as conn:
+                features.append(
+                    execute(
+                        conn,
+                        "select st_astext(geom) as at, existence_probability, cone_height_m, observation_count "
+                        "from conetl.map_as_of(%(name)s, now()) order by 1",
+                        {"name": name},
+                    )
+                )
+        assert killed is not None
+        before = killed.result()
+        assert sum(process.poll() is not None for process in workers.values()) == 1
+        after = {path.name: path.stat().st_ino for path in settings.results_folder.glob("*.parquet")}
+    assert features[0] == features[1] == features[2]
     assert features[0]
+    assert {name: after[name] for name in before} == before
+    assert len(after) > len(before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 import re
 import subprocess
 import sys
@@ -12,6 +13,8 @@ from typing import Any
 
 import yaml
 
+from flows.dispatch import BACKFILL_QUEUE
+from flows.register import JOB_TEMPLATE
 from flows.runs import FLOWS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -103,6 +106,19 @@ def test_deployments_name_flows_that_exist_and_queues_that_workers_serve() -> No
         queue = deployment["work_pool"]["work_queue_name"]
         assert f"--work-queue {queue} " in workers[queue]
         assert deployment["concurrency_limit"]["limit"] >= 1
+    assert f"--work-queue {BACKFILL_QUEUE} " in workers["drives"]
+
+
+def test_a_container_per_drive_finds_what_compose_has() -> None:
+    template = json.loads((ROOT / "deploy/docker/pool.json").read_text(encoding="utf-8"))
+    assert template["variables"] == JOB_TEMPLATE["variables"], "whoever starts a run chooses its parameters only"
+    job, drives = template["job_configuration"], COMPOSE["services"]["drives"]
+    assert job["networks"] == [f"{COMPOSE['name']}_default"]
+    assert job["volumes"][0] == f"{COMPOSE['name']}_{drives['volumes'][0]}"
+    targets = {volume.split(":")[1] for volume in job["volumes"]}
+    assert {f"/run/secrets/{secret['target']}" for secret in drives["secrets"]} <= targets
+    for name in ("CONETL_HOME", "CONETL_DATABASE_URL", "PREFECT_API_URL", "PREFECT_CLIENT_RETRY_EXTRA_CODES"):
+        assert job["env"][name] == drives["environment"][name]
 
 
 def test_runs_survive_a_restart_of_the_database_behind_prefect() -> None:

@@ -149,9 +149,10 @@ def _start_services(
     register.ensure_pool()
     names = {name: f"{name} {socket.gethostname()}" for name in ("desk", *(f"drives-{n + 1}" for n in range(workers)))}
     for name, worker in names.items():
-        queue, limit = ("desk", "8") if name == "desk" else ("drives", "1")
+        queues, limit = (["desk"], "8") if name == "desk" else (["drives", "backfill"], "1")
         command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", "conetl", "--type", "process"]
-        command += ["--work-queue", queue, "--limit", limit, "--name", worker, "--install-policy", "never"]
+        command += [part for queue in queues for part in ("--work-queue", queue)]
+        command += ["--limit", limit, "--name", worker, "--install-policy", "never"]
         ensure(name, command, None)
     show("Registering deployments")
     registered = register.ensure_deployments()

@@ -49,6 +49,8 @@ class Settings(BaseSettings):
     """A drive without the marker file counts as complete when nothing in it has changed for so long."""
     prefect_database_url: SecretStr | None = None
     """Database of the Prefect server that `conetl up` starts; `prefect` beside the map's unless given."""
+    drives_pool: str = "conetl"
+    """Prefect's work pool of the deployment `ingest-drive`; the default's workers run drives as processes."""
     prefect_hosts: str = ""
     """Further names, separated by commas, by which browsers and workers call the Prefect server, such as that of a proxy."""
     writer_token: SecretStr | None = None
