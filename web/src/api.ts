@@ -213,7 +213,7 @@ export interface Found {
 /** A decision in effect. */
 export interface Decision {
   decision_id: string;
-  kind: "suppress" | "pin" | "revert" | "accept" | "hold";
+  kind: "suppress" | "pin" | "classify" | "revert" | "accept" | "hold";
   /** Centre of the area with the radius radius_m. */
   xy_m: [number, number] | null;
   radius_m: number | null;

@@ -50,6 +50,7 @@ export const placeChoice = (kind: "suppress" | "pin", id: string, version: numbe
 
 const WITHDRAWALS: Record<Decision["kind"], [text: string, submit: string, explain: string]> = {
   suppress: ["Withdraw …", "Withdraw the decision", "The decision no longer applies: drives update this position again."],
+  classify: ["Withdraw …", "Withdraw the decision", "The decision no longer applies: the class is that of the detector again."],
   pin: ["Unpin …", "Unpin", "The decision no longer applies: drives update this position again."],
   revert: ["Withdraw …", "Withdraw the decision", "The drive counts again."],
   accept: ["Withdraw …", "Withdraw the decision", "The drive is on hold again, if its checks still find the contradiction."],
@@ -75,7 +76,7 @@ export const revertChoice = (changesetId: string, driveId: string): Choice => ({
   done: "Reverted.",
 });
 
-const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", revert: "Reverted", accept: "Accepted", hold: "On hold" };
+const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", classify: "Class corrected", revert: "Reverted", accept: "Accepted", hold: "On hold" };
 
 /** "Pinned by Ada: stands on a kerb", with the time. */
 export function sentence(d: Decision): HTMLElement {
