@@ -161,7 +161,7 @@ def test_the_commands_run_in_the_order_of_the_pages(folder, monkeypatch, capsys)
 def filled_in(words, root, feature):
     """A command with what a reader puts in for its example names."""
     match words[1:]:
-        case ["map", "suppress" | "pin", "FEATURE", *_]:
+        case ["map", "suppress" | "pin" | "classify", "FEATURE", *_]:
             words[3] = feature
         case ["map", "delete", *_]:
             words.append("--yes")
