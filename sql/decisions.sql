@@ -3,18 +3,18 @@
 -- name: active_decisions
 -- The decisions about a map that were not withdrawn, and the drives on hold (kind 'hold'), oldest first.
 -- Parameters: map_name.
--- Columns: position and radius are null of a changeset, drive_id is that of a changeset; decided_by is null of a hold and
+-- Columns: position and radius are null of a changeset, classes of all but kind 'classify', drive_id is that of a changeset; decided_by is null of a hold and
 -- where no name was kept.
 select
-    d.decision_id, d.kind, d.easting_m, d.northing_m, d.radius_m, d.feature_id, d.changeset_id, r.drive_id, d.note,
-    d.decided_by, d.decided_at, d.of_line
+    d.decision_id, d.kind, d.easting_m, d.northing_m, d.radius_m, d.category, d.found_as, d.feature_id, d.changeset_id,
+    r.drive_id, d.note, d.decided_by, d.decided_at, d.of_line
 from (
     select
-        a.decision_id, a.map_id, a.kind, ST_X(a.geom) as easting_m, ST_Y(a.geom) as northing_m, a.radius_m, a.feature_id,
-        a.changeset_id, a.note, a.decided_by, a.decided_at, a.of_line
+        a.decision_id, a.map_id, a.kind, ST_X(a.geom) as easting_m, ST_Y(a.geom) as northing_m, a.radius_m, a.category,
+        a.found_as, a.feature_id, a.changeset_id, a.note, a.decided_by, a.decided_at, a.of_line
     from conetl.active_decision a
     union all
-    select h.hold_id, h.map_id, 'hold', null, null, null, null, h.changeset_id, h.reason, null, h.since, false
+    select h.hold_id, h.map_id, 'hold', null, null, null, null, null, null, h.changeset_id, h.reason, null, h.since, false
     from conetl.on_hold h
 ) d
 join conetl.map m using (map_id)
@@ -58,9 +58,11 @@ limit 2;
 -- name: insert_decision
 -- What a person decided. Parameters: as the columns; easting_m, northing_m (null of a revert or withdrawal).
 insert into conetl.decision (
-    decision_id, map_id, srid, kind, geom, radius_m, feature_id, changeset_id, withdraws, note, decided_by, decided_at, of_line
+    decision_id, map_id, srid, kind, geom, radius_m, category, found_as, feature_id, changeset_id, withdraws, note, decided_by,
+    decided_at, of_line
 ) values (
     %(decision_id)s, %(map_id)s, %(srid)s, %(kind)s,
     ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing_m)s::float8), %(srid)s), %(radius_m)s,
-    %(feature_id)s, %(changeset_id)s, %(withdraws)s, %(note)s, %(decided_by)s, %(decided_at)s, %(of_line)s
+    %(category)s, %(found_as)s, %(feature_id)s, %(changeset_id)s, %(withdraws)s, %(note)s, %(decided_by)s, %(decided_at)s,
+    %(of_line)s
 );

@@ -17,10 +17,10 @@ from conetl.db.map.map_store import (
     read_features_as_of,
 )
 from conetl.db.serve_store import read_maps
-from conetl.model.errors import InputError
+from conetl.model.errors import ConflictError, InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
-from conetl.pipeline.maps.decisions import PIN, SUPPRESS, decide_place, revert
+from conetl.pipeline.maps.decisions import CLASSIFY, PIN, SUPPRESS, decide_place, revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.imported_rows import read_map_file
 from tests.conftest import cloned_database
@@ -135,6 +135,29 @@ def test_a_pin_that_comes_after_the_removal_brings_the_cone_back(conn):
     assert (back.feature_id, back.version, back.xyz_m) == (feature.feature_id, feature.version, feature.xyz_m)
     revert(conn, str(decided.decision_id), map_name="default")
     assert valid_time_map(conn) == before
+
+
+def test_a_class_that_a_person_states_holds_for_all_drives_and_is_taken_back(conn):
+    merge(conn, survey(0))
+    [feature] = near(conn, 34.0, 2.0)  # taken away before the second day
+    conn.rollback()
+    before = valid_time_map(conn)
+    decided = decide_place(conn, CLASSIFY, str(feature.feature_id), category="drum", map_name="default")
+    [drum] = near(conn, 34.0, 2.0)
+    assert drum == feature.model_copy(update={"category": "drum"})
+    conn.rollback()
+    with pytest.raises(ConflictError, match="already"):
+        decide_place(conn, CLASSIFY, str(feature.feature_id), category="barricade", map_name="default")
+    revert(conn, str(decided.decision_id), map_name="default")
+    assert valid_time_map(conn) == before
+    decide_place(conn, CLASSIFY, str(feature.feature_id), category="drum", map_name="default")
+    merged = merge(conn, survey(1))
+    assert {d.kind for d in merged.changeset.deltas if d.feature_id == feature.feature_id} == {DeltaKind.REMOVED}, (
+        "the detector takes it for a cone, and no cone is there any more"
+    )
+    [other] = near(conn, 14.0, 3.6)
+    with pytest.raises(InputError, match="is a traffic_cone; expected another class: tubular_marker, drum"):
+        decide_place(conn, CLASSIFY, str(other.feature_id), category="lamp", map_name="default")
 
 
 @pytest.mark.parametrize("day", range(3))

@@ -69,6 +69,7 @@ _GROUPS = {
             "check-points": "map.check_points:check_points",
             "suppress": "map.decisions:suppress",
             "pin": "map.decisions:pin",
+            "classify": "map.decisions:classify",
             "revert": "map.decisions:revert",
             "decisions": "map.decisions:decisions",
         },

@@ -39,6 +39,7 @@ EXAMPLES = {
     "map check-points": ("map check-points survey.csv --crs EPSG:25832 --sigma-m 0.01",),
     "map suppress": ('map suppress 1c223030 --note "a bollard"', "map suppress 1c223030 --radius 2"),
     "map pin": ('map pin 1c223030 --note "surveyed by hand"',),
+    "map classify": ('map classify 1c223030 drum --note "seen on site"',),
     "map revert": ("map revert 2", 'map revert 2 --note "wrong calibration" --by Ann'),
     "map decisions": ("map decisions",),
     "view": ("view", "view --map night_survey --port 8800", "view --decisions"),

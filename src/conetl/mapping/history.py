@@ -7,7 +7,7 @@ makes the neighbourhood be computed again, with the records of the other drives 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from uuid import UUID
 
@@ -22,8 +22,10 @@ from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
 from conetl.mapping.marking_visibility import not_in_view
 from conetl.mapping.markings import ViewCheck, reconcile_markings
+from conetl.mapping.visibility import NotObserved
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import (
+    Classification,
     Decisions,
     Delta,
     DeltaKind,
@@ -162,7 +164,7 @@ def apply_drive(
     ignored. summaries: of the misses since these versions. known: all ids in use, required for imported maps only. A version that
     would begin no later than its predecessor (drives that overlap in time) begins `MIN_VALID_NS` after it.
     """
-    around = _around(current, drive)
+    around, drive = _around(current, drive), classified(drive, decisions.classified)
     points, lines = ([one for one in around if (one.marking is not None) == is_line] for is_line in (False, True))
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
     if drive.imported:
@@ -228,10 +230,30 @@ def apply_drive(
     return MapUpdate(deltas, versions, misses, [feature for feature in around if feature.feature_id not in compared])
 
 
-def is_within(feature: MapFeature, locations: Sequence[Location]) -> bool:
+def classified(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:
+    """The drive with the classes that people decided. Its boxes keep theirs: absence is judged by the class that is detected."""
+    if not decided:
+        return drive
+
+    def of(one: Track) -> Track:
+        category = next((d.category for d in decided if d.found_as == one.category and is_within(one, [d])), None)
+        return one if category is None else one.model_copy(update={"category": category})
+
+    def check(feature: MapFeature, offset_m: Floats, others_m: Floats) -> NotObserved | None:
+        found_as = next(
+            (d.found_as for d in decided if d.category == feature.category and is_within(feature, [d])), None
+        )
+        if found_as is not None:
+            feature = feature.model_copy(update={"category": found_as})
+        return drive.check_visibility(feature, offset_m, others_m)
+
+    return replace(drive, tracks=list(map(of, drive.tracks)), check_visibility=check)
+
+
+def is_within(feature: MapFeature | Track, locations: Sequence[Location]) -> bool:
     """Whether a feature is at one of the locations (horizontally) of its kind."""
     x, y, _ = feature.xyz_m
-    is_line = feature.marking is not None
+    is_line = isinstance(feature, MapFeature) and feature.marking is not None
     return any(
         one.of_line == is_line and float(np.hypot(x - one.xy_m[0], y - one.xy_m[1])) <= one.radius_m
         for one in locations

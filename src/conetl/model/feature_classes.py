@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Literal
 
 CONE = "traffic_cone"
@@ -32,21 +31,19 @@ class FeatureClass:
     """Point objects are found by the detector, lines by `perception/markings/`, which needs no network."""
 
 
-FEATURE_CLASSES: Mapping[str, FeatureClass] = MappingProxyType(
-    {
-        CONE: FeatureClass((0.25, 1.15), (0.15, 1.8), 0.55, round_foot=True, on_road=True, in_rows=True),
-        "tubular_marker": FeatureClass((0.4, 1.4), (0.25, 2.0), 0.3, round_foot=True, on_road=True, in_rows=True),
-        "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), 0.65, round_foot=True, on_road=True, in_rows=True),
-        "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), 0.4, round_foot=False, on_road=True, in_rows=True),
-        "barricade": FeatureClass((0.5, 2.0), (0.35, 2.6), 1.2, round_foot=False, on_road=True, in_rows=True),
-        "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), 1.0, round_foot=False, on_road=False, in_rows=False),
-        "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), 1.5, round_foot=False, on_road=True, in_rows=False),
-        "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), 0.9, round_foot=False, on_road=False, in_rows=False),
-        LANE_MARKING: FeatureClass(
-            (0.0005, 0.006), (0.0, 0.02), 30.0, round_foot=False, on_road=True, in_rows=False, geometry="line"
-        ),
-    }
-)
+FEATURE_CLASSES = {
+    CONE: FeatureClass((0.25, 1.15), (0.15, 1.8), 0.55, round_foot=True, on_road=True, in_rows=True),
+    "tubular_marker": FeatureClass((0.4, 1.4), (0.25, 2.0), 0.3, round_foot=True, on_road=True, in_rows=True),
+    "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), 0.65, round_foot=True, on_road=True, in_rows=True),
+    "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), 0.4, round_foot=False, on_road=True, in_rows=True),
+    "barricade": FeatureClass((0.5, 2.0), (0.35, 2.6), 1.2, round_foot=False, on_road=True, in_rows=True),
+    "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), 1.0, round_foot=False, on_road=False, in_rows=False),
+    "arrow_board": FeatureClass((0.5, 3.0), (0.3, 4.0), 1.5, round_foot=False, on_road=True, in_rows=False),
+    "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), 0.9, round_foot=False, on_road=False, in_rows=False),
+    LANE_MARKING: FeatureClass(
+        (0.0005, 0.006), (0.0, 0.02), 30.0, round_foot=False, on_road=True, in_rows=False, geometry="line"
+    ),
+}
 """By category; of a category that is not here nothing is located. The height of a marking is the thickness of its paint."""
 POINT_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "point")
 LINE_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "line")

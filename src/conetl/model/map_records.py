@@ -204,6 +204,13 @@ class Location(Record):
     """Whether the decision is about lane markings; else it is about point objects."""
 
 
+class Classification(Location):
+    """What drives detect as `found_as` within the circle is a `category`."""
+
+    found_as: str
+    category: str
+
+
 class Decisions(Record):
     """Decisions of people; those about locations apply to all drives, earlier and later."""
 
@@ -211,6 +218,8 @@ class Decisions(Record):
     """No cone stands here, whatever drives observe."""
     pinned: tuple[Location, ...] = ()
     """A cone here is neither removed nor moved by drives."""
+    classified: tuple[Classification, ...] = ()
+    """Another class than the detector's."""
     accepted: frozenset[UUID] = frozenset()
     """Changesets of drives that count although they contradict the map."""
 

@@ -201,7 +201,7 @@ def detect_image(
 ) -> NDArray[np.float64]:
     """Find the objects of these categories in one image (H, W, 3) uint8 BGR; None: of all that the model knows.
 
-    Returns (N, 10) [x, y, w, h, score, foot x, foot y, tip x, tip y, index in `card.categories`] by falling score: x, y is the
+    Returns (N, 10) [x, y, w, h, score, foot x, foot y, tip x, tip y, index in `card.class_names`] by falling score: x, y is the
     top-left corner, in pixels of the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is
     0.5). Foot and tip are NaN where the network does not give them. The sidecar may enable the small-object pass and, after it,
     the re-scoring pass (`second_passes.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`).
@@ -219,7 +219,7 @@ def detect_image(
     if within is not None:
         within = (within[0], within[1] - first_row, within[2], within[3] - first_row)
     rescoring, small_objects = detector.card.closer_look, detector.card.enlarged_look
-    names = detector.card.categories
+    names = detector.card.class_names
     wanted_classes = None if categories is None else [k for k, name in enumerate(names) if name in categories]
     if wanted_classes == []:
         return np.zeros((0, COLUMNS))
@@ -341,9 +341,8 @@ def run_network(
         seen = [suppress_overlaps(boxes[images == number], nms_iou) for number in range(len(images_bgr))]
     else:
         found = decode_head(head, outputs, rows, columns, score_threshold)
-        unknown = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
-        unknown[:, -1] = 0.0  # the cone
-        boxes = np.concatenate((found, unknown), axis=1)
+        no_ends = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
+        boxes = np.concatenate((found[:, :5], no_ends, found[:, 5:]), axis=1)
         if isinstance(head, EndToEndHead):  # the network has suppressed overlaps already
             seen = [boxes[np.argsort(-boxes[:, 4], kind="stable")]]
         else:

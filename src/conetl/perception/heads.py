@@ -1,9 +1,9 @@
 """Outputs of the YOLO family of networks -> boxes.
 
 A model's sidecar names one of these heads under the key `head`, so that a network trained elsewhere is used as it was exported.
-Pixels are those of `decoding.py`: an image W wide spans x = 0 .. W. A box's score is the probability of the cone class; other
-classes are ignored, except by the head of the shipped network. Overlaps are suppressed by the caller
-(`decoding.suppress_overlaps`), except for the end-to-end head, whose network has done so.
+Pixels are those of `decoding.py`: an image W wide spans x = 0 .. W. A box has its most probable class, whose probability is
+its score. Overlaps are suppressed by the caller (`decoding.suppress_overlaps`), except for the end-to-end head, whose network
+has done so.
 """
 
 from __future__ import annotations
@@ -32,23 +32,21 @@ PROBABILITY_SLACK = 0.01
 class _Head(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-
-class _ClassHead(_Head):
     class_count: PositiveInt
-    """Number of classes of the network."""
-    cone_class: int = Field(ge=0)
-    """Which of them, counted from 0, is the cone."""
+    """Number of classes of the network; they are the sidecar's `class_names`, in the network's order."""
 
-    @model_validator(mode="after")
-    def _cone_is_a_class(self) -> Self:
-        if self.cone_class >= self.class_count:
+    @model_validator(mode="before")
+    @classmethod
+    def _classes_have_names(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "cone_class" in values:
             raise ValueError(
-                f"cone_class is {self.cone_class}, but class_count {self.class_count} ends at {self.class_count - 1}"
+                "cone_class is no longer a key: name every class of the network in class_names, in its order, "
+                "the cone as traffic_cone, and give their number as class_count"
             )
-        return self
+        return values
 
 
-class YoloV3Head(_ClassHead):
+class YoloV3Head(_Head):
     """Raw maps of YOLOv3, one output per stride: per anchor t_x, t_y, t_w, t_h, objectness, classes (Redmon & Farhadi 2018)."""
 
     kind: Literal["yolov3"] = "yolov3"
@@ -67,19 +65,19 @@ class YoloV3Head(_ClassHead):
         return self
 
 
-class YoloV5Head(_ClassHead):
+class YoloV5Head(_Head):
     """YOLOv5 and YOLOv7 exports: one output (batch, boxes, 5 + classes) with cx, cy, w, h in pixels, objectness, classes."""
 
     kind: Literal["yolov5"] = "yolov5"
 
 
-class YoloV8Head(_ClassHead):
+class YoloV8Head(_Head):
     """YOLOv8, v9 and v11 exports: one output (batch, 4 + classes, boxes) with cx, cy, w, h in pixels, class probabilities."""
 
     kind: Literal["yolov8"] = "yolov8"
 
 
-class YoloXHead(_ClassHead):
+class YoloXHead(_Head):
     """YOLOX exports without decoding: one output (batch, cells, 5 + classes), the cells of all strides one after another.
 
     Objectness and classes are probabilities; x, y are offsets from the cell's corner in strides, w, h logarithms of strides
@@ -94,7 +92,6 @@ class EndToEndHead(_Head):
     """Networks with suppression inside (as YOLOv10): one output (batch, boxes, 6) with x0, y0, x1, y1 in pixels, score, class."""
 
     kind: Literal["end-to-end"] = "end-to-end"
-    cone_class: int = Field(ge=0)
 
 
 class SideDistributionHead(_Head):
@@ -107,7 +104,7 @@ class SideDistributionHead(_Head):
     foot_and_tip: bool = False
     """Whether the head gives the object's foot and tip besides its box."""
     class_count: PositiveInt = 1
-    """Number of classes, each with a score of its own; they are the sidecar's `class_names`, in this order."""
+    """Each class has a score of its own."""
 
     @property
     def channels(self) -> int:
@@ -159,7 +156,7 @@ def check_outputs(head: YoloHead | SideDistributionHead, shapes: Sequence[Shape]
 def decode_head(
     head: YoloHead, outputs: Sequence[Output], input_height_px: int, input_width_px: int, score_threshold: float
 ) -> Floats:
-    """Outputs of one run -> candidates (N, 5) [x0, y0, x1, y1, score] of the first image, in pixels of the network's input.
+    """Outputs of one run -> candidates (N, 6) [x0, y0, x1, y1, score, class] of the first image, in pixels of its input.
 
     Only boxes whose score reaches the threshold are given, in the network's order. Boxes that are not finite or have no area
     are dropped; boxes may reach beyond the image. Raises ModelFileError where the outputs are not what the head reads: other
@@ -200,31 +197,32 @@ def _decode_yolov3(
                 "own, and pad_multiple_px to a multiple of the largest stride"
             )
         cells = grid.reshape(rows, columns, len(anchors_px), 5 + head.class_count)
-        scores = _sigmoid(cells[..., 4]) * _sigmoid(cells[..., 5 + head.cone_class])
+        best, classes = _best(_sigmoid(cells[..., 5:]))
+        scores = _sigmoid(cells[..., 4]) * best
         row, column, anchor = np.nonzero(scores >= score_threshold)
         chosen = cells[row, column, anchor, :4].astype(np.float64)
         centre = (_sigmoid(chosen[:, :2]) + np.stack((column, row), axis=1)) * stride_px
         size = np.exp(chosen[:, 2:]) * np.asarray(anchors_px, np.float64)[anchor]
-        parts.append(_candidates(centre, size, scores[row, column, anchor]))
+        parts.append(_candidates(centre, size, scores[row, column, anchor], classes[row, column, anchor]))
     return np.concatenate(parts)
 
 
 def _decode_yolov5(head: YoloV5Head, boxes: Output, score_threshold: float) -> Floats:
     """boxes: (A, 5 + classes). With a single class the class is not trained (its loss is off), so objectness is the score."""
-    scores = _probabilities(head, boxes[:, 4])
+    scores, (best, classes) = _probabilities(head, boxes[:, 4]), _best(_probabilities(head, boxes[:, 5:]))
     if head.class_count > 1:
-        scores = scores * _probabilities(head, boxes[:, 5 + head.cone_class])
+        scores = scores * best
     chosen = scores >= score_threshold
     size = boxes[chosen, :4].astype(np.float64)
-    return _candidates(size[:, :2], size[:, 2:], scores[chosen])
+    return _candidates(size[:, :2], size[:, 2:], scores[chosen], classes[chosen])
 
 
 def _decode_yolov8(head: YoloV8Head, channels: Output, score_threshold: float) -> Floats:
     """channels: (4 + classes, A)."""
-    scores = _probabilities(head, channels[4 + head.cone_class])
+    scores, classes = _best(_probabilities(head, channels[4:].T))
     chosen = scores >= score_threshold
     box = channels[:4, chosen].T.astype(np.float64)
-    return _candidates(box[:, :2], box[:, 2:], scores[chosen])
+    return _candidates(box[:, :2], box[:, 2:], scores[chosen], classes[chosen])
 
 
 def _decode_yolox(
@@ -243,24 +241,38 @@ def _decode_yolox(
             f"{input_width_px} px, the network gives {len(cells)}; set strides_px to the network's own and pad_multiple_px to a "
             "multiple of the largest stride"
         )
-    scores = _probabilities(head, cells[:, 4]) * _probabilities(head, cells[:, 5 + head.cone_class])
+    best, classes = _best(_probabilities(head, cells[:, 5:]))
+    scores = _probabilities(head, cells[:, 4]) * best
     chosen = scores >= score_threshold
     box = cells[chosen, :4].astype(np.float64)
     steps = stride[chosen, None]
-    return _candidates((box[:, :2] + corner[chosen]) * steps, np.exp(box[:, 2:]) * steps, scores[chosen])
+    return _candidates(
+        (box[:, :2] + corner[chosen]) * steps, np.exp(box[:, 2:]) * steps, scores[chosen], classes[chosen]
+    )
 
 
 def _decode_end_to_end(head: EndToEndHead, boxes: Output, score_threshold: float) -> Floats:
     """boxes: (N, 6). Rows that the network did not fill have no area and are dropped by the caller."""
     scores = _probabilities(head, boxes[:, 4])
-    # Classes are whole numbers in a float; a 16 bit network may round them.
-    chosen = (scores >= score_threshold) & (np.abs(boxes[:, 5] - head.cone_class) < 0.5)
-    return np.concatenate((boxes[chosen, :4].astype(np.float64), scores[chosen, None]), axis=1)
+    chosen = (scores >= score_threshold) & (boxes[:, 5] > -0.5)  # some exports fill up with class -1
+    classes = boxes[chosen, 5:].astype(np.float64).round()  # whole numbers, which a 16 bit network may round
+    if (classes >= head.class_count).any():
+        raise ModelFileError(
+            f"the network gives class {classes.max():g}, the sidecar's head has class_count {head.class_count}: "
+            "name all classes of the network in class_names and give their number as class_count"
+        )
+    return np.concatenate((boxes[chosen, :4].astype(np.float64), scores[chosen, None], classes), axis=1)
 
 
-def _candidates(centre: Floats, size: Floats, scores: Floats) -> Floats:
-    """Centres (N, 2), sizes (N, 2) in pixels and scores (N,) -> (N, 5) [x0, y0, x1, y1, score]; a negative size has no area."""
-    return np.concatenate((centre - size / 2, centre + size / 2, scores[:, None]), axis=1)
+def _best(probabilities: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """The highest probability of classes (..., C) and its class."""
+    classes = probabilities.argmax(axis=-1)
+    return np.take_along_axis(probabilities, classes[..., None], axis=-1)[..., 0], classes
+
+
+def _candidates(centre: Floats, size: Floats, scores: Floats, classes: NDArray[np.intp]) -> Floats:
+    """(N, 6) [x0, y0, x1, y1, score, class] of centres (N, 2) and sizes (N, 2) in pixels; a negative size has no area."""
+    return np.column_stack((centre - size / 2, centre + size / 2, scores, classes))
 
 
 def _sigmoid(values: Output) -> Floats:

@@ -88,16 +88,11 @@ class ModelCard(BaseModel):
     evidence: DetectorEvidence | None = None
     """Meaning of scores, boxes and misses of this file, measured by `training/calibrate_scores.py`; None: not measured."""
 
-    @property
-    def categories(self) -> tuple[str, ...]:
-        """Names of the classes that detections can have, by index. Networks trained elsewhere find cones only."""
-        return self.class_names if isinstance(self.head, SideDistributionHead) else ("traffic_cone",)
-
     def require_categories(self, categories: Iterable[str]) -> None:
         """Raise InputError for classes that the model does not know."""
-        if unknown := sorted(set(categories) - set(self.categories)):
+        if unknown := sorted(set(categories) - set(self.class_names)):
             raise InputError(
-                f"the model {self.name} knows no category {', '.join(unknown)}: choose from {', '.join(self.categories)}"
+                f"the model {self.name} knows no category {', '.join(unknown)}: choose from {', '.join(self.class_names)}"
             )
 
     @property
@@ -106,13 +101,15 @@ class ModelCard(BaseModel):
         used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
         if self.enlarged_look is not None:  # keeps the hash of models without this pass
             used.add("enlarged_look")
+        if not isinstance(self.head, SideDistributionHead):
+            used.add("class_names")
         of_one_class = isinstance(self.head, SideDistributionHead) and self.head.class_count == 1
         unused = {"head": {"class_count"}} if of_one_class else None  # keeps the hash of models of one class
         return hashlib.sha256(self.model_dump_json(include=used, exclude=unused).encode()).hexdigest()
 
     @model_validator(mode="after")
     def _every_class_has_a_name(self) -> Self:
-        if isinstance(self.head, SideDistributionHead) and len(self.class_names) != self.head.class_count:
+        if len(self.class_names) != self.head.class_count:
             raise ValueError(
                 f"head.class_count is {self.head.class_count}, class_names has {len(self.class_names)} names"
             )

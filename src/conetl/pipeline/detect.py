@@ -157,7 +157,7 @@ def _detect(
         detector, image, categories=params.categories, score_threshold=params.score_threshold, nms_iou=params.nms_iou,
         first_row=first_row, within=None if region is None else region[:4], reach_px=0.0 if region is None else region.reach_px,
     )  # fmt: skip
-    names = detector.card.categories
+    names = detector.card.class_names
     return image, *check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params, categories=names)
 
 

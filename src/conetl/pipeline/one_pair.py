@@ -42,7 +42,7 @@ def search_image(
         detector, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
         single_image=pair is None, categories=params.categories,
     )  # fmt: skip
-    frame_index, names = 0 if pair is None else pair.frame_index, detector.card.categories
+    frame_index, names = 0 if pair is None else pair.frame_index, detector.card.class_names
     return image, check_boxes(boxes, frame_index=frame_index, side=side, params=params, categories=names)[0]
 
 

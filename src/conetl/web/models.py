@@ -273,7 +273,7 @@ class Decision(Answer):
     """A decision in effect."""
 
     decision_id: UUID
-    kind: Literal["suppress", "pin", "revert", "accept", "hold"]
+    kind: Literal["suppress", "pin", "classify", "revert", "accept", "hold"]
     xy_m: tuple[float, float] | None
     """Centre of a suppressed or pinned area with the radius `radius_m`."""
     radius_m: float | None
@@ -300,7 +300,7 @@ class Decided(Answer):
     """A decision that was written, and its effects."""
 
     decision_id: UUID
-    kind: Literal["suppress", "pin", "revert", "accept", "withdraw"]
+    kind: Literal["suppress", "pin", "classify", "revert", "accept", "withdraw"]
     decided_at: datetime
     versions_written: int
     replayed: int

@@ -308,7 +308,7 @@ def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path
     [
         ("head", {"side_bins": 8, "strides_px": [4, 8, 16, 32]}, "expects"),
         ("head", {"side_bins": 16, "strides_px": [8, 16], "foot_and_tip": True}, "outputs"),
-        ("head", {"kind": "yolov8", "class_count": 1, "cone_class": 0}, "yolov8"),
+        ("head", {"kind": "yolov8", "class_count": 1}, "yolov8"),
         ("head", {"kind": "yolov99"}, "head"),
         ("input_layout", "RGB float32 NCHW 0..1", "takes a tensor"),
         ("input_layout", "BGR uint8 NHWC 0..1", "input_layout"),
@@ -347,7 +347,7 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(
     (tmp_path / "tiny.onnx").write_bytes(content)
     card = {
         "name": "tiny", "version": "1", "sha256": hashlib.sha256(content).hexdigest(), "input_layout": "BGR float32 NHWC 0..255",
-        "head": {"kind": "yolov8", "class_count": 2, "cone_class": 1}, "pad_multiple_px": 32, "class_names": ["car", "cone"],
+        "head": {"kind": "yolov8", "class_count": 2}, "pad_multiple_px": 32, "class_names": ["car", "traffic_cone"],
         "score_scale": "probability", "licence": "none",
     }  # fmt: skip
     (tmp_path / "tiny.onnx.json").write_text(json.dumps(card))
@@ -355,7 +355,7 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(
     found = detect_image(detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5)
     scale = 2.0 if fixed else 1.0  # the fixed network sees the image at half its size
     np.testing.assert_allclose(found[:, :5], [[90 * scale, 40 * scale, 20 * scale, 40 * scale, 0.9]], rtol=1e-6)
-    assert np.isnan(found[:, 5:9]).all() and (found[:, 9] == 0).all()
+    assert np.isnan(found[:, 5:9]).all() and (found[:, 9] == 1).all()
     if size != ("h", "w"):  # a part of the image would come to it larger than the whole, or not fit
         x, y = 100 * scale, 60 * scale
         seen = detect_image(
@@ -453,7 +453,7 @@ def test_a_network_of_several_classes_tells_drums_from_cones() -> None:
     if image is None:
         pytest.skip(f"{path} is not there")
     detector = load_detector(REPOSITORY / "data" / "models" / "conetl-road-5.onnx")
-    names = detector.card.categories
+    names = detector.card.class_names
     found = detect_image(detector, image, score_threshold=0.3, categories=None, single_image=True)
     drums = found[found[:, 9] == names.index("drum")]
     assert len(drums) == 3

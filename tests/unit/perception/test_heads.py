@@ -84,34 +84,33 @@ def yolov3_maps(class_count: int) -> Arrays:
 
 @pytest.mark.parametrize("layout", ["NCHW", "NHWC"])
 def test_yolov3_gives_the_known_boxes(tmp_path: Path, layout: Any) -> None:
-    head = YoloV3Head(anchors_px=ANCHORS_PX, class_count=2, cone_class=1, layout=layout)
+    head = YoloV3Head(anchors_px=ANCHORS_PX, class_count=2, layout=layout)
     maps = yolov3_maps(2)
     # Stride 16, second anchor (62 x 45), row 2, column 3: a cone.
     maps[1][0, 7:14, 2, 3] = (0.0, logit(0.75), np.log(2), np.log(0.2), logit(0.9), -20.0, logit(0.8))
-    # Stride 8, third anchor (33 x 23), row 7, column 11: a cone in the last cell.
-    maps[2][0, 14:21, 7, 11] = (logit(0.25), 0.0, 0.0, 0.0, logit(0.95), logit(0.9), logit(0.8))
+    # Stride 8, third anchor (33 x 23), row 7, column 11: rather the other class, in the last cell.
+    maps[2][0, 14:21, 7, 11] = (logit(0.25), 0.0, 0.0, 0.0, logit(0.95), logit(0.8), logit(0.7))
     # Stride 32, first anchor: certainly the other class.
     maps[0][0, :7, 1, 0] = (0.0, 0.0, 0.0, 0.0, 20.0, 20.0, -20.0)
     if layout == "NHWC":
         maps = [np.ascontiguousarray(raw.transpose(0, 2, 3, 1)) for raw in maps]
     outputs = run_network(tmp_path, head, maps)
     # Centre (3.5 * 16, 2.75 * 16) = (56, 44), size 124 x 9; centre (11.25 * 8, 7.5 * 8) = (90, 60), size 33 x 23.
-    expected = [[-6.0, 39.5, 118.0, 48.5, 0.72], [73.5, 48.5, 106.5, 71.5, 0.76]]
+    # Centre (0.5 * 32, 1.5 * 32) = (16, 48), size 116 x 90.
+    expected = [[-42, 3, 74, 93, 1, 0], [-6.0, 39.5, 118.0, 48.5, 0.72, 1], [73.5, 48.5, 106.5, 71.5, 0.76, 0]]
     np.testing.assert_allclose(decode(head, outputs), expected, atol=1e-4)
-    np.testing.assert_allclose(decode(head, outputs, 0.73), expected[1:], atol=1e-4)
-    assert decode(head, outputs, 0.77).shape == (0, 5)
-    other = head.model_copy(update={"cone_class": 0})
-    assert len(decode(other, outputs)) == 2  # the box at stride 32 and the one that is of both classes
+    np.testing.assert_allclose(decode(head, outputs, 0.73), expected[::2], atol=1e-4)
+    assert decode(head, outputs, 1.0).shape == (0, 6)
 
 
 def test_yolov3_names_a_grid_that_does_not_fit_the_input() -> None:
-    head = YoloV3Head(strides_px=(8, 16, 32), anchors_px=ANCHORS_PX, class_count=1, cone_class=0)
+    head = YoloV3Head(strides_px=(8, 16, 32), anchors_px=ANCHORS_PX, class_count=1)
     with pytest.raises(ModelFileError, match=r"8 x 12 cells \(rows x columns\) at stride 8 .* gives 2 x 3"):
         decode(head, yolov3_maps(1))
 
 
 def test_yolov5_gives_the_known_boxes(tmp_path: Path) -> None:
-    head = YoloV5Head(class_count=3, cone_class=2)
+    head = YoloV5Head(class_count=3)
     raw = np.zeros((1, 6, 8), np.float32)
     raw[0, 0] = (40, 30, 10, 24, 0.9, 0.1, 0.0, 0.8)
     raw[0, 1] = (50, 30, 10, 24, 0.9, 0.8, 0.0, 0.1)  # another class
@@ -119,67 +118,65 @@ def test_yolov5_gives_the_known_boxes(tmp_path: Path) -> None:
     raw[0, 3] = (70, 30, 10, -24, 0.9, 0.0, 0.0, 0.9)  # no area
     raw[0, 5] = (80.5, 50, 9, 12, 1.0, 0.0, 0.9, 0.6)
     outputs = run_network(tmp_path, head, [raw])
-    expected = [[35, 18, 45, 42, 0.72], [76, 44, 85, 56, 0.6]]
+    expected = [[35, 18, 45, 42, 0.72, 2], [45, 18, 55, 42, 0.72, 0], [76, 44, 85, 56, 0.9, 1]]
     np.testing.assert_allclose(decode(head, outputs), expected, atol=1e-5)
-    np.testing.assert_allclose(decode(head, outputs, 0.71), expected[:1], atol=1e-5)
-    np.testing.assert_allclose(decode(head, outputs, 0.3)[:, 4], (0.72, 0.36, 0.6), atol=1e-6)
+    np.testing.assert_allclose(decode(head, outputs, 0.8), expected[2:], atol=1e-5)
+    np.testing.assert_allclose(decode(head, outputs, 0.3)[:, 4], (0.72, 0.72, 0.36, 0.9), atol=1e-6)
 
 
 def test_yolov5_with_one_class_scores_by_objectness(tmp_path: Path) -> None:
-    head = YoloV5Head(class_count=1, cone_class=0)
+    head = YoloV5Head(class_count=1)
     outputs = run_network(tmp_path, head, [np.array([[[40, 30, 10, 24, 0.8, 0.5]]], np.float32)])
-    np.testing.assert_allclose(decode(head, outputs), [[35, 18, 45, 42, 0.8]], atol=1e-6)
+    np.testing.assert_allclose(decode(head, outputs), [[35, 18, 45, 42, 0.8, 0]], atol=1e-6)
 
 
 def test_yolov8_gives_the_known_boxes(tmp_path: Path) -> None:
-    head = YoloV8Head(class_count=2, cone_class=0)
+    head = YoloV8Head(class_count=2)
     raw = np.zeros((1, 6, 9), np.float32)
     raw[0, :, 4] = (40, 30, 10, 24, 0.7, 0.2)
     raw[0, :, 5] = (41, 30, 10, 24, 0.2, 0.7)  # another class
     raw[0, :, 8] = (94, 3, 8, 10, 0.55, 0.0)  # reaches beyond the image
     outputs = run_network(tmp_path, head, [raw])
-    expected = [[35, 18, 45, 42, 0.7], [90, -2, 98, 8, 0.55]]
+    expected = [[35, 18, 45, 42, 0.7, 0], [36, 18, 46, 42, 0.7, 1], [90, -2, 98, 8, 0.55, 0]]
     np.testing.assert_allclose(decode(head, outputs), expected, atol=1e-5)
-    np.testing.assert_allclose(decode(head, outputs, 0.6), expected[:1], atol=1e-5)
-    other = head.model_copy(update={"cone_class": 1})
-    np.testing.assert_allclose(decode(other, outputs), [[36, 18, 46, 42, 0.7]], atol=1e-5)
+    np.testing.assert_allclose(decode(head, outputs, 0.6), expected[:2], atol=1e-5)
 
 
 CELLS = 8 * 12 + 4 * 6 + 2 * 3
 
 
 def test_yolox_gives_the_known_boxes(tmp_path: Path) -> None:
-    head = YoloXHead(class_count=2, cone_class=1)
+    head = YoloXHead(class_count=2)
     raw = np.zeros((1, CELLS, 7), np.float32)
     raw[0, 5 * 12 + 9] = (0.5, -0.25, np.log(2), np.log(3), 0.9, 0.0, 0.8)  # stride 8, row 5, column 9
     raw[0, 8 * 12 + 2 * 6 + 5] = (0.0, 1.0, 0.0, np.log(0.5), 0.8, 0.0, 0.75)  # stride 16, row 2, column 5
     raw[0, 8 * 12 + 4 * 6 + 1 * 3 + 2] = (0.5, 0.5, 0.0, 0.0, 1.0, 1.0, 0.0)  # stride 32, another class
     outputs = run_network(tmp_path, head, [raw])
     # Centre (76, 38), size 16 x 24; centre (80, 48), size 16 x 8.
-    expected = [[68, 26, 84, 50, 0.72], [72, 44, 88, 52, 0.6]]
+    expected = [[68, 26, 84, 50, 0.72, 1], [72, 44, 88, 52, 0.6, 1], [64, 32, 96, 64, 1.0, 0]]
     np.testing.assert_allclose(decode(head, outputs), expected, atol=1e-5)
-    np.testing.assert_allclose(decode(head, outputs, 0.7), expected[:1], atol=1e-5)
-    other = head.model_copy(update={"cone_class": 0})
-    np.testing.assert_allclose(decode(other, outputs), [[64, 32, 96, 64, 1.0]], atol=1e-5)
+    np.testing.assert_allclose(decode(head, outputs, 0.7), expected[::2], atol=1e-5)
 
 
 def test_yolox_names_strides_that_do_not_fit() -> None:
-    head = YoloXHead(strides_px=(8, 16), class_count=1, cone_class=0)
+    head = YoloXHead(strides_px=(8, 16), class_count=1)
     with pytest.raises(ModelFileError, match=r"expects 120 cells at strides \(8, 16\) .* gives 126"):
         decode(head, [np.zeros((1, CELLS, 6), np.float32)])
 
 
 def test_end_to_end_gives_the_known_boxes(tmp_path: Path) -> None:
-    head = EndToEndHead(cone_class=2)
-    raw = np.zeros((1, 5, 6), np.float32)  # the last two rows stay unfilled
+    head = EndToEndHead(class_count=3)
+    raw = np.zeros((1, 5, 6), np.float32)  # the last row stays unfilled
     raw[0, 0] = (35, 18, 45, 42, 0.7, 2)
-    raw[0, 1] = (36, 18, 46, 42, 0.9, 1)  # another class
+    raw[0, 1] = (36, 18, 46, 42, 0.9, 0.999)  # rounded by the network
     raw[0, 2] = (60, 20, 70, 44, 0.4, 2)
+    raw[0, 3] = (60, 20, 70, 44, 0.9, -1)  # filled up
     outputs = run_network(tmp_path, head, [raw])
-    expected = [[35, 18, 45, 42, 0.7], [60, 20, 70, 44, 0.4]]
-    np.testing.assert_allclose(decode(head, outputs), expected[:1], atol=1e-6)
+    expected = [[35, 18, 45, 42, 0.7, 2], [36, 18, 46, 42, 0.9, 1], [60, 20, 70, 44, 0.4, 2]]
+    np.testing.assert_allclose(decode(head, outputs), expected[:2], atol=1e-6)
     np.testing.assert_allclose(decode(head, outputs, 0.0), expected, atol=1e-6)
-    np.testing.assert_allclose(decode(EndToEndHead(cone_class=1), outputs, 0.0), [[36, 18, 46, 42, 0.9]], atol=1e-6)
+    with pytest.raises(ModelFileError, match="gives class 2, the sidecar's head has class_count 2"):
+        decode(EndToEndHead(class_count=2), outputs)
 
 
 @given(
@@ -198,7 +195,7 @@ def test_yolox_undoes_its_encoding_in_every_cell(
         *(np.log(size[0] / stride), np.log(size[1] / stride)),
         *(1.0, 1.0),
     )
-    (found,) = decode(YoloXHead(class_count=1, cone_class=0), [raw])
+    (found,) = decode(YoloXHead(class_count=1), [raw])
     np.testing.assert_allclose((found[:2] + found[2:4]) / 2, centre, atol=1e-9)
     np.testing.assert_allclose(found[2:4] - found[:2], size, atol=1e-9)
 
@@ -207,37 +204,37 @@ def test_only_the_first_image_of_a_batch_is_decoded() -> None:
     raw = np.zeros((2, 5, 3), np.float32)
     raw[0, :, 0] = (40, 30, 10, 24, 0.7)
     raw[1, :, 1] = (20, 30, 10, 24, 0.9)
-    found = decode(YoloV8Head(class_count=1, cone_class=0), [raw])
-    np.testing.assert_allclose(found, [[35, 18, 45, 42, 0.7]], atol=1e-6)
+    found = decode(YoloV8Head(class_count=1), [raw])
+    np.testing.assert_allclose(found, [[35, 18, 45, 42, 0.7, 0]], atol=1e-6)
 
 
 def test_boxes_that_are_not_finite_are_dropped() -> None:
     good = (40, 30, 10, 24, 0.75, 1.0)
     rows = [good, *(tuple(bad if at == place else value for at, value in enumerate(good))
                     for bad in (np.nan, np.inf, -np.inf) for place in range(5))]  # fmt: skip
-    found = decode(YoloV5Head(class_count=1, cone_class=0), [np.array([rows], np.float32)])
-    np.testing.assert_allclose(found, [[35, 18, 45, 42, 0.75]])
+    found = decode(YoloV5Head(class_count=1), [np.array([rows], np.float32)])
+    np.testing.assert_allclose(found, [[35, 18, 45, 42, 0.75, 0]])
     maps = yolov3_maps(1)
     maps[0][0, :6, 0, 0] = (0.0, 0.0, 5000.0, 0.0, 20.0, 20.0)  # exp overflows
-    head = YoloV3Head(anchors_px=ANCHORS_PX, class_count=1, cone_class=0)
-    assert decode(head, maps).shape == (0, 5)
-    assert decode(head, [raw.astype(np.float16) for raw in maps]).shape == (0, 5)
+    head = YoloV3Head(anchors_px=ANCHORS_PX, class_count=1)
+    assert decode(head, maps).shape == (0, 6)
+    assert decode(head, [raw.astype(np.float16) for raw in maps]).shape == (0, 6)
 
 
 @pytest.mark.parametrize(
     ("head", "shape", "place"),
     [
-        (YoloV5Head(class_count=1, cone_class=0), (1, 3, 6), (0, 1, 4)),
-        (YoloV8Head(class_count=1, cone_class=0), (1, 5, 3), (0, 4, 1)),
-        (YoloXHead(class_count=1, cone_class=0), (1, CELLS, 6), (0, 1, 5)),
-        (EndToEndHead(cone_class=0), (1, 3, 6), (0, 1, 4)),
+        (YoloV5Head(class_count=1), (1, 3, 6), (0, 1, 4)),
+        (YoloV8Head(class_count=1), (1, 5, 3), (0, 4, 1)),
+        (YoloXHead(class_count=1), (1, CELLS, 6), (0, 1, 5)),
+        (EndToEndHead(class_count=3), (1, 3, 6), (0, 1, 4)),
     ],
 )
 def test_scores_that_are_no_probabilities_are_refused(
     head: YoloHead, shape: tuple[int, ...], place: tuple[int, ...]
 ) -> None:
     raw = np.zeros(shape, np.float32)
-    assert decode(head, [raw]).shape == (0, 5)
+    assert decode(head, [raw]).shape == (0, 6)
     raw[place] = -7.5
     with pytest.raises(
         ModelFileError, match=rf"'{head.kind}' expects scores from 0 to 1, the network gives -7\.5 to 0"
@@ -247,22 +244,22 @@ def test_scores_that_are_no_probabilities_are_refused(
 
 def test_rounding_beyond_one_is_cut() -> None:
     raw = np.array([[[35, 18, 45, 42, 1.0005, 0]]], np.float32)
-    np.testing.assert_array_equal(decode(EndToEndHead(cone_class=0), [raw]), [[35, 18, 45, 42, 1.0]])
+    np.testing.assert_array_equal(decode(EndToEndHead(class_count=3), [raw]), [[35, 18, 45, 42, 1.0, 0]])
 
 
 WRONG = [
-    (YoloV8Head(class_count=2, cone_class=0), [(1, 9, 6)], r"1 output \(batch, 6, boxes\), .* gives 1 output \(1, 9, 6\)"),
-    (YoloV5Head(class_count=2, cone_class=0), [(1, 9, 85)], r"\(batch, boxes, 7\), .* \(1, 9, 85\)"),
-    (YoloV5Head(class_count=1, cone_class=0), [(1, 9, 6), (1, 3, 4, 4, 6)], r"gives 2 outputs \(1, 9, 6\), \(1, 3, 4, 4, 6\)"),
-    (YoloXHead(class_count=1, cone_class=0), [(126, 6)], r"\(batch, boxes, 6\), .* \(126, 6\)"),
-    (EndToEndHead(cone_class=0), [(1, 5, 7)], r"\(batch, boxes, 6\), .* \(1, 5, 7\)"),
+    (YoloV8Head(class_count=2), [(1, 9, 6)], r"1 output \(batch, 6, boxes\), .* gives 1 output \(1, 9, 6\)"),
+    (YoloV5Head(class_count=2), [(1, 9, 85)], r"\(batch, boxes, 7\), .* \(1, 9, 85\)"),
+    (YoloV5Head(class_count=1), [(1, 9, 6), (1, 3, 4, 4, 6)], r"gives 2 outputs \(1, 9, 6\), \(1, 3, 4, 4, 6\)"),
+    (YoloXHead(class_count=1), [(126, 6)], r"\(batch, boxes, 6\), .* \(126, 6\)"),
+    (EndToEndHead(class_count=3), [(1, 5, 7)], r"\(batch, boxes, 6\), .* \(1, 5, 7\)"),
     (
-        YoloV3Head(anchors_px=ANCHORS_PX, class_count=1, cone_class=0),
+        YoloV3Head(anchors_px=ANCHORS_PX, class_count=1),
         [(1, 2, 3, 18), (1, 4, 6, 18), (1, 8, 12, 18)],
         r"3 outputs \(batch, 18, rows, columns\).* \(1, 2, 3, 18\)",
     ),
     (
-        YoloV3Head(anchors_px=ANCHORS_PX, class_count=1, cone_class=0, layout="NHWC"),
+        YoloV3Head(anchors_px=ANCHORS_PX, class_count=1, layout="NHWC"),
         [(1, 2, 3, 18), (1, 4, 6, 18)],
         r"3 outputs .* gives 2 outputs",
     ),
@@ -282,7 +279,7 @@ def test_a_network_of_another_shape_is_refused(
 
 
 def test_sizes_that_are_not_fixed_are_left_to_the_run() -> None:
-    head = YoloV8Head(class_count=2, cone_class=0)
+    head = YoloV8Head(class_count=2)
     check_outputs(head, [["batch", None, "anchors"]])
     with pytest.raises(ModelFileError, match=r"gives 1 output \(batch, 7, \?\)"):
         check_outputs(head, [["batch", 7, None]])
@@ -295,11 +292,11 @@ def test_sizes_that_are_not_fixed_are_left_to_the_run() -> None:
 def test_the_sidecar_chooses_the_head_by_its_kind() -> None:
     sidecar: TypeAdapter[YoloHead] = TypeAdapter(YoloHead)
     heads: list[YoloHead] = [
-        YoloV3Head(anchors_px=ANCHORS_PX, class_count=80, cone_class=3, layout="NHWC"),
-        YoloV5Head(class_count=80, cone_class=3),
-        YoloV8Head(class_count=80, cone_class=3),
-        YoloXHead(class_count=80, cone_class=3),
-        EndToEndHead(cone_class=3),
+        YoloV3Head(anchors_px=ANCHORS_PX, class_count=80, layout="NHWC"),
+        YoloV5Head(class_count=80),
+        YoloV8Head(class_count=80),
+        YoloXHead(class_count=80),
+        EndToEndHead(class_count=3),
     ]
     for head in heads:
         assert sidecar.validate_json(sidecar.dump_json(head)) == head
@@ -308,21 +305,21 @@ def test_the_sidecar_chooses_the_head_by_its_kind() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"kind": "yolov8", "class_count": 3, "cone_class": 3}', "cone_class is 3"),
-        ('{"kind": "yolov8", "class_count": 0, "cone_class": 0}', "greater than 0"),
-        ('{"kind": "yolov8", "class_count": 3, "cone_class": -1}', "greater than or equal to 0"),
-        ('{"kind": "yolov8", "class_count": 3, "cone_class": 0, "anchors_px": []}', "Extra inputs"),
-        ('{"kind": "yolov99", "cone_class": 0}', "yolov99"),
-        ('{"kind": "yolov3", "class_count": 3, "cone_class": 0}', "anchors_px"),
+        ('{"kind": "yolov8", "class_count": 3, "cone_class": 2}', "name every class of the network in class_names"),
+        ('{"kind": "yolov8", "class_count": 0}', "greater than 0"),
+        ('{"kind": "yolov8"}', "class_count"),
+        ('{"kind": "yolov8", "class_count": 3, "anchors_px": []}', "Extra inputs"),
+        ('{"kind": "yolov99", "class_count": 1}', "yolov99"),
+        ('{"kind": "yolov3", "class_count": 3}', "anchors_px"),
         (
-            '{"kind": "yolov3", "class_count": 3, "cone_class": 0, "anchors_px": [[[1, 2]]]}',
+            '{"kind": "yolov3", "class_count": 3, "anchors_px": [[[1, 2]]]}',
             "1 scales, strides_px has 3",
         ),
         (
-            '{"kind": "yolov3", "class_count": 3, "cone_class": 0, "anchors_px": [[[1, 2]], [], []]}',
+            '{"kind": "yolov3", "class_count": 3, "anchors_px": [[[1, 2]], [], []]}',
             "without an anchor",
         ),
-        ('{"kind": "yolox", "class_count": 3, "cone_class": 0, "strides_px": []}', "at least 1 item"),
+        ('{"kind": "yolox", "class_count": 3, "strides_px": []}', "at least 1 item"),
     ],
 )
 def test_a_sidecar_that_contradicts_itself_is_refused(text: str, message: str) -> None:

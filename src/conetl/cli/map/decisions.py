@@ -1,4 +1,4 @@
-"""`conetl map suppress|pin|revert|decisions`: decisions of people about the map."""
+"""`conetl map suppress|pin|classify|revert|decisions`: decisions of people about the map."""
 
 from __future__ import annotations
 
@@ -49,6 +49,19 @@ def pin(
 ) -> None:
     """Fix a cone: drives may confirm it, but neither move nor remove it."""
     _decide_place("pin", feature, radius, note, by, read_settings(map_name), as_json)
+
+
+def classify(
+    feature: Feature,
+    category: Annotated[str, typer.Argument(metavar="CLASS", help="Class of the object, such as drum.")],
+    radius: Radius = 1.0,
+    note: Note = "",
+    by: By = None,
+    map_name: MapOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Correct the class of an object: what drives detect here as its present class is another one."""
+    _decide_place("classify", feature, radius, note, by, read_settings(map_name), as_json, category)
 
 
 def revert(
@@ -104,6 +117,7 @@ def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
         "easting m": "easting_m",
         "northing m": "northing_m",
         "radius m": lambda decision: decision.radius_m and f"{decision.radius_m:g}",
+        "class": "category",
         "by": "decided_by",
         "note": "note",
     }
@@ -113,20 +127,22 @@ def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
 
 
 def _decide_place(
-    kind: Literal["suppress", "pin"],
+    kind: Literal["suppress", "pin", "classify"],
     feature: str,
     radius: float,
     note: str,
     by: str | None,
     settings: Settings,
     as_json: bool,
+    category: str | None = None,
 ) -> None:
     from conetl.pipeline.maps.decisions import decide_place
 
     with open_map(settings) as conn:
         decided = decide_place(
-            conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note, decided_by=who_decides(by)
-        )
+            conn, kind, feature, map_name=settings.map_name, radius_m=radius, category=category, note=note,
+            decided_by=who_decides(by),
+        )  # fmt: skip
         finish(conn, decided, settings, as_json)
 
 

@@ -68,7 +68,7 @@ def detect(
             usable += int((boxes[:, 4] >= USED_SCORE).sum())
             if draw is not None:
                 shown = boxes[boxes[:, 4] >= max(score, USED_SCORE)]
-                write_annotated_image(draw / drawn_names[number], image, shown, detector.card.categories)
+                write_annotated_image(draw / drawn_names[number], image, shown, detector.card.class_names)
         if len(refused) == len(paths):
             raise InputError("none of the images could be read; nothing was written")
         file.write(json.dumps(found, indent=1) + "\n")
@@ -89,7 +89,7 @@ def detect(
 
 
 def _entry(path: Path, box: NDArray[np.float64], card: ModelCard) -> dict[str, Any]:
-    category = card.categories[int(box[9])]
+    category = card.class_names[int(box[9])]
     entry: dict[str, Any] = {
         "file_name": str(path),
         "category": category,

@@ -52,7 +52,7 @@ def locate(
     rig = read_rig_for_images(calibration, first_size([left]))
     settings = read_settings()
     detector = load_detector(settings.model_path, providers=settings.onnx_providers)
-    params = IngestParams(detection=DetectionParams(categories=known_of(detector.card.categories)))
+    params = IngestParams(detection=DetectionParams(categories=known_of(detector.card.class_names)))
     try:
         found = locate_pair((left, right), rig, detector, params)
     except ImageFileError as error:

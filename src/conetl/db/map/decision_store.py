@@ -9,7 +9,7 @@ from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import Decidable, MapInfo, StoredDecision
 from conetl.db.statements import load_sql
-from conetl.model.map_records import Decisions, Location
+from conetl.model.map_records import Classification, Decisions, Location
 
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
@@ -22,12 +22,18 @@ def list_decisions(conn: Connection, *, map_name: str = "default") -> list[Store
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
     """The decisions in the form for the comparison of drives."""
     places: dict[str, list[Location]] = {"suppress": [], "pin": []}
+    classified = []
     found = list_decisions(conn, map_name=map_name)
     for decision in found:
-        if decision.place is not None:
-            places[decision.kind].append(decision.place)
+        place = decision.place
+        if place is not None and decision.category is not None and decision.found_as is not None:
+            classes = {"found_as": decision.found_as, "category": decision.category}
+            classified.append(Classification(xy_m=place.xy_m, radius_m=place.radius_m, **classes))
+        elif place is not None:
+            places[decision.kind].append(place)
     accepted = frozenset(d.changeset_id for d in found if d.kind == "accept" and d.changeset_id is not None)
-    return Decisions(suppressed=tuple(places["suppress"]), pinned=tuple(places["pin"]), accepted=accepted)
+    suppressed, pinned = tuple(places["suppress"]), tuple(places["pin"])
+    return Decisions(suppressed=suppressed, pinned=pinned, classified=tuple(classified), accepted=accepted)
 
 
 def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:
@@ -50,7 +56,10 @@ def insert_decision(
     changeset_id: UUID | None = None,
     withdraws: UUID | None = None,
 ) -> UUID:
-    """Write a decision inside the caller's `map_transaction`; its id. kind: suppress, pin, revert, accept or withdraw."""
+    """Write a decision inside the caller's `map_transaction`; its id.
+
+    kind: suppress, pin, classify (with a `Classification`), revert, accept or withdraw.
+    """
     decision_id = uuid4()
     easting_m, northing_m = place.xy_m if place else (None, None)
     parameters = {
@@ -61,6 +70,8 @@ def insert_decision(
         "easting_m": easting_m,
         "northing_m": northing_m,
         "radius_m": place.radius_m if place else None,
+        "category": getattr(place, "category", None),
+        "found_as": getattr(place, "found_as", None),
         "feature_id": feature_id,
         "changeset_id": changeset_id,
         "withdraws": withdraws,

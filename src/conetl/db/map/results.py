@@ -201,10 +201,12 @@ class StoredDecision:
 
     decision_id: UUID
     kind: str
-    """suppress, pin, revert, accept or hold."""
+    """suppress, pin, classify, revert, accept or hold."""
     easting_m: float | None
     northing_m: float | None
     radius_m: float | None
+    category: str | None
+    found_as: str | None
     feature_id: UUID | None
     changeset_id: UUID | None
     note: str

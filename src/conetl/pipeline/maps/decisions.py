@@ -1,4 +1,4 @@
-"""Decisions of people about the map: there is no cone here, this cone stays, that drive does not count.
+"""Decisions of people about the map: there is no cone here, this cone stays or is a drum, that drive does not count.
 
 A decision is a row and takes part in every comparison of drives from then on. Its consequences are computed in the same
 transaction.
@@ -6,7 +6,7 @@ transaction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
@@ -29,11 +29,13 @@ from conetl.db.map.replay_store import (
 from conetl.db.map.results import CommittedChangeset, Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.health import HeldDrive, HoldChange
-from conetl.model.map_records import FeatureVersion, Location, MapFeature
+from conetl.model.map_records import Classification, FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
-SUPPRESS, PIN, REVERT, ACCEPT, WITHDRAW = "suppress", "pin", "revert", "accept", "withdraw"
+SUPPRESS, PIN, CLASSIFY = "suppress", "pin", "classify"
+REVERT, ACCEPT, WITHDRAW = "revert", "accept", "withdraw"
 #: What `list_decisions` calls a hold, which the checks made.
 HOLD = "hold"
 #: A larger area is no statement about one cone.
@@ -89,19 +91,26 @@ def decide_place(
     *,
     map_name: str,
     radius_m: float = 1.0,
+    category: str | None = None,
     note: str = "",
     decided_by: str | None = None,
     expected_version: int | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
 ) -> DecisionOutcome:
-    """Suppress or pin the position of a feature. feature: its id, or the beginning of it. Raises InputError, and ConflictError
-    where the same was decided already, or the feature's version is not `expected_version`, on which the person decided."""
+    """Suppress or pin the position of a feature, or say of which `category` it is.
+
+    feature: its id, or the beginning of it. Raises InputError, and ConflictError where the same was decided already, or the
+    feature's version is not `expected_version`, on which the person decided.
+    """
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"radius {radius_m:g} m: expected more than 0 and at most {MAX_RADIUS_M:g} m")
     with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
         state = _feature(conn, map_name, feature)
         before = read_decisions(conn, map_name=map_name)
-        if is_within(state, before.suppressed if kind == SUPPRESS else before.pinned):
+        decided: Mapping[str, Sequence[Location]] = {
+            SUPPRESS: before.suppressed, PIN: before.pinned, CLASSIFY: before.classified
+        }  # fmt: skip
+        if is_within(state, decided[kind]):
             raise ConflictError(f"there is a decision to {kind} this position already: see `conetl map decisions`")
         if expected_version is not None and state.version != expected_version:
             raise ConflictError(
@@ -109,6 +118,8 @@ def decide_place(
                 f"{state.version} now. Look at it again."
             )
         place = Location(xy_m=state.xyz_m[:2], radius_m=radius_m, of_line=state.marking is not None)
+        if kind == CLASSIFY:
+            place = _classification(state, category, place)
         decision_id = at.insert(kind, place=place, feature_id=state.feature_id)
         written, replayed = _judge_place(conn, at.info, kind, place, at.decided_at)
         return _outcome(conn, at, decision_id, kind, written, replayed)
@@ -189,6 +200,17 @@ def accept_drive(
         return _outcome(conn, at, decision_id, ACCEPT, written, replayed, changeset_id=known.changeset_id)
 
 
+def _classification(state: MapFeature, category: str | None, place: Location) -> Classification:
+    """Raises InputError where the feature cannot be of the category."""
+    geometry = FEATURE_CLASSES[state.category].geometry if state.category in FEATURE_CLASSES else "point"
+    known = [name for name, one in FEATURE_CLASSES.items() if one.geometry == geometry and name != state.category]
+    if category is None or category not in known:
+        raise InputError(
+            f"feature {state.feature_id} is a {state.category}; expected another class: {', '.join(known)}"
+        )
+    return Classification(xy_m=place.xy_m, radius_m=place.radius_m, found_as=state.category, category=category)
+
+
 @contextmanager
 def _deciding(
     conn: Connection, map_name: str, note: str, decided_by: str | None, lock_timeout_s: float
@@ -236,8 +258,8 @@ def _outcome(
 def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:
     """Compute the consequences of a decision about a position; versions written, drives compared again."""
     around = drives_at(conn, info.map_name, place)
-    # Suppression hides detections and changes nothing that drives are compared with; a pin does.
-    again = affected_drives(conn, around) if kind == PIN else []
+    # Suppression hides detections and changes nothing that drives are compared with; a pin and a class do.
+    again = affected_drives(conn, around) if kind in (PIN, CLASSIFY) else []
     aside = [ref.drive_uuid for ref in again]
     decisions = read_decisions(conn, map_name=info.map_name)
     _, replay = replay_of(conn, aside, again, decisions, around=around)
