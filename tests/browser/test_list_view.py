@@ -337,7 +337,7 @@ def test_a_lane_marking_is_a_line_that_can_be_clicked_and_hidden(page, address, 
     assert page.locator(".classes label").all_inner_texts() == ["Traffic cone\n5", "Lane marking\n1"]
     shown = pixels_of(screenshot(page), ADDED)
     click_cone(page, str(line.feature_id))
-    page.wait_for_selector(".panel dd:text-is('yellow, dashed, 3.0 m with gaps of 1.0 m')")
+    page.wait_for_selector(".panel dd span:text-is('yellow, dashed, 3.0 m with gaps of 1.0 m')")
     assert "0.200 ± 0.010 m" in page.locator(".panel").inner_text()
     assert "foot centre" not in page.locator(".panel").inner_text()
     page.keyboard.press("Escape")
