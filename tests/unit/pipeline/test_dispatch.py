@@ -14,7 +14,7 @@ from prefect.exceptions import ObjectNotFound
 
 from conetl.model.errors import ServiceError
 from flows import dispatch
-from flows.dispatch import WORKERS_GONE_S, missing_workers, resolve_where
+from flows.dispatch import POOL, WORKERS_GONE_S, missing_workers, resolve_where
 
 
 @pytest.fixture
@@ -23,9 +23,10 @@ def server(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     made = SimpleNamespace(deployed=True, workers=["drives-1", "drives-2", "desk"], silent_s=0.0)
 
     class Api:
-        def read_deployment_by_name(self, name: str) -> None:
+        def read_deployment_by_name(self, name: str) -> Any:
             if not made.deployed:
                 raise ObjectNotFound(Exception(name))
+            return SimpleNamespace(work_pool_name=POOL)
 
         def read_workers_for_work_pool(self, pool: str) -> list[Any]:
             beat = datetime.now(UTC) - timedelta(seconds=made.silent_s)
