@@ -28,8 +28,10 @@ from conetl.exports import FORMATS, geojson
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest, What
 from conetl.model.errors import InputError
+from conetl.model.params import ImportParams
 from conetl.pipeline.nightly_publication import write_publication
 from conetl.pipeline.settings import Settings
+from conetl.readers.maps.imported_rows import read_map_file
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
 
 NOON = [datetime.fromtimestamp((START_NS + day * DAY_NS) / 1e9 + 7200, UTC) for day in range(4)]
@@ -418,3 +420,10 @@ def test_one_class_alone_and_in_another_crs(lined):
     assert np.abs(xyz_m - np.array(shape.vertices_m)).max() < 0.001
     assert list(pyogrio.list_layers(folder / "cones.gpkg")[:, 0]) == ["default"]
     assert not (folder / "only_lane_markings.parquet").exists()
+
+
+def test_an_import_leaves_lane_markings_out(lined):
+    _, folder, manifests = lined
+    found = read_map_file(folder / "features.geojson", ImportParams(), map_srid=32632)
+    assert (len(found.statements), found.lines_left_out) == (manifests[What.FEATURES, "geojson"]["rows"] - 1, 1)
+    assert read_map_file(folder / "features.parquet", ImportParams()).lines_left_out == 0
