@@ -26,6 +26,8 @@ Grid = NDArray[np.float32]
 
 #: Columns of the grid on the road: fine enough for the nearest rows, of which a pixel is about as wide.
 _STEP_M = 0.01
+#: Grey levels as a mean of the channels blue, green and red.
+_RED_AND_GREEN = np.array([[0.0, 0.5, 0.5]], dtype=np.float32)
 #: Rows of the grid along the road.
 _ROW_STEP_M = 0.2
 #: Sigma of the Gaussian whose derivative finds edges.
@@ -152,9 +154,12 @@ def road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> RoadGrid:
 
 
 def resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.uint8], Grid]:
-    """The colours (R, C, 3) and grey levels (R, C) of an image at points; NaN in the grey levels outside of it."""
+    """The colours (R, C, 3) and grey levels (R, C) of an image at points; NaN in the grey levels outside of it.
+
+    Grey levels are means of red and green: in blue, yellow paint is no brighter than the road.
+    """
     colours = np.asarray(cv2.remap(image, u, np.ascontiguousarray(v), cv2.INTER_LINEAR), dtype=np.uint8)
-    grey = cv2.cvtColor(colours, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    grey = np.asarray(cv2.transform(colours.astype(np.float32), _RED_AND_GREEN), dtype=np.float32)
     height, width = image.shape[:2]
     grey[(u < 0) | (u > width - 1) | (v < 0) | (v > height - 1)] = np.nan
     return colours, grey
