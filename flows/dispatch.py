@@ -31,7 +31,7 @@ from flows.runs import client, drive_run_name, drive_tags
 POOL = "conetl"
 DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
 DRIVE_QUEUE = "drives"
-#: Made after the queue of the deployment, so workers take it up when that one is empty.
+#: Made after the queue of the deployment (`register.py`), so workers take it up when that one is empty.
 BACKFILL_QUEUE = "backfill"
 #: Workers are restarted, and Prefect takes a minute or two to notice that one is gone.
 WORKERS_GONE_S = 180.0

@@ -6,6 +6,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -18,7 +19,7 @@ from prefect.variables import Variable
 
 from conetl.model.errors import ServiceError
 from conetl.pipeline.settings import read_settings
-from flows.dispatch import POOL
+from flows.dispatch import BACKFILL_QUEUE, POOL
 from flows.runs import client
 
 _VARIABLE = "conetl_deployments"
@@ -70,6 +71,9 @@ def ensure_deployments() -> bool:
         raise ServiceError(
             f"the deployments of {path} could not be registered: {(done.stderr or done.stdout).strip()[-1500:]}"
         )
+    with client() as api, suppress(ObjectAlreadyExists):
+        # A worker gets nothing at all while one of its queues is missing. Made last, it comes behind that of the deployment.
+        api.create_work_queue(name=BACKFILL_QUEUE, work_pool_name=pool)
     Variable.set(_VARIABLE, wanted, overwrite=True)
     return True
 
