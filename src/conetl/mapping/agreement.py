@@ -108,11 +108,11 @@ def _displaced(
             f"Its cones lie {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
             "to tell which cone is which: process its GNSS with corrections, or ingest it into a map of its own."
         )
-        return _held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
+        return held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
     return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, np.sqrt(_MAX_CHI2) * sigma_m))
 
 
-def _held(what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str) -> HealthCheck:
+def held(what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str) -> HealthCheck:
     """A hold; its figures are rounded to what is meant, so that they are the same wherever they are computed again."""
     value, limit = round(value, 3), round(float(limit), 3)
     sigma = None if sigma is None else round(sigma, 3)
@@ -142,7 +142,7 @@ def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
             f"Its cones lie {abs(up):.1f} m {'higher' if up > 0 else 'lower'} than the same cones of the map, at a stated "
             f"{sigma_m:.2f} m: the heights refer to another datum (ellipsoid or geoid), or the height of the antenna is wrong."
         )
-        return _held("heights", up, detail, sigma=sigma_m, limit=limit_m, unit="m")
+        return held("heights", up, detail, sigma=sigma_m, limit=limit_m, unit="m")
     offset = np.array([east, north])
     chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
     if len(apart_m) >= _LEAST_PAIRS and chi2 > _MAX_CHI2 and hypot(east, north) > _LEAST_OFFSET_M:
@@ -156,7 +156,7 @@ def _aside(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> He
         f"Its cones lie {distance_m:.1f} m from those of the map{turned}, at a stated {sigma_m:.2f} m: one of the two has a "
         "wrong position, or all cones were moved alike. Check base station, datum and antenna offset of the drive."
     )
-    return _held("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+    return held("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
 class _Fit(NamedTuple):
@@ -225,7 +225,7 @@ def _scattered(kinds: Counter[DeltaKind], what: str) -> HealthCheck | None:
         f"It would move {moved} of the {moved + stayed} {what} that it shows: its distances or poses are wrong (baseline, "
         f"alignment), or {'the zone was set up' if what == 'cones' else 'the road was painted'} anew."
     )
-    return _held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
+    return held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
 
 
 def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | None:
@@ -249,7 +249,7 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | 
         f"{'cone' if seen == 1 else 'cones'}: were they cleared, or could its cameras not see them? Look at its images."
     )
     probability = 1.0 / (1.0 + exp(gone - blind))
-    return _held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
+    return held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
 
 
 def _log_beta(a: float, b: float) -> float:

@@ -20,6 +20,7 @@ from conetl.mapping.association import common_offset
 from conetl.mapping.changes import VisibilityCheck, reconcile
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
+from conetl.mapping.marking_agreement import marking_contradiction
 from conetl.mapping.marking_visibility import not_in_view
 from conetl.mapping.markings import ViewCheck, reconcile_markings
 from conetl.mapping.visibility import NotObserved
@@ -203,6 +204,7 @@ def apply_drive(
         hold = None
         if drive.changeset_id not in decisions.accepted:
             hold = contradiction(drive.tracks, points, deltas, drive.params, line_deltas)
+            hold = hold or marking_contradiction(drive.markings, lines, line_deltas, drive.params)
         if hold is not None:
             return MapUpdate([], [], [], around, hold)
         deltas = sorted([*deltas, *line_deltas], key=lambda delta: (delta.changed_at_ns, delta.feature_id.int))

@@ -15,6 +15,7 @@ from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
 from conetl.mapping.marking_deltas import STRETCH_M
 from conetl.mapping.marking_visibility import MarkingView, not_in_view
 from conetl.model.map_records import Decisions, Delta, Location, MapFeature
+from conetl.model.markings import MarkingTrack
 from tests.synthetic.painted_road import Paint, painted_drive
 from tests.synthetic.world import ORIGIN_M
 
@@ -146,6 +147,33 @@ def test_a_drive_that_moves_most_of_what_it_shows_is_left_to_a_person() -> None:
     assert held.hold is not None and "stretches" in held.hold.detail and not held.deltas
     accepted = replay_drives(drives, Decisions(accepted=frozenset({drives[1].changeset_id})))
     assert set(kinds_of(accepted, drives[1])) == {"moved"}
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "what"),
+    [
+        ((0.0, 0.0, 48.0), "heights"),
+        ((0.0, 0.0, -1.0), "heights"),
+        ((0.0, 0.2, 0.0), "position"),
+        ((0.0, 1.3, 0.0), "replaced"),
+    ],
+)
+def test_a_displaced_drive_without_cones_is_left_to_a_person(shift_m: tuple[float, ...], what: str) -> None:
+    paints = (Paint(4.5), Paint(0.5), Paint(-4.0))
+    drives = drives_of([paints] * 2, sigma_m=0.01)
+    second = replace(
+        drives[1], markings=[displaced(track, shift_m) for track in drives[1].markings],
+    )  # fmt: skip
+    history = replay_drives([drives[0], second])
+    hold = history.updates[second.changeset_id].hold
+    assert hold is not None and hold.name.endswith(what) and not deltas_of(history, second)
+    accepted = replay_drives([drives[0], second], Decisions(accepted={second.changeset_id}))
+    assert accepted.updates[second.changeset_id].hold is None and deltas_of(accepted, second)
+
+
+def displaced(track: MarkingTrack, shift_m: tuple[float, ...]) -> MarkingTrack:
+    vertices_m = tuple(tuple(np.add(vertex, shift_m).tolist()) for vertex in track.marking.vertices_m)
+    return track.model_copy(update={"marking": track.marking.model_copy(update={"vertices_m": vertices_m})})
 
 
 def test_markings_of_a_double_line_stay_two() -> None:
