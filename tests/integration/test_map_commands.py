@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import cv2
 import pytest
@@ -129,8 +130,14 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
     track = samples.marking_track(shape)
     samples.commit(conn, samples.added(cone), samples.added(line), key="1", markings=[track])
     other = samples.added(samples.feature("other"))
-    samples.commit(
-        conn, samples.changed("confirmed", line, day, marking=wider), other, key="2", start_ns=day, markings=[track]
+    second = samples.changed("confirmed", line, day, marking=wider)
+    samples.commit(conn, second, other, key="2", start_ns=day, markings=[track])
+    line_only = samples.commit(
+        conn,
+        samples.changed("confirmed", second.new, day + samples.DAY_NS),
+        key="3",
+        start_ns=day + samples.DAY_NS,
+        markings=[track],
     )
     conn.commit()
 
@@ -143,3 +150,5 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
         assert (facts["cones"], facts["lane_markings"]) == (2, 1)
     assert facts["bbox"][0] < 458_000 and facts["bbox"][2] > 458_010
     assert "no other class" in conetl("map", "classify", str(line.feature_id), "drum", code=2)
+    page = next(w for w in conetl("report", "drive", str(line_only.changeset.drive_id)).split() if w.endswith(".html"))
+    assert "This drive did not change any cone" in Path(page).read_text()
