@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import cv2
 import pytest
@@ -119,3 +120,35 @@ def test_a_picture_shows_the_paths_of_its_state(conn):
     )
     assert len(drive_paths(conn, "default", None, changesets[1].committed_at)) == 1
     conn.rollback()
+
+
+def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conetl, samples, tmp_path):
+    day = samples.START_NS + samples.DAY_NS
+    shape = samples.marking([(458_000.0 + 2.5 * k, 5_428_010.0, 114.5) for k in range(5)])
+    wider = shape.model_copy(update={"width_m": 0.15})
+    cone, line = samples.feature(), samples.line_feature(shape)
+    track = samples.marking_track(shape)
+    samples.commit(conn, samples.added(cone), samples.added(line), key="1", markings=[track])
+    other = samples.added(samples.feature("other"))
+    second = samples.changed("confirmed", line, day, marking=wider)
+    samples.commit(conn, second, other, key="2", start_ns=day, markings=[track])
+    line_only = samples.commit(
+        conn,
+        samples.changed("confirmed", second.new, day + samples.DAY_NS),
+        key="3",
+        start_ns=day + samples.DAY_NS,
+        markings=[track],
+    )
+    conn.commit()
+
+    out = tmp_path / "changes.geojson"
+    said = conetl("map", "diff", "1", "2", "--out", out, "--picture", tmp_path / "diff.png")
+    assert said.splitlines()[:2] == ["1 added", "Lane markings: 1 confirmed"]
+    assert "Lane markings are not in this file" in said and len(json.loads(out.read_text())["features"]) == 1
+    for words in ((), ("--changes", "1", "2")):
+        facts = json.loads(conetl("map", "picture", tmp_path / "map.png", "--json", *words))
+        assert (facts["cones"], facts["lane_markings"]) == (2, 1)
+    assert facts["bbox"][0] < 458_000 and facts["bbox"][2] > 458_010
+    assert "no other class" in conetl("map", "classify", str(line.feature_id), "drum", code=2)
+    page = next(w for w in conetl("report", "drive", str(line_only.changeset.drive_id)).split() if w.endswith(".html"))
+    assert "This drive did not change any cone" in Path(page).read_text()

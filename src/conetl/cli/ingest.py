@@ -238,7 +238,7 @@ def print_report(report: IngestReport) -> None:
         f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} {objects}."
     )
     if lines:
-        out.print(f"{counted(report.markings, 'lane marking')}: stretches {lines}.")
+        out.print(f"{counted(report.markings, 'lane marking')}; stretches of them: {lines}.")
     if report.trajectory:
         out.print(f"Trajectory: {report.trajectory}.")
     told = {check.name for check in report.health if check.verdict is not Verdict.PASS}

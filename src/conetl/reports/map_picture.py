@@ -122,11 +122,12 @@ def _points(conn: Connection, map_name: str, around: Bbox) -> tuple[Array, NDArr
 
 
 def plan_extent(standing: Sequence[MapFeature], changes: Sequence[FeatureChange] | None) -> Bbox:
-    """West, south, east, north around all cones, with a margin. Raises InputError where there is none."""
+    """West, south, east, north around all cones and lane markings, with a margin. Raises InputError where there is none."""
     features = [*standing, *(side for change in changes or () for side in (change.old, change.new) if side is not None)]
     if not features:
         raise InputError("no cone stands on the map at that time: choose another time, or an area with --bbox")
-    places = np.array([feature.xyz_m[:2] for feature in features])
+    shapes = [feature.marking.vertices_m if feature.marking else [feature.xyz_m] for feature in features]
+    places = np.concatenate([np.array(shape)[:, :2] for shape in shapes])
     low, high = places.min(axis=0), places.max(axis=0)
     margin = max(_MARGIN * float((high - low).max()), 3.0)
     half = np.maximum((high - low) / 2 + margin, _MIN_SPAN_M / 2)

@@ -62,19 +62,23 @@ def diff(
             picture,
             title=f"Map {settings.map_name}, EPSG:{info.srid}: {before} to {after}",
             trajectory_m=np.empty((0, 2)),
-            deltas=points,
-            untouched=[one for one in new if one.marking is None and one.feature_id not in changed],
+            deltas=changes,
+            untouched=[one for one in new if one.feature_id not in changed],
             untouched_label="no difference",
         )
     if as_json:
         print_json(changes)
         return
-    counts = Counter(change.kind for change in changes)
-    say(", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())) or "No differences.")
+    lines = [change for change in changes if _last(change).marking is not None]
+    say(_counts(points) or ("No differences." if not lines else "No differences of cones."))
+    if lines:
+        say(f"Lane markings: {_counts(lines)}")
     columns = class_if_mixed(_COLUMNS, {_last(change).category for change in changes})
     print_records("", columns, changes, numbers_from=2)
     if output is not None:
         say(f"{len(points)} changes -> {output}")
+        if lines:
+            say("Lane markings are not in this file: `conetl map export --what changes` writes them.")
     if picture is not None:
         say(f"image -> {picture}")
 
@@ -97,6 +101,12 @@ def _origins(
             last = max(entries, key=lambda entry: entry.changed_at)
             found[change.feature_id] = ChangeOrigin(last.changed_at, last.drive_id, last.changeset_no)
     return found
+
+
+def _counts(changes: Sequence[FeatureChange]) -> str:
+    """`2 added, 1 moved`."""
+    counts = Counter(change.kind for change in changes)
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
 
 
 def _last(change: FeatureChange) -> MapFeature:

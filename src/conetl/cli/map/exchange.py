@@ -90,7 +90,7 @@ def export(
                 feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
                 max_age=None if max_age is None else timedelta(seconds=parse_age(max_age)),
             )  # fmt: skip
-        text = f"{counted(count, 'work zone' if file_format == WZDX else 'cone')} -> {output}"
+        text = f"{counted(count, 'work zone' if file_format == WZDX else 'device')} -> {output}"
         answer(as_json, {"written": str(output), "features": count}, text)
         return
     if feed or publisher or road_names or lanes or max_age:

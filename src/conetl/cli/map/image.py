@@ -35,14 +35,14 @@ def picture(
     ] = None,
     bbox: Annotated[
         str | None,
-        typer.Option("--bbox", help="west,south,east,north in the map's CRS or in degrees; default: all cones."),
+        typer.Option("--bbox", help="west,south,east,north in the map's CRS or in degrees; default: the whole map."),
     ] = None,
     size: Annotated[str | None, typer.Option("--size", help="Width x height in millimetres, e.g. 240x160.")] = None,
     title: Annotated[str | None, typer.Option("--title", help="Title; default: the name of the map.")] = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Draw a plan of the map for a report: cones, base layers, drive paths, scale bar, north arrow, legend, CRS and date."""
+    """Draw a plan of the map for a report: cones, lane markings, base layers, drive paths, scale bar, legend, CRS and date."""
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
     if changes is not None and (at is not None or known_at is not None):
@@ -54,12 +54,12 @@ def picture(
     with open_map(settings) as conn:
         info = require_map(conn, name)
         if changes is None:
-            versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name)
+            versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name, lines=True)
             standing, differing = [version.feature for version in versions], None
         else:
-            standing = state_of(conn, settings, changes[1])
+            standing = state_of(conn, settings, changes[1], lines=True)
             valid_at, known = instants_of(conn, settings, changes[1])
-            differing = diff(state_of(conn, settings, changes[0]), standing)
+            differing = diff(state_of(conn, settings, changes[0], lines=True), standing)
         extent = plan_extent(standing, differing) if bbox is None else _bbox(bbox, info.srid)
         content = read_plan_content(
             conn, name, info.srid, extent, standing, differing, valid_at=valid_at, known_at=known

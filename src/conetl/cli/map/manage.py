@@ -22,7 +22,7 @@ _MAPS: Columns = {
     "map": "map_name",
     "CRS": lambda m: f"EPSG:{m.srid}",
     "heights": lambda m: system_name(m.vertical_srid),
-    "cones": "feature_count",
+    "features": "feature_count",
     "changesets": "changeset_count",
     "base layers": "layer_count",
     "last change (UTC)": lambda m: m.last_committed_at and f"{m.last_committed_at:%Y-%m-%d %H:%M}",
@@ -104,7 +104,9 @@ def delete(
         raise InputError(f"{path}: exists already, choose another file with --dump")
     with open_map(settings) as conn:
         size = next(one for one in list_maps(conn) if one.map_name == name)
-        text = f"map {name} with {counted(size.feature_count, 'cone')} and {counted(size.changeset_count, 'changeset')}"
+        text = (
+            f"map {name} with {counted(size.feature_count, 'feature')} and {counted(size.changeset_count, 'changeset')}"
+        )
         if not yes:
             if as_json or not sys.stdin.isatty():
                 raise InputError(f"nothing was deleted: add --yes to delete the {text} (a dump is kept)")
@@ -128,7 +130,9 @@ def restore(
     with open_maps(settings) as conn:
         info = restore_map(conn, file, None if name is None else checked_map_name(name))
         size = next(one for one in list_maps(conn) if one.map_name == info.map_name)
-    text = f"Map {info.map_name}: {counted(size.feature_count, 'cone')}, {counted(size.changeset_count, 'changeset')}."
+    text = (
+        f"Map {info.map_name}: {counted(size.feature_count, 'feature')}, {counted(size.changeset_count, 'changeset')}."
+    )
     answer(as_json, {"map": info.map_name, "features": size.feature_count, "changesets": size.changeset_count}, text)
 
 

@@ -204,6 +204,8 @@ def _classification(state: MapFeature, category: str | None, place: Location) ->
     """Raises InputError where the feature cannot be of the category."""
     geometry = FEATURE_CLASSES[state.category].geometry if state.category in FEATURE_CLASSES else "point"
     known = [name for name, one in FEATURE_CLASSES.items() if one.geometry == geometry and name != state.category]
+    if not known:
+        raise InputError(f"feature {state.feature_id} is a {state.category}; there is no other class of its kind")
     if category is None or category not in known:
         raise InputError(
             f"feature {state.feature_id} is a {state.category}; expected another class: {', '.join(known)}"
