@@ -63,7 +63,7 @@ def _remove(home: Path) -> None:
         for service in read_services(home).values():
             stop_service(service)
         cluster_remove(home)
-        shutil.rmtree(home)
+        shutil.rmtree(home, ignore_errors=True)  # services that were just stopped may still remove their own files
 
 
 def _remove_leftovers() -> None:
