@@ -97,9 +97,10 @@ def painted_drive(
     day: float = 0.0,
     span_m: tuple[float, float] = (0.0, 100.0),
     sigma_m: float = 0.05,
+    blur_px: float = 0.9,
     params: ReconcileParams | None = None,
 ) -> DriveEvidence:
-    """A drive past the markings on some day."""
+    """A drive past the markings on some day. blur_px: of its images."""
     params = params or ReconcileParams()
     content = hashlib.sha256(f"painted {number} {rng.integers(1 << 60)}".encode()).hexdigest()
     start_ns = START_NS + int(day * DAY_NS)
@@ -115,7 +116,7 @@ def painted_drive(
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in pairs]),
         influence_m=60.0,
         check_visibility=_no_cones,
-        check_view=lambda vertices_m: markings_in_view(vertices_m, view, params),
+        check_view=lambda vertices_m: markings_in_view(vertices_m, view, blur_px, params),
         params=params,
     )
 

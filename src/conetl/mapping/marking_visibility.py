@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from conetl.mapping.visibility import DriveObservations
 from conetl.model.feature_classes import LANE_MARKING
+from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 
 Floats = NDArray[np.float64]
@@ -39,16 +41,25 @@ def not_in_view(vertices_m: Floats) -> MarkingView:
     return MarkingView(np.empty(0, np.int64), np.empty((len(vertices_m), 0), bool))
 
 
-def markings_in_view(vertices_m: Floats, drive: DriveObservations, params: ReconcileParams) -> MarkingView:
+def blur_of(markings: Sequence[MarkingTrack]) -> float:
+    """Sigma (px) by which a drive's images blur the edges of its markings, median; 0 without any."""
+    return float(np.median([track.blur_px for track in markings])) if markings else 0.0
+
+
+def markings_in_view(
+    vertices_m: Floats, drive: DriveObservations, blur_px: float, params: ReconcileParams
+) -> MarkingView:
     """Where vertices (n, 3), in the drive's map frame, lie inside both images at the ranges in which markings are searched.
 
-    Of frame pairs recorded nearer to each other than `_STEP_M` one is searched. Empty for a drive that did not search for
-    markings. A vertex inside the box of a detection is hidden, and images that show
-    too little show no absence.
+    blur_px: as of `blur_of`; blurred images show absence at a shorter range. Of frame pairs recorded nearer to each other than
+    `_STEP_M` one is searched. Empty for a drive that did not search for markings. A vertex inside the box of a detection is
+    hidden, and images that show too little show no absence.
     """
     rows = np.flatnonzero(drive.shows_absence) if LANE_MARKING in drive.figures.categories else np.empty(0, np.int64)
     middle_m = vertices_m.mean(axis=0)
-    reach_m = 2 * params.marking_view_to_m + float(np.linalg.norm(vertices_m - middle_m, axis=1).max())
+    sharp_to_m = params.marking_max_blur_m * drive.rig.left.fx_px / max(blur_px, 1e-9)
+    view_to_m = min(params.marking_view_to_m, max(sharp_to_m, params.marking_view_from_m + _STEP_M))
+    reach_m = 2 * view_to_m + float(np.linalg.norm(vertices_m - middle_m, axis=1).max())
     rows = rows[np.linalg.norm(drive.map_SE3_left[rows, :3, 3] - middle_m, axis=1) <= reach_m]
     rows = rows[_spread(drive.map_SE3_left[rows, :3, 3])]
     in_view = np.ones((len(vertices_m), len(rows)), bool)
@@ -57,7 +68,7 @@ def markings_in_view(vertices_m: Floats, drive: DriveObservations, params: Recon
         (drive.map_SE3_right[rows], drive.rig.right, "right"),
     ):
         x, y, z = np.einsum("knj,kji->ink", vertices_m[None] - poses[:, None, :3, 3], poses[:, :3, :3])
-        in_view &= (z >= params.marking_view_from_m) & (z <= params.marking_view_to_m)
+        in_view &= (z >= params.marking_view_from_m) & (z <= view_to_m)
         in_view &= np.abs(x) <= params.marking_view_aside_m
         depth = np.where(in_view, z, 1.0)
         u, v = camera.cx_px + camera.fx_px * x / depth, camera.cy_px + camera.fy_px * y / depth

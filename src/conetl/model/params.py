@@ -169,6 +169,8 @@ class ReconcileParams(Params):
     marking_view_to_m: Positive = 12.0
     """... to this one, and so far to the left and right: inside of where they are searched for (`MarkingParams`)."""
     marking_view_aside_m: Positive = 7.0
+    marking_max_blur_m: Positive = 0.025
+    """Nor beyond the depth at which the drive's images blur edges on the road by this sigma, a fifth of the width of paint."""
 
 
 class TrajectoryParams(Params):

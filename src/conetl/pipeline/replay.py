@@ -32,7 +32,7 @@ from conetl.db.map.replay_store import (
 from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping.history import DriveEvidence, Floats, MapHistory, MapUpdate, apply_drive, replay_drives
-from conetl.mapping.marking_visibility import MarkingView, markings_in_view
+from conetl.mapping.marking_visibility import MarkingView, blur_of, markings_in_view
 from conetl.mapping.visibility import DriveObservations, NotObserved, check_visibility, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.health import HealthCheck, HoldChange
@@ -111,6 +111,7 @@ def merge_drive(
         result = commit_changeset(conn, records, changeset, map_name=map_name, run=run, hold=hold)
         others = hold_changes(conn, held_before, map_name=map_name, without=changeset.changeset_id)
         return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
+    blur_px = blur_of(records.markings)
     spots = [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
     view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
     own = DriveEvidence(
@@ -124,7 +125,7 @@ def merge_drive(
             feature, offset_m, others_m, view, params.reconcile
         ),
         markings=records.markings,
-        check_view=lambda vertices_m: markings_in_view(vertices_m, view, params.reconcile),
+        check_view=lambda vertices_m: markings_in_view(vertices_m, view, blur_px, params.reconcile),
         params=params.reconcile,
     )
     decisions = read_decisions(conn, map_name=map_name)
@@ -213,7 +214,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
                 influence_m=drive.influence_m,
                 check_visibility=_look_at(view_of, ref.drive_uuid, drive.reconcile),
                 markings=drive.markings,
-                check_view=_view_of(view_of, ref.drive_uuid, drive.reconcile),
+                check_view=_view_of(view_of, ref.drive_uuid, blur_of(drive.markings), drive.reconcile),
                 params=drive.reconcile,
                 imported=drive.statements,
             )
@@ -241,6 +242,6 @@ def _look_at(
 
 
 def _view_of(
-    view_of: Callable[[UUID], DriveObservations], drive_uuid: UUID, params: ReconcileParams
+    view_of: Callable[[UUID], DriveObservations], drive_uuid: UUID, blur_px: float, params: ReconcileParams
 ) -> Callable[[Floats], MarkingView]:
-    return lambda vertices_m: markings_in_view(vertices_m, view_of(drive_uuid), params)
+    return lambda vertices_m: markings_in_view(vertices_m, view_of(drive_uuid), blur_px, params)

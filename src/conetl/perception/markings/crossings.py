@@ -82,6 +82,8 @@ class Bands(NamedTuple):
     fall: Floats
     contrast: Floats
     """Grey levels above the mean of both sides."""
+    blur: Floats
+    """Variance of the blur of its edges, in squares of columns (`PointColumns.blur_px2`)."""
 
     @property
     def middle(self) -> Floats:
@@ -130,6 +132,7 @@ def find_points(
         above_right_m=height - _road_height_beside(road, grid, row, grid.u_px(row, fall, cx), 1),
         road_px=grid.road_px(row, u_left),
         row=row.astype(np.float64),
+        blur_px2=ours.blur[first] * grid.columns_px[row] ** 2,
     )
     return MarkingPoints(
         frame_index=frame_index,
@@ -198,7 +201,12 @@ def find_bands(grey: Grid, params: MarkingParams) -> Bands:
     darkest = np.maximum(before, behind)
     good = inside - darkest >= np.maximum(params.min_contrast, _NOISE_SIGMAS * noise[row])
     good &= (contrast >= _LEAST_RELATIVE * darkest) & (np.abs(before - behind) <= _SIDE_SHARE * contrast)
-    return Bands(row[good], rise[good], fall[good], contrast[good])
+    row, rise, fall, inside = row[good], rise[good], fall[good], inside[good]
+    # The steeper edge: the slope of a blurred step of this height, less the part of the derivative's own Gaussian.
+    steps = np.stack([inside - before[good], inside - behind[good]])
+    steep = np.stack([slope[row, np.rint(rise).astype(np.intp)], -slope[row, np.rint(fall).astype(np.intp)]])
+    blur = (steps / (steep * np.sqrt(2 * np.pi))) ** 2 - sigma**2
+    return Bands(row, rise, fall, contrast[good], blur.min(axis=0))
 
 
 def _derivative(grey: Grid, sigma: float) -> Grid:
