@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
-from conetl.geometry.packing import cov_matrices
+from conetl.geometry.packing import cov3, cov_matrices, vec3
 from conetl.mapping.fusion import OffsetErrors, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Floats, Indices, Lines, lines_of
 from conetl.mapping.marking_visibility import MarkingView
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
-from conetl.model.records import Cov3, SharedErrorJacobian, sound
+from conetl.model.records import SharedErrorJacobian, sound
 
 _NAMESPACE = UUID("3c0a8d52-1f7e-4f0b-9d35-8e1c6a7b2f49")
 #: A stretch on the map is at most so long; its vertices are about as far apart as those of the drive, at most so far.
@@ -102,12 +102,12 @@ def confirmed(
     gain, cov, jacobians = fuse(
         [old_cov[k] for k in at.tolist()],
         [features[j].shared_jacobian for j in number.tolist()],
-        _triangles(measured),
+        list(map(cov3, measured)),
         _turned_jacobians(drive, found),
     )
     vertices_m = on_map.vertices_m.copy()
     vertices_m[at] += (across @ gain @ apart[:, :, None])[:, :, 0]
-    new_cov = dict(zip(at.tolist(), _triangles(cov), strict=True))
+    new_cov = dict(zip(at.tolist(), map(cov3, cov), strict=True))
     new_jacobian = dict(zip(at.tolist(), jacobians, strict=True))
     deltas = {}
     for j, seen in sightings.items():
@@ -116,7 +116,7 @@ def confirmed(
         middle = int(rows[len(rows) // 2])
         marking = sound(
             Marking,
-            vertices_m=_tuples(vertices_m[rows]),
+            vertices_m=tuple(map(vec3, vertices_m[rows])),
             cov_m2=tuple(new_cov.get(k, old_cov[k]) for k in rows.tolist()),
             **_attributes(shape, old.observation_count, drive.tracks[seen.track].marking, seen.frames),
         )
@@ -256,17 +256,13 @@ def _of_drive(
 ) -> MapFeature:
     """Points of a drive's marking as a stretch; shift_m (3,), offset: what is subtracted from them, and its errors."""
     track = drive.tracks[seen.track]
-    cov, jacobians = _triangles(found.at(drive.cov_m2)), _turned_jacobians(drive, found)
+    cov, jacobians = list(map(cov3, found.at(drive.cov_m2))), _turned_jacobians(drive, found)
     if offset is not None:
-        relative = _triangles(found.at(drive.relative_m2))
+        relative = map(cov3, found.at(drive.relative_m2))
         in_map = [in_map_frame(*one, offset) for one in zip(cov, relative, jacobians, strict=True)]
         cov, jacobians = [one for one, _ in in_map], [one for _, one in in_map]
-    marking = sound(
-        Marking,
-        vertices_m=_tuples(found.at(drive.lines.vertices_m) - shift_m),
-        cov_m2=tuple(cov),
-        **{name: getattr(track.marking, name) for name in Marking.model_fields if name not in ("vertices_m", "cov_m2")},
-    )
+    vertices_m = tuple(map(vec3, found.at(drive.lines.vertices_m) - shift_m))
+    marking = track.marking.model_copy(update={"vertices_m": vertices_m, "cov_m2": tuple(cov)})
     return _feature(
         feature_id,
         version,
@@ -354,13 +350,3 @@ def _shape(feature: MapFeature) -> Marking:
     if feature.marking is None:
         raise ValueError(f"feature {feature.feature_id} is not a line")
     return feature.marking
-
-
-def _triangles(matrices: Floats) -> list[Cov3]:
-    """Upper triangles of symmetric (N, 3, 3)."""
-    rows = matrices.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist()
-    return [(xx, xy, xz, yy, yz, zz) for xx, xy, xz, yy, yz, zz in rows]
-
-
-def _tuples(points_m: Floats) -> tuple[tuple[float, float, float], ...]:
-    return tuple((x, y, z) for x, y, z in points_m.tolist())
