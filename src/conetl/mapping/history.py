@@ -203,7 +203,7 @@ def apply_drive(
             )
         hold = None
         if drive.changeset_id not in decisions.accepted:
-            hold = contradiction(drive.tracks, points, deltas, drive.params, line_deltas)
+            hold = contradiction(drive.tracks, points, deltas, drive.params)
             hold = hold or marking_contradiction(drive.markings, lines, line_deltas, drive.params)
         if hold is not None:
             return MapUpdate([], [], [], around, hold)

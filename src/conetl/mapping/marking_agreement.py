@@ -1,4 +1,4 @@
-"""Whether the lane markings of a drive contradict those of the map as a whole: all higher, all aside, or replaced by others.
+"""Whether the lane markings of a drive contradict those of the map as a whole: most moved, all higher or aside, or replaced.
 
 The same for cones is in `agreement.py`. A drive that shows no cone has nothing else that its position can be compared with.
 """
@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 
 from conetl.geometry.packing import cov_matrices
-from conetl.mapping.agreement import held
+from conetl.mapping.agreement import held, scattered
 from conetl.mapping.marking_deltas import drive_of
 from conetl.mapping.marking_lines import feet, lines_of
 from conetl.model.health import HealthCheck
@@ -24,6 +24,7 @@ from conetl.model.params import ReconcileParams
 _MAX_SIGMAS, _LEAST_OFFSET_M, _LEAST_RISE_M = 5.0, 0.1, 0.3
 #: Stretches that must agree on that, or be replaced; on a height beyond any error of measurement one is enough.
 _LEAST_STRETCHES, _GROSS_RISE_M = 3, 1.5
+_STRETCHES = "stretches of lane markings"
 
 
 def marking_contradiction(
@@ -33,7 +34,8 @@ def marking_contradiction(
 
     stretches: those of the map around the drive; deltas: what `reconcile_markings` made of both.
     """
-    return _displaced(markings, stretches, params) or _replaced(Counter(delta.kind for delta in deltas))
+    kinds = Counter(delta.kind for delta in deltas)
+    return scattered(kinds, _STRETCHES) or _displaced(markings, stretches, params) or _replaced(kinds)
 
 
 def _displaced(
@@ -76,8 +78,8 @@ def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
     if replaced < _LEAST_STRETCHES or replaced + kinds[DeltaKind.MOVED] <= stayed:
         return None
     detail = (
-        f"It would remove {kinds[DeltaKind.REMOVED]} stretches of lane markings, add {kinds[DeltaKind.ADDED]} others and confirm "
+        f"It would remove {kinds[DeltaKind.REMOVED]} {_STRETCHES}, add {kinds[DeltaKind.ADDED]} others and confirm "
         f"{stayed}: its position is wrong, or the road was painted anew. Check base station, datum and antenna offset."
     )
     limit = max(stayed, _LEAST_STRETCHES - 1)
-    return held("replaced", replaced, detail, limit=limit, unit="stretches of lane markings")
+    return held("replaced", replaced, detail, limit=limit, unit=_STRETCHES)
