@@ -11,10 +11,9 @@ from math import sqrt
 
 import numpy as np
 
-from conetl.geometry.packing import cov_matrices
 from conetl.mapping.agreement import held, scattered
-from conetl.mapping.marking_deltas import drive_of
-from conetl.mapping.marking_lines import feet, lines_of
+from conetl.mapping.marking_deltas import drive_of, lines_on_map
+from conetl.mapping.marking_lines import feet
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.markings import MarkingTrack
@@ -41,15 +40,14 @@ def marking_contradiction(
 def _displaced(
     markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    drive = drive_of(sorted(markings, key=lambda track: track.marking_index))
-    shapes = [one.marking for one in sorted(stretches, key=lambda one: one.feature_id) if one.marking is not None]
-    on_map = lines_of([np.array(shape.vertices_m) for shape in shapes])
+    drive = drive_of(markings)
+    on_map, map_cov = lines_on_map(sorted(stretches, key=lambda feature: feature.feature_id))
     found = feet(on_map, drive.lines, params.marking_moved_max_m)
     if not len(found.point):
         return None
     order = np.lexsort((np.abs(found.lateral_m), found.point))  # of each vertex the nearest line
     found = found.only(order[np.concatenate([[True], np.diff(found.point[order]) != 0])])
-    cov = cov_matrices([cov for shape in shapes for cov in shape.cov_m2])[found.point] + found.at(drive.cov_m2)
+    cov = map_cov[found.point] + found.at(drive.cov_m2)
     count = len(np.unique(on_map.line[found.point]))
     up = float(np.median((found.at(drive.lines.vertices_m) - on_map.vertices_m[found.point])[:, 2]))
     sigma_m = float(np.sqrt(cov[:, 2, 2].mean()))

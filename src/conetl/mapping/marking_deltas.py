@@ -59,13 +59,29 @@ class Sighting(NamedTuple):
     last_ns: int
 
 
-def drive_of(tracks: Sequence[MarkingTrack]) -> LineDrive:
+def drive_of(markings: Sequence[MarkingTrack]) -> LineDrive:
+    """In the order of `marking_index`."""
+    tracks = sorted(markings, key=lambda track: track.marking_index)
     return LineDrive(
         tracks,
         lines_of([np.array(track.marking.vertices_m) for track in tracks]),
         cov_matrices([cov for track in tracks for cov in track.marking.cov_m2]),
         cov_matrices([cov for track in tracks for cov in track.relative_cov_m2]),
     )
+
+
+def lines_on_map(stretches: Sequence[MapFeature]) -> tuple[Lines, Floats]:
+    """The lines of features, numbered as these are, and the covariances (V, 3, 3) in m^2 of their vertices."""
+    shapes = [shape_of(feature) for feature in stretches]
+    lines = lines_of([np.array(shape.vertices_m) for shape in shapes])
+    return lines, cov_matrices([cov for shape in shapes for cov in shape.cov_m2])
+
+
+def shape_of(feature: MapFeature) -> Marking:
+    """Raises ValueError for a point object."""
+    if feature.marking is None:
+        raise ValueError(f"feature {feature.feature_id} is not a line")
+    return feature.marking
 
 
 def sighting(track: int, drive: LineDrive, view: MarkingView, vertices: NDArray[np.bool_]) -> Sighting:
@@ -98,7 +114,7 @@ def confirmed(
     across = np.eye(3) - along[:, :, None] * along[:, None, :]
     apart = (across @ (found.at(drive.lines.vertices_m) - on_map.vertices_m[at])[:, :, None])[:, :, 0]
     measured = found.at(drive.cov_m2) + _ALONG_M2 * along[:, :, None] * along[:, None, :]
-    old_cov = [cov for feature in features for cov in _shape(feature).cov_m2]
+    old_cov = [cov for feature in features for cov in shape_of(feature).cov_m2]
     gain, cov, jacobians = fuse(
         [old_cov[k] for k in at.tolist()],
         [features[j].shared_jacobian for j in number.tolist()],
@@ -111,7 +127,7 @@ def confirmed(
     new_jacobian = dict(zip(at.tolist(), jacobians, strict=True))
     deltas = {}
     for j, seen in sightings.items():
-        old, shape = features[j], _shape(features[j])
+        old, shape = features[j], shape_of(features[j])
         rows = np.flatnonzero(on_map.line == j)
         middle = int(rows[len(rows) // 2])
         marking = sound(
@@ -196,7 +212,7 @@ def added(
 def split(confirmation: Delta, vertices: Indices, at_ns: int, founding_key: str) -> Delta:
     """What is left of a stretch that is removed: successive vertices of its confirmed state, as a stretch of its own."""
     whole = confirmation.state_after
-    shape = _shape(whole)
+    shape = shape_of(whole)
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{whole.feature_id}/{int(vertices[0])}")
     part = {
         "vertices_m": tuple(shape.vertices_m[k] for k in vertices.tolist()),
@@ -344,9 +360,3 @@ def _turned_jacobians(drive: LineDrive, found: Feet) -> list[SharedErrorJacobian
             own = turned[line, turn]
         result.append(own)
     return result
-
-
-def _shape(feature: MapFeature) -> Marking:
-    if feature.marking is None:
-        raise ValueError(f"feature {feature.feature_id} is not a line")
-    return feature.marking

@@ -18,7 +18,6 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.packing import cov_matrices
 from conetl.mapping.deltas import ended
 from conetl.mapping.existence_update import is_gone, missed, observed_line
 from conetl.mapping.fusion import OffsetErrors, offset_errors
@@ -28,12 +27,14 @@ from conetl.mapping.marking_deltas import (
     added,
     confirmed,
     drive_of,
+    lines_on_map,
     moved,
+    shape_of,
     sighting,
     split,
     stretches_of,
 )
-from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset, lines_of
+from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
 from conetl.mapping.marking_visibility import MarkingView
 from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
@@ -156,11 +157,8 @@ def _compared(
     params: ReconcileParams,
     offset: tuple[Floats, float],
 ) -> _Comparison:
-    drive = drive_of(sorted(markings, key=lambda track: track.marking_index))
-    features = sorted(stretches, key=lambda feature: feature.feature_id)
-    shapes = [feature.marking for feature in features if feature.marking is not None]
-    on_map = lines_of([np.array(shape.vertices_m) for shape in shapes])
-    map_cov = cov_matrices([cov for shape in shapes for cov in shape.cov_m2])
+    drive, features = drive_of(markings), sorted(stretches, key=lambda feature: feature.feature_id)
+    on_map, map_cov = lines_on_map(features)
     offset_m, weight = offset
     if weight == 0:
         offset_m, weight = lateral_offset(drive.lines, on_map, _variance(drive.cov_m2), _variance(map_cov), params)
@@ -188,11 +186,10 @@ def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive
     """(K,) for markings of another colour or width."""
     penalty = np.zeros(len(found.point))
     for k, (j, i) in enumerate(zip(on_map.line[found.point].tolist(), found.line.tolist(), strict=True)):
-        a, b = features[j].marking, drive.tracks[i].marking
-        if a is not None:
-            other_colour = len({a.colour, b.colour} - {"other"}) == 2
-            other_width = abs(a.width_m - b.width_m) > _OTHER_WIDTH_M
-            penalty[k] = _UNLIKE_M * (int(other_colour) + int(other_width))
+        a, b = shape_of(features[j]), drive.tracks[i].marking
+        other_colour = len({a.colour, b.colour} - {"other"}) == 2
+        other_width = abs(a.width_m - b.width_m) > _OTHER_WIDTH_M
+        penalty[k] = _UNLIKE_M * (int(other_colour) + int(other_width))
     return penalty
 
 
