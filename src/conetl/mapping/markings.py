@@ -18,7 +18,7 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.mapping.deltas import ended
+from conetl.mapping.deltas import not_observed
 from conetl.mapping.existence_update import is_gone, missed, observed_line
 from conetl.mapping.fusion import OffsetErrors, offset_errors
 from conetl.mapping.marking_deltas import (
@@ -37,7 +37,7 @@ from conetl.mapping.marking_deltas import (
 from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
 from conetl.mapping.marking_visibility import MarkingView
 from conetl.mapping.visibility import NotObserved
-from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 
@@ -136,9 +136,10 @@ def reconcile_markings(
         deltas.append(moved(features[j], own, one, drive, c.shift_m, c.taken, evidence_for(j, one)))
     for j in against.keys() - anew.keys():
         absence, evidence = against[j]
-        end = _unobserved(features[j], absence, evidence, j not in fixed, summaries, params)
+        summary, gone = summaries.get(features[j].feature_id), j not in fixed and is_gone(evidence, params)
+        end = not_observed(features[j], absence.first_ns, summary, evidence, gone=gone)
         deltas.append(end)
-        if end.kind is DeltaKind.REMOVED and j in seen:
+        if gone and j in seen:
             rest = _runs(states[j].seen)
             deltas += [split(confirmations[j], run, end.changed_at_ns, founding_key) for run in rest]
     for i in np.flatnonzero(sure).tolist():
@@ -242,30 +243,6 @@ def _painted_anew(
     found = c.found.only(rows)
     stretch = c.on_map.line[found.point]
     return {j: found.only(stretch == j) for j in np.unique(stretch).tolist()}
-
-
-def _unobserved(
-    feature: MapFeature,
-    absence: NotObserved,
-    evidence: ExistenceEvidence,
-    is_loose: bool,
-    summaries: Mapping[UUID, MissSummary],
-    params: ReconcileParams,
-) -> Delta:
-    """The stretch removed, from the first miss on, or missed."""
-    from_ns = absence.first_ns
-    if is_loose and is_gone(evidence, params):
-        if feature.feature_id in summaries:
-            from_ns = min(summaries[feature.feature_id].first_missed_ns, from_ns)
-        return ended(DeltaKind.REMOVED, feature, from_ns, evidence=evidence)
-    return Delta(
-        kind=DeltaKind.MISSED,
-        feature_id=feature.feature_id,
-        old=feature,
-        new=feature,
-        changed_at_ns=from_ns,
-        evidence=evidence,
-    )
 
 
 def _variance(cov_m2: Floats) -> float:
