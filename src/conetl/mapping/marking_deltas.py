@@ -44,6 +44,10 @@ class LineDrive(NamedTuple):
     """(V, 3, 3)"""
     relative_m2: Floats
     """(V, 3, 3)"""
+    shift_m: Floats
+    """(3,) what is subtracted from its positions on the map."""
+    shift_errors: OffsetErrors | None = None
+    """None where nothing is subtracted, or no stretch was observed again: the covariances then stay those of the drive."""
 
     def length_m(self, line: int) -> float:
         return float(self.lines.station_m[self.lines.line == line].max())
@@ -60,13 +64,14 @@ class Sighting(NamedTuple):
 
 
 def drive_of(markings: Sequence[MarkingTrack]) -> LineDrive:
-    """In the order of `marking_index`."""
+    """In the order of `marking_index`, with nothing subtracted."""
     tracks = sorted(markings, key=lambda track: track.marking_index)
     return LineDrive(
         tracks,
         lines_of([np.array(track.marking.vertices_m) for track in tracks]),
         cov_matrices([cov for track in tracks for cov in track.marking.cov_m2]),
         cov_matrices([cov for track in tracks for cov in track.relative_cov_m2]),
+        np.zeros(3),
     )
 
 
@@ -159,17 +164,9 @@ def confirmed(
     return deltas
 
 
-def moved(
-    feature: MapFeature,
-    found: Feet,
-    seen: Sighting,
-    drive: LineDrive,
-    shift_m: Floats,
-    offset: OffsetErrors | None,
-    evidence: ExistenceEvidence,
-) -> Delta:
+def moved(feature: MapFeature, found: Feet, seen: Sighting, drive: LineDrive, evidence: ExistenceEvidence) -> Delta:
     """A stretch that was painted anew: the drive's marking beside it, where its vertices were."""
-    new = _of_drive(found, seen, drive, shift_m, offset, feature.feature_id, feature.version + 1, evidence)
+    new = _of_drive(found, seen, drive, feature.feature_id, feature.version + 1, evidence)
     new = new.model_copy(
         update={
             "first_seen_ns": feature.first_seen_ns,
@@ -188,22 +185,14 @@ def moved(
     )
 
 
-def added(
-    found: Feet,
-    seen: Sighting,
-    drive: LineDrive,
-    shift_m: Floats,
-    offset: OffsetErrors | None,
-    founding_key: str,
-    evidence: ExistenceEvidence,
-) -> Delta:
+def added(found: Feet, seen: Sighting, drive: LineDrive, founding_key: str, evidence: ExistenceEvidence) -> Delta:
     """A new stretch. Its id follows from the marking of the drive and the station (dm) at which it begins."""
     begins_dm = round(10 * float(found.station_m[0]))
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{drive.tracks[seen.track].marking_index}/{begins_dm}")
     return Delta(
         kind=DeltaKind.ADDED,
         feature_id=feature_id,
-        new=_of_drive(found, seen, drive, shift_m, offset, feature_id, 1, evidence),
+        new=_of_drive(found, seen, drive, feature_id, 1, evidence),
         changed_at_ns=seen.first_ns,
         evidence=evidence,
     )
@@ -261,23 +250,16 @@ def stretches_of(drive: LineDrive, line: int, part_m: tuple[float, float]) -> li
 
 
 def _of_drive(
-    found: Feet,
-    seen: Sighting,
-    drive: LineDrive,
-    shift_m: Floats,
-    offset: OffsetErrors | None,
-    feature_id: UUID,
-    version: int,
-    evidence: ExistenceEvidence,
+    found: Feet, seen: Sighting, drive: LineDrive, feature_id: UUID, version: int, evidence: ExistenceEvidence
 ) -> MapFeature:
-    """Points of a drive's marking as a stretch; shift_m (3,), offset: what is subtracted from them, and its errors."""
+    """Points of a drive's marking as a stretch."""
     track = drive.tracks[seen.track]
     cov, jacobians = list(map(cov3, found.at(drive.cov_m2))), _turned_jacobians(drive, found)
-    if offset is not None:
+    if drive.shift_errors is not None:
         relative = map(cov3, found.at(drive.relative_m2))
-        in_map = [in_map_frame(*one, offset) for one in zip(cov, relative, jacobians, strict=True)]
+        in_map = [in_map_frame(*one, drive.shift_errors) for one in zip(cov, relative, jacobians, strict=True)]
         cov, jacobians = [one for one, _ in in_map], [one for _, one in in_map]
-    vertices_m = tuple(map(vec3, found.at(drive.lines.vertices_m) - shift_m))
+    vertices_m = tuple(map(vec3, found.at(drive.lines.vertices_m) - drive.shift_m))
     marking = track.marking.model_copy(update={"vertices_m": vertices_m, "cov_m2": tuple(cov)})
     return _feature(
         feature_id,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from conetl.mapping.deltas import not_observed
 from conetl.mapping.existence_update import is_gone, missed, observed_line
-from conetl.mapping.fusion import OffsetErrors, offset_errors
+from conetl.mapping.fusion import offset_errors
 from conetl.mapping.marking_deltas import (
     LineDrive,
     Sighting,
@@ -89,10 +89,6 @@ class _Comparison:
     claims: Claims
     same: Feet
     """Those of `found` that are the same marking."""
-    shift_m: Floats
-    """(3,) what is subtracted from the drive's positions."""
-    taken: OffsetErrors | None
-    """Errors of `shift_m`; None where nothing is subtracted."""
 
 
 def reconcile_markings(
@@ -133,7 +129,7 @@ def reconcile_markings(
     for j, own in anew.items():
         where = np.isin(np.flatnonzero(c.on_map.line == j), own.point)
         one = sighting(int(own.line[0]), drive, states[j].view, where)
-        deltas.append(moved(features[j], own, one, drive, c.shift_m, c.taken, evidence_for(j, one)))
+        deltas.append(moved(features[j], own, one, drive, evidence_for(j, one)))
     for j in against.keys() - anew.keys():
         absence, evidence = against[j]
         summary, gone = summaries.get(features[j].feature_id), j not in fixed and is_gone(evidence, params)
@@ -148,7 +144,7 @@ def reconcile_markings(
                 view = check_view(piece.at(drive.lines.vertices_m))
                 one = sighting(i, drive, view, np.ones(len(piece.point), bool))
                 founding = observed_line(None, None, drive.tracks[i], one.frames)
-                deltas.append(added(piece, one, drive, c.shift_m, c.taken, founding_key, founding))
+                deltas.append(added(piece, one, drive, founding_key, founding))
     return deltas
 
 
@@ -175,12 +171,13 @@ def _compared(
     penalty_m = _penalty_m(found, on_map, features, drive)
     claims = Claims(found, on_map.line)
     same = found.only(claims.claim(np.flatnonzero(near), penalty_m[near], lambda _: 1))
-    taken = None
+    errors = None
     if weight > 0 and len(same.point):
         pairs = sorted({*zip(on_map.line[same.point].tolist(), same.line.tolist(), strict=True)})
         jacobians = [drive.tracks[i].shared_jacobian for _, i in pairs]
-        taken = offset_errors([features[j] for j, _ in pairs], jacobians, weight)
-    return _Comparison(drive, features, on_map, found, near, penalty_m, claims, same, weight * offset_m, taken)
+        errors = offset_errors([features[j] for j, _ in pairs], jacobians, weight)
+    drive = drive._replace(shift_m=weight * offset_m, shift_errors=errors)
+    return _Comparison(drive, features, on_map, found, near, penalty_m, claims, same)
 
 
 def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive: LineDrive) -> Floats:
@@ -202,7 +199,7 @@ def _states(c: _Comparison, check_view: ViewCheck, params: ReconcileParams) -> d
     for j, feature in enumerate(c.features):
         own = c.on_map.line == j
         seen = observed[own]
-        view = check_view(c.on_map.vertices_m[own] + c.shift_m).after(feature.last_seen_ns)
+        view = check_view(c.on_map.vertices_m[own] + c.drive.shift_m).after(feature.last_seen_ns)
         gone = ~seen & (view.in_view.sum(axis=1) >= params.marking_min_frames)
         if seen.any() or gone.any():
             states[j] = _State(seen, gone, view)
