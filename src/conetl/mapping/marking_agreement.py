@@ -34,7 +34,8 @@ def marking_contradiction(
     stretches: those of the map around the drive; deltas: what `reconcile_markings` made of both.
     """
     kinds = Counter(delta.kind for delta in deltas)
-    return scattered(kinds, _STRETCHES) or _displaced(markings, stretches, params) or _replaced(kinds)
+    moved = scattered(kinds, _STRETCHES, "the road was painted anew")
+    return moved or _displaced(markings, stretches, params) or _replaced(kinds)
 
 
 def _displaced(
