@@ -10,7 +10,6 @@ import numpy as np
 
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import spaced
-from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.records import Drive
@@ -26,11 +25,6 @@ from conetl.tracking.trajectory import RefinedTrajectory
 
 _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
-
-
-def wants_markings(params: IngestParams) -> bool:
-    """Whether lane markings are searched for."""
-    return LANE_MARKING in params.detection.categories
 
 
 def marking_points(chunk: Chunk, part: int) -> Path:
