@@ -73,6 +73,12 @@ def test_decisions_through_the_command_line(conetl, surveyed):
     conetl("map", "revert", decided["decision_id"])
     assert len(json.loads(conetl("map", "show", "--json"))["features"]) == len(features)
 
+    assert "drum" not in conetl("map", "log", first)
+    conetl("map", "classify", first, "drum", "--note", "seen on site", "--by", "Ann")
+    log = conetl("map", "log", first)
+    assert "traffic_cone" in log and "drum" in log  # superseded and current
+    assert "Class by a person's decision: drum instead of cone" in log
+
     reverted = conetl("map", "revert", 3, "--note", "wrong GNSS")
     assert "their changes are kept" in reverted
     assert "does not count" in conetl("map", "log")
