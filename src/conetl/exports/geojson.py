@@ -76,8 +76,7 @@ def export_diff_geojson(
     """
     features = []
     for change in changes:
-        last, origin = change.new or change.old, (origins or {}).get(change.feature_id)
-        assert last is not None
+        last, origin = change.state_after, (origins or {}).get(change.feature_id)
         sides = coordinates([side.xyz_m for side in (change.old, change.new) if side is not None], srid)
         features.append(
             {

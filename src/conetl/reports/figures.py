@@ -63,7 +63,7 @@ def draw_plan_view(
     marks = []
     lines = changes_of(deltas, untouched)
     for delta in deltas:
-        if any(side is not None and side.marking is not None for side in (delta.old, delta.new)):
+        if delta.is_of_line:
             continue
         *old, at = (np.array(side.xyz_m[:2]) for side in (delta.old, delta.new) if side is not None)
         moved = delta.kind is DeltaKind.MOVED
