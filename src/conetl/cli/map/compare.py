@@ -46,7 +46,7 @@ def diff(
     settings = read_settings(map_name)
     with open_map(settings) as conn:
         info = require_map(conn, settings.map_name)
-        old, new = (state_of(conn, settings, name, lines=True) for name in (before, after))
+        old, new = state_of(conn, settings, before), state_of(conn, settings, after)
         changes = map_diff.diff(old, new)
         points = [change for change in changes if not change.is_of_line]
         origins = {} if output is None else _origins(conn, points, instants_of(conn, settings, after))
@@ -122,10 +122,10 @@ _COLUMNS: Columns = {
 }
 
 
-def state_of(conn: Connection, settings: Settings, name: str, *, lines: bool = False) -> list[MapFeature]:
-    """The cones, with `lines` the lane markings too, after a changeset, as known then, or at a time on the road, as known now."""
+def state_of(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
+    """All features after a changeset, as known then, or at a time on the road, as known now."""
     valid_at, known_at = instants_of(conn, settings, name)
-    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name, lines=lines)
+    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name, lines=True)
     return [version.feature for version in versions]
 
 

@@ -58,9 +58,9 @@ def picture(
             versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name, lines=True)
             standing, differing = [version.feature for version in versions], None
         else:
-            standing = state_of(conn, settings, changes[1], lines=True)
+            standing = state_of(conn, settings, changes[1])
             valid_at, known = instants_of(conn, settings, changes[1])
-            differing = diff(state_of(conn, settings, changes[0], lines=True), standing)
+            differing = diff(state_of(conn, settings, changes[0]), standing)
         extent = plan_extent(standing, differing) if bbox is None else _bbox(bbox, info.srid)
         content = read_plan_content(
             conn, name, info.srid, extent, standing, differing, valid_at=valid_at, known_at=known
