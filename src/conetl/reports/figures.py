@@ -75,12 +75,7 @@ def draw_plan_view(
 
 
 def plan(
-    path_m: Floats,
-    marks: Sequence[PlanMark],
-    others_m: Floats,
-    lines: Sequence[MarkingChange] = (),
-    *,
-    others_label: str,
+    path_m: Floats, marks: Sequence[PlanMark], others_m: Floats, lines: Sequence[MarkingChange], *, others_label: str
 ) -> Figure:
     """Drive path (F, 2), changes, objects without a change (M, 2), and lane markings, in the map's CRS."""
     olds = [mark.old_xy_m for mark in marks if mark.old_xy_m is not None]
