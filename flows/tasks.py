@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
@@ -53,48 +54,43 @@ class PrefectExecutor:
         self._tasks: dict[Callable[..., Any], Task[..., Any]] = {}
 
     def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        return self._task(step, step)(*map(_whole, arguments))
+        return self._task(step)(*map(self._whole, arguments))
 
     def submit(self, step: Callable[..., Any], *arguments: Any) -> PrefectFuture[Any]:
-        if self._marks:
-            return self._task(step, step).submit(*map(_whole, arguments))
-        return self._task(step, _unsealing(step)).submit(*map(_sealed, arguments))
+        return self._task(step).submit(*map(self._whole, arguments))
 
     def times(self) -> list[StepTime]:
         """Steps that ran in processes of their own are missing: their clock is a copy."""
         return self._clock.times()
 
-    def _task(self, step: Callable[..., Any], function: Callable[..., Any]) -> Task[..., Any]:
+    def _task(self, step: Callable[..., Any]) -> Task[..., Any]:
         if step not in self._tasks:
             name, run_name = _NAMES[step]
-            if function is not step and run_name is not None:
-                run_name = run_name.replace("{chunk.", "{chunk.value.").replace("{part}", "{part.value}")
+            if run_name is not None and not self._marks:
+                run_name = re.sub(r"\{(\w+)", r"{\1.value", run_name)
             self._tasks[step] = task(
-                function, name=name, task_run_name=run_name, retries=2, retry_delay_seconds=[1, 5],
-                retry_condition_fn=_may_pass, on_completion=[partial(_note, self._clock)],
+                step if self._marks else _unsealing(step), name=name, task_run_name=run_name, retries=2,
+                retry_delay_seconds=[1, 5], retry_condition_fn=_may_pass, on_completion=[partial(_note, self._clock)],
                 cache_policy=NO_CACHE,  # results are kept by content in Parquet files, see files/parquet_store.py
             )  # fmt: skip
         return self._tasks[step]
 
+    def _whole(self, argument: Any) -> Any:
+        """An argument that Prefect passes on as it is.
 
-def _whole(argument: Any) -> Any:
-    """An argument that Prefect passes on as it is.
-
-    Prefect searches all arguments for futures and states, twice for each task: every number of every record of a list. With a
-    chunk of 128 frame pairs that costs many times what the task's run itself costs, with the records of a drive seconds.
-    """
-    return argument if isinstance(argument, PrefectFuture) else opaque(argument)
+        Prefect searches all arguments for futures and states, twice for each task: every number of every record of a list. With a
+        chunk of 128 frame pairs that costs many times what the task's run itself costs, with the records of a drive seconds.
+        """
+        if isinstance(argument, PrefectFuture):
+            return argument
+        return opaque(argument) if self._marks else _Sealed(argument)
 
 
 class _Sealed:
-    """The same on its way through Dask: Prefect does not look into objects that it does not know."""
+    """An argument on its way through Dask: Prefect does not look into objects that it does not know."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
-
-
-def _sealed(argument: Any) -> Any:
-    return argument if isinstance(argument, PrefectFuture) else _Sealed(argument)
 
 
 def _unsealing(step: Callable[..., Any]) -> Callable[..., Any]:

@@ -18,7 +18,7 @@ from conetl.cli.app import app as command_line
 from conetl.db.connection import execute
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import list_changesets, read_current_features
-from conetl.pipeline.maps.decisions import PIN, decide_place
+from conetl.pipeline.maps.decisions import PIN, decide_place, revert
 from conetl.web.decisions import Writer
 from tests.browser.test_view import click_cone, settle
 from tests.chromium import HTML, HTML_NAME, nothing_of_html_happens
@@ -104,6 +104,16 @@ def test_a_cone_is_suppressed_and_comes_back(page, conn):
     page.wait_for_selector(".legend label[data-kind=suppressed]", state="detached")
     conn.rollback()
     assert list_decisions(conn) == [] and one in {str(f.feature_id) for f in read_current_features(conn)}
+
+
+def test_a_stated_class_shows_on_drives_that_were_committed_before(page, conn):
+    assert page.locator(".classes").is_hidden()  # cones alone
+    decided = decide_place(conn, "classify", the_one(conn, 4), map_name="default", category="drum")
+    page.wait_for_selector(".classes label >> text=Drum")
+    page.click("text=Any time")
+    page.wait_for_selector(".classes label >> text=Drum")
+    revert(conn, str(decided.decision_id), map_name="default")
+    page.wait_for_selector(".classes", state="hidden")
 
 
 def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):

@@ -73,6 +73,12 @@ def test_decisions_through_the_command_line(conetl, surveyed):
     conetl("map", "revert", decided["decision_id"])
     assert len(json.loads(conetl("map", "show", "--json"))["features"]) == len(features)
 
+    assert "drum" not in conetl("map", "log", first)
+    conetl("map", "classify", first, "drum", "--note", "seen on site", "--by", "Ann")
+    log = conetl("map", "log", first)
+    assert "traffic_cone" in log and "drum" in log  # superseded and current
+    assert "Class by a person's decision: drum instead of cone" in log
+
     reverted = conetl("map", "revert", 3, "--note", "wrong GNSS")
     assert "their changes are kept" in reverted
     assert "does not count" in conetl("map", "log")
@@ -152,3 +158,33 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
     assert "no other class" in conetl("map", "classify", str(line.feature_id), "drum", code=2)
     page = next(w for w in conetl("report", "drive", str(line_only.changeset.drive_id)).split() if w.endswith(".html"))
     assert "This drive did not change any cone" in Path(page).read_text()
+
+
+def test_exports_and_pictures_name_what_stands_on_the_map(conn, conetl, samples, tmp_path):
+    def written(*words):
+        return conetl("map", "export", "--out", tmp_path / "map.geojson", *words).replace("\n", " ")
+
+    def drawn():
+        out = tmp_path / "map.svg"
+        return conetl("map", "picture", out).replace("\n", " "), out.read_text()
+
+    samples.commit(conn, samples.added(samples.feature("a")), samples.added(samples.feature("b")), key="1")
+    conn.commit()
+    assert written().startswith("2 cones ->")
+    said, image = drawn()
+    assert said.startswith("2 cones, 0 lane boundaries") and "Traffic cones, map default" in image
+
+    day = samples.START_NS + samples.DAY_NS
+    drum = samples.feature("c", seen_ns=day, category="drum")
+    line = samples.line_feature(samples.marking([(458_000.0 + k, 5_428_010.0, 114.5) for k in range(5)]), seen_ns=day)
+    samples.commit(conn, samples.added(drum), samples.added(line), key="2", start_ns=day)
+    conn.commit()
+    assert written().startswith("1 drum, 2 cones ->") and "1 lane marking ->" in written()
+    assert written("--category", "drum").startswith("1 drum ->")
+    assert written("--category", "barricade").startswith("0 barricades ->")
+    assert written("--category", "lane_marking").startswith("1 lane marking ->")
+    assert written("--what", "history").startswith("3 versions ->")
+    assert conetl("map", "export", "--out", tmp_path / "map.csv").startswith("1 drum, 2 cones ->")
+    said, image = drawn()
+    assert said.startswith("1 drum, 2 cones, 1 lane marking, 0 lane boundaries") and "Map default" in image
+    assert "Traffic cones" not in image

@@ -222,6 +222,10 @@ export interface Decision {
   drive_id: string | null;
   /** Whether it is about lane markings. */
   of_line: boolean;
+  /** Of classify: the class that drives detect ... */
+  found_as: string | null;
+  /** ... and the one that the person gives it. */
+  category: string | null;
   decided_by: string | null;
   reason: string;
   decided_at: string;

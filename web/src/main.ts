@@ -388,10 +388,19 @@ function readPaths(drives: TimelineItem[]): Promise<Trajectory[]> {
 
 // --- drawing
 
+/** A drive is shown as it was committed; later decisions are marked, and classes are those that people stated. */
+function withDecisions(cones: Cone[]): Cone[] {
+  const later = (decisions?.decisions ?? []).filter((d) => d.kind === "suppress" || d.kind === "classify");
+  if (!later.length) return cones;
+  return cones.map((cone): Cone => {
+    const about = aboutFeature(later, cone.id, cone.xyz, cone.marking !== null);
+    const category = about.find((d) => d.found_as === cone.category)?.category ?? cone.category;
+    return { ...cone, category, kind: about.some((d) => d.kind === "suppress") ? "suppressed" : cone.kind };
+  });
+}
+
 function show(next: Cone[], drives: Trajectory[]): void {
-  // A drive is shown as it was committed; later decisions are marked.
-  const suppressed = state.mode === "drive" ? (decisions?.decisions ?? []).filter((d) => d.kind === "suppress") : [];
-  all = suppressed.length ? next.map((c) => (aboutFeature(suppressed, c.id, c.xyz, c.marking !== null).length ? { ...c, kind: "suppressed" } : c)) : next;
+  all = state.mode === "drive" ? withDecisions(next) : next;
   countClasses(all);
   overlays.showPaths(drives);
   stage.start();

@@ -27,6 +27,13 @@ export function lengthOf(line: Vec3[]): number {
   return line.reduce((sum, p, i) => sum + (i ? Math.hypot(p[0] - line[i - 1]![0], p[1] - line[i - 1]![1], p[2] - line[i - 1]![2]) : 0), 0);
 }
 
+/** East and north of the unit vector to the left of a line at one of its vertices. */
+export function leftAt(line: Vec3[], i: number): [number, number] {
+  const [a, b] = [line[Math.max(i - 1, 0)]!, line[Math.min(i + 1, line.length - 1)]!];
+  const length = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1;
+  return [-(b[1] - a[1]) / length, (b[0] - a[0]) / length];
+}
+
 interface Ribbon {
   line: Vec3[];
   half_m: number;
@@ -147,12 +154,11 @@ function geometryOf(ribbons: Ribbon[]): BufferGeometry {
     const rgb = colour.set(css).toArray();
     let station = start_m;
     line.forEach(([x, y, z], i) => {
-      const [a, b] = [line[Math.max(i - 1, 0)]!, line[Math.min(i + 1, line.length - 1)]!];
-      const length = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1;
+      const left = leftAt(line, i);
       if (i) station += Math.hypot(x - line[i - 1]![0], y - line[i - 1]![1], z - line[i - 1]![2]);
       for (const side of [-1, 1]) {
         position.set([x, y, z + LIFT_M], at * 3);
-        across.set([-(b[1] - a[1]) / length, (b[0] - a[0]) / length, side], at * 3);
+        across.set([...left, side], at * 3);
         along[at] = station;
         tint.set(rgb, at * 3);
         shape.set([half_m, least_px, dash_m, period_m], at * 4);

@@ -6,6 +6,7 @@ import {
 import type { HistoryItem, Sighting, Trajectory, Vec3 } from "./api";
 import { el } from "./dom";
 import type { Cone } from "./kinds";
+import { leftAt } from "./markings";
 import type { Stage } from "./scene";
 import { colours, colourVariable, onTheme } from "./theme";
 
@@ -152,9 +153,8 @@ function geometry(points: Vec3[]): BufferGeometry {
 /** A line at an offset to its left. */
 function beside(line: Vec3[], left_m: number): Vec3[] {
   return line.map(([x, y, z], i) => {
-    const [a, b] = [line[Math.max(i - 1, 0)]!, line[Math.min(i + 1, line.length - 1)]!];
-    const share = left_m / (Math.hypot(b[0] - a[0], b[1] - a[1]) || 1);
-    return [x - (b[1] - a[1]) * share, y + (b[0] - a[0]) * share, z];
+    const [east, north] = leftAt(line, i);
+    return [x + left_m * east, y + left_m * north, z];
   });
 }
 

@@ -25,7 +25,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
-from conetl.model.feature_classes import CONE
+from conetl.model.feature_classes import CONE, noun_of
 from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, what_to_do
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
@@ -236,6 +236,11 @@ def class_if_mixed(columns: Columns, categories: Collection[str]) -> Columns:
 def counted(count: int, noun: str) -> str:
     """`1 cone`, `2 cones`."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def counted_by_class(classes: Mapping[str, int]) -> str:
+    """By category: `1 drum, 2 cones`; of nothing `0 cones`."""
+    return ", ".join(counted(count, noun_of(name)) for name, count in sorted(classes.items())) or counted(0, "cone")
 
 
 def parse_instant(text: str | None) -> datetime | None:

@@ -31,7 +31,7 @@ class Format:
     suffix: str
     order: Order
     entry_point: str
-    """`module:function` in this package. The function writes all rows of some sources to a path; the number of rows of each."""
+    """`module:function` in this package. The function writes all rows of some sources to a path."""
     geographic: bool = False
     """WGS 84 longitude and latitude instead of the map's CRS."""
     one_geometry: bool = False
@@ -50,9 +50,9 @@ FORMATS = {
 }
 
 
-def writer_of(file_format: str) -> Callable[[Sequence[Source], Path], list[int]]:
+def writer_of(file_format: str) -> Callable[[Sequence[Source], Path], None]:
     """The function that writes a format of `FORMATS`."""
     module, function = FORMATS[file_format].entry_point.split(":")
     return cast(
-        "Callable[[Sequence[Source], Path], list[int]]", getattr(import_module(f"conetl.exports.{module}"), function)
+        "Callable[[Sequence[Source], Path], None]", getattr(import_module(f"conetl.exports.{module}"), function)
     )

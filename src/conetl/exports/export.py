@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -44,13 +46,17 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
             beside = [one.with_name(one.name + ".manifest.json") for one in paths]
             with atomic_files(*paths, *beside) as written:
                 files, manifest_files = written[: len(paths)], written[len(paths) :]
-                rows = [writer_of(file_format)(group, file) for group, file in zip(groups, files, strict=True)]
+                for group, file in zip(groups, files, strict=True):
+                    writer_of(file_format)(group, file)
                 manifests = [
-                    _manifest(group[0], file_format, chosen, file, sum(counts))
-                    for group, file, counts in zip(groups, files, rows, strict=True)
+                    _manifest(group, file_format, chosen, file) for group, file in zip(groups, files, strict=True)
                 ]
                 if len(sources) > 1:
-                    lines = {"file": files[-1].name, "rows": rows[-1][-1], "columns": sources[-1].property_names}
+                    lines = {
+                        "file": files[-1].name,
+                        "rows": sources[-1].counts.total(),
+                        "columns": sources[-1].property_names,
+                    }
                     manifests[0]["lane_markings"] = lines
                 for manifest, file in zip(manifests, manifest_files, strict=True):
                     file.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
@@ -62,7 +68,9 @@ def lines_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_lane_markings{path.suffix}")
 
 
-def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows: int) -> dict[str, Any]:
+def _manifest(sources: Sequence[Source], file_format: str, chosen: Format, file: Path) -> dict[str, Any]:
+    """Of a file that holds all rows of the sources."""
+    source, counts = sources[0], sum((one.counts for one in sources), Counter[str]())
     request = source.request
     facts = execute(source.conn, load_sql("exports.facts"), {"map_name": request.map_name})[0]
     return {
@@ -71,7 +79,8 @@ def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows
         "format": file_format,
         "sha256": _sha256(file),
         "bytes": file.stat().st_size,
-        "rows": rows,
+        "rows": counts.total(),
+        "rows_by_class": dict(sorted(counts.items())),
         "what": str(request.what),
         "map": request.map_name,
         "as_of": _text(request.as_of),

@@ -31,21 +31,21 @@ Object = dict[str, Any]
 def export_geojson(conn: Connection, path: Path, *, map_name: str = "default") -> int:
     """Write the standing features as GeoJSON without a manifest; their number. See `write_features`."""
     with open_source(conn, ExportRequest(map_name)) as sources, atomic_files(path) as (file,):
-        return sum(write_features(sources, file))
+        write_features(sources, file)
+        return sum(source.counts.total() for source in sources)
 
 
-def write_features(sources: Sequence[Source], path: Path) -> list[int]:
-    """Write one Feature per row and line of the file; the number of rows of each source. The same map gives the same bytes.
+def write_features(sources: Sequence[Source], path: Path) -> None:
+    """Write one Feature per row and line of the file. The same map gives the same bytes.
 
     Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). A feature's id is that of the cone, except in
     a history, where a cone has several rows. Lane markings are lines.
     """
-    counts = []
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write('{"type": "FeatureCollection", "features": [')
+        separator = "\n"
         for source in sources:
             with_id = source.request.what is not What.HISTORY
-            counts.append(0)
             for row in rows_of(source):
                 place = [(row.lon_deg, row.lat_deg, row.ellipsoidal_height_m)] if row.line is None else row.line
                 feature = {
@@ -54,11 +54,9 @@ def write_features(sources: Sequence[Source], path: Path) -> list[int]:
                     "geometry": _line_or_point([_rounded(*vertex) for vertex in place]),
                     "properties": row.properties,
                 }
-                file.write(",\n" if any(counts) else "\n")
-                file.write(json.dumps(feature, allow_nan=False))
-                counts[-1] += 1
+                file.write(separator + json.dumps(feature, allow_nan=False))
+                separator = ",\n"
         file.write("\n]}\n")
-    return counts
 
 
 class ChangeOrigin(NamedTuple):
@@ -78,8 +76,7 @@ def export_diff_geojson(
     """
     features = []
     for change in changes:
-        last, origin = change.new or change.old, (origins or {}).get(change.feature_id)
-        assert last is not None
+        last, origin = change.state_after, (origins or {}).get(change.feature_id)
         sides = coordinates([side.xyz_m for side in (change.old, change.new) if side is not None], srid)
         features.append(
             {

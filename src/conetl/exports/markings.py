@@ -1,11 +1,9 @@
-"""How lane markings are drawn: the paint's colour, dashes in their true lengths, and the words for one."""
+"""How lane markings are drawn: the paint's colour, and dashes in their true lengths."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from conetl.model.markings import Marking
 
 #: #rrggbb of the paint by `Marking.colour`. A test compares them with web/src/markings.ts.
 PAINT = {"white": "#ffffff", "yellow": "#f2b705", "other": "#9aa5b0"}
@@ -31,11 +29,3 @@ def dashes_of(vertices_m: ArrayLike, dash_m: float | None, gap_m: float | None) 
             at = np.concatenate([[low], station[(station > low) & (station < high)], [high]])
             parts.append(np.stack([np.interp(at, station, axis) for axis in line.T], axis=1))
     return parts
-
-
-def described(marking: Marking) -> str:
-    """`white, dashed 3.0 m with gaps of 9.0 m, 0.12 m wide`."""
-    pattern: str = marking.pattern
-    if marking.dash_m is not None:
-        pattern = f"dashed {marking.dash_m:.1f} m with gaps of {marking.gap_m:.1f} m"
-    return f"{marking.colour}, {pattern}, {marking.width_m:.2f} m wide"

@@ -42,9 +42,8 @@ Object = dict[str, Any]
 Point = tuple[float, float, float]
 
 
-def write_scene(sources: Sequence[Source], path: Path) -> list[int]:
-    """Write the scene; the number of rows of each source."""
-    counts = [0] * len(sources)
+def write_scene(sources: Sequence[Source], path: Path) -> None:
+    """Write the scene."""
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="", library="conetl")
@@ -56,22 +55,20 @@ def write_scene(sources: Sequence[Source], path: Path) -> list[int]:
             for topic, schema in (topics | {"/tf": FRAME_TRANSFORM, "/origin": LOCATION_FIX}).items()
         )
         origin: Point | None = None
-        for k, source in enumerate(sources):
+        for scene, source in zip(scenes, sources, strict=True):
             for instant_us, group in groupby(_rows(source), key=lambda row: row["instant_us"]):
                 while chunk := list(islice(group, _MESSAGE_ROWS)):
                     messages: list[tuple[int, Object]] = []
                     if origin is None:
                         origin = _origin(chunk[0])
                         messages += zip((frame, place), _origin_messages(origin, source, instant_us), strict=True)
-                    messages.append((scenes[k], _scene(chunk, origin, source.request.what)))
+                    messages.append((scene, _scene(chunk, origin, source.request.what)))
                     for channel, message in messages:
                         data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
                         writer.add_message(
                             channel, log_time=instant_us * 1000, publish_time=instant_us * 1000, data=data
                         )
-                    counts[k] += len(chunk)
         writer.finish()  # type: ignore[no-untyped-call]
-    return counts
 
 
 def _rows(source: Source) -> Iterator[Object]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -145,6 +146,11 @@ class Source:
         return Transformer.from_crs(self.epsg[0], 4326, always_xy=True)
 
     @cached_property
+    def counts(self) -> Counter[str]:
+        """Rows that were read from `batches`, by category."""
+        return Counter()
+
+    @cached_property
     def batches(self) -> Generator[pa.RecordBatch]:
         """All rows once, `BATCH_ROWS` at a time, with `schema`."""
         return self._read()
@@ -175,6 +181,7 @@ class Source:
     def _derived(self, batch: pa.RecordBatch) -> pa.RecordBatch:
         """The rows with positions and sigmas in `crs`, and the columns that follow from others."""
         columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+        self.counts.update({one["values"]: one["counts"] for one in columns["category"].value_counts().to_pylist()})
         ground_m = _floats(columns["ellipsoidal_height_m"])
         old_ground_m = _floats(columns["old_height_m"]) if "old_height_m" in columns else None
         if self.epsg != (self.info.srid, None):

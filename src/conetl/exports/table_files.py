@@ -35,15 +35,14 @@ _REPEATED = (
 )  # fmt: skip
 
 
-def write_geoparquet(sources: Sequence[Source], path: Path) -> list[int]:
-    """Write GeoParquet 1.1 (https://geoparquet.org/releases/v1.1.0/), one row group per batch; the number of rows.
+def write_geoparquet(sources: Sequence[Source], path: Path) -> None:
+    """Write GeoParquet 1.1 (https://geoparquet.org/releases/v1.1.0/), one row group per batch.
 
     Rows follow a Hilbert curve and carry their box in the column `bbox`, so that a reader finds a street by the statistics of the
     row groups.
     """
     [source] = sources
     schema = _property_schema(source).append(pa.field("bbox", _BBOX)).append(pa.field(GEOMETRY, pa.binary()))
-    count = 0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     repeated = [name for name in _REPEATED if name in schema.names]
     with pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=repeated) as writer:
@@ -52,33 +51,32 @@ def write_geoparquet(sources: Sequence[Source], path: Path) -> list[int]:
             sides = [pa.array(corner[:, k]) for corner in (lows_m, highs_m) for k in range(3)]
             boxes = pa.StructArray.from_arrays(sides, fields=list(_BBOX))
             writer.write_batch(pa.record_batch([*batch.columns, boxes, wkb], schema=schema), row_group_size=len(wkb))
-            count += len(wkb)
         column: dict[str, Any] = {
             "encoding": "WKB",
             "geometry_types": [_geometry_type(source)],
             "crs": source.crs.to_json_dict(),
             "covering": {"bbox": {side: ["bbox", side] for side in _SIDES}},
         }
-        if count:
+        if np.isfinite(low).all():
             column["bbox"] = [*low.tolist(), *high.tolist()]
         geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
         writer.add_key_value_metadata({"geo": json.dumps(geo)})
-    return [count]
 
 
-def write_geopackage(sources: Sequence[Source], path: Path) -> list[int]:
-    """Write a GeoPackage (OGC 12-128r19); the number of rows of each source. See `_write_by_gdal`."""
-    return [_write_by_gdal(source, path, "GPKG") for source in sources]
+def write_geopackage(sources: Sequence[Source], path: Path) -> None:
+    """Write a GeoPackage (OGC 12-128r19). See `_write_by_gdal`."""
+    for source in sources:
+        _write_by_gdal(source, path, "GPKG")
 
 
-def write_flatgeobuf(sources: Sequence[Source], path: Path) -> list[int]:
-    """Write FlatGeobuf; the number of rows. Its index takes about 100 bytes of memory per row. See `_write_by_gdal`."""
+def write_flatgeobuf(sources: Sequence[Source], path: Path) -> None:
+    """Write FlatGeobuf. Its index takes about 100 bytes of memory per row. See `_write_by_gdal`."""
     [source] = sources
-    return [_write_by_gdal(source, path, "FlatGeobuf")]
+    _write_by_gdal(source, path, "FlatGeobuf")
 
 
-def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
-    """Write one layer in the map's CRS with a spatial index; the number of rows.
+def _write_by_gdal(source: Source, path: Path, driver: str) -> None:
+    """Write one layer in the map's CRS with a spatial index.
 
     Points are in a layer named like the map, lines in `lane_markings` (of a map with this name, `lane_markings_lines`).
 
@@ -86,7 +84,6 @@ def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
     and exactly in a column with the suffix `_us`, as microseconds since 1970 (UTC). Raises InputError where the file cannot be
     written.
     """
-    count = 0
     failure: list[BaseException] = []
     fields = [pa.field(GEOMETRY, pa.binary())]
     for field in _property_schema(source):
@@ -97,10 +94,8 @@ def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
     schema = pa.schema(fields)
 
     def batches() -> Iterator[pa.RecordBatch]:
-        nonlocal count
         try:
             for batch, wkb, _, _ in _geometries_of(source):
-                count += len(wkb)
                 columns = [wkb]
                 for column in batch.columns:
                     if pa.types.is_timestamp(column.type):
@@ -124,7 +119,6 @@ def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
         if failure:
             raise failure[0] from None
         raise InputError(f"{path.name} cannot be written ({error}): free space or choose another file.") from error
-    return count
 
 
 def _property_schema(source: Source) -> pa.Schema:

@@ -6,8 +6,7 @@ import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import count as count_from
-from itertools import repeat
+from itertools import count, repeat
 from pathlib import Path
 from typing import Any, TextIO
 from xml.sax.saxutils import quoteattr
@@ -82,13 +81,12 @@ def _lines_of(source: Source, batch: pa.RecordBatch) -> list[Line]:
     return lines
 
 
-def write_csv(sources: Sequence[Source], path: Path) -> list[int]:
-    """Write one line per row; the number of rows. Null values (`valid_to` while open) are empty.
+def write_csv(sources: Sequence[Source], path: Path) -> None:
+    """Write one line per row. Null values (`valid_to` while open) are empty.
 
     Lane markings have their line in the column `WKT`, as GDAL and QGIS read it.
     """
     [source] = sources
-    count = 0
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*names_of(source), *_CSV_POSITION, *(["WKT"] if source.lines else [])])
@@ -98,23 +96,19 @@ def write_csv(sources: Sequence[Source], path: Path) -> list[int]:
             vertices = [f"{lon:.9f} {lat:.9f} {height:.4f}" for lon, lat, height in row.line or ()]
             wkt = [f"LINESTRING Z ({', '.join(vertices)})"] if vertices else []
             writer.writerow([*row.properties.values(), *degrees, *metres, *wkt])
-            count += 1
-    return [count]
 
 
-def write_lanelet2(sources: Sequence[Source], path: Path) -> list[int]:
-    """Write one OSM node per point, for Lanelet2 and JOSM, with the properties as tags; the number of rows of each source.
+def write_lanelet2(sources: Sequence[Source], path: Path) -> None:
+    """Write one OSM node per point, for Lanelet2 and JOSM, with the properties as tags.
 
     A lane marking is a way: type `line_thin`, subtype `solid` or `dashed`, and `width`, as Lanelet2 tags linestrings. Ids are
     negative, so they never collide with those of a lanelet map, and `upload='never'` keeps the cones out of OpenStreetMap.
     `ele` is the ellipsoidal height; `local_x` and `local_y` are easting and northing in the map's CRS.
     """
-    counts = []
-    ids = count_from(1)
+    ids = count(1)
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write("<?xml version='1.0' encoding='UTF-8'?>\n<osm version='0.6' generator='conetl' upload='never'>\n")
         for source in sources:
-            counts.append(0)
             for row in rows_of(source):
                 tags = {name: value for name, value in row.properties.items() if value is not None}
                 if row.line is None:
@@ -130,9 +124,7 @@ def write_lanelet2(sources: Sequence[Source], path: Path) -> list[int]:
                     kind = {"type": "line_thin", "subtype": tags["pattern"], "width": tags["width_m"]}
                     _write_tags(file, kind | tags)
                     file.write("  </way>\n")
-                counts[-1] += 1
         file.write("</osm>\n")
-    return counts
 
 
 def _write_node(file: TextIO, number: int, position: Sequence[float], kind: Tags, tags: Tags) -> None:

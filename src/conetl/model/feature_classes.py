@@ -59,7 +59,6 @@ FEATURE_CLASSES = {
     ),
 }
 """By category; of a category that is not here nothing is located. The height of a marking is the thickness of its paint."""
-POINT_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "point")
 LINE_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "line")
 
 

@@ -77,13 +77,31 @@ class ExistenceEvidence(Record):
     """Frame pairs in which its location was visible and empty; 0 where the drive observed it."""
 
 
-class Delta(Record):
-    """Old -> new state of one feature; `new` is None where it ended."""
+class _OldAndNew(Record):
+    """Old -> new state of one feature; `old` is None where it began, `new` where it ended."""
 
     kind: DeltaKind
     feature_id: UUID
     old: MapFeature | None = None
     new: MapFeature | None = None
+
+    @property
+    def state_after(self) -> MapFeature:
+        """The new state; the last one of a feature that ended."""
+        state = self.new or self.old
+        if state is None:
+            raise ValueError(f"the change of feature {self.feature_id} has neither old nor new")
+        return state
+
+    @property
+    def is_of_line(self) -> bool:
+        """Whether the feature is a line."""
+        return self.state_after.marking is not None
+
+
+class Delta(_OldAndNew):
+    """What one drive changes of one feature, or confirms."""
+
     track_index: int | None = None
     changed_at_ns: int
     """When this became true on the road, as far as the drive shows."""
@@ -99,19 +117,6 @@ class Delta(Record):
         if (self.old is not None, self.new is not None) != wanted:
             raise ValueError(f"a delta of kind {self.kind} has old/new = {wanted}")
         return self
-
-    @property
-    def state_after(self) -> MapFeature:
-        """The feature after the delta; the last state of one that ended."""
-        state = self.new or self.old
-        if state is None:
-            raise ValueError(f"the delta of feature {self.feature_id} has neither old nor new")
-        return state
-
-    @property
-    def is_of_line(self) -> bool:
-        """Whether the feature is a line."""
-        return self.state_after.marking is not None
 
     @property
     def is_change(self) -> bool:
@@ -141,16 +146,12 @@ class ImportedFeature(Record):
     stated_version: int | None = None
 
 
-class FeatureChange(Record):
+class FeatureChange(_OldAndNew):
     """Difference of one feature between two states of a map.
 
     `confirmed`: the same position with other values; `missed`: the same version with a lower existence probability.
     """
 
-    kind: DeltaKind
-    feature_id: UUID
-    old: MapFeature | None
-    new: MapFeature | None
     shift_m: NonNegative | None
 
 

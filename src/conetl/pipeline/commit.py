@@ -214,9 +214,7 @@ def _changeset(drive: Drive, map_name: str, identity: Identity) -> Changeset:
 
 
 def _line(delta: Delta) -> ChangeLine:
-    feature = delta.new or delta.old
-    if feature is None:
-        raise ValueError("a delta has an old or a new side")
+    feature = delta.state_after
     return ChangeLine(
         kind=delta.kind,
         feature_id=delta.feature_id,

@@ -153,22 +153,15 @@ def reasons_of(
     rows: with the columns of serving.feature_history that `ChangeFacts` needs. feature_id: of all of them; None where each row
     has its own.
     """
-    tracks = [
-        (row["drive_uuid"], row["track_index"])
-        for row in rows
-        if row["track_index"] is not None and row["category"] not in LINE_CLASSES
-    ]
+    points = [row for row in rows if row["category"] not in LINE_CLASSES]  # tracks of lines are numbered by themselves
+    tracks = [(row["drive_uuid"], row["track_index"]) for row in points if row["track_index"] is not None]
     ranges = store.track_ranges(conn, list(dict.fromkeys(tracks)))
-    absences = [
-        row
-        for row in reversed(rows)
-        if row["kind"] in (DeltaKind.REMOVED, DeltaKind.MISSED) and row["category"] not in LINE_CLASSES
-    ]
+    absences = [row for row in reversed(points) if row["kind"] in (DeltaKind.REMOVED, DeltaKind.MISSED)]
     absences = sorted(absences, key=lambda row: row["kind"] == DeltaKind.MISSED)[:_MAX_ABSENCES]
     with_range = {id(row) for row in absences}
     sentences = []
     for row in rows:
-        is_line = row["category"] in LINE_CLASSES  # its track is another one's number
+        is_line = row["category"] in LINE_CLASSES
         found = None if is_line else ranges.get((row["drive_uuid"], row["track_index"]))
         near_m, far_m, frames = found or (None, None, None)
         range_m = (near_m, far_m) if near_m is not None and far_m is not None else None

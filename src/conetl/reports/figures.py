@@ -63,7 +63,7 @@ def draw_plan_view(
     marks = []
     lines = changes_of(deltas, untouched)
     for delta in deltas:
-        if any(side is not None and side.marking is not None for side in (delta.old, delta.new)):
+        if delta.is_of_line:
             continue
         *old, at = (np.array(side.xyz_m[:2]) for side in (delta.old, delta.new) if side is not None)
         moved = delta.kind is DeltaKind.MOVED
@@ -75,12 +75,7 @@ def draw_plan_view(
 
 
 def plan(
-    path_m: Floats,
-    marks: Sequence[PlanMark],
-    others_m: Floats,
-    lines: Sequence[MarkingChange] = (),
-    *,
-    others_label: str,
+    path_m: Floats, marks: Sequence[PlanMark], others_m: Floats, lines: Sequence[MarkingChange], *, others_label: str
 ) -> Figure:
     """Drive path (F, 2), changes, objects without a change (M, 2), and lane markings, in the map's CRS."""
     olds = [mark.old_xy_m for mark in marks if mark.old_xy_m is not None]

@@ -226,28 +226,24 @@ def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     return draw_markings(axes, shown)
 
 
-def _is_point(feature: MapFeature | None) -> bool:
-    return feature is not None and feature.marking is None
-
-
 def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     """Draw cones and changes; their lines of the legend."""
-    changes = [change for change in content.changes or () if _is_point(change.new or change.old)]
+    changes = [change for change in content.changes or () if not change.is_of_line]
     changed = {change.feature_id for change in content.changes or ()}
-    rest = [feature for feature in content.standing if feature.feature_id not in changed and _is_point(feature)]
+    rest = [feature for feature in content.standing if feature.feature_id not in changed and feature.marking is None]
     label = "unchanged" if content.changes is not None else STANDING.label
     handles = [_mark(axes, rest, STANDING._replace(label=label), box, 4)]
     for level, (kind, style) in enumerate(KIND_MARKS.items(), 5):
         these = [change for change in changes if change.kind == kind]
-        handles.append(_mark(axes, [c.new or c.old for c in these], style, box, level))
+        handles.append(_mark(axes, [c.state_after for c in these], style, box, level))
         if kind is DeltaKind.MOVED:
             _arrows(axes, these, style.colour, box)
     return [handle for handle in reversed(handles) if handle is not None]
 
 
-def _mark(axes: Axes, cones: Sequence[MapFeature | None], style: KindMark, box: Bbox, level: int) -> Line2D | None:
+def _mark(axes: Axes, cones: Sequence[MapFeature], style: KindMark, box: Bbox, level: int) -> Line2D | None:
     """Draw the markers of one kind; its line of the legend counts those inside the picture."""
-    positions = np.array([cone.xyz_m[:2] for cone in cones if cone is not None]).reshape(-1, 2)
+    positions = np.array([cone.xyz_m[:2] for cone in cones]).reshape(-1, 2)
     inside = positions[_inside(positions, box)]
     if not len(inside):
         return None

@@ -42,9 +42,8 @@ def changes_of(deltas: Iterable[Delta | FeatureChange], untouched: Iterable[MapF
     """Those of them that are lane markings."""
     found = [_change(one.marking, None, None) for one in untouched if one.marking is not None]
     for delta in deltas:
-        state = delta.new or delta.old
-        if state is not None and state.marking is not None:
-            found.append(_change(state.marking, delta.kind, delta.old.marking if delta.old else None))
+        if (shape := delta.state_after.marking) is not None:
+            found.append(_change(shape, delta.kind, delta.old.marking if delta.old else None))
     return found
 
 

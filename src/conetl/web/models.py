@@ -284,6 +284,10 @@ class Decision(Answer):
     """Drive of a changeset that is reverted or on hold."""
     of_line: bool
     """Of suppress and pin: whether it is about lane markings, else about point objects."""
+    found_as: str | None
+    """Of classify: the class that drives detect ..."""
+    category: str | None
+    """... and the one that the person gives it."""
     decided_by: str | None
     reason: str
     decided_at: datetime

@@ -13,7 +13,7 @@ from conetl.evaluation.markings import TRUTH_FILE, compare_markings, marking_fig
 from conetl.evaluation.truth import read_truth, read_truth_cones
 from conetl.geometry.packing import cov3
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import FEATURE_CLASSES, POINT_CLASSES
+from conetl.model.feature_classes import FEATURE_CLASSES, LINE_CLASSES
 from conetl.model.markings import Marking
 from conetl.simulation.mixed_world import mixed_pass
 from conetl.simulation.scenario import RoadMarking, painted_lines
@@ -47,7 +47,7 @@ def test_truth_holds_every_class_within_its_heights_where_it_stands(seed: int, t
     day = mixed_pass(seed, 2)
     write_truth(tmp_path, day)
     rows = read_truth(tmp_path / "truth.csv")
-    assert {row.category for row in rows} == set(POINT_CLASSES)
+    assert {row.category for row in rows} == set(FEATURE_CLASSES) - set(LINE_CLASSES)
     in_road = np.linalg.inv(map_SE3_road())
     by_id = {one.object_id: one for one in day.world.objects if one.object_id}
     for row in rows:

@@ -46,9 +46,9 @@ def diff(
     settings = read_settings(map_name)
     with open_map(settings) as conn:
         info = require_map(conn, settings.map_name)
-        old, new = (state_of(conn, settings, name, lines=True) for name in (before, after))
+        old, new = state_of(conn, settings, before), state_of(conn, settings, after)
         changes = map_diff.diff(old, new)
-        points = [change for change in changes if _last(change).marking is None]
+        points = [change for change in changes if not change.is_of_line]
         origins = {} if output is None else _origins(conn, points, instants_of(conn, settings, after))
     if output is not None:
         export_diff_geojson(points, output, srid=info.srid, origins=origins)
@@ -69,11 +69,11 @@ def diff(
     if as_json:
         print_json(changes)
         return
-    lines = [change for change in changes if _last(change).marking is not None]
+    lines = [change for change in changes if change.is_of_line]
     say(_counts(points) or ("No differences." if not lines else "No differences of cones."))
     if lines:
         say(f"Lane markings: {_counts(lines)}")
-    columns = class_if_mixed(_COLUMNS, {_last(change).category for change in changes})
+    columns = class_if_mixed(_COLUMNS, {change.state_after.category for change in changes})
     print_records("", columns, changes, numbers_from=2)
     if output is not None:
         say(f"{len(points)} changes -> {output}")
@@ -109,29 +109,23 @@ def _counts(changes: Sequence[FeatureChange]) -> str:
     return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
 
 
-def _last(change: FeatureChange) -> MapFeature:
-    feature = change.new or change.old
-    assert feature is not None
-    return feature
-
-
 _COLUMNS: Columns = {
     "change": lambda change: str(change.kind),
     "feature": "feature_id",
-    "class": lambda change: _last(change).category,
-    "easting m": lambda change: _last(change).xyz_m[0],
-    "northing m": lambda change: _last(change).xyz_m[1],
-    "height m": lambda change: _last(change).xyz_m[2],
+    "class": "state_after.category",
+    "easting m": lambda change: change.state_after.xyz_m[0],
+    "northing m": lambda change: change.state_after.xyz_m[1],
+    "height m": lambda change: change.state_after.xyz_m[2],
     "shift m": "shift_m",
     "old": lambda change: change.old and change.old.version,
     "new": lambda change: change.new and change.new.version,
 }
 
 
-def state_of(conn: Connection, settings: Settings, name: str, *, lines: bool = False) -> list[MapFeature]:
-    """The cones, with `lines` the lane markings too, after a changeset, as known then, or at a time on the road, as known now."""
+def state_of(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
+    """All features after a changeset, as known then, or at a time on the road, as known now."""
     valid_at, known_at = instants_of(conn, settings, name)
-    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name, lines=lines)
+    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name, lines=True)
     return [version.feature for version in versions]
 
 

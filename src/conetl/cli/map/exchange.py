@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
-from conetl.cli.console import JsonOption, MapOption, answer, counted, note, parse_instant, parse_time
+from conetl.cli.console import JsonOption, MapOption, answer, counted, counted_by_class, note, parse_instant, parse_time
 from conetl.cli.database import open_map, open_maps
 from conetl.cli.map import work_zones
 from conetl.db.map.import_store import read_licence, set_licence
@@ -24,7 +24,7 @@ from conetl.files.documents import first_message
 from conetl.geometry.geodesy import check_map_srid
 from conetl.geometry.heights import map_crs
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import FEATURE_CLASSES, LANE_MARKING, noun_of
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LANE_MARKING, noun_of
 from conetl.model.params import ImportParams
 from conetl.pipeline.maps.work_zones import export_wzdx
 from conetl.pipeline.settings import read_settings
@@ -32,7 +32,6 @@ from conetl.pipeline.settings import read_settings
 #: Formats of work zones instead of single cones (`work_zones.py`).
 WZDX, WZDX_DEVICES = "wzdx", "wzdx-devices"
 ALL_FORMATS = (*FORMATS, WZDX, WZDX_DEVICES)
-_NOUNS = {What.FEATURES: "cone", What.HISTORY: "version", What.CHANGES: "change"}
 
 
 def export(
@@ -106,12 +105,13 @@ def export(
     with open_map(settings) as conn:
         manifest = export_map(conn, output, file_format, request)
     rows, lines = manifest["rows"], manifest.get("lane_markings")
-    noun = noun_of(category) if category and what is What.FEATURES else _NOUNS[what]
-    text = f"{counted(rows, noun)} -> {output}"
-    if lines is not None:  # all rows are in one file, or each file has its own
-        points = rows - lines["rows"] if lines["file"] == output.name else rows
-        text = f"{counted(points, noun)} -> {output}\n"
-        text += f"{counted(lines['rows'], noun_of(LANE_MARKING))} -> {output.with_name(lines['file'])}"
+    first = {name: count for name, count in manifest["rows_by_class"].items() if lines is None or name != LANE_MARKING}
+    if what is What.FEATURES:
+        text = f"{counted_by_class(first or {category or CONE: 0})} -> {output}"
+    else:
+        text = f"{counted(sum(first.values()), 'version' if what is What.HISTORY else 'change')} -> {output}"
+    if lines is not None:
+        text += f"\n{counted(lines['rows'], noun_of(LANE_MARKING))} -> {output.with_name(lines['file'])}"
     answer(as_json, {"written": str(output), what.value: rows, "manifest": manifest}, text)
 
 

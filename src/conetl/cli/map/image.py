@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated
@@ -10,13 +11,13 @@ from typing import Annotated
 import typer
 from pyproj import Transformer
 
-from conetl.cli.console import JsonOption, MapOption, answer, counted, parse_instant
+from conetl.cli.console import JsonOption, MapOption, answer, counted, counted_by_class, parse_instant
 from conetl.cli.database import open_map
 from conetl.cli.map.compare import instants_of, state_of
 from conetl.db.map.map_store import read_features_as_of, require_map
 from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import LANE_MARKING, noun_of
+from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
 from conetl.pipeline.settings import read_settings
 from conetl.reports.map_picture import SUFFIXES, Bbox, draw_map_picture, plan_extent, read_plan_content
 
@@ -57,25 +58,27 @@ def picture(
             versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name, lines=True)
             standing, differing = [version.feature for version in versions], None
         else:
-            standing = state_of(conn, settings, changes[1], lines=True)
+            standing = state_of(conn, settings, changes[1])
             valid_at, known = instants_of(conn, settings, changes[1])
-            differing = diff(state_of(conn, settings, changes[0], lines=True), standing)
+            differing = diff(state_of(conn, settings, changes[0]), standing)
         extent = plan_extent(standing, differing) if bbox is None else _bbox(bbox, info.srid)
         content = read_plan_content(
             conn, name, info.srid, extent, standing, differing, valid_at=valid_at, known_at=known
         )
+    classes = Counter(feature.category for feature in standing)
+    painted = classes.pop(LANE_MARKING, 0)
     if title is None:
-        title = f"Traffic cones, map {name}" + (f": changes from {changes[0]} to {changes[1]}" if changes else "")
+        drawn = [*standing, *(change.old for change in differing or () if change.old is not None)]
+        title = f"Traffic cones, map {name}" if {one.category for one in drawn} <= {CONE} else f"Map {name}"
+        title += f": changes from {changes[0]} to {changes[1]}" if changes else ""
     footer = _footer(valid_at, known, changes, info.last_committed_at)
     done = draw_map_picture(output, content, extent, size_mm=size_mm, title=title, footer=footer)
     lines, points = len(content.lines_m), len(content.points_m)
-    painted = sum(feature.marking is not None for feature in standing)
-    cones = len(standing) - painted
-    facts = {"picture": str(done), "cones": cones, "changes": None if differing is None else len(differing)}
+    facts = {"picture": str(done), "cones": classes.total(), "changes": None if differing is None else len(differing)}
     facts |= {"lines": lines, "points": points, "bbox": extent}
     if painted:
         facts["lane_markings"] = painted
-    shown = f"{cones} cones, " + (f"{counted(painted, noun_of(LANE_MARKING))}, " if painted else "")
+    shown = f"{counted_by_class(classes)}, " + (f"{counted(painted, noun_of(LANE_MARKING))}, " if painted else "")
     answer(as_json, facts, f"{shown}{lines} lane boundaries, {points} points -> {done}")
 
 

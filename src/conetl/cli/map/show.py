@@ -18,18 +18,21 @@ from conetl.cli.console import (
     cell,
     class_if_mixed,
     counted,
+    counted_by_class,
     parse_instant,
     print_json,
     print_records,
     say,
 )
 from conetl.cli.database import open_map
+from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, FeatureLogEntry
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import noun_of
 from conetl.model.health import HoldEvent
+from conetl.model.map_records import Classification
 from conetl.model.markings import Marking
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.settings import read_settings
@@ -100,8 +103,7 @@ def show(
         when = f" as of {as_of}" if as_of else ""
         changesets = counted(summary.changeset_count, "changeset")
         classes = Counter(version.feature.category for version in versions)
-        objects = [counted(count, noun_of(name)) for name, count in sorted(classes.items())] or [counted(0, "cone")]
-        say(f"Map {summary.map_name}, EPSG:{summary.srid}: {', '.join(objects)}{when}, {changesets}.")
+        say(f"Map {summary.map_name}, EPSG:{summary.srid}: {counted_by_class(classes)}{when}, {changesets}.")
         points, lines = ([v for v in versions if (v.feature.marking is not None) is one] for one in (False, True))
         print_records("", class_if_mixed(_FEATURES, {v.feature.category for v in points}), points)
         print_records("", _LINES, lines)
@@ -129,6 +131,7 @@ def log(
             if len(found) > 1:
                 raise InputError(f"{feature!r} is ambiguous: give more characters of the id")
             entries = feature_log(conn, found[0])
+            classified = read_decisions(conn, map_name=settings.map_name).classified
             reasons = reasons_of(conn, settings.map_name, found[0], [vars(entry) for entry in entries])
     if as_json and feature is None:
         print_json([vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets])
@@ -142,10 +145,20 @@ def log(
         columns = {heading: read for heading, read in _LOG.items() if markings or heading != "lane markings"}
         print_records("", columns, rows[::-1], numbers_from=3)
     else:
-        print_records("", _HISTORY, entries, numbers_from=3)
+        print_records("", class_if_mixed(_HISTORY, {entry.category for entry in entries}), entries, numbers_from=3)
         for entry, reason in zip(entries, reasons, strict=True):
             if entry.believed_until is None:
                 say(reason)
+        for one in classified:
+            if any(entry.believed_until is None and _is_about(one, entry) for entry in entries):
+                classes = f"{noun_of(one.category)} instead of {noun_of(one.found_as)}"
+                say(f"Class by a person's decision: {classes}, see `conetl map decisions`.")
+
+
+def _is_about(decision: Classification, entry: FeatureLogEntry) -> bool:
+    """Whether the decision gives the feature its class."""
+    apart_m = dist((entry.easting_m, entry.northing_m), decision.xy_m)
+    return entry.category == decision.category and apart_m <= decision.radius_m
 
 
 def _others(changeset: CommittedChangeset) -> str:
@@ -198,6 +211,7 @@ _LOG: Columns = {
 }
 _HISTORY: Columns = {
     "change": "kind",
+    "class": "category",
     "drive": "drive_id",
     "on the road since (UTC)": "changed_at",
     "log odds": lambda e: None if e.log_likelihood_ratio is None else f"{e.log_likelihood_ratio:+.1f}",
