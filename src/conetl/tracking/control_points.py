@@ -18,8 +18,9 @@ from conetl.geometry.packing import cov_matrices, vec3
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import IngestParams
 from conetl.model.records import FramePair, Position, Rig, StereoMatch, SurveyedPoint
+from conetl.tracking.drive_refinement import cone_groups, refine_with_cones
 from conetl.tracking.error_propagation import moved_by_poses, moved_cov, outline_errors, pose_cov
-from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, RefinementOutcome, cone_groups, refine_with_cones
+from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, RefinementOutcome
 
 Floats = NDArray[np.float64]
 NAME = "control points"
