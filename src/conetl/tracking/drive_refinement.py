@@ -21,6 +21,7 @@ from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import FramePair, Position, Rig, StereoMatch, Vec3
 from conetl.tracking.association import chain_positions
 from conetl.tracking.clock import at_images, estimate_clock
+from conetl.tracking.error_propagation import motion_error
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import (
     LEAST_STEP_S,
@@ -28,7 +29,6 @@ from conetl.tracking.trajectory import (
     RefinedTrajectory,
     RefinementOutcome,
     measured_motions,
-    motion_error,
     read_log,
     refine_trajectory,
 )

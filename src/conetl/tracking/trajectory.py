@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,16 +25,13 @@ from conetl.geometry.motion.pose_graph import (
     LoggedPoses,
     MeasuredMotions,
     adjust,
-    motion_jacobians,
     motion_residuals,
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix, vec3
-from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.health import HealthCheck
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Pose, Position, Rig
-from conetl.tracking.association import MotionError
 from conetl.tracking.clock import ClockOffset
 
 Floats = NDArray[np.float64]
@@ -44,7 +40,6 @@ _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S = 1e-4, 1e-6, 1e-3
 #: Chi-square of 6 degrees of freedom at 1e-6, beyond which an interval contradicts GNSS/INS.
 _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
-_MOTIONS_KEPT = 256
 _LONE_SIGMAS = 4.5
 #: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
 _CHANGING = 4.0
@@ -62,7 +57,7 @@ class RefinementOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class RefinedTrajectory:
-    """Poses of a drive, adjusted or as logged, with their joint covariance (`relative_cov`)."""
+    """Poses of a drive, adjusted or as logged, with their joint covariance (`error_propagation.relative_cov`)."""
 
     frame_pairs: tuple[FramePair, ...]
     """With new poses if `outcome` is REFINED; their sigmas are those of the adjustment."""
@@ -164,61 +159,6 @@ def refine_trajectory(
         pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov,
         (scale, float(cov.shared[0, 0]) ** 0.5),
     )  # fmt: skip
-
-
-def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats | None:
-    """(6, 6) covariance of the left camera's motion between two frame pairs, None unless the trajectory was refined.
-
-    start, end: positions in `frame_pairs` (not frame indices), in any order. Error (rotation rad, translation m) of
-    end_SE3_start, in the left camera's frame at `end`.
-    """
-    if trajectory.covariance is None:
-        return None
-    if start == end:
-        return np.zeros((6, 6))
-    joint = trajectory.covariance
-    first, second = min(start, end), max(start, end)
-    cross = chain_solver.cross_covariance(joint, first, second)[:POSE, :POSE]
-    cross = cross if start <= end else cross.T
-    from_start, from_end = motion_jacobians(
-        trajectory.map_SE3_left[start], trajectory.map_SE3_left[end], trajectory.body_SE3_left
-    )
-    mixed = from_start @ cross @ from_end.T
-    cov = (
-        from_start @ joint.cov[start][:POSE, :POSE] @ from_start.T
-        + from_end @ joint.cov[end][:POSE, :POSE] @ from_end.T
-        + mixed
-        + mixed.T
-    )
-    return np.asarray((cov + cov.T) / 2)
-
-
-def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
-    """Error of points that the motion transforms from frame to frame; None unless the trajectory was refined."""
-    if trajectory.covariance is None:
-        return None
-    rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
-    # Cones last observed in the same image have the same motion.
-    relative = lru_cache(maxsize=_MOTIONS_KEPT)(partial(relative_cov, trajectory))
-
-    def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:
-        cov = relative(rank[start], rank[end])
-        assert cov is not None  # the trajectory was refined
-        first, second = trajectory.map_SE3_left[rank[start]], trajectory.map_SE3_left[rank[end]]
-        turned = second[:3, :3].T @ first[:3, :3] @ point_m
-        by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
-        return np.asarray(by_motion @ cov @ by_motion.T)
-
-    # The variance of a difference of two poses is at most twice the sum of theirs, and so is that of the sum of position error
-    # and attitude error times lever.
-    variances = np.diagonal(trajectory.covariance.cov, axis1=1, axis2=2)
-    position_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
-    lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
-    return MotionError(
-        carried_cov_m2,
-        most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2),
-        drift_m={} if trajectory.drift_m is None else dict(zip(rank, trajectory.drift_m, strict=True)),
-    )
 
 
 def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Floats:
