@@ -37,6 +37,8 @@ _STEP_M = 0.1
 #: Where a drive can be expected to show a marking: depth, and distance to the side of the camera.
 _DEPTHS_M = (4.0, 15.0)
 _ASIDE_M = 8.0
+#: Components of the errors of vertices (across the marking, upwards) by name of their NEES.
+NEES_PARTS = {"lateral": slice(0, 1), "height": slice(1, 2), "together": slice(0, 2)}
 _PER_FOUND = ("lateral_m", "height_m", "width_m", "dash_m", "gap_m", "pattern_right", "colour_right")
 
 
@@ -270,11 +272,11 @@ def marking_consistency(errors: MarkingErrors) -> dict[str, Consistency | None]:
     Vertices farther than the buffer from every marking are not among them. Where the common errors are not known, neighbours are
     taken for independent: then only the mean says something, not the band.
     """
-    results: dict[str, Consistency | None] = {}
-    for name, part in (("lateral", slice(0, 1)), ("height", slice(1, 2)), ("together", slice(0, 2))):
-        own, jacobian = errors.vertex_cov_m2[:, part, part], errors.common_jacobian[:, part]
-        known = len(errors.vertex_m) > 0
-        results[name] = consistency(errors.vertex_m[:, part], own, jacobian, errors.common_cov) if known else None
+    results: dict[str, Consistency | None] = dict.fromkeys(NEES_PARTS)
+    if len(errors.vertex_m):
+        for name, part in NEES_PARTS.items():
+            own, jacobian = errors.vertex_cov_m2[:, part, part], errors.common_jacobian[:, part]
+            results[name] = consistency(errors.vertex_m[:, part], own, jacobian, errors.common_cov)
     return results
 
 
