@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from conetl.geometry.linear_reference import locate
+from conetl.geometry.small_arrays import robust_std
 from conetl.model.markings import MarkingPattern
 from conetl.model.records import Rig
 from conetl.tracking.markings.located import LocatedPoints
@@ -202,8 +203,8 @@ def _dashes(runs: list[Run]) -> tuple[float, float] | None:
     whole = [run.length_m for run in runs if run.empty_before and run.empty_after]
     dashes = np.array(whole or [run.length_m for run in runs])
     worn = sum(run.length_m for run in runs) > _WORN * (runs[-1].end_m - runs[0].start_m)
-    irregular = len(runs) > 2 and max(_scatter(gaps), _scatter(dashes)) > _REGULAR
     dash, gap = float(np.median(dashes)), float(np.median(gaps))
+    irregular = len(runs) > 2 and max(robust_std(gaps) / gap, robust_std(dashes) / dash) > _REGULAR
     return None if worn or irregular or gap > _LONGEST_GAP * dash else (dash, gap)
 
 
@@ -220,8 +221,3 @@ def _piece(runs: list[Run], searched: Searched) -> Piece | None:
     if max((b.start_m - a.end_m for a, b in pairwise(runs)), default=0.0) > _LONGEST_HOLE_M:
         return None
     return Piece(*ends, "solid", painted, share)
-
-
-def _scatter(lengths: Floats) -> float:
-    middle = np.median(lengths)
-    return float(1.4826 * np.median(np.abs(lengths - middle)) / middle)

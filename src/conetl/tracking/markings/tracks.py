@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, shared_cov
 from conetl.geometry.linear_reference import directions_at, locate
 from conetl.geometry.packing import cov3, vec3
+from conetl.geometry.small_arrays import robust_std
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.markings import Marking, MarkingColour, MarkingTrack
 from conetl.model.params import MarkingParams
@@ -183,11 +184,8 @@ def _track(
     depth = own.columns.road_px
     widths = widths[depth >= np.percentile(depth, _FAR_PERCENT)]
     width = float(np.median(widths))
-    width_scatter = 1.4826 * float(np.median(np.abs(widths - width)))
-    if (
-        1.4826 * np.median(np.abs(residual - np.median(residual))) > _MAX_SCATTER_M
-        or width_scatter > _MAX_WIDTH_SCATTER * width
-    ):
+    width_scatter = robust_std(widths)
+    if robust_std(residual) > _MAX_SCATTER_M or width_scatter > _MAX_WIDTH_SCATTER * width:
         return None
     xyz = np.column_stack([locate(points.line_m, course.station_m, course.offset_m), course.height_m])
     own_cov, pose_part, calibrated = _covariances(points, course, xyz, drive, pairs, poses)
