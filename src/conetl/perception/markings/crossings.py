@@ -52,7 +52,7 @@ _ROAD_ROWS_PX = np.array([-4.0, 0.0, 4.0])
 _LEAST_ON_SIDE = 4
 
 
-class RoadGrid(NamedTuple):
+class _RoadGrid(NamedTuple):
     """Image points of the grid's R rows and C columns on the road plane."""
 
     rows_px: Floats
@@ -74,7 +74,7 @@ class RoadGrid(NamedTuple):
         return np.asarray(self.plane[0] * u_px + self.plane[1] * self.rows_px[row] + self.plane[2])
 
 
-class Bands(NamedTuple):
+class _Bands(NamedTuple):
     """Bright bands in one resampled image: N rows, and fractional columns of both edges."""
 
     row: Ints
@@ -96,7 +96,7 @@ def find_points(
     road = find_road(grey_left, grey_right, rig)
     if road is None:
         return MarkingPoints(frame_index=frame_index)
-    grid = road_grid(road, rig, params)
+    grid = _road_grid(road, rig, params)
     if not len(grid.rows_px):
         return MarkingPoints(frame_index=frame_index)
     cx = rig.left.cx_px
@@ -107,9 +107,9 @@ def find_points(
     turn = right_from_parallel(rig).astype(np.float32)
     ahead = turn[2, 0] * parallel + (turn[2, 1] * rows + turn[2, 2])
     u_right, v_right = ((one[0] * parallel + (one[1] * rows + one[2])) / ahead for one in turn[:2])
-    sides = [resampled(left, u, np.broadcast_to(rows, u.shape)), resampled(right, u_right, v_right)]
-    ours, theirs = (find_bands(grey, params) for _, grey in sides)
-    first, second = matched(ours, theirs)
+    sides = [_resampled(left, u, np.broadcast_to(rows, u.shape)), _resampled(right, u_right, v_right)]
+    ours, theirs = (_find_bands(grey, params) for _, grey in sides)
+    first, second = _matched(ours, theirs)
     row, rise, fall = ours.row[first], ours.rise[first], ours.fall[first]
     u_left = grid.u_px(row, (rise + fall) / 2, cx)
     u_right = grid.u_px(row, theirs.middle[second], cx)
@@ -138,7 +138,7 @@ def find_points(
     )
 
 
-def road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> RoadGrid:
+def _road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> _RoadGrid:
     """Rows about `_ROW_STEP_M` apart between the least and the largest range that lie in the image; columns as far as params say.
 
     Whole rows of the image: interpolated between two rows, an edge that crosses them at a flat angle has two steps.
@@ -150,10 +150,10 @@ def road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> RoadGrid:
     rows = rows[(rows >= 0) & (rows <= camera.height_px - 1)]
     depth = focal_base / (rows * by_row[0] + by_row[1])
     half = int(params.max_offset_m / _STEP_M)
-    return RoadGrid(rows, depth, _STEP_M * camera.fx_px / depth, np.arange(-half, half + 1.0), plane)
+    return _RoadGrid(rows, depth, _STEP_M * camera.fx_px / depth, np.arange(-half, half + 1.0), plane)
 
 
-def resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.uint8], Grid]:
+def _resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.uint8], Grid]:
     """The colours (R, C, 3) and grey levels (R, C) of an image at points; NaN in the grey levels outside of it.
 
     Grey levels are means of red and green: in blue, yellow paint is no brighter than the road.
@@ -165,7 +165,7 @@ def resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.ui
     return colours, grey
 
 
-def find_bands(grey: Grid, params: MarkingParams) -> Bands:
+def _find_bands(grey: Grid, params: MarkingParams) -> _Bands:
     """Bands in a resampled image (R, C), NaN where there is none."""
     valid = np.isfinite(grey)
     sigma = _EDGE_SIGMA_M / _STEP_M
@@ -198,7 +198,7 @@ def find_bands(grey: Grid, params: MarkingParams) -> Bands:
     darkest = np.maximum(before, behind)
     good = inside - darkest >= np.maximum(params.min_contrast, _NOISE_SIGMAS * noise[row])
     good &= (contrast >= _LEAST_RELATIVE * darkest) & (np.abs(before - behind) <= _SIDE_SHARE * contrast)
-    return Bands(row[good], rise[good], fall[good], contrast[good])
+    return _Bands(row[good], rise[good], fall[good], contrast[good])
 
 
 def _derivative(grey: Grid, sigma: float) -> Grid:
@@ -232,7 +232,7 @@ def _inside_and_beside(
     return inside, before, behind
 
 
-def matched(ours: Bands, theirs: Bands) -> tuple[Ints, Ints]:
+def _matched(ours: _Bands, theirs: _Bands) -> tuple[Ints, Ints]:
     """Bands of the left and the right image that are each other's nearest in a row, alike and near enough: their numbers."""
     if not len(ours.row) or not len(theirs.row):
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
@@ -257,7 +257,7 @@ def _nearest(keys: Floats, wanted: Floats) -> Ints:
     return np.where(wanted - keys[left] <= keys[right] - wanted, left, right)
 
 
-def _road_height_beside(road: RoadPlane, grid: RoadGrid, row: Ints, edge_px: Floats, sign: int) -> Floats:
+def _road_height_beside(road: RoadPlane, grid: _RoadGrid, row: Ints, edge_px: Floats, sign: int) -> Floats:
     """(N,) median measured height above the plane beside an edge, on its outer side; NaN where too little was measured."""
     if not len(row):
         return np.zeros(0)
@@ -270,7 +270,7 @@ def _road_height_beside(road: RoadPlane, grid: RoadGrid, row: Ints, edge_px: Flo
     return found
 
 
-def _tints(colours: NDArray[np.uint8], bands: Bands, chosen: Ints) -> tuple[Floats, Floats]:
+def _tints(colours: NDArray[np.uint8], bands: _Bands, chosen: Ints) -> tuple[Floats, Floats]:
     """(N,) logarithms of how much brighter than the road the paint is in blue, and in red, each against green.
 
     Ratios of paint to road do not depend on the white balance; of white paint they are equal in all colours.

@@ -51,7 +51,7 @@ class Searched(NamedTuple):
     """A row far away covers more of the road."""
 
 
-class Piece(NamedTuple):
+class PatternPiece(NamedTuple):
     """Part of a chain with one pattern."""
 
     start_m: float
@@ -106,7 +106,7 @@ def _margin(width_px: int) -> float:
     return 0.02 * width_px
 
 
-def pieces_of(searched: Searched, min_length_m: float) -> list[Piece]:
+def pieces_of(searched: Searched, min_length_m: float) -> list[PatternPiece]:
     """Pieces of a chain with paint of at least a length, by rising station."""
     if not len(searched.station_m):
         return []
@@ -127,7 +127,7 @@ def pieces_of(searched: Searched, min_length_m: float) -> list[Piece]:
     return [piece for piece in pieces if piece is not None and piece.painted_m >= min_length_m]
 
 
-class Run(NamedTuple):
+class _Run(NamedTuple):
     """Paint from start to end; whether the gap before it and after it was seen to be empty."""
 
     start_m: float
@@ -140,7 +140,7 @@ class Run(NamedTuple):
         return self.end_m - self.start_m
 
 
-def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> list[Run]:
+def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> list[_Run]:
     """Runs of paint, their ends where the share of hits crosses `least`; across what was not seen a run goes on."""
     above = (share >= least).astype(np.int8)
     begins, ends = np.flatnonzero(np.diff(above) == 1), np.flatnonzero(np.diff(above) == -1)
@@ -161,20 +161,20 @@ def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> 
     runs = []
     for start, end in joined:
         before, after = ((at > a) & (at < b) for a, b in ((start - 0.5, start), (end, end + 0.5)))
-        runs.append(Run(start, end, bool(known[before].all()), bool(known[after].all())))
+        runs.append(_Run(start, end, bool(known[before].all()), bool(known[after].all())))
     return [run for run in runs if run.length_m >= _LEAST_RUN_M]
 
 
-def _groups(runs: list[Run]) -> list[list[Run]]:
+def _groups(runs: list[_Run]) -> list[list[_Run]]:
     """Runs that belong together: parts of a solid line with each other, dashes with dashes."""
-    groups: list[list[Run]] = []
+    groups: list[list[_Run]] = []
     for run in runs:
         short = run.length_m <= _LONGEST_DASH_M
         if groups and short and all(one.length_m <= _LONGEST_DASH_M for one in groups[-1]):
             groups[-1].append(run)
         else:
             groups.append([run])
-    whole: list[list[Run]] = []
+    whole: list[list[_Run]] = []
     for group in groups:
         # One or two short runs beside a solid line are what is left between worn or hidden parts of it, more may be dashes.
         parts = (whole[-1], group) if whole else ()
@@ -187,7 +187,7 @@ def _groups(runs: list[Run]) -> list[list[Run]]:
     return whole
 
 
-def _dashes(runs: list[Run]) -> tuple[float, float] | None:
+def _dashes(runs: list[_Run]) -> tuple[float, float] | None:
     """Lengths of dashes and gaps (m) of a dashed line; None of a solid one, which may be worn."""
     if len(runs) == 1 or any(run.length_m > _LONGEST_DASH_M for run in runs):
         return None
@@ -208,7 +208,7 @@ def _dashes(runs: list[Run]) -> tuple[float, float] | None:
     return None if worn or irregular or gap > _LONGEST_GAP * dash else (dash, gap)
 
 
-def _piece(runs: list[Run], searched: Searched) -> Piece | None:
+def _piece(runs: list[_Run], searched: Searched) -> PatternPiece | None:
     """The piece that runs make; None where they are too far apart for a solid line and too irregular for a dashed one."""
     painted = sum(run.length_m for run in runs)
     inside = np.zeros(len(searched.station_m), dtype=bool)
@@ -217,7 +217,7 @@ def _piece(runs: list[Run], searched: Searched) -> Piece | None:
     share = float(searched.hit[inside].mean()) if inside.any() else 0.0
     ends, dashes = (runs[0].start_m, runs[-1].end_m), _dashes(runs)
     if dashes is not None:
-        return Piece(*ends, "dashed", painted, share, *dashes)
+        return PatternPiece(*ends, "dashed", painted, share, *dashes)
     if max((b.start_m - a.end_m for a, b in pairwise(runs)), default=0.0) > _LONGEST_HOLE_M:
         return None
-    return Piece(*ends, "solid", painted, share)
+    return PatternPiece(*ends, "solid", painted, share)

@@ -25,7 +25,7 @@ from conetl.perception.markings.points import MarkingPoints
 from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov
 from conetl.tracking.markings.chains import chains_of
 from conetl.tracking.markings.located import LocatedPoints, locate_points
-from conetl.tracking.markings.patterns import Piece, pieces_of, searched_rows
+from conetl.tracking.markings.patterns import PatternPiece, pieces_of, searched_rows
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ _MAX_ABOVE_M = 0.12
 _PRIOR, _HALF_CONTRAST, _EVIDENCE = 0.2, 20.0, 0.6
 
 
-class Course(NamedTuple):
+class _Course(NamedTuple):
     """Fitted course: K vertices."""
 
     station_m: Floats
@@ -91,7 +91,7 @@ def fuse_markings(
         own = points.some(chain)
         if not _is_flat(own, params) or len(np.unique(own.frame)) < params.min_frames:
             continue
-        rough = fit_course(own, float(own.station_m[0]), float(own.station_m[-1]), params.vertex_spacing_m)
+        rough = _fit_course(own, float(own.station_m[0]), float(own.station_m[-1]), params.vertex_spacing_m)
         if rough is None:
             continue
         own = own.some(rough.kept)
@@ -113,7 +113,7 @@ def _is_flat(points: LocatedPoints, params: MarkingParams) -> bool:
     return True
 
 
-def fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: float) -> Course | None:
+def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: float) -> _Course | None:
     """Course of the points of one marking between two stations; None where it is too short or they are too few."""
     inside = (points.station_m >= start_m - spacing_m / 2) & (points.station_m <= end_m + spacing_m / 2)
     count = max(round((end_m - start_m) / spacing_m), 1) + 1
@@ -153,19 +153,19 @@ def fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: f
     noise = _ROWS_AS_ONE * np.diagonal(spread)[:, None, None] * scatter
     kept = np.zeros(len(points.station_m), dtype=bool)
     kept[np.flatnonzero(inside)[core]] = True
-    return Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
+    return _Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
 
 
 def _track(
     index: int,
     points: LocatedPoints,
-    piece: Piece,
+    piece: PatternPiece,
     drive: Drive,
     pairs: dict[int, FramePair],
     params: MarkingParams,
     poses: PoseCov,
 ) -> MarkingTrack | None:
-    course = fit_course(points, piece.start_m, piece.end_m, params.vertex_spacing_m)
+    course = _fit_course(points, piece.start_m, piece.end_m, params.vertex_spacing_m)
     if course is None or piece.hit_share < _MIN_HITS:
         return None
     own = points.some(course.kept)
@@ -217,7 +217,7 @@ def _track(
 
 
 def _covariances(
-    points: LocatedPoints, course: Course, xyz: Floats, drive: Drive, pairs: dict[int, FramePair], poses: PoseCov
+    points: LocatedPoints, course: _Course, xyz: Floats, drive: Drive, pairs: dict[int, FramePair], poses: PoseCov
 ) -> tuple[Floats, tuple[Floats, Floats], Floats]:
     """Of K vertices: (K, 3, 3) m^2 from the images; the same from all errors of the poses, and from the part of them that the
     frame pairs do not share; (K, 3, C) derivatives by the calibration's parameters."""
