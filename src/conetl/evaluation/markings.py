@@ -80,7 +80,7 @@ def read_truth_markings(path: Path, map_srid: int) -> list[TruthMarking]:
 
 @dataclass(frozen=True)
 class CommonErrors:
-    """How errors that all vertices of a drive share move V vertices; map frame."""
+    """How K errors that all V vertices of a drive share move them; map frame, metres."""
 
     jacobian: Floats
     """(V, 3, K)"""
@@ -270,7 +270,7 @@ def marking_consistency(errors: MarkingErrors) -> dict[str, Consistency | None]:
     """NEES of the vertices: across the marking, in height, and of both together; None without vertices.
 
     Vertices farther than the buffer from every marking are not among them. Where the common errors are not known, neighbours are
-    taken for independent: then only the mean says something, not the band.
+    assumed to be independent: then only the mean is meaningful, not the band.
     """
     results: dict[str, Consistency | None] = dict.fromkeys(NEES_PARTS)
     if len(errors.vertex_m):

@@ -26,9 +26,9 @@ Grid = NDArray[np.float32]
 
 #: Columns of the grid on the road: fine enough for the nearest rows, of which a pixel is about as wide.
 _STEP_M = 0.01
-#: Grey levels as a mean of the channels blue, green and red.
+#: Weights of blue, green and red in the grey levels.
 _RED_AND_GREEN = np.array([[0.0, 0.5, 0.5]], dtype=np.float32)
-#: Rows of the grid along the road.
+#: Rows of the grid are at least so far apart along the road.
 _ROW_STEP_M = 0.2
 #: Sigma of the Gaussian whose derivative finds edges.
 _EDGE_SIGMA_M = 0.02
@@ -64,24 +64,28 @@ class _RoadGrid(NamedTuple):
     offsets: Floats
     """(C,) columns from the middle one."""
     plane: Floats
+    """(3,) as `RoadPlane.plane`"""
 
     def u_px(self, row: Ints, column: Floats, cx_px: float) -> Floats:
-        """Columns of the left image, at (fractional) columns of the grid."""
+        """(N,) columns of the left image at rows and (fractional) columns of the grid (N,)."""
         return np.asarray(cx_px + (column + self.offsets[0]) * self.columns_px[row])
 
     def road_px(self, row: Ints, u_px: Floats) -> Floats:
-        """Disparities of the road."""
+        """(N,) disparities of the road at columns of the left image in rows of the grid (N,)."""
         return np.asarray(self.plane[0] * u_px + self.plane[1] * self.rows_px[row] + self.plane[2])
 
 
 class _Bands(NamedTuple):
-    """Bright bands in one resampled image: N rows, and fractional columns of both edges."""
+    """N bright bands in one resampled image."""
 
     row: Ints
+    """(N,) of the grid"""
     rise: Floats
+    """(N,) fractional column of the left edge ..."""
     fall: Floats
+    """... and of the right one"""
     contrast: Floats
-    """Grey levels above the mean of both sides."""
+    """(N,) grey levels above the mean of both sides"""
 
     @property
     def middle(self) -> Floats:
@@ -233,7 +237,8 @@ def _inside_and_beside(
 
 
 def _matched(ours: _Bands, theirs: _Bands) -> tuple[Ints, Ints]:
-    """Bands of the left and the right image that are each other's nearest in a row, alike and near enough: their numbers."""
+    """Numbers (M,) of bands of the left and (M,) of the right image that are each other's nearest in a row, near enough and
+    alike."""
     if not len(ours.row) or not len(theirs.row):
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     apart = 1e6
@@ -250,7 +255,7 @@ def _matched(ours: _Bands, theirs: _Bands) -> tuple[Ints, Ints]:
 
 
 def _nearest(keys: Floats, wanted: Floats) -> Ints:
-    """Number of the nearest of rising keys."""
+    """(N,) number of the rising key (K,) that is nearest to each wanted one (N,)."""
     right = np.clip(np.searchsorted(keys, wanted), 1, max(len(keys) - 1, 1))
     right = np.minimum(right, len(keys) - 1)
     left = np.maximum(right - 1, 0)

@@ -35,20 +35,20 @@ _REGULAR = 0.3
 _LONGEST_GAP = 4.0
 #: Shorter gaps than this share of the longest one are worn holes in dashes.
 _HOLE_SHARE = 0.4
-#: A line with paint on more than this share of its length is solid, though worn.
+#: A line with paint on more than this share of its length is solid, although worn.
 _WORN = 0.75
 #: The chain is drawn by points so far apart for its projection into the images.
 _DRAWN_M = 0.25
 
 
 class Searched(NamedTuple):
-    """Rows of all frame pairs that cross a chain, inside of both images."""
+    """N rows of all frame pairs that cross a chain inside of both images, one array (N,) each."""
 
     station_m: Floats
     hit: NDArray[np.bool_]
     """Whether paint was found there."""
     weight: Floats
-    """A row far away covers more of the road."""
+    """1 over the square of the depth (m): a row far away covers more of the road."""
 
 
 class PatternPiece(NamedTuple):
@@ -128,7 +128,7 @@ def pieces_of(searched: Searched, min_length_m: float) -> list[PatternPiece]:
 
 
 class _Run(NamedTuple):
-    """Paint from start to end; whether the gap before it and after it was seen to be empty."""
+    """Paint from start to end; whether the half metre before it and after it was observed to have none."""
 
     start_m: float
     end_m: float
@@ -141,7 +141,10 @@ class _Run(NamedTuple):
 
 
 def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> list[_Run]:
-    """Runs of paint, their ends where the share of hits crosses `least`; across what was not seen a run goes on."""
+    """Runs of paint, their ends where the share of hits crosses `least`; where nothing was observed a run continues.
+
+    at, share, known (C,): station of each cell, its share of hits, and whether it was observed.
+    """
     above = (share >= least).astype(np.int8)
     begins, ends = np.flatnonzero(np.diff(above) == 1), np.flatnonzero(np.diff(above) == -1)
     bounds = [

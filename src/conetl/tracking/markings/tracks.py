@@ -1,8 +1,8 @@
 """Points of lane markings of one drive -> tracks: their course, attributes and covariances.
 
 The course is piecewise linear between vertices at equal distances along the drive's path, fitted to the points' offsets and
-heights by robust least squares with a small penalty on bends, which carries it across gaps. A vertex so is a weighted mean of
-points of some frame pairs, whose weights also carry the errors of poses and calibration to it.
+heights by robust least squares with a small penalty on bends, which continues it across gaps. So a vertex is a weighted mean of
+points of several frame pairs, and errors of poses and calibration move it with the same weights.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ _MAX_SCATTER_M, _MAX_WIDTH_SCATTER = 0.08, 0.35
 #: Least share of hits where there is paint.
 _MIN_HITS = 0.3
 _FAR_PERCENT = 67.0
-#: Systematic error of a width: where the eye, and the filter, put an edge.
+#: Systematic error of a width: blurred edges of paint have no exact position.
 _WIDTH_SIGMA_M = 0.006
-#: White paint outshines the road by equal shares in all colours, within this; yellow paint less in blue.
+#: The logarithm of the ratio of paint to road, in blue or red less that in green, of white paint is within this, of yellow paint
+#: below that in blue.
 _WHITE, _YELLOW = 0.2, -0.25
 #: A point that is so high above the road beside it is no paint: bands of cones, cars.
 _MAX_ABOVE_M = 0.12
@@ -62,10 +63,11 @@ class _Course(NamedTuple):
     """Fitted course: K vertices."""
 
     station_m: Floats
+    """(K,) along the drive's path; so the following across it, positive to its left, and in the map's height."""
     offset_m: Floats
     height_m: Floats
     frames: NDArray[np.intp]
-    """(F,) numbers of the frame pairs that saw it."""
+    """(F,) numbers of the frame pairs that observed it."""
     shares: Floats
     """(K, F) weight of each of them in each vertex; each row's sum is 1."""
     noise_m2: Floats
