@@ -31,6 +31,8 @@ Floats = NDArray[np.float64]
 
 #: Huber's bound, in sigmas, and rounds of the robust fit.
 _ROBUST, _ROUNDS = 2.0, 4
+#: A course is fitted to so many points at least.
+_LEAST_POINTS = 6
 #: Weight of the squared bend (m per vertex) of a course against that of one point.
 _STIFFNESS = 3.0
 #: Neighbouring rows see the same blur and texture: so many count as one.
@@ -106,8 +108,7 @@ def fuse_markings(
 
 
 def _is_flat(points: LocatedPoints, params: MarkingParams) -> bool:
-    """Whether the road on both sides is about as high as the marking, or higher; where it was measured on neither, it is not
-    known to be a marking."""
+    """Whether the road on both sides is about as high as the marking, or higher; False unless it was measured on both."""
     for above in (points.columns.above_left_m, points.columns.above_right_m):
         known = above[np.isfinite(above)]
         if len(known) < 0.1 * len(above) or np.median(known) > params.max_above_road_m:
@@ -119,7 +120,7 @@ def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: 
     """Course of the points of one marking between two stations; None where it is too short or they are too few."""
     inside = (points.station_m >= start_m - spacing_m / 2) & (points.station_m <= end_m + spacing_m / 2)
     count = max(round((end_m - start_m) / spacing_m), 1) + 1
-    if inside.sum() < 3 * 2 or end_m - start_m < spacing_m:
+    if inside.sum() < _LEAST_POINTS or end_m - start_m < spacing_m:
         return None
     knots = np.linspace(start_m, end_m, count)
     position = np.clip((points.station_m[inside] - start_m) / (knots[1] - knots[0]), 0, count - 1 - 1e-9)
@@ -129,9 +130,7 @@ def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: 
     hats[np.arange(len(first)), first], hats[np.arange(len(first)), first + 1] = 1 - part, part
     observed = np.stack([points.offset_m[inside], points.xyz_m[inside, 2]], axis=1)
     prior = points.weight[inside] / np.median(points.weight[inside])
-    bend = np.zeros((max(count - 2, 0), count))
-    for k in range(count - 2):
-        bend[k, k : k + 3] = 1.0, -2.0, 1.0
+    bend = np.diff(np.eye(count), n=2, axis=0)
     penalty = _STIFFNESS * bend.T @ bend + 1e-9 * np.eye(count)
     robust = np.ones(len(first))
     for _ in range(_ROUNDS):
