@@ -103,8 +103,6 @@ class MarkingErrors:
     """(T,)"""
     truth_found: Mask
     """(T,)"""
-    found_index: NDArray[np.int64]
-    """(S,)"""
     matched: NDArray[np.int64]
     """(S,) marking of the truth, -1 where there is none within the buffer"""
     lateral_m: Floats
@@ -129,12 +127,11 @@ class MarkingErrors:
 
     def of_truth(self, index: int) -> MarkingErrors:
         """The samples of one marking of the truth."""
-        names = ("found_index", "matched", *_PER_FOUND)
         truth, found = self.truth_index == index, self.matched == index
         return replace(
             self,
             **{name: getattr(self, name)[truth] for name in ("truth_index", "truth_visible", "truth_found")},
-            **{name: getattr(self, name)[found] for name in names},
+            **{name: getattr(self, name)[found] for name in ("matched", *_PER_FOUND)},
         )
 
 
@@ -225,7 +222,6 @@ def compare_markings(
         truth_index=truth_index,
         truth_visible=visible(points),
         truth_found=truth_found,
-        found_index=index,
         matched=nearest,
         lateral_m=lateral,
         height_m=height,
