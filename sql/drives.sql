@@ -119,7 +119,7 @@ order by t.track_index;
 -- Columns: as MarkingTrack (metres, m^2, ns), the last nine as in map.features_as_of from shared_jacobian on.
 select
     t.marking_index, t.category, t.relative_cov, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
-    t.contrast, array_send(t.calibrations) || array_send(t.shared_jacobian_m),
+    t.contrast, t.blur_px, array_send(t.calibrations) || array_send(t.shared_jacobian_m),
     ST_AsBinary(t.line, 'NDR'), t.line_cov, t.width_m, t.width_sigma_m, t.colour, t.pattern, t.dash_m, t.gap_m
 from conetl.marking_track t
 where t.drive_uuid = %(drive_uuid)s

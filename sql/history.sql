@@ -15,7 +15,14 @@ select
     (c.height_changed_count + e.height_changed)::integer as height_changed_count,
     (c.split_count + e.split)::integer as split_count,
     (c.merged_count + e.merged)::integer as merged_count,
-    case when e.at is null then c.line_counts else coalesce(e.of_lines, '{}') end as line_counts,
+    case when e.at is null then c.line_counts else coalesce((
+        select jsonb_object_agg(k.kind, k.count)
+        from (
+            select x.kind, count(*) as count from conetl.delta x
+            where x.changeset_id = c.changeset_id and x.of_line and upper_inf(x.system_period)
+            group by x.kind
+        ) k
+    ), '{}') end as line_counts,
     c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.marking_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns,
     h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
@@ -27,14 +34,6 @@ left join conetl.on_hold h on h.changeset_id = c.changeset_id
 cross join lateral (
     select
         min(lower(x.system_period)) as at,
-        case when min(lower(x.system_period)) is not null then (
-            select jsonb_object_agg(k.kind, k.count)
-            from (
-                select y.kind, count(*) as count from conetl.delta y
-                where y.changeset_id = c.changeset_id and y.of_line and upper_inf(y.system_period)
-                group by y.kind
-            ) k
-        ) end as of_lines,
         count(*) filter (where x.kind = 'added' and not x.of_line) as added,
         count(*) filter (where x.kind = 'confirmed' and not x.of_line) as confirmed,
         count(*) filter (where x.kind = 'moved' and not x.of_line) as moved,

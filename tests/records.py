@@ -181,6 +181,7 @@ def marking_track(shape: Marking, marking_index: int = 0, *, seen_ns: int = STAR
         "first_seen_ns": seen_ns,
         "last_seen_ns": seen_ns + 200_000_000,
         "contrast": 60.0,
+        "blur_px": 0.9,
     }
     return MarkingTrack(**values | changes)
 

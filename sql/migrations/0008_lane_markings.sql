@@ -43,6 +43,7 @@ create table conetl.marking_track (
     first_seen_ns         bigint not null,
     last_seen_ns          bigint not null,
     contrast              float8 not null,
+    blur_px               float8 not null check (blur_px >= 0),
     calibrations          uuid[],
     shared_jacobian_m     real[],
     primary key (drive_uuid, marking_index)

@@ -160,6 +160,19 @@ def test_people_decide_about_stretches_as_about_cones(conn):
     assert failed_audits(conn) == []
 
 
+def test_a_drive_that_was_on_hold_states_what_it_did_to_lane_markings(conn):
+    for map_name, hold in (("default", None), ("other", "GNSS/INS jumps.")):
+        merge(conn, painted(0), map_name=map_name)
+        merge(conn, painted(1), map_name=map_name, hold=hold)
+    [at_once, _] = list_changesets(conn)
+    assert list_changesets(conn, map_name="other")[0].line_counts == {}
+    conn.commit()
+    accept_drive(conn, "2", map_name="other")
+    [released, first] = list_changesets(conn, map_name="other")
+    assert released.line_counts == at_once.line_counts and set(first.line_counts) == {DeltaKind.ADDED}
+    assert set(at_once.line_counts) == {DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.CONFIRMED}
+
+
 @pytest.mark.parametrize("order", list(permutations((0, 1, 2))), ids=lambda order: "".join(map(str, order)))
 def test_a_drive_that_contradicts_the_map_is_on_hold_in_every_order(conn, order):
     """The last drive's heights are of another datum. Alone it stands; with an earlier one it is on hold until it is accepted."""

@@ -31,7 +31,7 @@ SIGMA_M, SIGMA_Z_M, CORRELATION_M = 0.02, 0.03, 15.0
 
 @dataclass(frozen=True)
 class Paint:
-    """A lane marking: metres along the road and aside of it (to the left), on a road that turns by `turn` rad per metre."""
+    """A lane marking of a straight road: metres along the road and aside of it (to the left)."""
 
     aside_m: float
     span_m: tuple[float, float] = (-1e9, 1e9)
@@ -97,10 +97,10 @@ def painted_drive(
     day: float = 0.0,
     span_m: tuple[float, float] = (0.0, 100.0),
     sigma_m: float = 0.05,
-    params: ReconcileParams | None = None,
+    blur_px: float = 0.9,
 ) -> DriveEvidence:
-    """A drive past the markings on some day."""
-    params = params or ReconcileParams()
+    """A drive past the markings on some day. blur_px: of its images."""
+    params = ReconcileParams()
     content = hashlib.sha256(f"painted {number} {rng.integers(1 << 60)}".encode()).hexdigest()
     start_ns = START_NS + int(day * DAY_NS)
     offset_m = rng.normal(0, sigma_m, 3)
@@ -115,7 +115,7 @@ def painted_drive(
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in pairs]),
         influence_m=60.0,
         check_visibility=_no_cones,
-        check_view=lambda vertices_m: markings_in_view(vertices_m, view, params),
+        check_view=lambda vertices_m: markings_in_view(vertices_m, view, blur_px, params),
         params=params,
     )
 

@@ -16,11 +16,16 @@ _CHUNK = 256
 
 def without_standstill(line_m: Floats, least_m: float) -> Floats:
     """The line without points nearer than `least_m` to the last kept one, as of a waiting car."""
-    kept = [0]
-    for index in range(1, len(line_m)):
-        if np.hypot(*(line_m[index] - line_m[kept[-1]])) >= least_m:
-            kept.append(index)
-    return line_m[kept]
+    return line_m[spaced(line_m, least_m)]
+
+
+def spaced(points_m: Floats, least_m: float) -> list[int]:
+    """Rows of points (N, D): the first one, and each that is at least `least_m` from the last chosen one."""
+    chosen: list[int] = []
+    for row, at_m in enumerate(points_m):
+        if not chosen or float(np.linalg.norm(at_m - points_m[chosen[-1]])) >= least_m:
+            chosen.append(row)
+    return chosen
 
 
 def stations(line_m: Floats) -> Floats:

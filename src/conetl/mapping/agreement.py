@@ -47,16 +47,11 @@ _BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
 
 
 def contradiction(
-    tracks: Sequence[Track],
-    features: Sequence[MapFeature],
-    deltas: Sequence[Delta],
-    params: ReconcileParams,
-    lines: Sequence[Delta] = (),
+    tracks: Sequence[Track], features: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
 ) -> HealthCheck | None:
     """Why a drive must not change the map before a person has looked; None if it may.
 
-    features: the map's point objects around the drive; deltas: what `reconcile` made of both; lines: the deltas of lane markings.
-    The order of none of them matters.
+    features: the map's point objects around the drive; deltas: what `reconcile` made of both. The order of none of them matters.
     """
     kinds = Counter(delta.kind for delta in deltas)
     sure = sorted(
@@ -64,8 +59,7 @@ def contradiction(
         key=lambda track: track.xyz_m,
     )
     displaced = _displaced(sure, features, kinds, params) if sure and features else None
-    found = displaced or _scattered(kinds, "cones") or _blind(kinds, params)
-    return found or _scattered(Counter(delta.kind for delta in lines), "stretches of lane markings")
+    return displaced or scattered(kinds, "cones", "the zone was set up anew") or _blind(kinds, params)
 
 
 def _displaced(
@@ -216,14 +210,17 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
     return _Fit(agreeing, residual_m, float(np.median(moved_m)), float(moved_m.max()), turn, beside, distinct)
 
 
-def _scattered(kinds: Counter[DeltaKind], what: str) -> HealthCheck | None:
-    """Whether most of the objects that a drive shows are at other places than the map's; what: their name."""
+def scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCheck | None:
+    """Whether most of the objects that a drive shows are at other positions than the map's.
+
+    what: their name; otherwise: what happened if the drive is right.
+    """
     moved, stayed = kinds[DeltaKind.MOVED], kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
     if moved < _LEAST_MOVED or moved <= stayed:
         return None
     detail = (
         f"It would move {moved} of the {moved + stayed} {what} that it shows: its distances or poses are wrong (baseline, "
-        f"alignment), or {'the zone was set up' if what == 'cones' else 'the road was painted'} anew."
+        f"alignment), or {otherwise}."
     )
     return held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.mapping.association import common_offset, moves, moves_by_earlier_drives, near_pairs, pair
-from conetl.mapping.deltas import added, changed, confirmed, ended, moved_and_merged
+from conetl.mapping.deltas import added, changed, confirmed, ended, moved_and_merged, not_observed
 from conetl.mapping.existence_update import is_gone, missed, observed
 from conetl.mapping.fusion import tracks_in_map_frame
 from conetl.mapping.visibility import NotObserved
@@ -106,23 +106,8 @@ def reconcile(
     for j, (absence, evidence) in unobserved.items():
         if j in moved or j in moved_to:
             continue
-        feature, from_ns = features[j], absence.first_ns
-        if j in loose and is_gone(evidence, params):
-            # Removed from the first miss on, which may be that of an earlier drive whose evidence was not enough.
-            if feature.feature_id in summaries:
-                from_ns = min(summaries[feature.feature_id].first_missed_ns, from_ns)
-            deltas.append(ended(DeltaKind.REMOVED, feature, from_ns, evidence=evidence))
-        else:
-            deltas.append(
-                Delta(
-                    kind=DeltaKind.MISSED,
-                    feature_id=feature.feature_id,
-                    old=feature,
-                    new=feature,
-                    changed_at_ns=from_ns,
-                    evidence=evidence,
-                )
-            )
+        summary, gone = summaries.get(features[j].feature_id), j in loose and is_gone(evidence, params)
+        deltas.append(not_observed(features[j], absence.first_ns, summary, evidence, gone=gone))
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
         deltas.append(added(own[i], map_xyz_m[i], shift_m, founding_key, half_of))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from conetl.geometry.packing import vec3
 from conetl.mapping.existence_update import observed
 from conetl.mapping.fusion import fuse
-from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
+from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.records import Track, sound
 
 Floats = NDArray[np.float64]
@@ -52,6 +52,24 @@ def ended(
         old=feature,
         changed_at_ns=max(from_ns, feature.last_seen_ns + 1),
         other_feature_id=merged_into,
+        evidence=evidence,
+    )
+
+
+def not_observed(
+    feature: MapFeature, missed_ns: int, summary: MissSummary | None, evidence: ExistenceEvidence, *, gone: bool
+) -> Delta:
+    """The feature removed, or missed; missed_ns: when this drive first missed it, summary: of the misses before."""
+    if gone:
+        # From the first miss on, which may be that of an earlier drive whose evidence was not enough.
+        from_ns = missed_ns if summary is None else min(summary.first_missed_ns, missed_ns)
+        return ended(DeltaKind.REMOVED, feature, from_ns, evidence=evidence)
+    return Delta(
+        kind=DeltaKind.MISSED,
+        feature_id=feature.feature_id,
+        old=feature,
+        new=feature,
+        changed_at_ns=missed_ns,
         evidence=evidence,
     )
 

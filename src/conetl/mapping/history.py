@@ -165,7 +165,7 @@ def apply_drive(
     ignored. summaries: of the misses since these versions. known: all ids in use, required for imported maps only. A version that
     would begin no later than its predecessor (drives that overlap in time) begins `MIN_VALID_NS` after it.
     """
-    around, drive = _around(current, drive), classified(drive, decisions.classified)
+    around, drive = _around(current, drive), _classified(drive, decisions.classified)
     points, lines = ([one for one in around if (one.marking is not None) == is_line] for is_line in (False, True))
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
     if drive.imported:
@@ -203,7 +203,7 @@ def apply_drive(
             )
         hold = None
         if drive.changeset_id not in decisions.accepted:
-            hold = contradiction(drive.tracks, points, deltas, drive.params, line_deltas)
+            hold = contradiction(drive.tracks, points, deltas, drive.params)
             hold = hold or marking_contradiction(drive.markings, lines, line_deltas, drive.params)
         if hold is not None:
             return MapUpdate([], [], [], around, hold)
@@ -232,7 +232,7 @@ def apply_drive(
     return MapUpdate(deltas, versions, misses, [feature for feature in around if feature.feature_id not in compared])
 
 
-def classified(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:
+def _classified(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:
     """The drive with the classes that people decided. Its boxes keep theirs: absence is judged by the class that is detected."""
     if not decided:
         return drive

@@ -6,11 +6,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from conetl.geometry.linear_reference import project
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.model.params import ReconcileParams
 
-#: A cone whose position differs by more was moved, a lane marking from the second distance on; one whose height differs by more
-#: belongs to another height class.
+#: A cone whose position differs by more was moved, a lane marking by the second distance across its line; a cone whose height
+#: differs by more belongs to another height class.
 MOVED_M = ReconcileParams().min_gate_m
 LINE_MOVED_M = ReconcileParams().marking_gate_m
 HEIGHT_M = ReconcileParams().moved_height_tolerance_m
@@ -36,9 +37,17 @@ def _change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange:
     elif new is None:
         kind = DeltaKind.REMOVED
     else:
-        shift_m = float(np.hypot(new.xyz_m[0] - old.xyz_m[0], new.xyz_m[1] - old.xyz_m[1]))
+        shift_m = _shift_m(old, new)
         kind = _kind_of_change(old, new, shift_m)
     return FeatureChange(kind=kind, feature_id=one.feature_id, old=old, new=new, shift_m=shift_m)
+
+
+def _shift_m(old: MapFeature, new: MapFeature) -> float:
+    """Horizontal distance of the positions; of a lane marking that from the old line: its middle vertex may be another one."""
+    if old.marking is not None:
+        _, aside_m = project(np.array(old.marking.vertices_m)[:, :2], np.array([new.xyz_m[:2]]))
+        return abs(float(aside_m[0]))
+    return float(np.hypot(new.xyz_m[0] - old.xyz_m[0], new.xyz_m[1] - old.xyz_m[1]))
 
 
 def _kind_of_change(old: MapFeature, new: MapFeature, shift_m: float) -> DeltaKind:

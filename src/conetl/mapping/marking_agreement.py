@@ -1,4 +1,4 @@
-"""Whether the lane markings of a drive contradict those of the map as a whole: all higher, all aside, or replaced by others.
+"""Whether the lane markings of a drive contradict those of the map as a whole: most moved, all higher or aside, or replaced.
 
 The same for cones is in `agreement.py`. A drive that shows no cone has nothing else that its position can be compared with.
 """
@@ -11,10 +11,9 @@ from math import sqrt
 
 import numpy as np
 
-from conetl.geometry.packing import cov_matrices
-from conetl.mapping.agreement import held
-from conetl.mapping.marking_deltas import drive_of
-from conetl.mapping.marking_lines import feet, lines_of
+from conetl.mapping.agreement import held, scattered
+from conetl.mapping.marking_deltas import drive_of, lines_on_map
+from conetl.mapping.marking_lines import feet
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.markings import MarkingTrack
@@ -24,6 +23,7 @@ from conetl.model.params import ReconcileParams
 _MAX_SIGMAS, _LEAST_OFFSET_M, _LEAST_RISE_M = 5.0, 0.1, 0.3
 #: Stretches that must agree on that, or be replaced; on a height beyond any error of measurement one is enough.
 _LEAST_STRETCHES, _GROSS_RISE_M = 3, 1.5
+_STRETCHES = "stretches of lane markings"
 
 
 def marking_contradiction(
@@ -33,21 +33,22 @@ def marking_contradiction(
 
     stretches: those of the map around the drive; deltas: what `reconcile_markings` made of both.
     """
-    return _displaced(markings, stretches, params) or _replaced(Counter(delta.kind for delta in deltas))
+    kinds = Counter(delta.kind for delta in deltas)
+    moved = scattered(kinds, _STRETCHES, "the road was painted anew")
+    return moved or _displaced(markings, stretches, params) or _replaced(kinds)
 
 
 def _displaced(
     markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    drive = drive_of(sorted(markings, key=lambda track: track.marking_index))
-    shapes = [one.marking for one in sorted(stretches, key=lambda one: one.feature_id) if one.marking is not None]
-    on_map = lines_of([np.array(shape.vertices_m) for shape in shapes])
+    drive = drive_of(markings)
+    on_map, map_cov = lines_on_map(sorted(stretches, key=lambda feature: feature.feature_id))
     found = feet(on_map, drive.lines, params.marking_moved_max_m)
     if not len(found.point):
         return None
     order = np.lexsort((np.abs(found.lateral_m), found.point))  # of each vertex the nearest line
     found = found.only(order[np.concatenate([[True], np.diff(found.point[order]) != 0])])
-    cov = cov_matrices([cov for shape in shapes for cov in shape.cov_m2])[found.point] + found.at(drive.cov_m2)
+    cov = map_cov[found.point] + found.at(drive.cov_m2)
     count = len(np.unique(on_map.line[found.point]))
     up = float(np.median((found.at(drive.lines.vertices_m) - on_map.vertices_m[found.point])[:, 2]))
     sigma_m = float(np.sqrt(cov[:, 2, 2].mean()))
@@ -76,8 +77,8 @@ def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
     if replaced < _LEAST_STRETCHES or replaced + kinds[DeltaKind.MOVED] <= stayed:
         return None
     detail = (
-        f"It would remove {kinds[DeltaKind.REMOVED]} stretches of lane markings, add {kinds[DeltaKind.ADDED]} others and confirm "
+        f"It would remove {kinds[DeltaKind.REMOVED]} {_STRETCHES}, add {kinds[DeltaKind.ADDED]} others and confirm "
         f"{stayed}: its position is wrong, or the road was painted anew. Check base station, datum and antenna offset."
     )
     limit = max(stayed, _LEAST_STRETCHES - 1)
-    return held("replaced", replaced, detail, limit=limit, unit="stretches of lane markings")
+    return held("replaced", replaced, detail, limit=limit, unit=_STRETCHES)

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
-from conetl.geometry.packing import cov_matrices
+from conetl.geometry.packing import cov3, cov_matrices, vec3
 from conetl.mapping.fusion import OffsetErrors, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Floats, Indices, Lines, lines_of
 from conetl.mapping.marking_visibility import MarkingView
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
-from conetl.model.records import Cov3, SharedErrorJacobian, sound
+from conetl.model.records import SharedErrorJacobian, sound
 
 _NAMESPACE = UUID("3c0a8d52-1f7e-4f0b-9d35-8e1c6a7b2f49")
 #: A stretch on the map is at most so long; its vertices are about as far apart as those of the drive, at most so far.
@@ -44,6 +44,10 @@ class LineDrive(NamedTuple):
     """(V, 3, 3)"""
     relative_m2: Floats
     """(V, 3, 3)"""
+    shift_m: Floats
+    """(3,) what is subtracted from its positions on the map."""
+    shift_errors: OffsetErrors | None = None
+    """None where nothing is subtracted, or no stretch was observed again: the covariances then stay those of the drive."""
 
     def length_m(self, line: int) -> float:
         return float(self.lines.station_m[self.lines.line == line].max())
@@ -59,13 +63,30 @@ class Sighting(NamedTuple):
     last_ns: int
 
 
-def drive_of(tracks: Sequence[MarkingTrack]) -> LineDrive:
+def drive_of(markings: Sequence[MarkingTrack]) -> LineDrive:
+    """In the order of `marking_index`, with nothing subtracted."""
+    tracks = sorted(markings, key=lambda track: track.marking_index)
     return LineDrive(
         tracks,
         lines_of([np.array(track.marking.vertices_m) for track in tracks]),
         cov_matrices([cov for track in tracks for cov in track.marking.cov_m2]),
         cov_matrices([cov for track in tracks for cov in track.relative_cov_m2]),
+        np.zeros(3),
     )
+
+
+def lines_on_map(stretches: Sequence[MapFeature]) -> tuple[Lines, Floats]:
+    """The lines of features, numbered as these are, and the covariances (V, 3, 3) in m^2 of their vertices."""
+    shapes = [shape_of(feature) for feature in stretches]
+    lines = lines_of([np.array(shape.vertices_m) for shape in shapes])
+    return lines, cov_matrices([cov for shape in shapes for cov in shape.cov_m2])
+
+
+def shape_of(feature: MapFeature) -> Marking:
+    """Raises ValueError for a point object."""
+    if feature.marking is None:
+        raise ValueError(f"feature {feature.feature_id} is not a line")
+    return feature.marking
 
 
 def sighting(track: int, drive: LineDrive, view: MarkingView, vertices: NDArray[np.bool_]) -> Sighting:
@@ -98,25 +119,25 @@ def confirmed(
     across = np.eye(3) - along[:, :, None] * along[:, None, :]
     apart = (across @ (found.at(drive.lines.vertices_m) - on_map.vertices_m[at])[:, :, None])[:, :, 0]
     measured = found.at(drive.cov_m2) + _ALONG_M2 * along[:, :, None] * along[:, None, :]
-    old_cov = [cov for feature in features for cov in _shape(feature).cov_m2]
+    old_cov = [cov for feature in features for cov in shape_of(feature).cov_m2]
     gain, cov, jacobians = fuse(
         [old_cov[k] for k in at.tolist()],
         [features[j].shared_jacobian for j in number.tolist()],
-        _triangles(measured),
+        list(map(cov3, measured)),
         _turned_jacobians(drive, found),
     )
     vertices_m = on_map.vertices_m.copy()
     vertices_m[at] += (across @ gain @ apart[:, :, None])[:, :, 0]
-    new_cov = dict(zip(at.tolist(), _triangles(cov), strict=True))
+    new_cov = dict(zip(at.tolist(), map(cov3, cov), strict=True))
     new_jacobian = dict(zip(at.tolist(), jacobians, strict=True))
     deltas = {}
     for j, seen in sightings.items():
-        old, shape = features[j], _shape(features[j])
+        old, shape = features[j], shape_of(features[j])
         rows = np.flatnonzero(on_map.line == j)
         middle = int(rows[len(rows) // 2])
         marking = sound(
             Marking,
-            vertices_m=_tuples(vertices_m[rows]),
+            vertices_m=tuple(map(vec3, vertices_m[rows])),
             cov_m2=tuple(new_cov.get(k, old_cov[k]) for k in rows.tolist()),
             **_attributes(shape, old.observation_count, drive.tracks[seen.track].marking, seen.frames),
         )
@@ -143,17 +164,9 @@ def confirmed(
     return deltas
 
 
-def moved(
-    feature: MapFeature,
-    found: Feet,
-    seen: Sighting,
-    drive: LineDrive,
-    shift_m: Floats,
-    offset: OffsetErrors | None,
-    evidence: ExistenceEvidence,
-) -> Delta:
+def moved(feature: MapFeature, found: Feet, seen: Sighting, drive: LineDrive, evidence: ExistenceEvidence) -> Delta:
     """A stretch that was painted anew: the drive's marking beside it, where its vertices were."""
-    new = _of_drive(found, seen, drive, shift_m, offset, feature.feature_id, feature.version + 1, evidence)
+    new = _of_drive(found, seen, drive, feature.feature_id, feature.version + 1, evidence)
     new = new.model_copy(
         update={
             "first_seen_ns": feature.first_seen_ns,
@@ -172,22 +185,14 @@ def moved(
     )
 
 
-def added(
-    found: Feet,
-    seen: Sighting,
-    drive: LineDrive,
-    shift_m: Floats,
-    offset: OffsetErrors | None,
-    founding_key: str,
-    evidence: ExistenceEvidence,
-) -> Delta:
+def added(found: Feet, seen: Sighting, drive: LineDrive, founding_key: str, evidence: ExistenceEvidence) -> Delta:
     """A new stretch. Its id follows from the marking of the drive and the station (dm) at which it begins."""
     begins_dm = round(10 * float(found.station_m[0]))
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{drive.tracks[seen.track].marking_index}/{begins_dm}")
     return Delta(
         kind=DeltaKind.ADDED,
         feature_id=feature_id,
-        new=_of_drive(found, seen, drive, shift_m, offset, feature_id, 1, evidence),
+        new=_of_drive(found, seen, drive, feature_id, 1, evidence),
         changed_at_ns=seen.first_ns,
         evidence=evidence,
     )
@@ -196,7 +201,7 @@ def added(
 def split(confirmation: Delta, vertices: Indices, at_ns: int, founding_key: str) -> Delta:
     """What is left of a stretch that is removed: successive vertices of its confirmed state, as a stretch of its own."""
     whole = confirmation.state_after
-    shape = _shape(whole)
+    shape = shape_of(whole)
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{whole.feature_id}/{int(vertices[0])}")
     part = {
         "vertices_m": tuple(shape.vertices_m[k] for k in vertices.tolist()),
@@ -245,28 +250,17 @@ def stretches_of(drive: LineDrive, line: int, part_m: tuple[float, float]) -> li
 
 
 def _of_drive(
-    found: Feet,
-    seen: Sighting,
-    drive: LineDrive,
-    shift_m: Floats,
-    offset: OffsetErrors | None,
-    feature_id: UUID,
-    version: int,
-    evidence: ExistenceEvidence,
+    found: Feet, seen: Sighting, drive: LineDrive, feature_id: UUID, version: int, evidence: ExistenceEvidence
 ) -> MapFeature:
-    """Points of a drive's marking as a stretch; shift_m (3,), offset: what is subtracted from them, and its errors."""
+    """Points of a drive's marking as a stretch."""
     track = drive.tracks[seen.track]
-    cov, jacobians = _triangles(found.at(drive.cov_m2)), _turned_jacobians(drive, found)
-    if offset is not None:
-        relative = _triangles(found.at(drive.relative_m2))
-        in_map = [in_map_frame(*one, offset) for one in zip(cov, relative, jacobians, strict=True)]
+    cov, jacobians = list(map(cov3, found.at(drive.cov_m2))), _turned_jacobians(drive, found)
+    if drive.shift_errors is not None:
+        relative = map(cov3, found.at(drive.relative_m2))
+        in_map = [in_map_frame(*one, drive.shift_errors) for one in zip(cov, relative, jacobians, strict=True)]
         cov, jacobians = [one for one, _ in in_map], [one for _, one in in_map]
-    marking = sound(
-        Marking,
-        vertices_m=_tuples(found.at(drive.lines.vertices_m) - shift_m),
-        cov_m2=tuple(cov),
-        **{name: getattr(track.marking, name) for name in Marking.model_fields if name not in ("vertices_m", "cov_m2")},
-    )
+    vertices_m = tuple(map(vec3, found.at(drive.lines.vertices_m) - drive.shift_m))
+    marking = track.marking.model_copy(update={"vertices_m": vertices_m, "cov_m2": tuple(cov)})
     return _feature(
         feature_id,
         version,
@@ -348,19 +342,3 @@ def _turned_jacobians(drive: LineDrive, found: Feet) -> list[SharedErrorJacobian
             own = turned[line, turn]
         result.append(own)
     return result
-
-
-def _shape(feature: MapFeature) -> Marking:
-    if feature.marking is None:
-        raise ValueError(f"feature {feature.feature_id} is not a line")
-    return feature.marking
-
-
-def _triangles(matrices: Floats) -> list[Cov3]:
-    """Upper triangles of symmetric (N, 3, 3)."""
-    rows = matrices.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist()
-    return [(xx, xy, xz, yy, yz, zz) for xx, xy, xz, yy, yz, zz in rows]
-
-
-def _tuples(points_m: Floats) -> tuple[tuple[float, float, float], ...]:
-    return tuple((x, y, z) for x, y, z in points_m.tolist())

@@ -18,25 +18,26 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.packing import cov_matrices
-from conetl.mapping.deltas import ended
+from conetl.mapping.deltas import not_observed
 from conetl.mapping.existence_update import is_gone, missed, observed_line
-from conetl.mapping.fusion import OffsetErrors, offset_errors
+from conetl.mapping.fusion import offset_errors
 from conetl.mapping.marking_deltas import (
     LineDrive,
     Sighting,
     added,
     confirmed,
     drive_of,
+    lines_on_map,
     moved,
+    shape_of,
     sighting,
     split,
     stretches_of,
 )
-from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset, lines_of
+from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
 from conetl.mapping.marking_visibility import MarkingView
 from conetl.mapping.visibility import NotObserved
-from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 
@@ -88,10 +89,6 @@ class _Comparison:
     claims: Claims
     same: Feet
     """Those of `found` that are the same marking."""
-    shift_m: Floats
-    """(3,) what is subtracted from the drive's positions."""
-    taken: OffsetErrors | None
-    """Errors of `shift_m`; None where nothing is subtracted."""
 
 
 def reconcile_markings(
@@ -132,12 +129,13 @@ def reconcile_markings(
     for j, own in anew.items():
         where = np.isin(np.flatnonzero(c.on_map.line == j), own.point)
         one = sighting(int(own.line[0]), drive, states[j].view, where)
-        deltas.append(moved(features[j], own, one, drive, c.shift_m, c.taken, evidence_for(j, one)))
+        deltas.append(moved(features[j], own, one, drive, evidence_for(j, one)))
     for j in against.keys() - anew.keys():
         absence, evidence = against[j]
-        end = _unobserved(features[j], absence, evidence, j not in fixed, summaries, params)
+        summary, gone = summaries.get(features[j].feature_id), j not in fixed and is_gone(evidence, params)
+        end = not_observed(features[j], absence.first_ns, summary, evidence, gone=gone)
         deltas.append(end)
-        if end.kind is DeltaKind.REMOVED and j in seen:
+        if gone and j in seen:
             rest = _runs(states[j].seen)
             deltas += [split(confirmations[j], run, end.changed_at_ns, founding_key) for run in rest]
     for i in np.flatnonzero(sure).tolist():
@@ -146,7 +144,7 @@ def reconcile_markings(
                 view = check_view(piece.at(drive.lines.vertices_m))
                 one = sighting(i, drive, view, np.ones(len(piece.point), bool))
                 founding = observed_line(None, None, drive.tracks[i], one.frames)
-                deltas.append(added(piece, one, drive, c.shift_m, c.taken, founding_key, founding))
+                deltas.append(added(piece, one, drive, founding_key, founding))
     return deltas
 
 
@@ -156,11 +154,8 @@ def _compared(
     params: ReconcileParams,
     offset: tuple[Floats, float],
 ) -> _Comparison:
-    drive = drive_of(sorted(markings, key=lambda track: track.marking_index))
-    features = sorted(stretches, key=lambda feature: feature.feature_id)
-    shapes = [feature.marking for feature in features if feature.marking is not None]
-    on_map = lines_of([np.array(shape.vertices_m) for shape in shapes])
-    map_cov = cov_matrices([cov for shape in shapes for cov in shape.cov_m2])
+    drive, features = drive_of(markings), sorted(stretches, key=lambda feature: feature.feature_id)
+    on_map, map_cov = lines_on_map(features)
     offset_m, weight = offset
     if weight == 0:
         offset_m, weight = lateral_offset(drive.lines, on_map, _variance(drive.cov_m2), _variance(map_cov), params)
@@ -176,23 +171,23 @@ def _compared(
     penalty_m = _penalty_m(found, on_map, features, drive)
     claims = Claims(found, on_map.line)
     same = found.only(claims.claim(np.flatnonzero(near), penalty_m[near], lambda _: 1))
-    taken = None
+    errors = None
     if weight > 0 and len(same.point):
         pairs = sorted({*zip(on_map.line[same.point].tolist(), same.line.tolist(), strict=True)})
         jacobians = [drive.tracks[i].shared_jacobian for _, i in pairs]
-        taken = offset_errors([features[j] for j, _ in pairs], jacobians, weight)
-    return _Comparison(drive, features, on_map, found, near, penalty_m, claims, same, weight * offset_m, taken)
+        errors = offset_errors([features[j] for j, _ in pairs], jacobians, weight)
+    drive = drive._replace(shift_m=weight * offset_m, shift_errors=errors)
+    return _Comparison(drive, features, on_map, found, near, penalty_m, claims, same)
 
 
 def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive: LineDrive) -> Floats:
     """(K,) for markings of another colour or width."""
     penalty = np.zeros(len(found.point))
     for k, (j, i) in enumerate(zip(on_map.line[found.point].tolist(), found.line.tolist(), strict=True)):
-        a, b = features[j].marking, drive.tracks[i].marking
-        if a is not None:
-            other_colour = len({a.colour, b.colour} - {"other"}) == 2
-            other_width = abs(a.width_m - b.width_m) > _OTHER_WIDTH_M
-            penalty[k] = _UNLIKE_M * (int(other_colour) + int(other_width))
+        a, b = shape_of(features[j]), drive.tracks[i].marking
+        other_colour = len({a.colour, b.colour} - {"other"}) == 2
+        other_width = abs(a.width_m - b.width_m) > _OTHER_WIDTH_M
+        penalty[k] = _UNLIKE_M * (int(other_colour) + int(other_width))
     return penalty
 
 
@@ -204,7 +199,7 @@ def _states(c: _Comparison, check_view: ViewCheck, params: ReconcileParams) -> d
     for j, feature in enumerate(c.features):
         own = c.on_map.line == j
         seen = observed[own]
-        view = check_view(c.on_map.vertices_m[own] + c.shift_m).after(feature.last_seen_ns)
+        view = check_view(c.on_map.vertices_m[own] + c.drive.shift_m).after(feature.last_seen_ns)
         gone = ~seen & (view.in_view.sum(axis=1) >= params.marking_min_frames)
         if seen.any() or gone.any():
             states[j] = _State(seen, gone, view)
@@ -245,30 +240,6 @@ def _painted_anew(
     found = c.found.only(rows)
     stretch = c.on_map.line[found.point]
     return {j: found.only(stretch == j) for j in np.unique(stretch).tolist()}
-
-
-def _unobserved(
-    feature: MapFeature,
-    absence: NotObserved,
-    evidence: ExistenceEvidence,
-    is_loose: bool,
-    summaries: Mapping[UUID, MissSummary],
-    params: ReconcileParams,
-) -> Delta:
-    """The stretch removed, from the first miss on, or missed."""
-    from_ns = absence.first_ns
-    if is_loose and is_gone(evidence, params):
-        if feature.feature_id in summaries:
-            from_ns = min(summaries[feature.feature_id].first_missed_ns, from_ns)
-        return ended(DeltaKind.REMOVED, feature, from_ns, evidence=evidence)
-    return Delta(
-        kind=DeltaKind.MISSED,
-        feature_id=feature.feature_id,
-        old=feature,
-        new=feature,
-        changed_at_ns=from_ns,
-        evidence=evidence,
-    )
 
 
 def _variance(cov_m2: Floats) -> float:

@@ -96,8 +96,8 @@ class DetectorEvidence(Record):
     false_boxes_per_picture: tuple[tuple[Positive, ...], ...]
     """Boxes on no cone at or above the threshold, by threshold and height band."""
     false_boxes_by_class: dict[str, Positive] | None = None
-    """Of classes other than cones: boxes on no object of the class at or above `reference_score`, per image. None, or a class
-    that is not in it: not counted."""
+    """Of classes other than cones: boxes on no object of the class at or above `reference_score`, per image; the upper 95 % bound
+    where few were counted. None, or a class that is not in it: not counted."""
     look_correlation: ImageCorrelation
     """Of the log-likelihood ratios, cone against lookalike, of two images of one object."""
     miss_correlation: ImageCorrelation | None = None

@@ -34,7 +34,7 @@ class FeatureClass:
     """Sigma, as a share of the height of the box, of what all boxes of one object have in common: which part of it they take for
     its foot and axis. Measured on rendered objects; None of cones, whose feet networks give."""
     geometry: Literal["point", "line"] = "point"
-    """Point objects are found by the detector, lines by `perception/lane_markings.py`, which needs no network."""
+    """Point objects are found by the detector, lines by `perception/markings/`, which needs no network."""
 
 
 FEATURE_CLASSES = {

@@ -56,5 +56,7 @@ class MarkingTrack(Record):
     last_seen_ns: int
     contrast: NonNegative
     """Median grey levels between paint and road."""
+    blur_px: NonNegative
+    """Sigma of the Gaussian that blurs its edges in the images, median."""
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
     """Of the calibration's part in the covariances, at the middle vertex; None where unknown."""

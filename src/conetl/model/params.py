@@ -16,7 +16,7 @@ from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_of
 from conetl.model.records import Positive, Record
 from conetl.model.records import Probability as Fraction
 
-SIGN_MARGIN_RAD = 0.3
+_SIGN_MARGIN_RAD = 0.3
 
 
 class Params(Record):
@@ -41,7 +41,7 @@ class DetectionParams(Params):
         """`horizon_margin_rad`, and more where signs or boards are searched for: one that ends 3 m above the road is below 0.3
         rad from 5 m on. What is searched for must be searched for wherever it counts as visible."""
         above_road = any(not FEATURE_CLASSES[category].on_road for category in self.categories)
-        return max(self.horizon_margin_rad, SIGN_MARGIN_RAD) if above_road else self.horizon_margin_rad
+        return max(self.horizon_margin_rad, _SIGN_MARGIN_RAD) if above_road else self.horizon_margin_rad
 
     @field_validator("categories")
     @classmethod
@@ -169,6 +169,8 @@ class ReconcileParams(Params):
     marking_view_to_m: Positive = 12.0
     """... to this one, and so far to the left and right: inside of where they are searched for (`MarkingParams`)."""
     marking_view_aside_m: Positive = 7.0
+    marking_max_blur_m: Positive = 0.025
+    """Nor beyond the depth at which the drive's images blur edges on the road by this sigma, a fifth of the width of paint."""
 
 
 class TrajectoryParams(Params):

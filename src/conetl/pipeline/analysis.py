@@ -12,7 +12,7 @@ from typing import Any
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.model.feature_classes import LINE_CLASSES
+from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.records import Detection, Drive, DriveRecords, ImageDetail, Position, Rig, StereoMatch, Track
@@ -23,7 +23,7 @@ from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
 from conetl.pipeline.detect import detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, ThreadExecutor, results
-from conetl.pipeline.markings import mark, marking_points, wants_markings
+from conetl.pipeline.markings import mark, marking_points
 from conetl.pipeline.odometry import (
     Odometry,
     check_poses,
@@ -102,9 +102,10 @@ def analyse(
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         card = read_model_card(settings.model_path)
-        card.require_categories(set(params.detection.categories) - set(LINE_CLASSES))
+        searched = params.detection.categories
+        card.require_categories(set(searched) - set(LINE_CLASSES))
         chunks = chunks_of(drive, settings, _for_corrected_rows(params) if rig != given else params)
-        found = _run_chunks(drive, chunks, executor, progress, with_markings=wants_markings(params))
+        found = _run_chunks(drive, chunks, executor, progress, with_markings=LANE_MARKING in searched)
         detection_paths, match_paths, motion_paths, marking_paths, calibration, rig = found
         drive = drive.model_copy(update={"rig": rig})
         trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)

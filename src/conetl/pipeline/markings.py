@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
-from conetl.model.feature_classes import LANE_MARKING
+from conetl.geometry.linear_reference import spaced
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import Drive, FramePair
+from conetl.model.records import Drive
 from conetl.perception.images import ImageFileError
 from conetl.perception.markings.crossings import find_points
 from conetl.perception.markings.points import MarkingPoints
@@ -27,11 +27,6 @@ _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
 
 
-def wants_markings(params: IngestParams) -> bool:
-    """Whether lane markings are searched for."""
-    return LANE_MARKING in params.detection.categories
-
-
 def marking_points(chunk: Chunk, part: int) -> Path:
     """Points of lane markings in one of the parts of a chunk; returns the Parquet file.
 
@@ -43,7 +38,8 @@ def marking_points(chunk: Chunk, part: int) -> Path:
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
     set_up_worker()
-    pairs = _spread(chunk.frame_pairs[parts_of(chunk)[part]], params.pair_spacing_m)
+    whole = chunk.frame_pairs[parts_of(chunk)[part]]
+    pairs = [whole[k] for k in spaced(np.array([pair.pose.map_t_body_m for pair in whole]), params.pair_spacing_m)]
     found = []
     for number, pair in enumerate(pairs):
         if number % _PAIRS_AT_ONCE == 0:
@@ -64,13 +60,3 @@ def mark(
     tracks = fuse_markings(points, drive, params.marking, pose_cov(trajectory, params.trajectory))
     _log.info("Lane markings: %d, from points in %d frame pairs", len(tracks), len(points))
     return tracks
-
-
-def _spread(pairs: Sequence[FramePair], spacing_m: float) -> list[FramePair]:
-    """The first pair and each one that the rig reaches `spacing_m` after the last."""
-    chosen: list[FramePair] = []
-    for pair in pairs:
-        here = np.array(pair.pose.map_t_body_m)
-        if not chosen or np.linalg.norm(here - np.array(chosen[-1].pose.map_t_body_m)) >= spacing_m:
-            chosen.append(pair)
-    return chosen

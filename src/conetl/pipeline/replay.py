@@ -8,7 +8,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 from uuid import UUID
 
@@ -31,12 +31,15 @@ from conetl.db.map.replay_store import (
 )
 from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
-from conetl.mapping.history import DriveEvidence, Floats, MapHistory, MapUpdate, apply_drive, replay_drives
-from conetl.mapping.marking_visibility import MarkingView, markings_in_view
-from conetl.mapping.visibility import DriveObservations, NotObserved, check_visibility, observations_of_drive
+from conetl.mapping.changes import VisibilityCheck
+from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, replay_drives
+from conetl.mapping.marking_visibility import blur_of, markings_in_view
+from conetl.mapping.markings import ViewCheck
+from conetl.mapping.visibility import DriveObservations, check_visibility, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.health import HealthCheck, HoldChange
-from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MapFeature, MissedObservation
+from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MissedObservation
+from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import DriveRecords, Rig
 
@@ -113,6 +116,7 @@ def merge_drive(
         return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
     spots = [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
     view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
+    visible, in_view = _checks_of(lambda: view, records.markings, params.reconcile)
     own = DriveEvidence(
         key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
         changeset_id=changeset.changeset_id,
@@ -120,11 +124,9 @@ def merge_drive(
         tracks=records.tracks,
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
         influence_m=influence_m(params),
-        check_visibility=lambda feature, offset_m, others_m: check_visibility(
-            feature, offset_m, others_m, view, params.reconcile
-        ),
+        check_visibility=visible,
         markings=records.markings,
-        check_view=lambda vertices_m: markings_in_view(vertices_m, view, params.reconcile),
+        check_view=in_view,
         params=params.reconcile,
     )
     decisions = read_decisions(conn, map_name=map_name)
@@ -203,6 +205,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
         drive = load_stored_drive(conn, ref.drive_uuid)
         if drive.rig is not None:  # an imported map had nothing in view
             view_params[ref.drive_uuid] = drive.rig, drive.figures
+        visible, in_view = _checks_of(partial(view_of, ref.drive_uuid), drive.markings, drive.reconcile)
         evidence.append(
             DriveEvidence(
                 key=drive.key(ref.idempotency_key),
@@ -211,9 +214,9 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
                 tracks=drive.tracks,
                 path_m=drive.path_m,
                 influence_m=drive.influence_m,
-                check_visibility=_look_at(view_of, ref.drive_uuid, drive.reconcile),
+                check_visibility=visible,
                 markings=drive.markings,
-                check_view=_view_of(view_of, ref.drive_uuid, drive.reconcile),
+                check_view=in_view,
                 params=drive.reconcile,
                 imported=drive.statements,
             )
@@ -232,15 +235,12 @@ def founding_key(id_name: str, content_sha256: str) -> str:
     return f"{id_name}/{content_sha256}"
 
 
-def _look_at(
-    view_of: Callable[[UUID], DriveObservations], drive_uuid: UUID, params: ReconcileParams
-) -> Callable[[MapFeature, Floats, Floats], NotObserved | None]:
-    return lambda feature, offset_m, others_m: check_visibility(
-        feature, offset_m, others_m, view_of(drive_uuid), params
+def _checks_of(
+    view: Callable[[], DriveObservations], markings: Sequence[MarkingTrack], params: ReconcileParams
+) -> tuple[VisibilityCheck, ViewCheck]:
+    """Of cones and of lane markings; view: what the drive had in view, read when it is needed; markings: that it observed."""
+    blur_px = blur_of(markings)
+    return (
+        lambda feature, offset_m, others_m: check_visibility(feature, offset_m, others_m, view(), params),
+        lambda vertices_m: markings_in_view(vertices_m, view(), blur_px, params),
     )
-
-
-def _view_of(
-    view_of: Callable[[UUID], DriveObservations], drive_uuid: UUID, params: ReconcileParams
-) -> Callable[[Floats], MarkingView]:
-    return lambda vertices_m: markings_in_view(vertices_m, view_of(drive_uuid), params)

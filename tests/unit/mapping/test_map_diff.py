@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -37,6 +38,16 @@ def test_a_cone_that_was_looked_for_in_vain_is_not_confirmed() -> None:
     seen = after.model_copy(update={"version": 2, "observation_count": 4})
     assert [change.kind for change in diff([before], [after])] == [DeltaKind.MISSED]
     assert [change.kind for change in diff([before], [seen])] == [DeltaKind.CONFIRMED], "seen, whatever the belief"
+
+
+def test_a_lane_marking_is_compared_across_its_line() -> None:
+    """Painted anew along a part of the old stretch, so that the middle vertices are not beside each other."""
+    old, new = (
+        records.line_feature(records.marking([(east_m, north_m, 0.0) for east_m in easts_m]))
+        for easts_m, north_m in (((0.0, 2.5, 5.0, 7.5, 10.0), 0.0), ((0.0, 2.5, 5.0), 0.3))
+    )
+    [change] = diff([old], [new])
+    assert change.kind is DeltaKind.MOVED and change.shift_m == pytest.approx(0.3)
 
 
 @given(before=MAPS, after=MAPS)

@@ -113,6 +113,13 @@ def test_a_poor_drive_removes_nothing_and_several_of_them_do() -> None:
     assert kinds_of(replay_drives([drives[0], blind]), blind) == {}, "a drive that did not search says nothing"
 
 
+def test_blurred_images_show_absence_at_a_shorter_range_only() -> None:
+    for blur_px, kind in ((0.9, "removed"), (1.5, "removed"), (2.5, None)):
+        first, second = drives_of([ROAD, (EDGE, CENTRE, LEFT)], blur_px=blur_px)
+        gone = {delta.kind.value for delta in deltas_of(replay_drives([first, second]), second)} - {"confirmed"}
+        assert gone == ({kind} if kind else set()), blur_px
+
+
 def few_frames(view: MarkingView) -> MarkingView:
     return MarkingView(view.captured_at_ns[::5], view.in_view[:, ::5])
 

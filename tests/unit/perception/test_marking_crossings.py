@@ -102,6 +102,17 @@ def test_a_kerb_is_higher_than_the_road_beside_it_and_paint_is_not() -> None:
     assert np.nanmedian(above[np.abs(x - WHITE_M) < 0.12]) < 0.03
 
 
+@pytest.mark.parametrize("blur_px", [0.0, 1.5, 2.5])
+def test_blur_is_measured_at_the_edges_of_the_paint(blur_px: float) -> None:
+    images = [render(RIG, side) for side in (0, 1)]
+    if blur_px:
+        images = [np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), np.uint8) for image in images]
+    columns = find_points(3, *images, RIG, MarkingParams()).columns()
+    measured_px = np.sqrt(max(np.median(columns.blur_px2), 0.0))
+    # Pixels and interpolation blur by 0.5; of a strong blur the near end of the road, where it is smallest, weighs most.
+    assert 0.7 * blur_px < measured_px < blur_px + 0.9
+
+
 def test_images_without_a_road_have_neither_points_nor_searched_rows() -> None:
     blank = np.full((CAMERA.height_px, CAMERA.width_px, 3), 120, dtype=np.uint8)
     found = find_points(0, blank, blank, RIG, MarkingParams())

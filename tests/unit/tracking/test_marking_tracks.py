@@ -82,7 +82,7 @@ def _points(
             values.append(np.column_stack([
                 u + 0.2 * noise[0], rows, disparity + 0.2 * noise[1], 0.12 + 0.01 * noise[2], np.full(len(u), 60.0),
                 np.zeros(len(u)), np.zeros(len(u)), above_m + 0.02 * noise[3], np.zeros(len(u)),
-                disparity + 0.05 * noise[1], np.arange(len(u)),
+                disparity + 0.05 * noise[1], np.arange(len(u)), np.full(len(u), 0.8),
             ])[shown])  # fmt: skip
         assert values[0].shape[1] == len(PointColumns._fields)
         found.append(

@@ -21,19 +21,14 @@ def list_decisions(conn: Connection, *, map_name: str = "default") -> list[Store
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
     """The decisions in the form for the comparison of drives."""
-    places: dict[str, list[Location]] = {"suppress": [], "pin": []}
-    classified = []
     found = list_decisions(conn, map_name=map_name)
-    for decision in found:
-        place = decision.place
-        if place is not None and decision.category is not None and decision.found_as is not None:
-            classes = {"found_as": decision.found_as, "category": decision.category}
-            classified.append(Classification(xy_m=place.xy_m, radius_m=place.radius_m, **classes))
-        elif place is not None:
-            places[decision.kind].append(place)
-    accepted = frozenset(d.changeset_id for d in found if d.kind == "accept" and d.changeset_id is not None)
-    suppressed, pinned = tuple(places["suppress"]), tuple(places["pin"])
-    return Decisions(suppressed=suppressed, pinned=pinned, classified=tuple(classified), accepted=accepted)
+    placed = [(decision.kind, decision.place) for decision in found if decision.place is not None]
+    return Decisions(
+        suppressed=tuple(place for kind, place in placed if kind == "suppress"),
+        pinned=tuple(place for kind, place in placed if kind == "pin"),
+        classified=tuple(place for _, place in placed if isinstance(place, Classification)),
+        accepted=frozenset(d.changeset_id for d in found if d.kind == "accept" and d.changeset_id is not None),
+    )
 
 
 def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,11 @@ from conetl.model.records import Cov3, sound
 _EWKB_LINE_Z_SRID = 0x80000000 | 0x20000000 | 2
 _DOUBLE_TYPE, _DOUBLE_BYTES = 701, 8
 _DOUBLES = np.dtype([("length", ">i4"), ("value", ">f8")])
+#: Columns that are named as the attributes, in the order of `map.features_as_of`.
+_ATTRIBUTES: dict[str, Callable[[list[Any]], Column]] = {
+    "width_m": binary.doubles, "width_sigma_m": binary.doubles, "colour": binary.texts, "pattern": binary.texts,
+    "dash_m": binary.doubles, "gap_m": binary.doubles,
+}  # fmt: skip
 #: Bytes before the vertices in `ST_AsBinary`.
 _WKB_HEAD = 9
 
@@ -27,31 +32,21 @@ def marking_of(row: tuple[Any, ...]) -> Marking:
         Marking,
         vertices_m=tuple(map(tuple, vertices_m.tolist())),
         cov_m2=covariances(row[1]),
-        width_m=row[2],
-        width_sigma_m=row[3],
-        colour=row[4],
-        pattern=row[5],
-        dash_m=row[6],
-        gap_m=row[7],
+        **dict(zip(_ATTRIBUTES, row[2:], strict=True)),
     )
 
 
 def marking_columns(srid: int, markings: Sequence[Marking | None]) -> dict[str, Column]:
     """Columns of the shape of lines; NULL in the rows of point objects."""
     if not any(markings):  # of the millions of versions that are no line, none is looked at a second time
-        return dict.fromkeys(
-            ("line", "line_cov", "width_m", "width_sigma_m", "colour", "pattern", "dash_m", "gap_m"),
-            binary.nulls(len(markings)),
-        )
+        return dict.fromkeys(("line", "line_cov", *_ATTRIBUTES), binary.nulls(len(markings)))
     return {
         "line": binary.byteas([None if m is None else _line(m, srid) for m in markings]),
         "line_cov": matrices([None if m is None else m.cov_m2 for m in markings]),
-        "width_m": binary.doubles([None if m is None else m.width_m for m in markings]),
-        "width_sigma_m": binary.doubles([None if m is None else m.width_sigma_m for m in markings]),
-        "colour": binary.texts([None if m is None else m.colour for m in markings]),
-        "pattern": binary.texts([None if m is None else m.pattern for m in markings]),
-        "dash_m": binary.doubles([None if m is None else m.dash_m for m in markings]),
-        "gap_m": binary.doubles([None if m is None else m.gap_m for m in markings]),
+        **{
+            name: encode([None if m is None else getattr(m, name) for m in markings])
+            for name, encode in _ATTRIBUTES.items()
+        },
     }
 
 

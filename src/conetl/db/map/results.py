@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from uuid import UUID
 
 from conetl.model.health import HealthCheck
-from conetl.model.map_records import Delta, DeltaKind, DriveOrder, FeatureVersion, Location, MapFeature
+from conetl.model.map_records import Classification, Delta, DeltaKind, DriveOrder, FeatureVersion, Location, MapFeature
 
 
 @dataclass(frozen=True)
@@ -218,10 +218,13 @@ class StoredDecision:
 
     @property
     def place(self) -> Location | None:
-        """The place that it is about; None of a revert."""
+        """The place that it is about, of a `classify` with the classes; None of a revert."""
         if self.easting_m is None or self.northing_m is None or self.radius_m is None:
             return None
-        return Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m, of_line=self.of_line)
+        place = Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m, of_line=self.of_line)
+        if self.found_as is None or self.category is None:
+            return place
+        return Classification(**dict(place), found_as=self.found_as, category=self.category)
 
 
 @dataclass(frozen=True)

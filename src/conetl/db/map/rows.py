@@ -158,7 +158,7 @@ def marking_track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[MarkingT
         **_attributes(tracks, binary.texts, "category"),
         **marking_columns(srid, [track.marking for track in tracks]),
         "relative_cov": matrices([track.relative_cov_m2 for track in tracks]),
-        **_attributes(tracks, binary.doubles, "existence_probability", "contrast"),
+        **_attributes(tracks, binary.doubles, "existence_probability", "contrast", "blur_px"),
         **_attributes(tracks, binary.bigints, "first_seen_ns", "last_seen_ns"),
         **jacobian_columns([track.shared_jacobian for track in tracks]),
     }

@@ -86,6 +86,8 @@ class _Bands(NamedTuple):
     """... and of the right one"""
     contrast: Floats
     """(N,) grey levels above the mean of both sides"""
+    blur: Floats
+    """(N,) variance of the blur of its edges, in squares of columns (`PointColumns.blur_px2`)"""
 
     @property
     def middle(self) -> Floats:
@@ -134,6 +136,7 @@ def find_points(
         above_right_m=height - _road_height_beside(road, grid, row, grid.u_px(row, fall, cx), 1),
         road_px=grid.road_px(row, u_left),
         row=row.astype(np.float64),
+        blur_px2=ours.blur[first] * grid.columns_px[row] ** 2,
     )
     return MarkingPoints(
         frame_index=frame_index,
@@ -202,7 +205,12 @@ def _find_bands(grey: Grid, params: MarkingParams) -> _Bands:
     darkest = np.maximum(before, behind)
     good = inside - darkest >= np.maximum(params.min_contrast, _NOISE_SIGMAS * noise[row])
     good &= (contrast >= _LEAST_RELATIVE * darkest) & (np.abs(before - behind) <= _SIDE_SHARE * contrast)
-    return _Bands(row[good], rise[good], fall[good], contrast[good])
+    row, rise, fall, inside = row[good], rise[good], fall[good], inside[good]
+    # The steeper edge: the slope of a blurred step of this height, less the part of the derivative's own Gaussian.
+    steps = np.stack([inside - before[good], inside - behind[good]])
+    steep = np.stack([slope[row, np.rint(rise).astype(np.intp)], -slope[row, np.rint(fall).astype(np.intp)]])
+    blur = (steps / (steep * np.sqrt(2 * np.pi))) ** 2 - sigma**2
+    return _Bands(row, rise, fall, contrast[good], blur.min(axis=0))
 
 
 def _derivative(grey: Grid, sigma: float) -> Grid:

@@ -39,6 +39,8 @@ class PointColumns(NamedTuple):
     """Disparity of the plane of the road behind the paint."""
     row: Floats
     """Which of the searched rows."""
+    blur_px2: Floats
+    """Variance of the Gaussian that blurs its edges along the row; scatters about the true one, and so may be negative."""
 
 
 class MarkingPoints(Record):
@@ -46,7 +48,7 @@ class MarkingPoints(Record):
 
     frame_index: int = Field(ge=0)
     points: PackedPoints = _NONE
-    """(N, 11) numbers, the columns of `PointColumns`."""
+    """(N, 12) numbers, the columns of `PointColumns`."""
     rows: PackedPoints = _NONE
     """(R, 2): row of the left image (px) and depth of the road there (m), the nearest first."""
 

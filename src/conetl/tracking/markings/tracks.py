@@ -213,6 +213,7 @@ def _track(
         first_seen_ns=min(seen),
         last_seen_ns=max(seen),
         contrast=contrast,
+        blur_px=max(float(np.median(own.columns.blur_px2)), 0.0) ** 0.5,
         shared_jacobian=jacobian_of(calibrated[middle], drive.rig),
     )
 
