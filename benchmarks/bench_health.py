@@ -25,7 +25,7 @@ from conetl.model.health import Verdict, hold_reason
 from conetl.pipeline import analysis, odometry
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
-from conetl.tracking import trajectory
+from conetl.tracking import drive_refinement
 from conetl.tracking.clock import MAX_SIGMA_S
 from tests.synthetic.good_drives import checked, clock_of, draw_calibration, draw_drive, position_nees
 from tests.synthetic.odometry import pose_errors
@@ -128,7 +128,7 @@ def timed(spent_s: dict[str, float]) -> Iterator[None]:
 
     places = (
         (analysis, "check_stereo"), (analysis, "check_calibration"), (odometry, "check_trajectory"),
-        (trajectory, "estimate_clock"),
+        (drive_refinement, "estimate_clock"),
     )  # fmt: skip
     with ExitStack() as stack:
         for module, name in places:

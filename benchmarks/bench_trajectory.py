@@ -28,12 +28,13 @@ from conetl.perception.images import read_image
 from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline.odometry import calibrate_drive
 from conetl.readers.drives import read_drive
+from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import self_calibrated_rig
 from conetl.tracking.tracks import fuse_tracks
-from conetl.tracking.trajectory import refine_trajectory, refine_with_cones
+from conetl.tracking.trajectory import refine_trajectory
 from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
 
 PARTS = 4

@@ -103,6 +103,13 @@ def _canvas(rows: float, columns: float) -> np.ndarray:
     return np.zeros((round(rows), round(columns), 4), np.float32)
 
 
+def _draw_over(canvas: np.ndarray, drawn: np.ndarray) -> None:
+    """Draw one image (h, w, 4) over another, at its upper edge and in its middle."""
+    rows, columns = drawn.shape[:2]
+    left = (canvas.shape[1] - columns) // 2
+    np.copyto(canvas[:rows, left : left + columns], drawn, where=drawn[..., 3:] > 0)
+
+
 def _round_body(
     height: int,
     low: float,
@@ -149,8 +156,7 @@ def _drum(rng: np.random.Generator) -> CutOut:
     canvas = _canvas(height + base, 2 * wide + 4)
     dark = tuple(np.full(3, rng.uniform(18, 60)).tolist()) if rng.random() < 0.8 else orange
     _fill(canvas, canvas.shape[1] / 2 - wide, height - base / 2, canvas.shape[1] / 2 + wide, height + base, dark)
-    left = (canvas.shape[1] - body.shape[1]) // 2
-    np.copyto(canvas[:height, left : left + body.shape[1]], body, where=body[..., 3:] > 0)
+    _draw_over(canvas, body)
     return _standing(canvas, "drum", rng)
 
 
@@ -171,8 +177,7 @@ def _tubular_marker(rng: np.random.Generator) -> CutOut:
     canvas = _canvas(height + thick, 2 * foot + 4)
     centre = (round(canvas.shape[1] / 2), round(height))
     cv2.ellipse(canvas, centre, (round(foot), round(thick)), 0, 0, 360, (*BLACK, 255.0), -1)
-    left = (canvas.shape[1] - body.shape[1]) // 2
-    np.copyto(canvas[:height, left : left + body.shape[1]], body, where=body[..., 3:] > 0)
+    _draw_over(canvas, body)
     return _standing(canvas, "tubular_marker", rng)
 
 
@@ -269,7 +274,7 @@ def _on_post(plate: np.ndarray, category: str, rng: np.random.Generator) -> CutO
         _fill(
             canvas, columns / 2 - half, rows * 0.8, columns / 2 + half, rows + below, POST_SHADES[int(rng.integers(5))]
         )
-    np.copyto(canvas[:rows], plate, where=plate[..., 3:] > 0)
+    _draw_over(canvas, plate)
     solid = plate[..., 3] > 0
     ys, xs = np.nonzero(solid)
     edge = cv2.convexHull(np.column_stack((xs, ys)).astype(np.int32))[:, 0].astype(float)

@@ -22,7 +22,7 @@ from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.trajectory import RefinedTrajectory
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.odometry import log_of, motions_of, pose_errors
-from tests.synthetic.world import ORIGIN_M, Cone, make_path, make_rig
+from tests.synthetic.world import ORIGIN_M, Cone, make_path, make_rig, shifted
 from tests.unit.readers.drive_formats import SAMPLE
 
 RIG, PARAMS = make_rig(), TrajectoryParams()
@@ -44,16 +44,12 @@ def surveyed(
 
 
 def moved(pairs: list[FramePair] | tuple[FramePair, ...], off_m: np.ndarray, sigma_m: float | None) -> list[FramePair]:
-    """Frame pairs whose logged positions are off by (K, 3)."""
-    changes = [
-        {"map_t_body_m": tuple(np.add(p.pose.map_t_body_m, o).tolist())} for p, o in zip(pairs, off_m, strict=True)
-    ]
-    for change in changes if sigma_m else ():
-        change["sigma_enu_m"] = (sigma_m, sigma_m, sigma_m)
-    return [
-        p.model_copy(update={"pose": p.pose.model_copy(update=change)})
-        for p, change in zip(pairs, changes, strict=True)
-    ]
+    """Frame pairs whose logged positions are off by (K, 3), and state another sigma."""
+    wrong = [shifted(pair, off) for pair, off in zip(pairs, off_m, strict=True)]
+    if sigma_m is None:
+        return wrong
+    stated = {"sigma_enu_m": (sigma_m,) * 3}
+    return [pair.model_copy(update={"pose": pair.pose.model_copy(update=stated)}) for pair in wrong]
 
 
 def refined(

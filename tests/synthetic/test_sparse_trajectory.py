@@ -10,8 +10,9 @@ from conetl.geometry import pose as se3
 from conetl.model.health import hold_reason
 from conetl.model.params import IngestParams
 from conetl.tracking.clock_search import find_clock_offset, rates_of
+from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.health import check_trajectory
-from conetl.tracking.trajectory import RefinementOutcome, log_errors, refine_trajectory, refine_with_cones
+from conetl.tracking.trajectory import RefinementOutcome, log_errors, refine_trajectory
 from tests.synthetic.good_drives import PARAMS, RIG
 from tests.synthetic.odometry import motions_of, pose_errors
 from tests.synthetic.sparse_drive import record

@@ -11,13 +11,9 @@ from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import FramePair, Position
-from conetl.tracking.trajectory import (
-    RefinementOutcome,
-    motion_error,
-    refine_trajectory,
-    refine_with_cones,
-    relative_cov,
-)
+from conetl.tracking.drive_refinement import refine_with_cones
+from conetl.tracking.error_propagation import motion_error, relative_cov
+from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
 from tests import records
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.odometry import log_of, motions_of, pose_errors, true_poses

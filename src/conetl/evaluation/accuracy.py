@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from conetl.evaluation.truth import TruthCone, TruthLine
 from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance
-from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, point_nees
+from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, point_nees, pooled
 from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.records import Drive, Pose, Position, Record, Rig, Track, Vec3
@@ -242,12 +242,7 @@ def pooled_consistency(drives: Sequence[PointErrors]) -> Consistency | None:
 
     One drive in twenty is outside of a 95 % band by chance, and has few common errors: judge a campaign by the sum.
     """
-    total: Consistency | None = None
-    for errors in drives:
-        one = drive_consistency(errors)
-        if one is not None:
-            total = one if total is None else total + one
-    return total
+    return pooled(map(drive_consistency, drives))
 
 
 def pooled_statistics(drives: Sequence[PointErrors]) -> ErrorStatistics | None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.rig import infinity_shift_px
+from conetl.geometry.small_arrays import robust_std
 from conetl.model.records import Camera, Detection, Rig, StereoMatch
 from conetl.tracking.matching.cone_outline import Outline
 
@@ -228,7 +229,7 @@ def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Flo
     radius = outline.radius(rows[near]) * points[near, 2] / camera.fx_px
     axis = along + np.sqrt(np.maximum(radius**2 - sideways**2, 0.0))
     middle = float(np.median(axis))
-    scatter = _robust_std(axis)
+    scatter = robust_std(axis)
     if scatter > 0.15:  # not one surface of revolution
         return None
     count = int(near.sum())
@@ -278,10 +279,6 @@ def summarise(
         figures: tuple[float | None, ...] = (None, None, None, None)
         if here.any():
             median, median_abs = np.median(values[here]), np.median(np.abs(values[here]))
-            figures = float(median), float(median_abs), _robust_std(values[here]), _robust_std(ratios[here])
+            figures = float(median), float(median_abs), robust_std(values[here]), robust_std(ratios[here])
         table.append(ResidualBand(low, high, int(here.sum()), *figures))
     return table
-
-
-def _robust_std(values: Floats) -> float:
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))

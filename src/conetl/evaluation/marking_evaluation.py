@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from conetl.evaluation.accuracy import calibration_of, pose_and_calibration
 from conetl.evaluation.markings import (
+    NEES_PARTS,
     CommonErrors,
     MarkingErrors,
     MarkingFigures,
@@ -20,7 +21,7 @@ from conetl.evaluation.markings import (
     visible_to,
 )
 from conetl.evaluation.nees_table import NEES_COLUMNS, NEES_TEXT, nees_as_dict, nees_rows
-from conetl.geometry.consistency import Consistency
+from conetl.geometry.consistency import Consistency, pooled
 from conetl.geometry.packing import cov_matrices
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.markings import MarkingTrack
@@ -114,12 +115,7 @@ def pooled_markings_as_dict(drives: Mapping[str, MarkingEvaluation]) -> dict[str
 
 
 def _pooled_nees(drives: Mapping[str, MarkingEvaluation]) -> dict[str, Consistency | None]:
-    together: dict[str, Consistency | None] = {}
-    for drive in drives.values():
-        for name, one in drive.nees.items():
-            before = together.get(name)
-            together[name] = before if one is None else one if before is None else before + one
-    return together
+    return {name: pooled(drive.nees[name] for drive in drives.values()) for name in NEES_PARTS}
 
 
 def _common(tracks: Sequence[MarkingTrack], drive: Drive) -> CommonErrors:

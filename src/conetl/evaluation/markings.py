@@ -37,6 +37,8 @@ _STEP_M = 0.1
 #: Where a drive can be expected to show a marking: depth, and distance to the side of the camera.
 _DEPTHS_M = (4.0, 15.0)
 _ASIDE_M = 8.0
+#: Components of the errors of vertices (across the marking, upwards) by name of their NEES.
+NEES_PARTS = {"lateral": slice(0, 1), "height": slice(1, 2), "together": slice(0, 2)}
 _PER_FOUND = ("lateral_m", "height_m", "width_m", "dash_m", "gap_m", "pattern_right", "colour_right")
 
 
@@ -78,7 +80,7 @@ def read_truth_markings(path: Path, map_srid: int) -> list[TruthMarking]:
 
 @dataclass(frozen=True)
 class CommonErrors:
-    """How errors that all vertices of a drive share move V vertices; map frame."""
+    """How K errors that all V vertices of a drive share move them; map frame, metres."""
 
     jacobian: Floats
     """(V, 3, K)"""
@@ -101,8 +103,6 @@ class MarkingErrors:
     """(T,)"""
     truth_found: Mask
     """(T,)"""
-    found_index: NDArray[np.int64]
-    """(S,)"""
     matched: NDArray[np.int64]
     """(S,) marking of the truth, -1 where there is none within the buffer"""
     lateral_m: Floats
@@ -127,12 +127,11 @@ class MarkingErrors:
 
     def of_truth(self, index: int) -> MarkingErrors:
         """The samples of one marking of the truth."""
-        names = ("found_index", "matched", *_PER_FOUND)
         truth, found = self.truth_index == index, self.matched == index
         return replace(
             self,
             **{name: getattr(self, name)[truth] for name in ("truth_index", "truth_visible", "truth_found")},
-            **{name: getattr(self, name)[found] for name in names},
+            **{name: getattr(self, name)[found] for name in ("matched", *_PER_FOUND)},
         )
 
 
@@ -223,7 +222,6 @@ def compare_markings(
         truth_index=truth_index,
         truth_visible=visible(points),
         truth_found=truth_found,
-        found_index=index,
         matched=nearest,
         lateral_m=lateral,
         height_m=height,
@@ -268,13 +266,13 @@ def marking_consistency(errors: MarkingErrors) -> dict[str, Consistency | None]:
     """NEES of the vertices: across the marking, in height, and of both together; None without vertices.
 
     Vertices farther than the buffer from every marking are not among them. Where the common errors are not known, neighbours are
-    taken for independent: then only the mean says something, not the band.
+    assumed to be independent: then only the mean is meaningful, not the band.
     """
-    results: dict[str, Consistency | None] = {}
-    for name, part in (("lateral", slice(0, 1)), ("height", slice(1, 2)), ("together", slice(0, 2))):
-        own, jacobian = errors.vertex_cov_m2[:, part, part], errors.common_jacobian[:, part]
-        known = len(errors.vertex_m) > 0
-        results[name] = consistency(errors.vertex_m[:, part], own, jacobian, errors.common_cov) if known else None
+    results: dict[str, Consistency | None] = dict.fromkeys(NEES_PARTS)
+    if len(errors.vertex_m):
+        for name, part in NEES_PARTS.items():
+            own, jacobian = errors.vertex_cov_m2[:, part, part], errors.common_jacobian[:, part]
+            results[name] = consistency(errors.vertex_m[:, part], own, jacobian, errors.common_cov)
     return results
 
 

@@ -7,6 +7,7 @@ degrees of freedom only for independent errors. GNSS/INS and calibration errors 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +66,12 @@ class Consistency:
         The error of a calibration that they share makes the band of `common` somewhat too narrow.
         """
         return Consistency(self.absolute + other.absolute, self.relative + other.relative, self.common + other.common)
+
+
+def pooled(results: Iterable[Consistency | None]) -> Consistency | None:
+    """The sum of those that there are, None without any."""
+    known = [one for one in results if one is not None]
+    return sum(known[1:], known[0]) if known else None
 
 
 def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Array:

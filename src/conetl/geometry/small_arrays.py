@@ -22,6 +22,11 @@ def median(values: Floats) -> float:
     return float(low + high) / 2
 
 
+def robust_std(values: Floats) -> float:
+    """Standard deviation of (n,) numbers, n > 0, by the median of their distances from the median, for a normal distribution."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
 def cross_matrix(vectors: ArrayLike) -> Floats:
     """(..., 3, 3) cross product matrices [v]x of vectors (..., 3)."""
     v = np.asarray(vectors, dtype=np.float64)

@@ -36,7 +36,7 @@ def check_boxes(
         if score < params.score_threshold or height < params.min_height_px:
             continue
         category = categories[int(row[9])] if len(row) > 9 else CONE
-        # Nothing of a sign or board stands on the ground: what a network gives there was never taught.
+        # Plates of signs and boards do not stand on the ground: no network is trained to give their feet.
         has_foot = category not in FEATURE_CLASSES or FEATURE_CLASSES[category].on_road
         try:
             detections.append(

@@ -37,12 +37,12 @@ from conetl.pipeline.odometry import (
 )
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
-from conetl.tracking.error_propagation import PoseCov, pose_cov
+from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
 from conetl.tracking.health import check_calibration
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.tracking.tracks import fuse_tracks
-from conetl.tracking.trajectory import RefinedTrajectory, motion_error
+from conetl.tracking.trajectory import RefinedTrajectory
 from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
 
 

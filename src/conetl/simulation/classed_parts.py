@@ -18,18 +18,9 @@ from conetl.simulation.scenario import ORANGE, RoadObject
 _GREY = (0.50, 0.51, 0.52)
 _RUBBER = (0.10, 0.10, 0.10)
 _WHITE = (0.92, 0.92, 0.90)
+#: Height of a plate as a share of its width, 1 unless given.
 _BOARD_SHARE = {"arrow_board": 0.5, "rectangle": 1.25}
-"""Height of a plate as a share of its width, 1 unless given."""
-
-
-class TrueShape(NamedTuple):
-    """What truth.csv says of an object: its class, the lower end of what is located above the ground, and the height."""
-
-    category: str
-    foot_m: float
-    height_m: float
-
-
+#: Classes of kinds that stand on the road, and of plates.
 _STANDING = {
     "drum": "drum",
     "tubular_marker": "tubular_marker",
@@ -42,6 +33,14 @@ _PLATES = {
 }  # fmt: skip
 
 
+class TrueShape(NamedTuple):
+    """What truth.csv states of an object: its class, the lower end of what is located above the ground, and its height."""
+
+    category: str
+    foot_m: float
+    height_m: float
+
+
 def true_shape(item: RoadObject) -> TrueShape:
     """Of signs and boards the plate alone. Raises KeyError for kinds without a class."""
     if item.kind in _STANDING:
@@ -50,7 +49,7 @@ def true_shape(item: RoadObject) -> TrueShape:
     return TrueShape(_PLATES[item.kind], item.height_m - plate, plate)
 
 
-def tubular_marker(item: RoadObject, seed: int) -> list[Part]:
+def _tubular_marker(item: RoadObject, seed: int) -> list[Part]:
     h, colour = item.height_m, item.colour
     radius = 0.045 + 0.01 * (seed % 3)
     tube = meshes.lathe([radius, radius, 0.9 * radius, 0.0], [0.03, 0.8 * h, h, h], 24)
@@ -59,7 +58,7 @@ def tubular_marker(item: RoadObject, seed: int) -> list[Part]:
     return [Part(at_object(item, tube), textures.striped(bands, seed)), Part(at_object(item, base), _RUBBER)]
 
 
-def vertical_panel(item: RoadObject, seed: int) -> list[Part]:
+def _vertical_panel(item: RoadObject, seed: int) -> list[Part]:
     """A striped board on a rubber base."""
     board_m = 0.8 * item.height_m
     board = meshes.box([0.03, item.length_m, board_m], item.height_m - board_m)
@@ -72,7 +71,7 @@ def vertical_panel(item: RoadObject, seed: int) -> list[Part]:
     ]
 
 
-def type_3_barricade(item: RoadObject, seed: int) -> list[Part]:
+def _type_3_barricade(item: RoadObject, seed: int) -> list[Part]:
     """Three striped boards on two posts with feet (MUTCD 2023, chapter 6K: type 3)."""
     h, width = item.height_m, item.length_m
     face = sign_faces.stripes(seed, item.colour, width / 0.2, bool(seed % 2))
@@ -84,11 +83,11 @@ def type_3_barricade(item: RoadObject, seed: int) -> list[Part]:
     return parts
 
 
-def plate(item: RoadObject, seed: int) -> list[Part]:
+def _plate(item: RoadObject, seed: int) -> list[Part]:
     """A sign on one post, or a temporary one or an arrow board on its stand; grey from behind."""
     high = _plate_height_m(item)
     low = item.height_m - high
-    outline, face = sign_faces.FACES["arrow_lamps" if item.kind == "arrow_board" else item.kind]
+    outline, face = sign_faces.FACES[item.kind]
     corners = outline * [item.length_m, high] + [0.0, low]
     parts = [
         Part(_front(item, meshes.prism(corners, 0.012)), face(seed)[::-1]),  # the first row of a texture is the lowest
@@ -120,6 +119,6 @@ def _plate_height_m(item: RoadObject) -> float:
 
 
 BUILDERS: dict[str, Callable[[RoadObject, int], list[Part]]] = {
-    "tubular_marker": tubular_marker, "vertical_panel": vertical_panel, "type_3": type_3_barricade,
-    **dict.fromkeys(_PLATES, plate),
+    "tubular_marker": _tubular_marker, "vertical_panel": _vertical_panel, "type_3": _type_3_barricade,
+    **dict.fromkeys(_PLATES, _plate),
 }  # fmt: skip

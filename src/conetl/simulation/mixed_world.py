@@ -13,6 +13,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from conetl.model.errors import InputError
+from conetl.model.markings import MarkingColour
 from conetl.simulation.scenario import (
     ORANGE,
     PASS_NUMBERS,
@@ -27,11 +28,11 @@ from conetl.simulation.scenario import (
 )
 
 _START_M, _END_M = -70.0, 130.0
-FRAME_COUNT = 34
+_FRAME_COUNT = 34
 _SPACING_M = 1.35
 _MOVED_M = 0.5
 #: Dash and gap in use: Germany in towns, Germany on motorways, the US.
-PATTERNS_M = ((3.0, 3.0), (6.0, 12.0), (3.0, 9.0))
+_PATTERNS_M = ((3.0, 3.0), (6.0, 12.0), (3.0, 9.0))
 
 
 def mixed_pass(seed: int, pass_number: int) -> ScenarioPass:
@@ -61,22 +62,23 @@ def mixed_pass(seed: int, pass_number: int) -> ScenarioPass:
     day = datetime(2026, 5, 4, 9, 30, tzinfo=UTC) + timedelta(days=pass_number - 1, minutes=int(rng.integers(300)))
     return ScenarioPass(
         drive_id=f"{day:%Y-%m-%d}_mixed{seed}_pass{pass_number}", start_utc=day, world=world, changes=changes, removed=(),
-        exposure=float(rng.uniform(0.8, 1.1)), start_x_m=start_x_m, end_x_m=start_x_m + _SPACING_M * (FRAME_COUNT - 1),
-        path_y_m=path_y_m, frame_count=FRAME_COUNT,
+        exposure=float(rng.uniform(0.8, 1.1)), start_x_m=start_x_m, end_x_m=start_x_m + _SPACING_M * (_FRAME_COUNT - 1),
+        path_y_m=path_y_m, frame_count=_FRAME_COUNT,
     )  # fmt: skip
 
 
 def _markings(rng: np.random.Generator, seed: int) -> tuple[RoadMarking, ...]:
     """Edge lines, and between the lanes a double line, temporary yellow beside old white, or worn dashes and a yellow curve."""
     width = float(rng.choice([0.10, 0.12, 0.15]))
-    dash_m, gap_m = PATTERNS_M[int(rng.integers(3))]
+    dash_m, gap_m = _PATTERNS_M[int(rng.integers(3))]
 
-    def along(name: str, y_m: float, *, dashed: bool = False, colour: str = "white", worn: float = 0.0) -> RoadMarking:
+    def along(
+        name: str, y_m: float, *, dashed: bool = False, colour: MarkingColour = "white", worn: float = 0.0
+    ) -> RoadMarking:
         # The pattern begins anywhere.
         start = _START_M - (float(rng.uniform(0.0, dash_m + gap_m)) if dashed else 0.0)
         return RoadMarking(
-            name, ((start, y_m), (_END_M, y_m)), dash_m if dashed else None, gap_m if dashed else None, width,
-            "yellow" if colour == "yellow" else "white", worn,
+            name, ((start, y_m), (_END_M, y_m)), dash_m if dashed else None, gap_m if dashed else None, width, colour, worn
         )  # fmt: skip
 
     edges = (
@@ -154,7 +156,7 @@ def _orange(rng: np.random.Generator) -> Colour:
     return float(r), float(g), float(b)
 
 
-#: Of the street of the sample scenario: what has no class, and stands where no device does.
+#: Kinds of the sample scenario that have no class, and stand where no device does.
 _BACKGROUND = ("house", "hedge", "tree", "bin", "hydrant")
 
 

@@ -86,8 +86,8 @@ def rectangle(seed: int) -> Image:
     return _weathered(seed, canvas)
 
 
-def arrow_lamps(seed: int) -> Image:
-    """Amber lamps in the form of an arrow on a dark board."""
+def arrow_board(seed: int) -> Image:
+    """Amber lamps that form an arrow on a dark board."""
     canvas = _filled(SQUARE, BLACK, (26, 26, 28), 0.95)
     way = -1 if seed % 2 else 1
     lamps = [(x, 0.5) for x in np.linspace(0.12, 0.88, 9)]
@@ -101,7 +101,7 @@ def arrow_lamps(seed: int) -> Image:
 FACES: dict[str, tuple[NDArray[np.float64], Callable[[int], Image]]] = {
     "diamond": (DIAMOND, diamond), "work_triangle": (TRIANGLE, work_triangle), "warning_triangle": (TRIANGLE, warning_triangle),
     "speed_disc": (DISC, speed_disc), "mandatory_disc": (DISC, mandatory_disc), "rectangle": (SQUARE, rectangle),
-    "arrow_lamps": (SQUARE, arrow_lamps),
+    "arrow_board": (SQUARE, arrow_board),
 }  # fmt: skip
 """Outline and face by kind of plate."""
 

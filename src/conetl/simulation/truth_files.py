@@ -28,8 +28,9 @@ _LINE_STEP_M = 10.0
 
 
 def write_truth(folder: Path, scenario: ScenarioPass) -> None:
-    """truth.csv with the foot (of cones the centre of the base plate's underside, of plates the middle of their lower edge) and
-    height of each object, present or removed; and the lane markings. Without other objects than cones it has no `category`."""
+    """truth.csv: foot (of cones the centre of the base plate's underside, of plates the middle of their lower edge) and height of
+    each object, present or removed, and, unless all are cones, `category`. truth_markings.geojson: centre lines of the paint (WGS
+    84, ellipsoidal heights)."""
     place = map_SE3_road()
     cones = [(c, 1) for c in scenario.world.cones] + [(c, 0) for c in scenario.removed]
     rows = [(c.cone_id, (c.x_m, c.y_m, 0.0), c.height_m, present, CONE) for c, present in cones]
@@ -45,14 +46,8 @@ def write_truth(folder: Path, scenario: ScenarioPass) -> None:
             xyz = (f"{value:.4f}" for value in place[:3, :3] @ foot + place[:3, 3])
             row = (name, *xyz, f"{height:.3f}", MAP_SRID, present, scenario.changes[name], category)
             writer.writerow(row[:columns])
-    write_marking_truth(folder, scenario.world.road.markings)
-
-
-def write_marking_truth(folder: Path, markings: Iterable[RoadMarking]) -> Path:
-    """truth_markings.geojson: centre lines of the paint on the road (WGS 84, ellipsoidal heights). Returns its path."""
-    path = folder / "truth_markings.geojson"
-    path.write_text(feature_collection(map(_marking_feature, markings)), encoding="utf-8")
-    return path
+    markings = feature_collection(map(_marking_feature, scenario.world.road.markings))
+    (folder / "truth_markings.geojson").write_text(markings, encoding="utf-8")
 
 
 def _marking_feature(marking: RoadMarking) -> dict[str, Any]:

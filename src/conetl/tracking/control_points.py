@@ -18,8 +18,9 @@ from conetl.geometry.packing import cov_matrices, vec3
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import IngestParams
 from conetl.model.records import FramePair, Position, Rig, StereoMatch, SurveyedPoint
+from conetl.tracking.drive_refinement import cone_groups, refine_with_cones
 from conetl.tracking.error_propagation import moved_by_poses, moved_cov, outline_errors, pose_cov
-from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, RefinementOutcome, cone_groups, refine_with_cones
+from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, RefinementOutcome
 
 Floats = NDArray[np.float64]
 NAME = "control points"
@@ -186,7 +187,7 @@ def _located(
             continue
         if any(np.linalg.norm(place[:2] - other[:2]) < _SAME_M for other in places):
             continue
-        nearest = min(range(len(group)), key=lambda k, group=group: group[k].range_m)  # type: ignore[misc]
+        nearest = int(np.argmin([p.range_m for p in group]))
         outline = turn[nearest] @ outline_errors(group[nearest], rig)
         of_scale = (params.trajectory.scale_sigma * group[nearest].range_m) ** 2 * np.eye(3)
         kept.append(group)
@@ -215,13 +216,20 @@ def _expected(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]
     if not chosen:
         return np.zeros((count, 3)), alone
     at, size = list(chosen.values()), 3 * len(chosen)
-    known = cones.joint_cov[at][:, :, at].copy()
-    known[np.arange(len(at)), :, np.arange(len(at))] += survey[list(chosen)]
+    known = _off_cov(cones, survey, chosen)
     with_known = cones.joint_cov[:, :, at].reshape(3 * count, size)
     gain = np.linalg.solve(known.reshape(size, size), with_known.T).T
     mean = gain @ np.concatenate([off[i, g] for i, g in chosen.items()])
     less = np.einsum("gik,gjk->gij", gain.reshape(count, 3, size), with_known.reshape(count, 3, size))
     return mean.reshape(count, 3), alone - less
+
+
+def _off_cov(cones: _Cones, survey: Floats, chosen: dict[int, int]) -> Floats:
+    """(C, 3, C, 3) covariance of the differences of the C chosen points and their cones."""
+    at, each = list(chosen.values()), np.arange(len(chosen))
+    cov = cones.joint_cov[at][:, :, at].copy()
+    cov[each, :, each] += survey[list(chosen)]
+    return cov
 
 
 def _chi2(cones: _Cones, survey: Floats, off: Floats, near: NDArray[np.bool_], chosen: dict[int, int]) -> Floats:
@@ -237,7 +245,7 @@ def _chi2(cones: _Cones, survey: Floats, off: Floats, near: NDArray[np.bool_], c
 
 
 def _best_first(chi2: Floats) -> Iterator[tuple[int, int]]:
-    """Pairs within the gate."""
+    """Points and cones within the gate of chi-square (N, G), the best fit first."""
     for flat in np.argsort(chi2, axis=None).tolist():
         k, h = divmod(flat, chi2.shape[1])
         if chi2[k, h] > _GATE_CHI2:
@@ -246,11 +254,10 @@ def _best_first(chi2: Floats) -> Iterator[tuple[int, int]]:
 
 
 def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> dict[int, int]:
-    """The points that all others confirm: the one that fits worst goes until all do."""
+    """The points that all others confirm: the one that fits worst is left out until all do."""
     while len(chosen) > 1:
-        at, count = list(chosen.values()), len(chosen)
-        known = cones.joint_cov[at][:, :, at].copy()
-        known[np.arange(count), :, np.arange(count)] += survey[list(chosen)]
+        count = len(chosen)
+        known = _off_cov(cones, survey, chosen)
         # What one is off its prediction by all others, in terms of the inverse of all (e.g. Rasmussen & Williams 2006, 5.4.2).
         inverse = np.linalg.inv(known.reshape(3 * count, 3 * count)).reshape(known.shape)
         off_chosen = np.array([off[i, g] for i, g in chosen.items()])

@@ -6,6 +6,7 @@ They move a cone, or all cones of a drive, as a whole and do not average out ove
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
 from conetl.geometry.jacobians import pose_jacobian
-from conetl.geometry.motion.chain_solver import joint_covariance
-from conetl.geometry.motion.pose_graph import POSE
+from conetl.geometry.motion.chain_solver import cross_covariance, joint_covariance
+from conetl.geometry.motion.pose_graph import POSE, motion_jacobians
+from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Pose, Position, Rig
+from conetl.tracking.association import MotionError
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
 from conetl.tracking.trajectory import RefinedTrajectory, log_errors
 
@@ -28,6 +31,8 @@ PoseCov = Callable[[Sequence[int]], Floats]
 _LEAST_SHARE = 1e-10
 #: Least sigma of each of the six pose errors (m, rad).
 _LEAST_SIGMA = 1e-9
+#: Motions between frames whose covariances are kept for the next cone.
+_MOTIONS_KEPT = 256
 
 
 def pose_cov(trajectory: RefinedTrajectory, params: TrajectoryParams) -> PoseCov:
@@ -45,6 +50,61 @@ def pose_cov(trajectory: RefinedTrajectory, params: TrajectoryParams) -> PoseCov
         return log_errors([trajectory.frame_pairs[k] for k in states], params)
 
     return of_frames
+
+
+def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats | None:
+    """(6, 6) covariance of the left camera's motion between two frame pairs, None unless the trajectory was refined.
+
+    start, end: positions in `frame_pairs` (not frame indices), in any order. Error (rotation rad, translation m) of
+    end_SE3_start, in the left camera's frame at `end`.
+    """
+    if trajectory.covariance is None:
+        return None
+    if start == end:
+        return np.zeros((6, 6))
+    joint = trajectory.covariance
+    first, second = min(start, end), max(start, end)
+    cross = cross_covariance(joint, first, second)[:POSE, :POSE]
+    cross = cross if start <= end else cross.T
+    from_start, from_end = motion_jacobians(
+        trajectory.map_SE3_left[start], trajectory.map_SE3_left[end], trajectory.body_SE3_left
+    )
+    mixed = from_start @ cross @ from_end.T
+    cov = (
+        from_start @ joint.cov[start][:POSE, :POSE] @ from_start.T
+        + from_end @ joint.cov[end][:POSE, :POSE] @ from_end.T
+        + mixed
+        + mixed.T
+    )
+    return np.asarray((cov + cov.T) / 2)
+
+
+def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
+    """Error of points that the motion transforms from frame to frame; None unless the trajectory was refined."""
+    if trajectory.covariance is None:
+        return None
+    rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
+    # Cones last observed in the same image have the same motion.
+    relative = lru_cache(maxsize=_MOTIONS_KEPT)(partial(relative_cov, trajectory))
+
+    def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:
+        cov = relative(rank[start], rank[end])
+        assert cov is not None  # the trajectory was refined
+        first, second = trajectory.map_SE3_left[rank[start]], trajectory.map_SE3_left[rank[end]]
+        turned = second[:3, :3].T @ first[:3, :3] @ point_m
+        by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
+        return np.asarray(by_motion @ cov @ by_motion.T)
+
+    # The variance of a difference of two poses is at most twice the sum of theirs, and so is that of the sum of position error
+    # and attitude error times lever.
+    variances = np.diagonal(trajectory.covariance.cov, axis1=1, axis2=2)
+    position_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
+    lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
+    return MotionError(
+        carried_cov_m2,
+        most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2),
+        drift_m={} if trajectory.drift_m is None else dict(zip(rank, trajectory.drift_m, strict=True)),
+    )
 
 
 def constant_and_change(cov: Floats) -> tuple[Floats, Floats]:

@@ -14,6 +14,7 @@ from conetl.model.health import CALIBRATION, HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import MIN_DETAIL, FramePair, Rig
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
+from conetl.tracking.drive_refinement import scale_is_doubtful
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
 from conetl.tracking.trajectory import (
     RefinedTrajectory,
@@ -21,7 +22,6 @@ from conetl.tracking.trajectory import (
     measured_motions,
     plausible_motions,
     read_log,
-    scale_is_doubtful,
 )
 
 Floats = NDArray[np.float64]

@@ -8,9 +8,8 @@ errors are refused.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,40 +20,29 @@ from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.chain_solver import ChainCovariance
 from conetl.geometry.motion.pose_graph import (
     POSE,
-    STATE,
     LandmarkObservation,
     LandmarkPrior,
     LoggedPoses,
     MeasuredMotions,
     adjust,
-    motion_jacobians,
     motion_residuals,
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.packing import cov3, cov_matrix, vec3
-from conetl.geometry.rig import map_SE3_left
-from conetl.geometry.small_arrays import cross_matrix
+from conetl.geometry.packing import cov_matrix, vec3
 from conetl.model.health import HealthCheck
-from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import FramePair, Pose, Position, Rig, StereoMatch, Vec3
-from conetl.tracking.association import MotionError, chain_positions
-from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
-from conetl.tracking.positions import locate_positions
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import FramePair, Pose, Position, Rig
+from conetl.tracking.clock import ClockOffset
 
 Floats = NDArray[np.float64]
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
-_LEAST_SIGMA_M, _LEAST_SIGMA_RAD, _LEAST_STEP_S = 1e-4, 1e-6, 1e-3
+_LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S = 1e-4, 1e-6, 1e-3
 #: Chi-square of 6 degrees of freedom at 1e-6, beyond which an interval contradicts GNSS/INS.
 _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
-_MOTIONS_KEPT = 256
 _LONE_SIGMAS = 4.5
-#: Differences of distances beyond so many prior sigmas of the calibration's scale, and of their own, may be a drift of the log.
-_DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
 #: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
 _CHANGING = 4.0
-#: Neighbouring observations of a cone are correlated (background, sun, calibration): so many count as one.
-_CORRELATED = 4.0
 
 
 class RefinementOutcome(StrEnum):
@@ -69,7 +57,7 @@ class RefinementOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class RefinedTrajectory:
-    """Poses of a drive, adjusted or as logged, with their joint covariance (`relative_cov`)."""
+    """Poses of a drive, adjusted or as logged, with their joint covariance (`error_propagation.relative_cov`)."""
 
     frame_pairs: tuple[FramePair, ...]
     """With new poses if `outcome` is REFINED; their sigmas are those of the adjustment."""
@@ -173,61 +161,6 @@ def refine_trajectory(
     )  # fmt: skip
 
 
-def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats | None:
-    """(6, 6) covariance of the left camera's motion between two frame pairs, None unless the trajectory was refined.
-
-    start, end: positions in `frame_pairs` (not frame indices), in any order. Error (rotation rad, translation m) of
-    end_SE3_start, in the left camera's frame at `end`.
-    """
-    if trajectory.covariance is None:
-        return None
-    if start == end:
-        return np.zeros((6, 6))
-    joint = trajectory.covariance
-    first, second = min(start, end), max(start, end)
-    cross = chain_solver.cross_covariance(joint, first, second)[:POSE, :POSE]
-    cross = cross if start <= end else cross.T
-    from_start, from_end = motion_jacobians(
-        trajectory.map_SE3_left[start], trajectory.map_SE3_left[end], trajectory.body_SE3_left
-    )
-    mixed = from_start @ cross @ from_end.T
-    cov = (
-        from_start @ joint.cov[start][:POSE, :POSE] @ from_start.T
-        + from_end @ joint.cov[end][:POSE, :POSE] @ from_end.T
-        + mixed
-        + mixed.T
-    )
-    return np.asarray((cov + cov.T) / 2)
-
-
-def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
-    """Error of points that the motion transforms from frame to frame; None unless the trajectory was refined."""
-    if trajectory.covariance is None:
-        return None
-    rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
-    # Cones last observed in the same image have the same motion.
-    relative = lru_cache(maxsize=_MOTIONS_KEPT)(partial(relative_cov, trajectory))
-
-    def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:
-        cov = relative(rank[start], rank[end])
-        assert cov is not None  # the trajectory was refined
-        first, second = trajectory.map_SE3_left[rank[start]], trajectory.map_SE3_left[rank[end]]
-        turned = second[:3, :3].T @ first[:3, :3] @ point_m
-        by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
-        return np.asarray(by_motion @ cov @ by_motion.T)
-
-    # The variance of a difference of two poses is at most twice the sum of theirs, and so is that of the sum of position error
-    # and attitude error times lever.
-    variances = np.diagonal(trajectory.covariance.cov, axis1=1, axis2=2)
-    position_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
-    lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
-    return MotionError(
-        carried_cov_m2,
-        most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2),
-        drift_m={} if trajectory.drift_m is None else dict(zip(rank, trajectory.drift_m, strict=True)),
-    )
-
-
 def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Floats:
     """(6K, 6K) covariance of the errors of K logged poses (Gauss-Markov with a white share), position before attitude."""
     times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64)
@@ -236,7 +169,7 @@ def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Fl
     sigma = np.array([(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad) for pair in frame_pairs])
     between, gap_s = _interpolation(frame_pairs)
     sigma = _without(sigma, between)
-    shared = np.exp(-apart_s / np.maximum(gap_s, _LEAST_STEP_S)) if between.any() else np.eye(count)
+    shared = np.exp(-apart_s / np.maximum(gap_s, LEAST_STEP_S)) if between.any() else np.eye(count)
     cov = np.zeros((count, POSE, count, POSE))
     for column in range(POSE):
         white, lasts_s = params.gnss_white_share, params.gnss_correlation_s
@@ -254,7 +187,7 @@ def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParam
     share = np.repeat([params.gnss_white_share, params.attitude_white_share], 3)
     stated = np.hstack([sigma_p, sigma_a])
     times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.float64) * 1e-9
-    step_s = np.maximum(np.diff(times_s), _LEAST_STEP_S)
+    step_s = np.maximum(np.diff(times_s), LEAST_STEP_S)
     keep = np.exp(-step_s[:, None] / np.repeat([params.gnss_correlation_s, params.attitude_correlation_s], 3))
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in frame_pairs])
     between, gap_s = _interpolation(frame_pairs)
@@ -359,123 +292,3 @@ def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Positi
         for p in group
         if p.frame_index in rank
     ]
-
-
-def refine_with_cones(
-    frame_pairs: Sequence[FramePair],
-    rig: Rig,
-    motions: Sequence[RelativeMotion],
-    matches: Sequence[StereoMatch],
-    params: IngestParams,
-    control: Sequence[ControlCone] = (),
-) -> RefinedTrajectory:
-    """Refined poses by visual odometry, by cones observed often enough to be tracks, and by those on control points.
-
-    Visual odometry follows points that change from frame to frame, and a calibration error scales all its distances; a cone is
-    one fixed point in many frames. The poses are those of the adjustment with cones, their covariance that of the adjustment
-    without: the same observations make the tracks afterwards and must count only once. Those on control points do count.
-
-    A clock that the drive shows to be off is corrected first; what is left of its offset, and the error of the lever arm, are in
-    the covariance. frame_pairs: as logged. motions: as for `refine_trajectory`. The result is that of visual odometry alone
-    without `trajectory.cone_landmarks`, beside good GNSS/INS, without such cones, and if the adjustment with cones fails.
-    """
-    log, measured = (
-        read_log(frame_pairs, rig, params.trajectory),
-        measured_motions(frame_pairs, motions, params.trajectory),
-    )
-    clock = estimate_clock(frame_pairs, log, measured) if params.trajectory.refine else None
-    if clock is not None and clock.is_applied(params.trajectory.clock_sigma_s):
-        frame_pairs = at_images(frame_pairs, log, clock.offset_s)
-    refined = _refine_with_cones(frame_pairs, rig, motions, matches, params, control)
-    refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
-    return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory, control)
-
-
-def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:
-    """Whether neither the calibration nor the stated errors of the log explain why both show different distances (a share)."""
-    return abs(scale) > max(_DOUBTFUL_SIGMAS * prior_sigma, _SIGNIFICANT_SIGMAS * sigma)
-
-
-def _with_common_errors(
-    refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone]
-) -> RefinedTrajectory:
-    """The trajectory with the errors of clock and lever arm, and of GNSS/INS as its best record (or control point) states it,
-    which move all poses together: however many records there are, their common error is not averaged out. Where images and log
-    show different distances, the log may drift by the difference."""
-    assert refined.covariance is not None
-    poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
-    times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
-    turn = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).as_rotvec()
-    steps = np.hstack([np.diff(poses[:, :3, 3], axis=0), turn]) / np.maximum(np.diff(times_s), _LEAST_STEP_S)[:, None]
-    stated = [np.array(pair.pose.sigma_enu_m) for pair in refined.logged]
-    best = np.min([*stated, *(np.sqrt(np.diag(cone.cov_m2)) for cone in control)], axis=0)
-    known = np.diagonal(refined.covariance.cov, axis1=1, axis2=2)[:, :3].min(axis=0)
-    systematic = np.sqrt(np.maximum(best**2 - known, 0.0))
-    reach = np.zeros((len(poses), STATE, 9))
-    reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
-    reach[:, :3, 1:4], reach[:, :3, 4:7] = poses[:, :3, :3], np.eye(3)
-    # Where images and log show different distances the log may have drifted, from the first or to the last of its positions.
-    doubtful = refined.scale is not None and scale_is_doubtful(*refined.scale, params.scale_sigma)
-    drift = refined.scale[0] if refined.scale is not None and doubtful else 0.0
-    ends = poses[[0, -1], :3, 3]
-    reach[:, :3, 7], reach[:, :3, 8] = drift * (ends[1] - ends[0]) / 2, drift * (poses[:, :3, 3] - ends.mean(axis=0))
-    clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
-    cov = chain_solver.with_common_errors(
-        refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic, 1.0, 1.0])
-    )
-    sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
-    pairs = tuple(
-        _with_sigmas(pair, vec3(own[:3]), vec3(own[3:])) for pair, own in zip(refined.frame_pairs, sigma, strict=True)
-    )
-    return replace(refined, frame_pairs=pairs, covariance=cov, drift_m=reach[:, :3, 8] if doubtful else None)
-
-
-def _refine_with_cones(
-    frame_pairs: Sequence[FramePair],
-    rig: Rig,
-    motions: Sequence[RelativeMotion],
-    matches: Sequence[StereoMatch],
-    params: IngestParams,
-    control: Sequence[ControlCone],
-) -> RefinedTrajectory:
-    alone = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
-    if not params.trajectory.cone_landmarks or alone.outcome is not RefinementOutcome.REFINED:
-        return alone
-    if np.median([max(pair.pose.sigma_enu_m[:2]) for pair in frame_pairs]) < params.trajectory.cone_landmarks_from_m:
-        return alone
-    known = {(p.frame_index, p.match_index) for cone in control for p in cone.positions}
-    groups = cone_groups(alone, rig, matches, params)
-    cones = [group for group in groups if known.isdisjoint((p.frame_index, p.match_index) for p in group)]
-    if not cones:
-        return alone
-    together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control)
-    if together.outcome is not RefinementOutcome.REFINED:
-        return alone
-    pairs_of = zip(together.frame_pairs, alone.frame_pairs, strict=True)
-    return replace(
-        together,
-        frame_pairs=tuple(_with_sigmas(pair, own.pose.sigma_enu_m, own.pose.sigma_rpy_rad) for pair, own in pairs_of),
-        covariance=alone.covariance,
-        scale=alone.scale,
-        detail=f"{together.detail}; {len(cones)} cones as landmarks",
-    )
-
-
-def cone_groups(
-    trajectory: RefinedTrajectory, rig: Rig, matches: Sequence[StereoMatch], params: IngestParams
-) -> list[tuple[Position, ...]]:
-    """The positions of each cone that is observed often enough to be a track, with covariances as of landmarks."""
-    pairs = {pair.frame_index: pair for pair in trajectory.frame_pairs}
-    positions, _ = locate_positions([m for m in matches if m.refined], pairs, rig, params.position)
-    left = {index: map_SE3_left(pair.pose, rig) for index, pair in pairs.items()}
-    groups = chain_positions(positions, left, params.track, motion_error(trajectory))
-    return [tuple(map(_down_weighted, group)) for group in groups if len(group) >= params.track.min_observations]
-
-
-def _with_sigmas(pair: FramePair, sigma_enu_m: Vec3, sigma_rpy_rad: Vec3) -> FramePair:
-    sigmas = {"sigma_enu_m": sigma_enu_m, "sigma_rpy_rad": sigma_rpy_rad}
-    return pair.model_copy(update={"pose": pair.pose.model_copy(update=sigmas)})
-
-
-def _down_weighted(position: Position) -> Position:
-    return position.model_copy(update={"camera_cov_m2": cov3(_CORRELATED * cov_matrix(position.camera_cov_m2))})

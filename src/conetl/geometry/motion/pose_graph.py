@@ -63,7 +63,7 @@ class MeasuredMotions:
 
 @dataclass(frozen=True)
 class LandmarkObservation:
-    """One cone in one frame: the foot in the left camera's frame."""
+    """One cone in one frame: the foot in the left camera's frame, (3,) m and (3, 3) inverse covariance."""
 
     cone: int
     frame: int
@@ -73,7 +73,7 @@ class LandmarkObservation:
 
 @dataclass(frozen=True)
 class LandmarkPrior:
-    """What is known of one cone beside its observations: the foot in the map's frame."""
+    """What is known of one cone beside its observations: the foot in the map's frame, (3,) m and (3, 3) inverse covariance."""
 
     cone: int
     xyz: Floats

@@ -26,9 +26,9 @@ Grid = NDArray[np.float32]
 
 #: Columns of the grid on the road: fine enough for the nearest rows, of which a pixel is about as wide.
 _STEP_M = 0.01
-#: Grey levels as a mean of the channels blue, green and red.
+#: Weights of blue, green and red in the grey levels.
 _RED_AND_GREEN = np.array([[0.0, 0.5, 0.5]], dtype=np.float32)
-#: Rows of the grid along the road.
+#: Rows of the grid are at least so far apart along the road.
 _ROW_STEP_M = 0.2
 #: Sigma of the Gaussian whose derivative finds edges.
 _EDGE_SIGMA_M = 0.02
@@ -52,7 +52,7 @@ _ROAD_ROWS_PX = np.array([-4.0, 0.0, 4.0])
 _LEAST_ON_SIDE = 4
 
 
-class RoadGrid(NamedTuple):
+class _RoadGrid(NamedTuple):
     """Image points of the grid's R rows and C columns on the road plane."""
 
     rows_px: Floats
@@ -64,26 +64,30 @@ class RoadGrid(NamedTuple):
     offsets: Floats
     """(C,) columns from the middle one."""
     plane: Floats
+    """(3,) as `RoadPlane.plane`"""
 
     def u_px(self, row: Ints, column: Floats, cx_px: float) -> Floats:
-        """Columns of the left image, at (fractional) columns of the grid."""
+        """(N,) columns of the left image at rows and (fractional) columns of the grid (N,)."""
         return np.asarray(cx_px + (column + self.offsets[0]) * self.columns_px[row])
 
     def road_px(self, row: Ints, u_px: Floats) -> Floats:
-        """Disparities of the road."""
+        """(N,) disparities of the road at columns of the left image in rows of the grid (N,)."""
         return np.asarray(self.plane[0] * u_px + self.plane[1] * self.rows_px[row] + self.plane[2])
 
 
-class Bands(NamedTuple):
-    """Bright bands in one resampled image: N rows, and fractional columns of both edges."""
+class _Bands(NamedTuple):
+    """N bright bands in one resampled image."""
 
     row: Ints
+    """(N,) of the grid"""
     rise: Floats
+    """(N,) fractional column of the left edge ..."""
     fall: Floats
+    """... and of the right one"""
     contrast: Floats
-    """Grey levels above the mean of both sides."""
+    """(N,) grey levels above the mean of both sides"""
     blur: Floats
-    """Variance of the blur of its edges, in squares of columns (`PointColumns.blur_px2`)."""
+    """(N,) variance of the blur of its edges, in squares of columns (`PointColumns.blur_px2`)"""
 
     @property
     def middle(self) -> Floats:
@@ -98,7 +102,7 @@ def find_points(
     road = find_road(grey_left, grey_right, rig)
     if road is None:
         return MarkingPoints(frame_index=frame_index)
-    grid = road_grid(road, rig, params)
+    grid = _road_grid(road, rig, params)
     if not len(grid.rows_px):
         return MarkingPoints(frame_index=frame_index)
     cx = rig.left.cx_px
@@ -109,9 +113,9 @@ def find_points(
     turn = right_from_parallel(rig).astype(np.float32)
     ahead = turn[2, 0] * parallel + (turn[2, 1] * rows + turn[2, 2])
     u_right, v_right = ((one[0] * parallel + (one[1] * rows + one[2])) / ahead for one in turn[:2])
-    sides = [resampled(left, u, np.broadcast_to(rows, u.shape)), resampled(right, u_right, v_right)]
-    ours, theirs = (find_bands(grey, params) for _, grey in sides)
-    first, second = matched(ours, theirs)
+    sides = [_resampled(left, u, np.broadcast_to(rows, u.shape)), _resampled(right, u_right, v_right)]
+    ours, theirs = (_find_bands(grey, params) for _, grey in sides)
+    first, second = _matched(ours, theirs)
     row, rise, fall = ours.row[first], ours.rise[first], ours.fall[first]
     u_left = grid.u_px(row, (rise + fall) / 2, cx)
     u_right = grid.u_px(row, theirs.middle[second], cx)
@@ -141,7 +145,7 @@ def find_points(
     )
 
 
-def road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> RoadGrid:
+def _road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> _RoadGrid:
     """Rows about `_ROW_STEP_M` apart between the least and the largest range that lie in the image; columns as far as params say.
 
     Whole rows of the image: interpolated between two rows, an edge that crosses them at a flat angle has two steps.
@@ -153,10 +157,10 @@ def road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> RoadGrid:
     rows = rows[(rows >= 0) & (rows <= camera.height_px - 1)]
     depth = focal_base / (rows * by_row[0] + by_row[1])
     half = int(params.max_offset_m / _STEP_M)
-    return RoadGrid(rows, depth, _STEP_M * camera.fx_px / depth, np.arange(-half, half + 1.0), plane)
+    return _RoadGrid(rows, depth, _STEP_M * camera.fx_px / depth, np.arange(-half, half + 1.0), plane)
 
 
-def resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.uint8], Grid]:
+def _resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.uint8], Grid]:
     """The colours (R, C, 3) and grey levels (R, C) of an image at points; NaN in the grey levels outside of it.
 
     Grey levels are means of red and green: in blue, yellow paint is no brighter than the road.
@@ -168,7 +172,7 @@ def resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.ui
     return colours, grey
 
 
-def find_bands(grey: Grid, params: MarkingParams) -> Bands:
+def _find_bands(grey: Grid, params: MarkingParams) -> _Bands:
     """Bands in a resampled image (R, C), NaN where there is none."""
     valid = np.isfinite(grey)
     sigma = _EDGE_SIGMA_M / _STEP_M
@@ -206,7 +210,7 @@ def find_bands(grey: Grid, params: MarkingParams) -> Bands:
     steps = np.stack([inside - before[good], inside - behind[good]])
     steep = np.stack([slope[row, np.rint(rise).astype(np.intp)], -slope[row, np.rint(fall).astype(np.intp)]])
     blur = (steps / (steep * np.sqrt(2 * np.pi))) ** 2 - sigma**2
-    return Bands(row, rise, fall, contrast[good], blur.min(axis=0))
+    return _Bands(row, rise, fall, contrast[good], blur.min(axis=0))
 
 
 def _derivative(grey: Grid, sigma: float) -> Grid:
@@ -240,8 +244,9 @@ def _inside_and_beside(
     return inside, before, behind
 
 
-def matched(ours: Bands, theirs: Bands) -> tuple[Ints, Ints]:
-    """Bands of the left and the right image that are each other's nearest in a row, alike and near enough: their numbers."""
+def _matched(ours: _Bands, theirs: _Bands) -> tuple[Ints, Ints]:
+    """Numbers (M,) of bands of the left and (M,) of the right image that are each other's nearest in a row, near enough and
+    alike."""
     if not len(ours.row) or not len(theirs.row):
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     apart = 1e6
@@ -258,14 +263,14 @@ def matched(ours: Bands, theirs: Bands) -> tuple[Ints, Ints]:
 
 
 def _nearest(keys: Floats, wanted: Floats) -> Ints:
-    """Number of the nearest of rising keys."""
+    """(N,) number of the rising key (K,) that is nearest to each wanted one (N,)."""
     right = np.clip(np.searchsorted(keys, wanted), 1, max(len(keys) - 1, 1))
     right = np.minimum(right, len(keys) - 1)
     left = np.maximum(right - 1, 0)
     return np.where(wanted - keys[left] <= keys[right] - wanted, left, right)
 
 
-def _road_height_beside(road: RoadPlane, grid: RoadGrid, row: Ints, edge_px: Floats, sign: int) -> Floats:
+def _road_height_beside(road: RoadPlane, grid: _RoadGrid, row: Ints, edge_px: Floats, sign: int) -> Floats:
     """(N,) median measured height above the plane beside an edge, on its outer side; NaN where too little was measured."""
     if not len(row):
         return np.zeros(0)
@@ -278,7 +283,7 @@ def _road_height_beside(road: RoadPlane, grid: RoadGrid, row: Ints, edge_px: Flo
     return found
 
 
-def _tints(colours: NDArray[np.uint8], bands: Bands, chosen: Ints) -> tuple[Floats, Floats]:
+def _tints(colours: NDArray[np.uint8], bands: _Bands, chosen: Ints) -> tuple[Floats, Floats]:
     """(N,) logarithms of how much brighter than the road the paint is in blue, and in red, each against green.
 
     Ratios of paint to road do not depend on the white balance; of white paint they are equal in all colours.

@@ -28,9 +28,9 @@ class PointColumns(NamedTuple):
     contrast: Floats
     """Grey levels between paint and road."""
     blue: Floats
-    """Logarithm of how much more the paint outshines the road in blue than in green; 0 for white paint ..."""
+    """Logarithm of the ratio of paint to road in blue over that in green; 0 for white paint ..."""
     red: Floats
-    """... in red."""
+    """... and likewise of red over green."""
     above_left_m: Floats
     """Height above the road on the left of the paint ..."""
     above_right_m: Floats

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.camera import first_road_row, matrix_k
+from conetl.geometry.camera import first_road_row, matrix_k, rays
 from conetl.geometry.rig import left_SE3_right, up_in_left_camera
 from conetl.model.records import Rig
 
@@ -118,11 +118,11 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
 
 def _plane(measured: NDArray[np.float32], step: float, first_row: int, rig: Rig, down: Floats) -> Floats | None:
     """(3,) of `RoadPlane.plane`, by a vote about the height, then least squares with shrinking tolerances."""
-    camera, focal_base = rig.left, rig.left.fx_px * rig.baseline_m
+    focal_base = rig.left.fx_px * rig.baseline_m
     some = measured[::_EVERY, ::_EVERY].astype(np.float64)
     v, u = np.indices(some.shape) * float(_EVERY)
     u, v = (u + 0.5) * step - 0.5, (v + 0.5) * step - 0.5 + first_row
-    ray = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones_like(u)], axis=-1)
+    ray = rays(rig.left, np.stack([u, v], axis=-1))
     with np.errstate(invalid="ignore", divide="ignore"):
         depth = focal_base / some
         near = (depth > _NEAREST_M) & (depth < _FARTHEST_M) & (np.abs(ray[..., 0] * depth) < _ASIDE_M)

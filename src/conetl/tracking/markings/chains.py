@@ -35,7 +35,7 @@ _MEMBER_M = 0.15
 
 
 @dataclass
-class Chain:
+class _Line:
     """Nodes of one line, in the order of their stations."""
 
     station_m: list[float] = field(default_factory=list)
@@ -54,8 +54,8 @@ class Chain:
 
 def chains_of(points: LocatedPoints, max_gap_m: float) -> list[Ints]:
     """Numbers of the points of each chain, by rising station."""
-    closed: list[Chain] = []
-    active: list[Chain] = []
+    closed: list[_Line] = []
+    active: list[_Line] = []
     for station, offsets in _nodes(points):
         closed += [chain for chain in active if station - chain.station_m[-1] > max_gap_m]
         active = [chain for chain in active if station - chain.station_m[-1] <= max_gap_m]
@@ -74,7 +74,7 @@ def chains_of(points: LocatedPoints, max_gap_m: float) -> list[Ints]:
                 nodes.add(n)
                 active[k].station_m.append(station)
                 active[k].offset_m.append(offsets[n])
-        active += [Chain([station], [offset]) for n, offset in enumerate(offsets) if n not in nodes]
+        active += [_Line([station], [offset]) for n, offset in enumerate(offsets) if n not in nodes]
     lines = [chain for chain in (*closed, *active) if len(chain.station_m) > 1]
     return _members(points, lines)
 
@@ -100,7 +100,7 @@ def _nodes(points: LocatedPoints) -> list[tuple[float, list[float]]]:
     return found
 
 
-def _members(points: LocatedPoints, lines: list[Chain]) -> list[Ints]:
+def _members(points: LocatedPoints, lines: list[_Line]) -> list[Ints]:
     """Numbers of the points of each line, each point in at most one."""
     nearest = np.full(len(points.road_station_m), _MEMBER_M)
     owner = np.full(len(points.road_station_m), -1)

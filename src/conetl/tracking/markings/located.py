@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.camera import rays
 from conetl.geometry.linear_reference import project, smoothed, stations, without_standstill
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.records import Drive, Rig
@@ -16,7 +17,8 @@ from conetl.perception.markings.points import MarkingPoints, PointColumns
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-#: The path is given by points so far apart, smoothed so much: the sway of a vehicle is none of the road.
+#: The path is given by points so far apart, smoothed so much: a vehicle sways within its lane. Points nearer than this to the one
+#: before are left out.
 _PATH_STEP_M, _PATH_SIGMA_M, _LEAST_MOVE_M = 1.0, 3.0, 0.3
 #: Length of the end of a path by which it is continued.
 _BEND_M = 10.0
@@ -61,10 +63,8 @@ class LocatedPoints:
 
 def camera_points(columns: PointColumns, disparity_px: Floats, rig: Rig) -> Floats:
     """(N, 3) m, in the left camera's frame, at disparities (N,)."""
-    camera = rig.left
-    depth = camera.fx_px * rig.baseline_m / disparity_px
-    x, y = (columns.u_px - camera.cx_px) / camera.fx_px, (columns.v_px - camera.cy_px) / camera.fy_px
-    return np.stack([x * depth, y * depth, depth], axis=1)
+    depth = rig.left.fx_px * rig.baseline_m / disparity_px
+    return rays(rig.left, np.stack([columns.u_px, columns.v_px], axis=1)) * depth[:, None]
 
 
 def _extended(line: Floats, length_m: float) -> Floats:
@@ -92,7 +92,7 @@ def locate_points(found: Sequence[MarkingPoints], drive: Drive, max_range_m: flo
     left = np.stack([poses[one.frame_index] for one in frames])
     along = stations(line)
     # A path may cross itself: the station of a frame pair is found by how far the vehicle had come.
-    driven = dict(zip(poses, np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))]), strict=True))
+    driven = dict(zip(poses, stations(path), strict=True))
     share = along[len(driven_line) - 1] / max(*driven.values(), 1e-9)
     guess = [share * driven[one.frame_index] for one in frames]
     columns = [one.columns() for one in frames]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from conetl.geometry.linear_reference import locate
+from conetl.geometry.small_arrays import robust_std
 from conetl.model.markings import MarkingPattern
 from conetl.model.records import Rig
 from conetl.tracking.markings.located import LocatedPoints
@@ -34,23 +35,23 @@ _REGULAR = 0.3
 _LONGEST_GAP = 4.0
 #: Shorter gaps than this share of the longest one are worn holes in dashes.
 _HOLE_SHARE = 0.4
-#: A line with paint on more than this share of its length is solid, though worn.
+#: A line with paint on more than this share of its length is solid, although worn.
 _WORN = 0.75
 #: The chain is drawn by points so far apart for its projection into the images.
 _DRAWN_M = 0.25
 
 
 class Searched(NamedTuple):
-    """Rows of all frame pairs that cross a chain, inside of both images."""
+    """N rows of all frame pairs that cross a chain inside of both images, one array (N,) each."""
 
     station_m: Floats
     hit: NDArray[np.bool_]
     """Whether paint was found there."""
     weight: Floats
-    """A row far away covers more of the road."""
+    """1 over the square of the depth (m): a row far away covers more of the road."""
 
 
-class Piece(NamedTuple):
+class PatternPiece(NamedTuple):
     """Part of a chain with one pattern."""
 
     start_m: float
@@ -105,7 +106,7 @@ def _margin(width_px: int) -> float:
     return 0.02 * width_px
 
 
-def pieces_of(searched: Searched, min_length_m: float) -> list[Piece]:
+def pieces_of(searched: Searched, min_length_m: float) -> list[PatternPiece]:
     """Pieces of a chain with paint of at least a length, by rising station."""
     if not len(searched.station_m):
         return []
@@ -126,8 +127,8 @@ def pieces_of(searched: Searched, min_length_m: float) -> list[Piece]:
     return [piece for piece in pieces if piece is not None and piece.painted_m >= min_length_m]
 
 
-class Run(NamedTuple):
-    """Paint from start to end; whether the gap before it and after it was seen to be empty."""
+class _Run(NamedTuple):
+    """Paint from start to end; whether the half metre before it and after it was observed to have none."""
 
     start_m: float
     end_m: float
@@ -139,8 +140,11 @@ class Run(NamedTuple):
         return self.end_m - self.start_m
 
 
-def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> list[Run]:
-    """Runs of paint, their ends where the share of hits crosses `least`; across what was not seen a run goes on."""
+def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> list[_Run]:
+    """Runs of paint, their ends where the share of hits crosses `least`; where nothing was observed a run continues.
+
+    at, share, known (C,): station of each cell, its share of hits, and whether it was observed.
+    """
     above = (share >= least).astype(np.int8)
     begins, ends = np.flatnonzero(np.diff(above) == 1), np.flatnonzero(np.diff(above) == -1)
     bounds = [
@@ -160,20 +164,20 @@ def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> 
     runs = []
     for start, end in joined:
         before, after = ((at > a) & (at < b) for a, b in ((start - 0.5, start), (end, end + 0.5)))
-        runs.append(Run(start, end, bool(known[before].all()), bool(known[after].all())))
+        runs.append(_Run(start, end, bool(known[before].all()), bool(known[after].all())))
     return [run for run in runs if run.length_m >= _LEAST_RUN_M]
 
 
-def _groups(runs: list[Run]) -> list[list[Run]]:
+def _groups(runs: list[_Run]) -> list[list[_Run]]:
     """Runs that belong together: parts of a solid line with each other, dashes with dashes."""
-    groups: list[list[Run]] = []
+    groups: list[list[_Run]] = []
     for run in runs:
         short = run.length_m <= _LONGEST_DASH_M
         if groups and short and all(one.length_m <= _LONGEST_DASH_M for one in groups[-1]):
             groups[-1].append(run)
         else:
             groups.append([run])
-    whole: list[list[Run]] = []
+    whole: list[list[_Run]] = []
     for group in groups:
         # One or two short runs beside a solid line are what is left between worn or hidden parts of it, more may be dashes.
         parts = (whole[-1], group) if whole else ()
@@ -186,7 +190,7 @@ def _groups(runs: list[Run]) -> list[list[Run]]:
     return whole
 
 
-def _dashes(runs: list[Run]) -> tuple[float, float] | None:
+def _dashes(runs: list[_Run]) -> tuple[float, float] | None:
     """Lengths of dashes and gaps (m) of a dashed line; None of a solid one, which may be worn."""
     if len(runs) == 1 or any(run.length_m > _LONGEST_DASH_M for run in runs):
         return None
@@ -202,12 +206,12 @@ def _dashes(runs: list[Run]) -> tuple[float, float] | None:
     whole = [run.length_m for run in runs if run.empty_before and run.empty_after]
     dashes = np.array(whole or [run.length_m for run in runs])
     worn = sum(run.length_m for run in runs) > _WORN * (runs[-1].end_m - runs[0].start_m)
-    irregular = len(runs) > 2 and max(_scatter(gaps), _scatter(dashes)) > _REGULAR
     dash, gap = float(np.median(dashes)), float(np.median(gaps))
+    irregular = len(runs) > 2 and max(robust_std(gaps) / gap, robust_std(dashes) / dash) > _REGULAR
     return None if worn or irregular or gap > _LONGEST_GAP * dash else (dash, gap)
 
 
-def _piece(runs: list[Run], searched: Searched) -> Piece | None:
+def _piece(runs: list[_Run], searched: Searched) -> PatternPiece | None:
     """The piece that runs make; None where they are too far apart for a solid line and too irregular for a dashed one."""
     painted = sum(run.length_m for run in runs)
     inside = np.zeros(len(searched.station_m), dtype=bool)
@@ -216,12 +220,7 @@ def _piece(runs: list[Run], searched: Searched) -> Piece | None:
     share = float(searched.hit[inside].mean()) if inside.any() else 0.0
     ends, dashes = (runs[0].start_m, runs[-1].end_m), _dashes(runs)
     if dashes is not None:
-        return Piece(*ends, "dashed", painted, share, *dashes)
+        return PatternPiece(*ends, "dashed", painted, share, *dashes)
     if max((b.start_m - a.end_m for a, b in pairwise(runs)), default=0.0) > _LONGEST_HOLE_M:
         return None
-    return Piece(*ends, "solid", painted, share)
-
-
-def _scatter(lengths: Floats) -> float:
-    middle = np.median(lengths)
-    return float(1.4826 * np.median(np.abs(lengths - middle)) / middle)
+    return PatternPiece(*ends, "solid", painted, share)

@@ -1,8 +1,8 @@
 """Points of lane markings of one drive -> tracks: their course, attributes and covariances.
 
 The course is piecewise linear between vertices at equal distances along the drive's path, fitted to the points' offsets and
-heights by robust least squares with a small penalty on bends, which carries it across gaps. A vertex so is a weighted mean of
-points of some frame pairs, whose weights also carry the errors of poses and calibration to it.
+heights by robust least squares with a small penalty on bends, which continues it across gaps. So a vertex is a weighted mean of
+points of several frame pairs, and errors of poses and calibration move it with the same weights.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, shared_cov
 from conetl.geometry.linear_reference import directions_at, locate
 from conetl.geometry.packing import cov3, vec3
+from conetl.geometry.small_arrays import robust_std
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.markings import Marking, MarkingColour, MarkingTrack
 from conetl.model.params import MarkingParams
@@ -24,12 +25,14 @@ from conetl.perception.markings.points import MarkingPoints
 from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov
 from conetl.tracking.markings.chains import chains_of
 from conetl.tracking.markings.located import LocatedPoints, locate_points
-from conetl.tracking.markings.patterns import Piece, pieces_of, searched_rows
+from conetl.tracking.markings.patterns import PatternPiece, pieces_of, searched_rows
 
 Floats = NDArray[np.float64]
 
 #: Huber's bound, in sigmas, and rounds of the robust fit.
 _ROBUST, _ROUNDS = 2.0, 4
+#: A course is fitted to so many points at least.
+_LEAST_POINTS = 6
 #: Weight of the squared bend (m per vertex) of a course against that of one point.
 _STIFFNESS = 3.0
 #: Neighbouring rows see the same blur and texture: so many count as one.
@@ -46,9 +49,10 @@ _MAX_SCATTER_M, _MAX_WIDTH_SCATTER = 0.08, 0.35
 #: Least share of hits where there is paint.
 _MIN_HITS = 0.3
 _FAR_PERCENT = 67.0
-#: Systematic error of a width: where the eye, and the filter, put an edge.
+#: Systematic error of a width: blurred edges of paint have no exact position.
 _WIDTH_SIGMA_M = 0.006
-#: White paint outshines the road by equal shares in all colours, within this; yellow paint less in blue.
+#: The logarithm of the ratio of paint to road, in blue or red less that in green, of white paint is within this, of yellow paint
+#: below that in blue.
 _WHITE, _YELLOW = 0.2, -0.25
 #: A point that is so high above the road beside it is no paint: bands of cones, cars.
 _MAX_ABOVE_M = 0.12
@@ -57,14 +61,15 @@ _MAX_ABOVE_M = 0.12
 _PRIOR, _HALF_CONTRAST, _EVIDENCE = 0.2, 20.0, 0.6
 
 
-class Course(NamedTuple):
+class _Course(NamedTuple):
     """Fitted course: K vertices."""
 
     station_m: Floats
+    """(K,) along the drive's path; so the following across it, positive to its left, and in the map's height."""
     offset_m: Floats
     height_m: Floats
     frames: NDArray[np.intp]
-    """(F,) numbers of the frame pairs that saw it."""
+    """(F,) numbers of the frame pairs that observed it."""
     shares: Floats
     """(K, F) weight of each of them in each vertex; each row's sum is 1."""
     noise_m2: Floats
@@ -90,7 +95,7 @@ def fuse_markings(
         own = points.some(chain)
         if not _is_flat(own, params) or len(np.unique(own.frame)) < params.min_frames:
             continue
-        rough = fit_course(own, float(own.station_m[0]), float(own.station_m[-1]), params.vertex_spacing_m)
+        rough = _fit_course(own, float(own.station_m[0]), float(own.station_m[-1]), params.vertex_spacing_m)
         if rough is None:
             continue
         own = own.some(rough.kept)
@@ -103,8 +108,7 @@ def fuse_markings(
 
 
 def _is_flat(points: LocatedPoints, params: MarkingParams) -> bool:
-    """Whether the road on both sides is about as high as the marking, or higher; where it was measured on neither, it is not
-    known to be a marking."""
+    """Whether the road on both sides is about as high as the marking, or higher; False unless it was measured on both."""
     for above in (points.columns.above_left_m, points.columns.above_right_m):
         known = above[np.isfinite(above)]
         if len(known) < 0.1 * len(above) or np.median(known) > params.max_above_road_m:
@@ -112,11 +116,11 @@ def _is_flat(points: LocatedPoints, params: MarkingParams) -> bool:
     return True
 
 
-def fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: float) -> Course | None:
+def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: float) -> _Course | None:
     """Course of the points of one marking between two stations; None where it is too short or they are too few."""
     inside = (points.station_m >= start_m - spacing_m / 2) & (points.station_m <= end_m + spacing_m / 2)
     count = max(round((end_m - start_m) / spacing_m), 1) + 1
-    if inside.sum() < 3 * 2 or end_m - start_m < spacing_m:
+    if inside.sum() < _LEAST_POINTS or end_m - start_m < spacing_m:
         return None
     knots = np.linspace(start_m, end_m, count)
     position = np.clip((points.station_m[inside] - start_m) / (knots[1] - knots[0]), 0, count - 1 - 1e-9)
@@ -126,9 +130,7 @@ def fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: f
     hats[np.arange(len(first)), first], hats[np.arange(len(first)), first + 1] = 1 - part, part
     observed = np.stack([points.offset_m[inside], points.xyz_m[inside, 2]], axis=1)
     prior = points.weight[inside] / np.median(points.weight[inside])
-    bend = np.zeros((max(count - 2, 0), count))
-    for k in range(count - 2):
-        bend[k, k : k + 3] = 1.0, -2.0, 1.0
+    bend = np.diff(np.eye(count), n=2, axis=0)
     penalty = _STIFFNESS * bend.T @ bend + 1e-9 * np.eye(count)
     robust = np.ones(len(first))
     for _ in range(_ROUNDS):
@@ -152,19 +154,19 @@ def fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: f
     noise = _ROWS_AS_ONE * np.diagonal(spread)[:, None, None] * scatter
     kept = np.zeros(len(points.station_m), dtype=bool)
     kept[np.flatnonzero(inside)[core]] = True
-    return Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
+    return _Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
 
 
 def _track(
     index: int,
     points: LocatedPoints,
-    piece: Piece,
+    piece: PatternPiece,
     drive: Drive,
     pairs: dict[int, FramePair],
     params: MarkingParams,
     poses: PoseCov,
 ) -> MarkingTrack | None:
-    course = fit_course(points, piece.start_m, piece.end_m, params.vertex_spacing_m)
+    course = _fit_course(points, piece.start_m, piece.end_m, params.vertex_spacing_m)
     if course is None or piece.hit_share < _MIN_HITS:
         return None
     own = points.some(course.kept)
@@ -183,11 +185,8 @@ def _track(
     depth = own.columns.road_px
     widths = widths[depth >= np.percentile(depth, _FAR_PERCENT)]
     width = float(np.median(widths))
-    width_scatter = 1.4826 * float(np.median(np.abs(widths - width)))
-    if (
-        1.4826 * np.median(np.abs(residual - np.median(residual))) > _MAX_SCATTER_M
-        or width_scatter > _MAX_WIDTH_SCATTER * width
-    ):
+    width_scatter = robust_std(widths)
+    if robust_std(residual) > _MAX_SCATTER_M or width_scatter > _MAX_WIDTH_SCATTER * width:
         return None
     xyz = np.column_stack([locate(points.line_m, course.station_m, course.offset_m), course.height_m])
     own_cov, pose_part, calibrated = _covariances(points, course, xyz, drive, pairs, poses)
@@ -220,7 +219,7 @@ def _track(
 
 
 def _covariances(
-    points: LocatedPoints, course: Course, xyz: Floats, drive: Drive, pairs: dict[int, FramePair], poses: PoseCov
+    points: LocatedPoints, course: _Course, xyz: Floats, drive: Drive, pairs: dict[int, FramePair], poses: PoseCov
 ) -> tuple[Floats, tuple[Floats, Floats], Floats]:
     """Of K vertices: (K, 3, 3) m^2 from the images; the same from all errors of the poses, and from the part of them that the
     frame pairs do not share; (K, 3, C) derivatives by the calibration's parameters."""

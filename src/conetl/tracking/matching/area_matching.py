@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from conetl.geometry.small_arrays import median
 from conetl.model.records import Camera
 from conetl.tracking.matching.cone_outline import Outline
-from conetl.tracking.matching.cone_pixels import ConePixels, SplinePatch, cone_pixels
+from conetl.tracking.matching.cone_pixels import BodyPixels, SplinePatch, cone_pixels
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_cov
 from conetl.tracking.matching.plate_pixels import Plate, plate_pixels
 
@@ -104,7 +104,7 @@ def match_area(
 
 
 def _whole_pixel_disparity(
-    pixels: ConePixels, right: NDArray[np.uint8], guess: float, search_px: float, at_infinity_px: float, row_offset: int
+    pixels: BodyPixels, right: NDArray[np.uint8], guess: float, search_px: float, at_infinity_px: float, row_offset: int
 ) -> int | None:
     """Best whole-pixel disparity; None at the limit of the search, below the threshold, or outside the image."""
     reach = int(np.ceil(search_px)) + 1
@@ -132,7 +132,7 @@ def _whole_pixel_disparity(
 
 
 def _least_squares(
-    pixels: ConePixels, right: NDArray[np.uint8], start: float, at_infinity_px: float, row_offset_px: float
+    pixels: BodyPixels, right: NDArray[np.uint8], start: float, at_infinity_px: float, row_offset_px: float
 ) -> AreaMatch | None:
     """Gauss-Newton on all unknowns; gain and offset of each colour are eliminated in stacked step."""
     beyond = pixels.beyond

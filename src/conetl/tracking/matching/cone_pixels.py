@@ -24,8 +24,8 @@ from conetl.tracking.matching.cone_outline import Outline
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-MIN_PIXELS = 24
-MAX_PIXELS = 1200
+_MIN_PIXELS = 24
+_MAX_PIXELS = 1200
 #: Used rows of the body, as shares from tip to foot; the base plate is not at the axis.
 _ROWS = (0.02, 0.90)
 #: Width of the edge inside the outline, and of the margin outside: shares of the radius at the foot, limited in pixels. A far
@@ -37,8 +37,8 @@ _BLUR_PX = 0.85
 _BEYOND_PX = np.array([2.0, 3.0])
 
 
-class ConePixels(NamedTuple):
-    """The used pixels of the left image; n of them."""
+class BodyPixels(NamedTuple):
+    """The used pixels of the left image; n of them. Of flat objects (`plate_pixels.py`) without edges and background."""
 
     rows: Ints
     """(n,) rows in the image"""
@@ -74,7 +74,7 @@ class Beyond(NamedTuple):
     """(e, 2, channels) grey values in the left image"""
 
 
-def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> ConePixels | None:
+def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> BodyPixels | None:
     """The pixels inside the outline, with the disparity surface over them; None if there are too few pixels."""
     height = outline.foot_row - outline.tip_row
     first = max(int(np.ceil(outline.tip_row + _ROWS[0] * height)), 0)
@@ -90,11 +90,10 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
     u = np.arange(low, high + 1)
     aside = u[None, :] - axis[:, None]
     inside = np.abs(aside) <= radius[:, None] + out_px
-    every = int(np.ceil(inside.sum() / MAX_PIXELS))
-    inside[np.arange(len(v)) % every != 0] = False  # neighbouring rows of a near cone are redundant
-    i, j = np.nonzero(inside)
-    if len(i) < MIN_PIXELS:
+    chosen = some_rows(inside)
+    if chosen is None:
         return None
+    i, j = chosen
     surface = _cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
     if surface is None:
         return None
@@ -108,10 +107,18 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
     if beyond is None:
         return None
     at_edge = ~inner[:, None] & (right_half[:, None] == np.array([False, True]))
-    return ConePixels(
+    return BodyPixels(
         v[i], u[j], values, np.stack(slopes), surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64),
         2 * i + right_half, cover, beyond,
     )  # fmt: skip
+
+
+def some_rows(inside: NDArray[np.bool_]) -> tuple[Ints, Ints] | None:
+    """Rows and columns of the pixels in a mask, of a large one in every so many rows alone; None if there are too few."""
+    every = int(np.ceil(inside.sum() / _MAX_PIXELS))
+    inside[np.arange(len(inside)) % every != 0] = False  # neighbouring rows of a near object are redundant
+    rows, columns = np.nonzero(inside)
+    return None if len(rows) < _MIN_PIXELS else (rows, columns)
 
 
 def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats, rows: Ints) -> Beyond | None:

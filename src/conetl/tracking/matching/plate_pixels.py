@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.records import Camera, Detection
-from conetl.tracking.matching.cone_pixels import MAX_PIXELS, MIN_PIXELS, Beyond, ConePixels, smooth
+from conetl.tracking.matching.cone_pixels import Beyond, BodyPixels, smooth, some_rows
 
 Floats = NDArray[np.float64]
 #: Half axes of the ellipse inside of a plate, as shares of the box: that of a diamond touches it at 0.35.
@@ -46,7 +46,7 @@ def find_plate(detection: Detection) -> Plate:
     return Plate(middle - half, middle + half, top + first * height, top + last * height, top + height, elliptic)
 
 
-def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera) -> ConePixels | None:
+def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera) -> BodyPixels | None:
     """The pixels of a plate, with the plane over them; None if there are too few."""
     v = np.arange(max(int(np.ceil(plate.top)), 0), min(int(plate.bottom), left.shape[0] - 1) + 1)
     u = np.arange(max(int(np.ceil(plate.left)), 0), min(int(plate.right), left.shape[1] - 1) + 1)
@@ -58,14 +58,14 @@ def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera) -> ConeP
         across = (u - middle) / (plate.right - middle)
         down = (2 * v - plate.top - plate.bottom) / (plate.bottom - plate.top)
         inside = across[None, :] ** 2 + down[:, None] ** 2 <= 1
-    inside[np.arange(len(v)) % int(np.ceil(inside.sum() / MAX_PIXELS)) != 0] = False
-    i, j = np.nonzero(inside)
-    count = len(i)
-    if count < MIN_PIXELS:
+    chosen = some_rows(inside)
+    if chosen is None:
         return None
+    i, j = chosen
+    count = len(i)
     values, *slopes = (part[i, j] for part in smooth(left, v, u))
     none = np.zeros(0)
-    return ConePixels(
+    return BodyPixels(
         v[i], u[j], values, np.stack(slopes), depth=np.ones(count), nearer=(u[j] - middle) / camera.fx_px,
         height=(plate.foot_row - v[i]) / camera.fy_px, at_edge=np.zeros((count, 2)), edge=np.zeros(count, dtype=np.intp),
         cover=np.zeros(count), beyond=Beyond(none.astype(np.intp), none, none, np.zeros((0, 2, values.shape[1]))),

@@ -1,0 +1,159 @@
+"""Refinement of a whole drive: its clock, its poses by visual odometry and by cones, and the errors that all its poses share.
+
+`trajectory.py` has the adjustment itself, `control_points.py` decides which cones stand on control points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.motion import chain_solver
+from conetl.geometry.motion.pose_graph import POSE, STATE
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.packing import cov3, cov_matrix, vec3
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.records import FramePair, Position, Rig, StereoMatch, Vec3
+from conetl.tracking.association import chain_positions
+from conetl.tracking.clock import at_images, estimate_clock
+from conetl.tracking.error_propagation import motion_error
+from conetl.tracking.positions import locate_positions
+from conetl.tracking.trajectory import (
+    LEAST_STEP_S,
+    ControlCone,
+    RefinedTrajectory,
+    RefinementOutcome,
+    measured_motions,
+    read_log,
+    refine_trajectory,
+)
+
+#: Differences of distances beyond so many prior sigmas of the calibration's scale, and of their own, may be a drift of the log.
+_DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
+#: Neighbouring observations of a cone are correlated (background, sun, calibration): so many count as one.
+_CORRELATED = 4.0
+
+
+def refine_with_cones(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    motions: Sequence[RelativeMotion],
+    matches: Sequence[StereoMatch],
+    params: IngestParams,
+    control: Sequence[ControlCone] = (),
+) -> RefinedTrajectory:
+    """Refined poses by visual odometry, by cones observed often enough to be tracks, and by those on control points.
+
+    Visual odometry follows points that change from frame to frame, and a calibration error scales all its distances; a cone is
+    one fixed point in many frames. The poses are those of the adjustment with cones, their covariance that of the adjustment
+    without: the same observations make the tracks afterwards and must count only once. Those on control points do count.
+
+    A clock that the drive shows to be off is corrected first; what is left of its offset, and the error of the lever arm, are in
+    the covariance. frame_pairs: as logged. motions: as for `refine_trajectory`. The result is that of visual odometry alone
+    without `trajectory.cone_landmarks`, beside good GNSS/INS, without such cones, and if the adjustment with cones fails.
+    """
+    log, measured = (
+        read_log(frame_pairs, rig, params.trajectory),
+        measured_motions(frame_pairs, motions, params.trajectory),
+    )
+    clock = estimate_clock(frame_pairs, log, measured) if params.trajectory.refine else None
+    if clock is not None and clock.is_applied(params.trajectory.clock_sigma_s):
+        frame_pairs = at_images(frame_pairs, log, clock.offset_s)
+    refined = _refine_with_cones(frame_pairs, rig, motions, matches, params, control)
+    refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
+    return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory, control)
+
+
+def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:
+    """Whether neither the calibration nor the stated errors of the log explain why both show different distances (a share)."""
+    return abs(scale) > max(_DOUBTFUL_SIGMAS * prior_sigma, _SIGNIFICANT_SIGMAS * sigma)
+
+
+def _with_common_errors(
+    refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone]
+) -> RefinedTrajectory:
+    """The trajectory with the errors of clock and lever arm, and of GNSS/INS as its best record (or control point) states it,
+    which move all poses together: however many records there are, their common error is not averaged out. Where images and log
+    show different distances, the log may drift by the difference."""
+    assert refined.covariance is not None
+    poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
+    times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
+    turn = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).as_rotvec()
+    steps = np.hstack([np.diff(poses[:, :3, 3], axis=0), turn]) / np.maximum(np.diff(times_s), LEAST_STEP_S)[:, None]
+    stated = [np.array(pair.pose.sigma_enu_m) for pair in refined.logged]
+    best = np.min([*stated, *(np.sqrt(np.diag(cone.cov_m2)) for cone in control)], axis=0)
+    known = np.diagonal(refined.covariance.cov, axis1=1, axis2=2)[:, :3].min(axis=0)
+    systematic = np.sqrt(np.maximum(best**2 - known, 0.0))
+    reach = np.zeros((len(poses), STATE, 9))
+    reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
+    reach[:, :3, 1:4], reach[:, :3, 4:7] = poses[:, :3, :3], np.eye(3)
+    # Where images and log show different distances the log may have drifted, from the first or to the last of its positions.
+    doubtful = refined.scale is not None and scale_is_doubtful(*refined.scale, params.scale_sigma)
+    drift = refined.scale[0] if refined.scale is not None and doubtful else 0.0
+    ends = poses[[0, -1], :3, 3]
+    reach[:, :3, 7], reach[:, :3, 8] = drift * (ends[1] - ends[0]) / 2, drift * (poses[:, :3, 3] - ends.mean(axis=0))
+    clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
+    cov = chain_solver.with_common_errors(
+        refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic, 1.0, 1.0])
+    )
+    sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
+    pairs = tuple(
+        _with_sigmas(pair, vec3(own[:3]), vec3(own[3:])) for pair, own in zip(refined.frame_pairs, sigma, strict=True)
+    )
+    return replace(refined, frame_pairs=pairs, covariance=cov, drift_m=reach[:, :3, 8] if doubtful else None)
+
+
+def _refine_with_cones(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    motions: Sequence[RelativeMotion],
+    matches: Sequence[StereoMatch],
+    params: IngestParams,
+    control: Sequence[ControlCone],
+) -> RefinedTrajectory:
+    alone = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
+    if not params.trajectory.cone_landmarks or alone.outcome is not RefinementOutcome.REFINED:
+        return alone
+    if np.median([max(pair.pose.sigma_enu_m[:2]) for pair in frame_pairs]) < params.trajectory.cone_landmarks_from_m:
+        return alone
+    known = {(p.frame_index, p.match_index) for cone in control for p in cone.positions}
+    groups = cone_groups(alone, rig, matches, params)
+    cones = [group for group in groups if known.isdisjoint((p.frame_index, p.match_index) for p in group)]
+    if not cones:
+        return alone
+    together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control)
+    if together.outcome is not RefinementOutcome.REFINED:
+        return alone
+    pairs_of = zip(together.frame_pairs, alone.frame_pairs, strict=True)
+    return replace(
+        together,
+        frame_pairs=tuple(_with_sigmas(pair, own.pose.sigma_enu_m, own.pose.sigma_rpy_rad) for pair, own in pairs_of),
+        covariance=alone.covariance,
+        scale=alone.scale,
+        detail=f"{together.detail}; {len(cones)} cones as landmarks",
+    )
+
+
+def cone_groups(
+    trajectory: RefinedTrajectory, rig: Rig, matches: Sequence[StereoMatch], params: IngestParams
+) -> list[tuple[Position, ...]]:
+    """The positions of each cone that is observed often enough to be a track, with covariances as of landmarks."""
+    pairs = {pair.frame_index: pair for pair in trajectory.frame_pairs}
+    positions, _ = locate_positions([m for m in matches if m.refined], pairs, rig, params.position)
+    left = {index: map_SE3_left(pair.pose, rig) for index, pair in pairs.items()}
+    groups = chain_positions(positions, left, params.track, motion_error(trajectory))
+    return [tuple(map(_down_weighted, group)) for group in groups if len(group) >= params.track.min_observations]
+
+
+def _with_sigmas(pair: FramePair, sigma_enu_m: Vec3, sigma_rpy_rad: Vec3) -> FramePair:
+    sigmas = {"sigma_enu_m": sigma_enu_m, "sigma_rpy_rad": sigma_rpy_rad}
+    return pair.model_copy(update={"pose": pair.pose.model_copy(update=sigmas)})
+
+
+def _down_weighted(position: Position) -> Position:
+    return position.model_copy(update={"camera_cov_m2": cov3(_CORRELATED * cov_matrix(position.camera_cov_m2))})
