@@ -31,6 +31,8 @@ export const GLYPHS = [...CLASSES.values(), OTHER].map((c) => c.glyph);
 export const classOf = (category: string): ObjectClass => CLASSES.get(category) ?? { ...OTHER, label: category.replaceAll("_", " ") };
 /** Position in `CLASSES`, and in `GLYPHS`. */
 export const classOrder = (category: string): number => (NAMES.indexOf(category) + GLYPHS.length) % GLYPHS.length;
+/** "cone", "drum", as in a sentence. */
+export const nounOf = (category: string): string => (category === CONE ? "cone" : classOf(category).label.toLowerCase());
 export const classIcon = (category: string): SVGSVGElement => svgOf(classOf(category).glyph, "var(--soft)");
 
 let counts = new Map<string, number>();

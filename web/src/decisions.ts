@@ -36,7 +36,7 @@ export function aboutFeature(all: Decision[], id: string, xyz: [number, number, 
   });
 }
 
-export const placeChoice = (kind: "suppress" | "pin", id: string, version: number, noun: "cone" | "lane marking"): Choice => ({
+export const placeChoice = (kind: "suppress" | "pin", id: string, version: number, noun: string): Choice => ({
   text: kind === "suppress" ? "Suppress …" : "Pin …",
   explain:
     kind === "suppress"

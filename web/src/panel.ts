@@ -1,6 +1,6 @@
 // Right: details of the selected cone.
 import { api, ApiError, type Decisions, type HistoryItem, type Marking, type Sighting } from "./api";
-import { classOf } from "./classes";
+import { classOf, nounOf } from "./classes";
 import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
 import { el, fill, messageOf, plural, shortId, utc } from "./dom";
 import { createEmptyPosition, sentenceOf } from "./explain";
@@ -132,7 +132,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
           el("small", {}, "drawn at ", factor))),
         ...row("Existence probability", meter, el("span", { class: "mono", textContent: now.existence_probability.toFixed(4) })),
         ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} in total` })),
-        ...(line ? [] : row("Cone height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` }))),
+        ...(line ? [] : row("Object height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` }))),
         ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
       ),
     ); // prettier-ignore
@@ -145,7 +145,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     const about = aboutFeature(decisions.decisions, id, newest.xyz_m, Boolean(newest.marking));
     fill(decided, ...about.map(sentence));
     if (!decisions.writable) return decider.show(`${id} reading`, [], { map, changed: () => undefined });
-    const noun = newest.marking ? "lane marking" : "cone";
+    const noun = nounOf(newest.category);
     const has = (kind: string) => about.some((d) => d.kind === kind);
     const context: DecideContext = { map, changed: () => actions.decided() };
     decider.show(`${id} ${newest.version} ${about.map((d) => d.decision_id).join(" ")}`, [
@@ -178,7 +178,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     }
     const s = sightings?.[chosen.sightingIndex];
     if (!sightings || !s) {
-      const text = sightings ? "No sighting of this cone until this time." : "Loading sightings …";
+      const text = sightings ? "No sighting of this object until this time." : "Loading sightings …";
       shownImage = "";
       return fill(seen, el("h3", { textContent: "Images" }), el("p", { class: sightings ? "hint" : "hint loading", textContent: text }));
     }

@@ -172,6 +172,7 @@ def import_(
         imported = read_map_file(file, params, crs=crs, map_srid=srid, stated_at=parse_time(surveyed_at), layer=layer)
         _require_map_srid(imported.srid)
         total = len(imported.statements)
+        noun = "cone" if all(one.feature.category == CONE for one in imported.statements) else "object"
         done = import_map(conn, imported, params, map_name=settings.map_name)
     if imported.lines_left_out:
         note(
@@ -179,12 +180,12 @@ def import_(
         )
     text = f"{file} is on the map {settings.map_name} already: no changes."
     if done.own:
-        note(f"{done.own} of {counted(total, 'cone')} of {file} are an export of this map: no new evidence, left out")
+        note(f"{done.own} of {counted(total, noun)} of {file} are an export of this map: no new evidence, left out")
         if not done.committed and done.changeset_id is None:
             text = f"{file} is an export of this map: nothing new, no changes."
     if done.same_place:
         note(
-            f"{done.same_place} of {counted(total, 'cone')} stand exactly where cones of the map stand. If the file was made "
+            f"{done.same_place} of {counted(total, noun)} stand exactly where objects of the map stand. If the file was made "
             "from this map, its evidence counts twice now: undo the import with `conetl map revert`"
         )
     others = Counter(one.feature.category for one in imported.statements if one.feature.category not in FEATURE_CLASSES)
@@ -196,7 +197,7 @@ def import_(
     if done.committed:
         counts = ", ".join(f"{count} {kind}" for kind, count in done.counts.items() if count)
         again = f" {counted(done.replayed, 'later drive')} compared with the map again." if done.replayed else ""
-        text = f"{counted(total - done.own, 'cone')} (EPSG:{imported.srid}): {counts}.{again}"
+        text = f"{counted(total - done.own, noun)} (EPSG:{imported.srid}): {counts}.{again}"
     facts = {"file": str(file), "sha256": imported.content_sha256, "srid": imported.srid}
     answer(as_json, done._asdict() | facts, text)
 
