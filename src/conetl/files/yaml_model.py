@@ -44,8 +44,8 @@ def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model
             raise InputError(f"{name}: {first_message(error)}") from error
         known = _fields_at(model, first["loc"][:-1])
         near = get_close_matches(str(first["loc"][-1]), known, n=1)
-        hint = f"did you mean {near[0]}? Known" if near else "known"
-        raise InputError(f"{name}: {first_message(error)}; {hint} are {', '.join(known)}") from error
+        hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+        raise InputError(f"{name}: {first_message(error)}; {hint}") from error
 
 
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
