@@ -26,6 +26,8 @@ SIDE_TRUST = {
     "robomagellan_conefinder": 0.9,
 }
 PAD_PX = 32
+#: Heights of the largest object in samples for large ones.
+LARGE_PX = (180.0, 480.0)
 #: Things that stand on the road, in rows.
 STANDING = ("traffic_cone", "tubular_marker", "drum", "vertical_panel", "barricade")
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -37,8 +39,11 @@ def pyramid(image: np.ndarray) -> list[np.ndarray]:
     return [image, half, cv2.resize(half, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)]
 
 
-def choose_scale(picture: Image, rng: np.random.Generator) -> tuple[float, np.ndarray | None]:
+def choose_scale(picture: Image, rng: np.random.Generator, large: bool) -> tuple[float, np.ndarray | None]:
     """Scale that brings one randomly chosen box to a height drawn log-uniformly, most of them small; and that box (4,)."""
+    if large and len(picture.boxes):
+        box = picture.boxes[int(np.argmax(picture.boxes[:, 3] - picture.boxes[:, 1])), :4]
+        return float(np.clip(np.exp(rng.uniform(*np.log(LARGE_PX))) / (box[3] - box[1]), 0.05, 3.0)), box
     if len(picture.false):
         box, as_seen = picture.false[int(rng.integers(len(picture.false)))], rng.random() < 0.5
     elif len(picture.boxes) == 0:
@@ -66,6 +71,7 @@ def warp_into(
     levels: list[np.ndarray],
     area: tuple[int, int, int, int],
     rng: np.random.Generator,
+    large: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw a picture, scaled, stretched, mirrored, slightly turned, into `area` of the canvas; boxes and fades there."""
     left, top, right, bottom = area
@@ -74,7 +80,7 @@ def warp_into(
         stretch = float(rng.uniform(0.55, 1.3))
     elif picture.source != "renders":
         stretch = float(rng.uniform(0.85, 1.15))
-    scale, box = choose_scale(picture, rng)
+    scale, box = choose_scale(picture, rng, large)
     turn = np.deg2rad(rng.normal(0.0, 1.5)) if rng.random() < 0.5 else 0.0
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     height, width = levels[0].shape[:2]
@@ -83,7 +89,11 @@ def warp_into(
     else:
         cx, cy = rng.uniform(0.2, 0.8) * width, rng.uniform(0.3, 0.8) * height
     # Where the chosen point lands: anywhere in the area, but rather fill the area with picture than with nothing.
-    to_x, to_y = rng.uniform(left, right), rng.uniform(top, bottom)
+    margin = 0.3 if large else 0.0
+    to_x, to_y = (
+        left + rng.uniform(margin, 1 - margin) * (right - left),
+        top + rng.uniform(margin, 1 - margin) * (bottom - top),
+    )
     half_w, half_h = scale * stretch * width / 2, scale * height / 2
     mid_x = to_x + mirror * scale * stretch * (width / 2 - cx)
     mid_y = to_y + scale * (height / 2 - cy)
@@ -410,8 +420,12 @@ def make_sample(
     cutouts: dict[str, list[CutOut]],
     size: int,
     rng: np.random.Generator,
+    large: bool = False,
 ) -> Sample:
-    """One training sample: image (size, size, 3) BGR uint8, objects (N, 9), trust (N,) of their sides, fades (M, 5)."""
+    """One training sample: image (size, size, 3) BGR uint8, objects (N, 9), trust (N,) of their sides, fades (M, 5).
+
+    large: of one picture alone, its largest object large and rather in the middle, or with pasted objects of up to its size.
+    """
     background, levels = backgrounds[int(rng.integers(len(backgrounds)))]
     canvas = cv2.resize(levels[2], (size, size), interpolation=cv2.INTER_LINEAR)  # no black where the warp leaves a gap
     objects, fades = warp_into(canvas, background, levels, (0, 0, size, size), rng)
@@ -419,7 +433,7 @@ def make_sample(
     all_boxes, all_trust = [objects], [np.full(len(objects), SIDE_TRUST.get(background.source, 0.5))]
     all_fades = [fade_rows(cut), fades, untaught(background, (0, 0, size, size))]
     draw = rng.random()
-    if draw < 0.38:
+    if (large and draw < 0.68) or draw < 0.38:
         areas = [(0, 0, size, size)]
     elif draw < 0.68:
         x, y = (int(v) for v in rng.integers(int(0.3 * size), int(0.7 * size), 2))
@@ -429,7 +443,7 @@ def make_sample(
     for area in areas:
         picture, levels = pick(rng)
         all_boxes, all_trust = uncovered(all_boxes, all_trust, area)
-        boxes, fades = warp_into(canvas, picture, levels, area, rng)
+        boxes, fades = warp_into(canvas, picture, levels, area, rng, large)
         kept, faded = clip_boxes(boxes, area)
         all_boxes.append(kept)
         all_trust.append(np.full(len(kept), SIDE_TRUST.get(picture.source, 0.5) if picture.tight else 0.15))
@@ -442,7 +456,8 @@ def make_sample(
             all_boxes += row
             all_trust += [np.ones(len(box)) for box in row]
         for _ in range(int(rng.integers(1, 6))):
-            box = paste_cutout(canvas, one_of(cutouts, rng, CLASSES), np.concatenate(all_boxes), rng)
+            height_px = float(np.exp(rng.uniform(*np.log(LARGE_PX)))) if large and rng.random() < 0.5 else None
+            box = paste_cutout(canvas, one_of(cutouts, rng, CLASSES), np.concatenate(all_boxes), rng, height_px)
             all_boxes.append(box)
             all_trust.append(np.ones(len(box)))
     boxes, trust, fades = np.concatenate(all_boxes), np.concatenate(all_trust), np.concatenate(all_fades)

@@ -26,7 +26,6 @@ TAUGHT = {
     "rf_traffic_cones": CONES_ONLY,
     "css_safety_cone": CONES_ONLY,
     "css_rest": CONES_ONLY,
-    "renders": frozenset({"traffic_cone", "tubular_marker", "vertical_panel", "arrow_board"}),
     "highway_tidar_negatives": NO_SIGNS,
     "otonom_sign_negatives": NO_SIGNS,
     "robomagellan_conefinder": NO_SIGNS,

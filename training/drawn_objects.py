@@ -39,9 +39,9 @@ def draw_object(rng: np.random.Generator, category: str) -> CutOut:
     return DRAW[category](rng)
 
 
-def _orange(rng: np.random.Generator) -> Colour:
+def _orange(rng: np.random.Generator, or_red: bool = True) -> Colour:
     colour = np.array((25, 95, 240)) * rng.uniform(0.65, 1.05) + rng.normal(0, 14, 3)
-    if rng.random() < 0.15:
+    if or_red and rng.random() < 0.15:
         colour = np.array((40, 40, 205)) * rng.uniform(0.7, 1.1)
     return tuple(np.clip(colour, 0, 255).tolist())
 
@@ -163,8 +163,10 @@ def _drum(rng: np.random.Generator) -> CutOut:
 def _tubular_marker(rng: np.random.Generator) -> CutOut:
     height = SIZE_PX
     half = height * rng.uniform(0.03, 0.07)
-    base = (
-        _orange(rng) if rng.random() < 0.6 else ((30, 190, 235), (225, 225, 225), (40, 170, 90))[int(rng.integers(3))]
+    base = (  # red and white ones are bollards
+        _orange(rng, or_red=False)
+        if rng.random() < 0.6
+        else ((30, 190, 235), (225, 225, 225), (40, 170, 90))[int(rng.integers(3))]
     )
     band = _white(rng) if rng.random() < 0.85 else (30, 200, 240)
     count = int(rng.integers(1, 4))

@@ -2,10 +2,10 @@
 
     python training/render_scenes.py OUT --count 400 --seed 1
 
-writes OUT/images/*.jpg and OUT/labels/*.txt: `0 cx cy w h foot_x foot_y tip_x tip_y`, shares of width and height; the foot is the
-centre of the base plate on the ground, the tip the top of the body, both also where something hides
-them. Equal seeds give equal pictures;
-pictures that are there already are kept. The layouts are random: the scene of the sample drives is not among them.
+writes OUT/images/*.jpg and OUT/labels/*.txt: `class cx cy w h foot_x foot_y tip_x tip_y`, shares of width and height. The foot
+is the centre of the base on the ground, the tip the top of the body, both also where something hides them; signs and boards have
+neither (nan). Equal seeds give equal pictures; pictures that are there already are kept. The layouts are random: the scenes of
+the sample drives and of `conetl simulate --world mixed` are not among them.
 """
 
 from __future__ import annotations
@@ -13,13 +13,19 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from classes import CLASSES
 
+from conetl.simulation.classed_parts import CLASSED_KINDS, true_shape
+from conetl.simulation.meshes import Mesh
 from conetl.simulation.parts import cone_parts
 from conetl.simulation.scenario import Colour, Cone, Road, RoadMarking, RoadObject, World, street_markings
 from conetl.simulation.scene import (
+    BUILDERS,
     PinholeCamera,
     build_scene,
     develop,
@@ -76,14 +82,14 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
         radiance *= (grey.mean() / grey) ** np.float32(view_rng.uniform(0.2, 1.0))  # white balance, more or less
         gain = exposure_gain(radiance, float(np.exp(view_rng.normal(0.1, 0.35))))
         picture = develop(radiance, gain, view_rng, blur_sigma_px=float(view_rng.uniform(0.3, 0.9)))
-        boxes = cone_boxes(scene, world, camera, pose)
+        boxes = np.array(object_boxes(scene, world, camera, pose)).reshape(-1, 9)
         written += len(boxes)
-        shares = (np.array(boxes).reshape(-1, 2) / [camera.width_px, camera.height_px]).reshape(-1, 8)
+        shares = (boxes[:, 1:].reshape(-1, 2) / [camera.width_px, camera.height_px]).reshape(-1, 8)
         lines = "".join(
-            f"0 {(a + c) / 2:.6f} {(b + d) / 2:.6f} {c - a:.6f} {d - b:.6f} "
+            f"{number:.0f} {(a + c) / 2:.6f} {(b + d) / 2:.6f} {c - a:.6f} {d - b:.6f} "
             + " ".join(f"{p:.6f}" for p in points)
             + "\n"
-            for a, b, c, d, *points in shares
+            for number, (a, b, c, d, *points) in zip(boxes[:, 0], shares, strict=True)
         )
         (out / "labels" / f"{name}.txt").write_text(lines)
         partial = out / "images" / f".{name}.part"  # the label is there before its picture appears
@@ -92,27 +98,61 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
     return written
 
 
-def cone_boxes(
+class Labelled(NamedTuple):
+    """What gets a box."""
+
+    category: str
+    meshes: list[Mesh]
+    """What the box holds."""
+    ends: np.ndarray
+    """(2, 3) foot and tip in the road frame; NaN for what has none."""
+
+
+def labelled_things(world: World, eye: np.ndarray) -> Iterator[Labelled]:
+    """All objects of a world that have a class, as seen from `eye` (3,): signs and boards only from their front."""
+    for number, cone in enumerate(world.cones):
+        plate, body = cone_parts(cone, 1000 * world.texture_seed + number)
+        foot = plate.mesh.vertices.mean(axis=0) if cone.fallen else np.array([cone.x_m, cone.y_m, 0.0])
+        fewer = body.mesh._replace(vertices=body.mesh.vertices[::3])
+        yield Labelled("traffic_cone", [plate.mesh, fewer], np.array([foot, body.mesh.vertices[-1]]))
+    for number, item in enumerate(world.objects):
+        parts = BUILDERS[item.kind](item, 1000 * world.texture_seed + 500 + number)
+        if item.kind in ("round_sign", "triangle_sign"):  # a post first, then the plate
+            category, plate = "traffic_sign", parts[1].mesh
+        elif item.kind in CLASSED_KINDS:
+            shape = true_shape(item)
+            category, plate = shape.category, parts[0].mesh if shape.foot_m > 0 else None
+        else:
+            continue
+        if plate is None:
+            ends = np.array([(item.x_m, item.y_m, 0.0), (item.x_m, item.y_m, item.height_m)])
+            yield Labelled(category, [part.mesh for part in parts], ends)
+            continue
+        towards = eye - plate.vertices.mean(axis=0)
+        if -(towards[:2] @ (math.cos(item.yaw_rad), math.sin(item.yaw_rad))) > 0.2 * np.linalg.norm(towards):
+            yield Labelled(category, [plate], np.full((2, 3), np.nan))
+
+
+def object_boxes(
     scene: object, world: World, camera: PinholeCamera, road_SE3_camera: np.ndarray
 ) -> list[tuple[float, ...]]:
-    """[x0, y0, x1, y1, foot x, foot y, tip x, tip y] from the edge of the picture, in pixels, a cone.
+    """[class, x0, y0, x1, y1, foot x, foot y, tip x, tip y] from the edge of the picture, in pixels, an object.
 
-    The box holds the visible part of the cone.
-
-    A vertex is hidden where the ray to it meets something that is not the cone itself.
+    The box holds the visible part. A vertex is hidden where the ray to it meets something that is not the object itself.
     """
     mi = load_mitsuba()
     eye = road_SE3_camera[:3, 3]
-    boxes: list[tuple[float, ...]] = []
-    for number, cone in enumerate(world.cones):
-        plate, body = cone_parts(cone, 1000 * world.texture_seed + number)
-        points = np.vstack([plate.mesh.vertices, body.mesh.vertices[::3]])
+
+    def project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         local = (points - eye) @ road_SE3_camera[:3, :3]
-        if (local[:, 2] < 0.5).any():
-            continue
-        pixels = local[:, :2] / local[:, 2:] * camera.f_px + [camera.cx_px + 0.5, camera.cy_px + 0.5]
+        return local[:, :2] / local[:, 2:] * camera.f_px + [camera.cx_px + 0.5, camera.cy_px + 0.5], local[:, 2]
+
+    boxes: list[tuple[float, ...]] = []
+    for thing in labelled_things(world, eye):
+        points = np.vstack([mesh.vertices for mesh in thing.meshes])
+        pixels, depth = project(points)
         inside = ((pixels >= 0) & (pixels <= [camera.width_px, camera.height_px])).all(axis=1)
-        if not inside.any():
+        if (depth < 0.5).any() or not inside.any():
             continue
         centre = points.mean(axis=0)
         reach = np.linalg.norm(points - centre, axis=1).max() * 1.02
@@ -128,10 +168,8 @@ def cone_boxes(
             continue
         low, high = pixels[seen].min(axis=0), pixels[seen].max(axis=0)
         if high[1] - low[1] >= MIN_HEIGHT_PX:
-            foot = plate.mesh.vertices.mean(axis=0) if cone.fallen else np.array([cone.x_m, cone.y_m, 0.0])
-            local = (np.array([foot, body.mesh.vertices[-1]]) - eye) @ road_SE3_camera[:3, :3]
-            ends = local[:, :2] / local[:, 2:] * camera.f_px + [camera.cx_px + 0.5, camera.cy_px + 0.5]
-            boxes.append((*low.tolist(), *high.tolist(), *ends.reshape(-1).tolist()))
+            ends = project(thing.ends)[0]
+            boxes.append((CLASSES.index(thing.category), *low.tolist(), *high.tolist(), *ends.reshape(-1).tolist()))
     return boxes
 
 
@@ -164,7 +202,7 @@ def random_world(rng: np.random.Generator) -> World:
     cones = _random_cones(rng)
     overcast = rng.random() < 0.3
     return World(
-        cones=tuple(cones), objects=(*_random_objects(rng, road), *_things_before(cones, rng)),
+        cones=tuple(cones), objects=(*_random_objects(rng, road), *_random_devices(rng, road), *_things_before(cones, rng)),
         sun_elevation_deg=rng.uniform(8, 70),
         sun_azimuth_deg=rng.uniform(-180, 180), turbidity=rng.uniform(2.0, 8.0), sun_scale=0.0 if overcast else 1.0, road=road,
         texture_seed=int(rng.integers(1000, 1 << 20)),
@@ -210,6 +248,52 @@ def _random_cones(rng: np.random.Generator) -> list[Cone]:
             )
         )  # fmt: skip
     return cones
+
+
+def _random_devices(rng: np.random.Generator, road: Road) -> list[RoadObject]:
+    """Rows of one kind of device on the road, barricades, boards and signs beside it; their sizes as on real roads."""
+    objects: list[RoadObject] = []
+    orange, yellow, lime, white = (0.93, 0.40, 0.08), (0.95, 0.78, 0.1), (0.7, 0.85, 0.15), (0.85, 0.85, 0.83)
+
+    def add(kind: str, x: float, y: float, height: float, colour: Colour, width: float) -> None:
+        turn = rng.normal(0.0, 0.25) + (math.pi if rng.random() < 0.15 else 0.0)
+        objects.append(RoadObject(kind, x, y, turn, height, _near(rng, colour, 0.05), width))
+
+    for _ in range(int(rng.integers(0, 3))):
+        kind = str(rng.choice(("drum", "vertical_panel", "tubular_marker"), p=(0.25, 0.25, 0.5)))
+        colour = (orange, yellow, lime, white)[int(rng.choice(4, p=(0.7, 0.14, 0.08, 0.08)))]
+        height = rng.uniform(*{"drum": (0.8, 1.15), "vertical_panel": (0.8, 1.4), "tubular_marker": (0.45, 1.2)}[kind])
+        start, slope, gap = (
+            (rng.uniform(1, 12), rng.uniform(-4.5, 3.0)),
+            rng.uniform(-0.12, 0.12),
+            rng.uniform(1.5, 6.0),
+        )
+        for k in range(int(rng.integers(1, 7))):
+            y = start[1] + slope * gap * k + rng.normal(0.0, 0.12)
+            add(
+                kind,
+                start[0] + gap * k,
+                y,
+                height,
+                colour if kind == "tubular_marker" else orange,
+                rng.uniform(0.2, 0.45),
+            )
+    for _ in range(int(rng.choice((0, 1, 2), p=(0.5, 0.35, 0.15)))):
+        place = rng.uniform(5, 35), rng.uniform(road.right_m, road.left_m)
+        add(
+            "type_3",
+            *place,
+            rng.uniform(1.0, 1.6),
+            orange if rng.random() < 0.8 else (0.75, 0.1, 0.08),
+            rng.uniform(1.0, 2.2),
+        )
+    kinds = ("diamond", "work_triangle", "arrow_board", "speed_disc", "mandatory_disc", "warning_triangle", "rectangle")
+    for kind in rng.choice(kinds, int(rng.integers(0, 6))).tolist():
+        y = road.right_m - rng.uniform(0.3, 2.5) if rng.random() < 0.6 else road.left_m + rng.uniform(0.3, 2.5)
+        width = rng.uniform(1.8, 2.6) if kind == "arrow_board" else rng.uniform(0.5, 1.2)
+        lowest = width * (1.25 if kind == "rectangle" else 1.0) + 0.3
+        add(kind, rng.uniform(4, 40), y, rng.uniform(lowest, max(3.2, lowest + 0.2)), orange, width)
+    return objects
 
 
 def _things_before(cones: list[Cone], rng: np.random.Generator) -> list[RoadObject]:
@@ -260,7 +344,6 @@ def _random_objects(rng: np.random.Generator, road: Road) -> list[RoadObject]:
     add("hydrant", 0.3, 2, (0.6, 0.9), (red, orange, (0.8, 0.7, 0.1)), False)
     add("worker", 0.4, 3, (1.6, 1.95), (orange, (0.8, 0.85, 0.1), red), True)
     add("drum", 0.3, 4, (0.8, 1.1), (orange, red), True)
-    add("barricade", 0.2, 2, (0.9, 1.5), (orange, red), True)
     for _ in range(int(rng.choice([0, 1, 2], p=[0.5, 0.35, 0.15]))):
         side = rng.choice([road.right_m + 1.3, road.left_m - 1.2])
         objects.append(

@@ -43,13 +43,17 @@ SHARES = {
     "renders": 0.22,
     "false_boxes": 0.15,
 }
+LARGE = 1.45
 LABELS = Path(__file__).parent / "labels"
 #: Sources of pictures without cones that others are drawn on.
 BACKGROUNDS = ("css_safety_cone", "highway_tidar_negatives", "otonom_sign_negatives", "labelled_clips")
 
 
-class Samples(IterableDataset):
-    """An endless stream of augmented samples; each loader process has its own random numbers."""
+class Batches(IterableDataset):
+    """An endless stream of batches of augmented samples; each loader process has its own random numbers.
+
+    One in six holds half as many samples of LARGE times the side, in which large objects are whole.
+    """
 
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
@@ -103,9 +107,13 @@ class Samples(IterableDataset):
             return self.by_source[name][int(rng.integers(len(self.by_source[name])))]
 
         for count in range(10**9):
-            if count % 200 == 0:
+            if count % 25 == 0:
                 self.look_for_renders()
-            yield make_sample(pick, self.backgrounds, self.cutouts, self.args.size, rng)
+            large = count % 6 == 5
+            number = self.args.batch // 2 if large else self.args.batch
+            size = round(LARGE * self.args.size / 32) * 32 if large else self.args.size
+            samples = [make_sample(pick, self.backgrounds, self.cutouts, size, rng, large) for _ in range(number)]
+            yield collate(samples)
 
 
 def collate(batch):
@@ -212,9 +220,7 @@ def main() -> None:
     average = copy.deepcopy(network).eval()
     optimiser = make_optimiser(network, args.rate)
     args.start_step = go_on(Path(args.resume), network, average, optimiser) if args.resume else 0
-    loader = iter(
-        DataLoader(Samples(args), batch_size=args.batch, num_workers=1, collate_fn=collate, prefetch_factor=6)
-    )
+    loader = iter(DataLoader(Batches(args), batch_size=None, num_workers=1, prefetch_factor=6))
 
     started = saved = time.monotonic()
     step, sums = args.start_step, dict.fromkeys(("score", "box", "side", "end"), 0.0)

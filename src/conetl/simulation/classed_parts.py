@@ -31,6 +31,7 @@ _PLATES = {
     "diamond": "work_zone_sign", "work_triangle": "work_zone_sign", "arrow_board": "arrow_board", "speed_disc": "traffic_sign",
     "mandatory_disc": "traffic_sign", "warning_triangle": "traffic_sign", "rectangle": "traffic_sign",
 }  # fmt: skip
+CLASSED_KINDS = frozenset({*_STANDING, *_PLATES})
 
 
 class TrueShape(NamedTuple):

@@ -112,22 +112,6 @@ def _drum(item: RoadObject, seed: int) -> list[Part]:
     return [Part(at_object(item, body), textures.striped(bands, seed)), Part(at_object(item, ring), (0.1, 0.1, 0.1))]
 
 
-def _barricade(item: RoadObject, seed: int) -> list[Part]:
-    """Two striped boards across two feet."""
-    white = (0.92, 0.92, 0.9)
-    parts = [
-        Part(
-            at_object(item, meshes.box([0.04, 1.5, 0.2], item.height_m * share)),
-            textures.striped((item.colour, white) * 2, seed),
-        )
-        for share in (0.45, 0.8)
-    ]
-    for y in (-0.6, 0.6):
-        parts.append(Part(at_object(item, meshes.box([0.06, 0.06, item.height_m]), x=0.05, y=y), (0.8, 0.8, 0.78)))
-        parts.append(Part(at_object(item, meshes.box([0.7, 0.08, 0.06]), y=y), (0.2, 0.2, 0.2)))
-    return parts
-
-
 def _post(item: RoadObject, seed: int) -> list[Part]:
     return [
         Part(
@@ -281,5 +265,5 @@ def _tree(item: RoadObject, seed: int) -> list[Part]:
 BUILDERS: dict[str, Callable[[RoadObject, int], list[Part]]] = {
     "bollard": _bollard, "barrier_post": _barrier_post, "post": _post, "round_sign": _round_sign,
     "triangle_sign": _triangle_sign, "bin": _bin, "hydrant": _hydrant, "van": _van, "worker": _worker,
-    "drum": _drum, "barricade": _barricade, "house": _house, "hedge": _hedge, "tree": _tree,
+    "drum": _drum, "house": _house, "hedge": _hedge, "tree": _tree,
 }  # fmt: skip

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -21,14 +22,10 @@ WORLD = World(cones=(CONE,), objects=(), sun_elevation_deg=50.0, sun_azimuth_deg
 
 
 @pytest.fixture(scope="module")
-def script() -> ModuleType:
-    path = Path(__file__).parents[3] / "training" / "render_scenes.py"
-    spec = importlib.util.spec_from_file_location("render_scenes", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def script() -> Iterator[ModuleType]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(Path(__file__).parents[3] / "training")
+        yield importlib.import_module("render_scenes")
 
 
 def _pose() -> np.ndarray:
@@ -38,8 +35,11 @@ def _pose() -> np.ndarray:
     return pose
 
 
-def _boxes(script: ModuleType, world: World) -> list[tuple[float, float, float, float]]:
-    return script.cone_boxes(build_scene(world), world, CAMERA, _pose())  # type: ignore[no-any-return]
+def _boxes(script: ModuleType, world: World, category: int = 0) -> list[tuple[float, ...]]:
+    """x0, y0, x1, y1 and the ends of the boxes, all of this class."""
+    boxes = script.object_boxes(build_scene(world), world, CAMERA, _pose())
+    assert all(box[0] == category for box in boxes)
+    return [box[1:] for box in boxes]
 
 
 def test_box_holds_exactly_the_pixels_that_the_cone_changes(script: ModuleType) -> None:
@@ -68,6 +68,17 @@ def test_cone_behind_a_bin_has_no_box_and_one_half_hidden_a_smaller_one(script: 
 def test_cones_behind_the_camera_or_too_small_have_no_box(script: ModuleType) -> None:
     far = replace(WORLD, cones=(replace(CONE, x_m=-5.0), replace(CONE, x_m=60.0), replace(CONE, y_m=30.0)))
     assert _boxes(script, far) == []
+
+
+def test_a_marker_is_labelled_whole_and_a_sign_from_its_front_alone(script: ModuleType) -> None:
+    marker = replace(WORLD, cones=(), objects=(RoadObject("tubular_marker", 7.0, 0.0, height_m=0.9),))
+    (box,) = _boxes(script, marker, 1)
+    assert box[3] - box[1] == pytest.approx(0.9 / 7.0 * 200.0, rel=0.08)
+    sign = RoadObject("speed_disc", 9.0, 0.0, height_m=1.6, length_m=0.6)
+    (plate,) = _boxes(script, replace(WORLD, cones=(), objects=(sign,)), 7)
+    assert plate[3] - plate[1] == pytest.approx(0.6 / 9.0 * 200.0, rel=0.08)
+    assert np.isnan(plate[4:]).all()
+    assert _boxes(script, replace(WORLD, cones=(), objects=(replace(sign, yaw_rad=np.pi),))) == []
 
 
 def test_equal_seeds_give_equal_worlds_and_other_seeds_others(script: ModuleType) -> None:
