@@ -96,7 +96,7 @@ def test_the_picture_of_a_time_of_changes_and_of_a_place_in_degrees(conetl, conn
         assert out.read_bytes().startswith(b"\x89PNG")
         return answer
 
-    assert said()["cones"] == 3
+    assert said()["objects_by_class"] == {"traffic_cone": 3}
     assert (said("--changes", "1", "2")["changes"], said("--at", "2026-03-02T12:00")["changes"]) == (4, None)
     west, south, east, north = said("--bbox", "8.426,48.998,8.428,49.005", "--size", "200x150", "--title", "L 605")[
         "bbox"
@@ -153,7 +153,7 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
     assert "Lane markings are not in this file" in said and len(json.loads(out.read_text())["features"]) == 1
     for words in ((), ("--changes", "1", "2")):
         facts = json.loads(conetl("map", "picture", tmp_path / "map.png", "--json", *words))
-        assert (facts["cones"], facts["lane_markings"]) == (2, 1)
+        assert facts["objects_by_class"] == {"traffic_cone": 2, "lane_marking": 1}
     assert facts["bbox"][0] < 458_000 and facts["bbox"][2] > 458_010
     assert "no other class" in conetl("map", "classify", str(line.feature_id), "drum", code=2)
     page = next(w for w in conetl("report", "drive", str(line_only.changeset.drive_id)).split() if w.endswith(".html"))

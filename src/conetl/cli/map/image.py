@@ -74,10 +74,16 @@ def picture(
     footer = _footer(valid_at, known, changes, info.last_committed_at)
     done = draw_map_picture(output, content, extent, size_mm=size_mm, title=title, footer=footer)
     lines, points = len(content.lines_m), len(content.points_m)
-    facts = {"picture": str(done), "cones": classes.total(), "changes": None if differing is None else len(differing)}
-    facts |= {"lines": lines, "points": points, "bbox": extent}
-    if painted:
-        facts["lane_markings"] = painted
+    facts: dict[str, object] = {
+        "picture": str(done),
+        "objects_by_class": Counter(feature.category for feature in standing),
+    }
+    facts |= {
+        "changes": None if differing is None else len(differing),
+        "lines": lines,
+        "points": points,
+        "bbox": extent,
+    }
     shown = f"{counted_by_class(classes)}, " + (f"{counted(painted, noun_of(LANE_MARKING))}, " if painted else "")
     answer(as_json, facts, f"{shown}{lines} lane boundaries, {points} points -> {done}")
 
