@@ -1,10 +1,11 @@
 """What the scores of a model mean: calibration, P(detect | height, hidden), false boxes; into its sidecar.
 
-    python training/calibrate_scores.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES] [--labelled DIR]
-        [--cone-free DIR] [--json OUT] [--write]
+    python training/calibrate_scores.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES [--clips DIR]]
+        [--labelled DIR] [--cone-free DIR] [--json OUT] [--write]
 
 Run it after `quantise.py`, on pictures that took no part in training. `--left-out` names sources and clips as for `train.py`:
-with them, scores mean something away from the training sources, too. `--labelled` names renders (images/, labels/) with exact
+with them, scores mean something away from the training sources, too. With `--clips` the false boxes of the other classes are
+counted on the clips left out. `--labelled` names renders (images/, labels/) with exact
 labels, `--cone-free` a folder of pictures without any cone. With `--write` the figures go into `MODEL.onnx.json` and the
 reliability curve beside the model, `MODEL.reliability.png`; the text for the model card is printed.
 """
@@ -12,6 +13,7 @@ reliability curve beside the model, `MODEL.reliability.png`; the text for the mo
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import re
 import sys
@@ -21,10 +23,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 from scipy.optimize import isotonic_regression, least_squares, minimize, minimize_scalar
+from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
+from classes import CLASSES
 from dataset import Image, read_cones, read_left_out, read_renders
+from evaluate import at_score, left_out_clips, of_class
 from looks import LEAST_SCORE, MATCH_IOU, SCALES, Looks, look_at_pictures
 from reliability import expected_calibration_error, write_reliability_figure
 
@@ -39,8 +44,9 @@ from conetl.model.detector_evidence import (
     joint_log_ratio,
     miss_log_ratio,
 )
+from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
-from conetl.perception.detector import detect_image, load_detector
+from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.model_card import read_model_card
 
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
@@ -371,6 +377,21 @@ def model_card_text(evidence: DetectorEvidence, figures: dict) -> str:
     return "\n".join((f"P(detect at {REFERENCE}) (looks)", *lines, json.dumps(figures, indent=1)))
 
 
+def false_box_bounds(detector: Detector, clips: list[Image]) -> dict[str, float]:
+    """Boxes on no object per image, of each class but the cone: the upper 95 % limit of the mean of a Poisson count."""
+    names = [name for name in detector.card.class_names if name != CONE]
+    found = [
+        detect_image(detector, p.image, score_threshold=REFERENCE, single_image=True, categories=names) for p in clips
+    ]
+    bounds = {}
+    for name in names:
+        pairs = [of_class(p, boxes, CLASSES.index(name)) for p, boxes in zip(clips, found, strict=True)]
+        rate = at_score([p for p, _ in pairs], [boxes for _, boxes in pairs], REFERENCE)["false_a_picture"]
+        count = round(rate * len(clips))
+        bounds[name] = round(float(chi2.ppf(0.95, 2 * (count + 1)) / 2 / len(clips)), 2)
+    return bounds
+
+
 def read_cone_free(folder: Path) -> list[Image]:
     images = ((path, cv2.imread(str(path))) for path in sorted(folder.iterdir()) if path.suffix in (".jpg", ".png"))
     return [Image(path.stem, "cone-free", image, np.zeros((0, 9))) for path, image in images if image is not None]
@@ -382,6 +403,7 @@ def main() -> None:
     parser.add_argument("--cones", type=Path, required=True)
     parser.add_argument("--more-cones", type=Path)
     parser.add_argument("--left-out", default="")
+    parser.add_argument("--clips", type=Path)
     parser.add_argument("--labelled", type=Path)
     parser.add_argument("--cone-free", type=Path)
     parser.add_argument("--json", type=Path)
@@ -397,7 +419,8 @@ def main() -> None:
         detector = load_detector(copy)
     pictures = read_cones(args.cones, "val")
     pictures += read_left_out(args.more_cones, args.left_out) if args.more_cones else []
-    pictures += read_renders(args.labelled, set()) if args.labelled else []
+    renders = read_renders(args.labelled, set()) if args.labelled else []
+    pictures += [dataclasses.replace(p, boxes=p.boxes[p.boxes[:, 8] == CLASSES.index(CONE)]) for p in renders]
     pictures += read_cone_free(args.cone_free) if args.cone_free else []
     looks = look_at_pictures(
         pictures,
@@ -405,6 +428,9 @@ def main() -> None:
         lambda image: detect_image(detector, image, score_threshold=LEAST_SCORE),
     )
     evidence, held_out, figures = measure(looks, folds_of(pictures), detector.card.sha256)
+    if args.clips:
+        clips = left_out_clips(args.clips, args.more_cones, args.left_out)
+        evidence = evidence.model_copy(update={"false_boxes_by_class": false_box_bounds(detector, clips)})
     print(model_card_text(evidence, figures))
     if args.json:
         args.json.write_text(json.dumps({"figures": figures, "evidence": evidence.model_dump()}, indent=2) + "\n")

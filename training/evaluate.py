@@ -4,11 +4,11 @@
         [--json OUT.json]
 
 `--left-out` names the sources and clips of `--more-cones` that `train.py --leave-out` kept aside: they are judged one by one and
-together, which tells more of unknown streets than the validation split, whose sources are those of the training. With `--clips`
-every class is judged on the clips left out (labels/), and how often a cone is called a drum or the reverse.
-`--labelled` names a folder with images/ and labels/ (YOLO text), for instance renders kept out of training. The validation split
-is judged twice: by its labels, and without boxes on the cones that a person saw but nobody labelled (`val_unlabelled.csv`). These
-were looked for among boxes of conetl's own detector, so the second figures flatter it beside others.
+together, which tells more of unknown streets than the validation split, whose sources are those of the training. Every class is
+judged, and how often a cone is called a drum or the reverse: with `--clips` on the clips left out (labels/), with `--labelled` on
+a folder with images/ and labels/ (YOLO text), for instance renders kept out of training. The validation split is judged twice:
+by its labels, and without boxes on the cones that a person saw but nobody labelled (`val_unlabelled.csv`). These were looked for
+among boxes of conetl's own detector, so the second figures flatter it beside others.
 """
 
 from __future__ import annotations
@@ -182,18 +182,24 @@ def called(pictures: list[Image], found: list[np.ndarray], score: float, one: st
     return wrong, seen
 
 
-def judge_classes(clips: list[Image], found: list[np.ndarray]) -> dict[str, dict[str, dict[str, float]]]:
-    """Tables of every class that is labelled in the clips, and mix-ups of cones and drums."""
+def judge_classes(source: str, images: list[Image], found: list[np.ndarray]) -> dict[str, dict[str, dict[str, float]]]:
+    """Tables of every class that is labelled in images of one source, and mix-ups of cones and drums."""
     tables = {}
     for number, name in enumerate(CLASSES):
-        if not any((clip.boxes[:, 8] == number).any() for clip in clips):
+        if not any((image.boxes[:, 8] == number).any() for image in images):
             continue
-        pictures, boxes = zip(*(of_class(*pair, number) for pair in zip(clips, found, strict=True)), strict=True)
-        tables[f"clips: {name}"] = judge(list(pictures), list(boxes))
+        pictures, boxes = zip(*(of_class(*pair, number) for pair in zip(images, found, strict=True)), strict=True)
+        tables[f"{source}: {name}"] = judge(list(pictures), list(boxes))
     for pair in (("traffic_cone", "drum"), ("drum", "traffic_cone")):
-        wrong, seen = called(clips, found, SCORES[0], *pair)
-        tables[f"clips: {pair[0]} as {pair[1]}"] = {f"at {SCORES[0]}": {"wrong": wrong, "of": seen}}
+        wrong, seen = called(images, found, SCORES[0], *pair)
+        tables[f"{source}: {pair[0]} as {pair[1]}"] = {f"at {SCORES[0]}": {"wrong": wrong, "of": seen}}
     return tables
+
+
+def left_out_clips(clips: Path, more_cones: Path, left_out: str) -> list[Image]:
+    """The labelled frames, of all classes, of the clips that were left out of training."""
+    others = frozenset(path.stem for path in LABELS.glob("*.csv")) - set(left_out.split(","))
+    return read_labelled_clips(clips, LABELS, more_cones, others)
 
 
 def main() -> None:
@@ -210,8 +216,6 @@ def main() -> None:
     pictures = read_cones(args.cones, "val") if args.cones else []
     if args.more_cones:
         pictures += read_left_out(args.more_cones, args.left_out)
-    if args.labelled:
-        pictures += read_renders(args.labelled, set())
     found = [detect_image(detector, p.image, score_threshold=0.01, single_image=True) for p in pictures]
     groups = {
         source: [k for k, p in enumerate(pictures) if p.source == source] for source in {p.source for p in pictures}
@@ -225,16 +229,16 @@ def main() -> None:
         places = unlabelled_places()
         elsewhere = [off_unlabelled(picture, boxes, places) for picture, boxes in zip(pictures, found, strict=True)]
         judged["the split, off unlabelled"] = groups["validation split"], elsewhere
+    of_all_classes = {
+        "clips": left_out_clips(args.clips, args.more_cones, args.left_out) if args.clips else [],
+        "renders": read_renders(args.labelled, set()) if args.labelled else [],
+    }
     tables = {}
-    if args.clips:
-        names = set(args.left_out.split(","))
-        clips = read_labelled_clips(
-            args.clips, LABELS, args.more_cones, frozenset(p.stem for p in LABELS.glob("*.csv")) - names
-        )
-        tables = judge_classes(
-            clips,
-            [detect_image(detector, p.image, score_threshold=0.01, single_image=True, categories=None) for p in clips],
-        )
+    for source, images in of_all_classes.items():
+        boxes = [
+            detect_image(detector, p.image, score_threshold=0.01, single_image=True, categories=None) for p in images
+        ]
+        tables |= judge_classes(source, images, boxes) if images else {}
     for group, (chosen, boxes) in sorted(judged.items()):
         tables[group] = judge([pictures[k] for k in chosen], [boxes[k] for k in chosen])
     for group, table in tables.items():
