@@ -21,6 +21,7 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import FramePair, Pose, Rig
 from conetl.model.rejections import RejectionReason
+from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.readers.drives import drive_format, oxts
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.readers.drives.kitti import (
@@ -32,7 +33,7 @@ from conetl.readers.drives.kitti import (
     read_rig_for,
     trigger_problem,
 )
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, PairError, first_size
+from conetl.readers.drives.pairs import ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
 from conetl.readers.drives.poses import checked_srid
 from conetl.readers.rigs import RIG_YAML

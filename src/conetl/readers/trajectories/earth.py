@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Iterator
 from pathlib import Path, PurePath
 
@@ -17,9 +16,9 @@ from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 from pyproj.exceptions import CRSError, ProjError
-from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from conetl.files.documents import shown
+from conetl.geometry import heights
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Floats, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -74,11 +73,8 @@ def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
             raise DriveFolderError(f"drive.yaml: trajectory.{key}: {shown(crs.name)} is not the name of a frame")
     source, target = (crs.to_3d() for crs in known.values())
     lat, lon = (float(value) for value in start[:2])
-    area = AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05) if abs(lon) < 179 and abs(lat) < 89 else None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a missing grid counts as no transformation
-            group = TransformerGroup(source, target, True, area, allow_ballpark=False)
+        group = heights.operations(source, target, heights.around(lon, lat))
     except (ProjError, CRSError, ValueError) as error:
         raise DriveFolderError(f"drive.yaml: trajectory.frame, map_frame: {shown(str(error))}") from error
     if not group.transformers or not group.best_available:
@@ -197,15 +193,12 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
         lon, lat = Transformer.from_crs(
             flat, CRS(4979) if flat.is_geocentric else flat.geodetic_crs, always_xy=True
         ).transform(x, y, start[2])[:2]
-        area = AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05) if math.isfinite(lon + lat) else None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a missing grid is reported below
-            group = TransformerGroup(source, CRS(4979), True, area, allow_ballpark=False)
+        group = heights.operations(source, CRS(4979), heights.around(lon, lat))
     except (ProjError, CRSError, ValueError) as error:
         raise DriveFolderError(
             f"{path}: no transformation from {shown(source.name)} to WGS 84: {shown(str(error))}"
         ) from error
-    missing = [grid.short_name for op in group.unavailable_operations[:1] for grid in op.grids if not grid.available]
+    missing = heights.missing_grids(group)
     if not group.transformers or (missing and not group.best_available):
         raise DriveFolderError(_missing(path, source.name, missing))
     return [group.transformers[0], *after], _accuracy_m(group.transformers[0])

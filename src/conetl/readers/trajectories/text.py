@@ -20,12 +20,12 @@ _BLOCK = 4 << 20
 _HEAD = 65_536
 
 
-def head_bytes(path: Path, count: int = _HEAD) -> bytes:
+def head_bytes(path: Path) -> bytes:
     """The first bytes of a file. Raises DriveFolderError where it cannot be read or is larger than a trajectory may be."""
     with named(path, DriveFolderError), path.open("rb") as file:
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise DriveFolderError(f"{path}: expected at most {MAX_TEXT_BYTES:,} bytes")
-        return file.read(count)
+        return file.read(_HEAD)
 
 
 def encoding_of(head: bytes) -> str:
