@@ -337,15 +337,11 @@ def test_a_euroc_row_must_stay_inside_the_drive(tmp_path: Path, frames: list[Fra
     costs_one(path, 1, R.IMAGE_MISSING, "not a file name inside the drive folder")
 
 
-@pytest.mark.parametrize("name", [name for name in WRITERS if name not in ("mcap file", "ros1 bag")])
-def test_a_plan_over_many_drives_finds_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
-    assert list(find_drives(tmp_path)) == [path]
-
-
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_has_a_header(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+    if path.is_dir():
+        assert list(find_drives(tmp_path)) == [path]
     found = read_header(path)
     assert (found.problem, found.drive_id, found.frame_pairs) == (None, "run", len(frames))
     assert (found.captured_from_ns, found.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
