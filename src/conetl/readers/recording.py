@@ -110,7 +110,8 @@ class _Couples:
         seen, known = self.seen.setdefault(folder, set()), self.images.setdefault(folder, {})
         unseen = names - seen
         seen |= unseen
-        stems = {_parts(name)[0]: name for name in sorted(unseen, reverse=True) if _is_image(name)}
+        visible = (name for name in sorted(unseen, reverse=True) if not name.startswith("."))
+        stems = {stem: name for name in visible for stem, suffix in [_parts(name)] if suffix.lower() in IMAGE_SUFFIXES}
         new = stems.keys() - known.keys()
         known |= {stem: stems[stem] for stem in new}
         return new
@@ -122,10 +123,6 @@ def _names(folder: Path) -> set[str]:
         return set(os.listdir(folder))  # noqa: PTH208 -- making a path of every name is slow
     except FileNotFoundError:
         return set()
-
-
-def _is_image(name: str) -> bool:
-    return not name.startswith(".") and _parts(name)[1].lower() in IMAGE_SUFFIXES
 
 
 def _parts(name: str) -> tuple[str, str]:

@@ -20,7 +20,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Lens, Rig
+from conetl.model.records import Camera, Rig
 from conetl.readers.rigs.common import (
     Array,
     Pair,
@@ -146,16 +146,14 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
             "image_height": camera.height_px,
             "camera_name": name,
             "camera_matrix": _matrix(matrix_k(camera)),
-            "distortion_model": _model(camera.lens),
+            "distortion_model": {"fisheye": "equidistant", "rational": "rational_polynomial"}.get(
+                camera.lens.model, "plumb_bob"
+            ),
             "distortion_coefficients": _matrix(np.array([opencv_coefficients(camera.lens)])),
             "rectification_matrix": _matrix(turn.T),
             "projection_matrix": _matrix(projection),
         }
         write_yaml(folder / f"{name}.yaml", content)
-
-
-def _model(lens: Lens) -> str:
-    return {"fisheye": "equidistant", "rational": "rational_polynomial"}.get(lens.model, "plumb_bob")
 
 
 def _matrix(values: Array) -> dict[str, Any]:

@@ -132,7 +132,8 @@ def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path
             f"{path}: has easting and northing, but does not say of which coordinate reference system: put "
             "trajectory: {crs: 'EPSG:25832'} into drive.yaml"
         )
-    if reading.heights == "sea level" and settings.heights is None and not _has_vertical(settings):
+    stated = settings.heights is not None or (settings.crs is not None and _crs(settings.crs, "crs").is_compound)
+    if reading.heights == "sea level" and not stated:
         raise DriveFolderError(
             f"{path}: its heights are above the sea, the map's are above the WGS 84 ellipsoid: put the geoid into drive.yaml, "
             "trajectory: {heights: 'EPSG:5773'} (EGM96), or export ellipsoidal heights"
@@ -144,10 +145,6 @@ def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path
 def is_geocentric(settings: TrajectoryFile) -> bool:
     """Whether the CRS of the settings has its origin in the earth's centre. Raises DriveFolderError if PROJ does not know it."""
     return settings.crs is not None and _crs(settings.crs, "crs").is_geocentric
-
-
-def _has_vertical(settings: TrajectoryFile) -> bool:
-    return settings.crs is not None and _crs(settings.crs, "crs").is_compound
 
 
 def _crs(text: str, key: str) -> CRS:
@@ -245,8 +242,5 @@ def _missing(path: Path, what: str, grids: list[str]) -> str:
 
 def _accuracy_m(transformer: Transformer) -> float:
     """Stated accuracy of the steps of a transformation that are more than a change of names, metres."""
-    found = 0.0
-    for operation in transformer.operations or ():
-        if operation.accuracy > 0 and (operation.grids or operation.accuracy > _NOMINAL_M):
-            found = math.hypot(found, operation.accuracy)
-    return found
+    done = transformer.operations or ()
+    return math.hypot(*(one.accuracy for one in done if one.accuracy > 0 and (one.grids or one.accuracy > _NOMINAL_M)))
