@@ -30,18 +30,23 @@ UNITS = 90_000
 
 
 def write_frames(
-    path: Path, images: Sequence[np.ndarray], times_ns: Sequence[int], codec: str, options: dict[str, str]
+    path: Path,
+    images: Sequence[np.ndarray],
+    times_ns: Sequence[int],
+    codec: str,
+    options: dict[str, str],
+    units: int = UNITS,
 ) -> Path:
-    """Images (H, W, 3), even in size, as a video whose time stamps begin with zero."""
+    """Images (H, W, 3), even in size, as a video whose time stamps begin with zero and have so many units in a second."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=10, options=options)
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
-        stream.time_base = stream.codec_context.time_base = Fraction(1, UNITS)
+        stream.time_base = stream.codec_context.time_base = Fraction(1, units)
         for image, time_ns in zip(images, times_ns, strict=True):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
             # Rounded down: the last frame is not after the last pose of a log that has one per frame.
-            frame.pts, frame.time_base = (time_ns - times_ns[0]) * UNITS // 10**9, Fraction(1, UNITS)
+            frame.pts, frame.time_base = (time_ns - times_ns[0]) * units // 10**9, Fraction(1, units)
             for packet in stream.encode(frame):
                 container.mux(packet)
         for packet in stream.encode(None):

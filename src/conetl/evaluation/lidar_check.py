@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +34,7 @@ _MAX_POINTS = 600
 _POWERS = ((0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (0, 1), (1, 1), (2, 1))
 _MIN_SAMPLES = 500
 Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
 #: Range bands of the summary (m).
 BANDS_M = ((0.0, 8.0), (8.0, 12.0), (12.0, 16.0), (16.0, 25.0))
 #: Range of the points of one cone: thickness of its body, with noise.
@@ -129,36 +131,30 @@ def _design(xy: Floats) -> Floats:
     return np.stack([xy[..., 0] ** i * xy[..., 1] ** j for i, j in _POWERS], axis=-1)
 
 
-def _grey(image: NDArray[np.uint8]) -> Floats:
-    return np.asarray(image.astype(np.float64).mean(axis=2))
+def _grey(image: NDArray[np.uint8]) -> Image:
+    return np.asarray(image.mean(axis=2), dtype=np.float32)
 
 
 def _match_windows(
-    left: Floats, right: Floats, u: Floats, v: Floats, shift: Floats, rig: Rig
+    left: Image, right: Image, u: Floats, v: Floats, shift: Floats, rig: Rig
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Disparities (n,) of square windows around (u, v), and a mask of the reliable ones."""
     column, row = np.round(u).astype(np.intp), np.round(v).astype(np.intp)
     down = round(rig.right.cy_px - rig.left.cy_px)
     span = np.arange(-_HALF_PX, _HALF_PX + 1)
-    candidates = np.arange(-_REACH_PX, _REACH_PX + 1)
     start = np.round(shift).astype(np.intp)
-    template = left[(row[:, None] + span)[:, :, None], (column[:, None] + span)[:, None, :]].reshape(len(u), -1)
+    templates = left[(row[:, None] + span)[:, :, None], (column[:, None] + span)[:, None, :]]
     wide = np.arange(-_HALF_PX - _REACH_PX, _HALF_PX + _REACH_PX + 1)
     strips = right[(row[:, None] + span + down)[:, :, None], ((column - start)[:, None] + wide)[:, None, :]]
-    windows = np.lib.stride_tricks.sliding_window_view(strips, len(span), axis=2)  # (n, rows, candidates, columns)
-    windows = windows.transpose(0, 2, 1, 3).reshape(len(u), len(candidates), -1)
-    template = template - template.mean(axis=1, keepdims=True)
-    windows = windows - windows.mean(axis=2, keepdims=True)
-    contrast = np.linalg.norm(template, axis=1) / template.shape[1] ** 0.5
-    norms = np.linalg.norm(windows, axis=2) * np.linalg.norm(template, axis=1)[:, None]
-    scores = np.einsum("nkp,np->nk", windows, template) / np.maximum(norms, 1e-9)
-    best = np.clip(np.argmax(scores, axis=1), 1, len(candidates) - 2)
+    matched = [cv2.matchTemplate(*pair, cv2.TM_CCOEFF_NORMED)[0] for pair in zip(strips, templates, strict=True)]
+    scores, contrast = np.array(matched, dtype=np.float64), templates.std(axis=(1, 2))
+    best = np.clip(np.argmax(scores, axis=1), 1, 2 * _REACH_PX - 1)
     each = np.arange(len(u))
     low, mid, high = scores[each, best - 1], scores[each, best], scores[each, best + 1]
     bend = low - 2 * mid + high
     part = np.where(bend < -1e-6, 0.5 * (low - high) / np.minimum(bend, -1e-6), 1.0)
     fits = (mid > _MIN_SCORE) & (mid >= low) & (mid >= high) & (contrast > _MIN_CONTRAST) & (np.abs(part) < 1)
-    return start - (candidates[best] + part), fits
+    return start - (best - _REACH_PX + part), fits
 
 
 class LidarRange(NamedTuple):

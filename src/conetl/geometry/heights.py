@@ -121,20 +121,41 @@ def _known(code: int) -> CRS:
         raise InputError(f"EPSG:{code} is not known to PROJ: check the code") from error
 
 
+def operations(source: CRS, target: CRS, area: AreaOfInterest | None) -> TransformerGroup:
+    """PROJ's transformations, the best first; never one that leaves heights as they are for want of a grid.
+
+    Raises ProjError or CRSError.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a missing grid is an error of the caller
+        return TransformerGroup(source, target, True, area, allow_ballpark=False)
+
+
+def missing_grids(group: TransformerGroup) -> list[str]:
+    """Names of the grids that the best transformation lacks of those that PROJ cannot do."""
+    lacking = ([g.short_name for g in op.grids if not g.available] for op in group.unavailable_operations)
+    return next(filter(None, lacking), [])
+
+
+def around(lon: float, lat: float) -> AreaOfInterest | None:
+    """Where a file begins (degrees), for PROJ's choice between its transformations; None near a pole or the antimeridian."""
+    if not (abs(lon) < 179 and abs(lat) < 89):
+        return None
+    return AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05)
+
+
 @cache
 def _transformer(source_srid: int, srid: int, vertical_srid: int | None) -> Transformer:
-    """From EPSG:source_srid with ellipsoidal heights. Never one that leaves the heights as they are for want of a grid."""
+    """From EPSG:source_srid with ellipsoidal heights."""
     source, flat = _known(source_srid).to_3d(), _known(srid)
     target = flat.to_3d() if vertical_srid is None else compound_crs(srid, vertical_srid)
     use = _known(source_srid).area_of_use
     area = AreaOfInterest(*use.bounds) if use is not None and use.west < use.east else None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a missing grid is an error below
-            group = TransformerGroup(source, target, True, area, allow_ballpark=False)
+        group = operations(source, target, area)
     except (ProjError, CRSError) as error:
         raise InputError(f"no transformation to {_named(srid, vertical_srid)}: {error}") from error
-    missing = [grid.short_name for op in group.unavailable_operations for grid in op.grids if not grid.available]
+    missing = missing_grids(group)
     if vertical_srid is not None and missing and not (group.transformers and group.best_available):
         raise InputError(
             f"heights of EPSG:{vertical_srid} ({_known(vertical_srid).name}) need the grid {missing[0]}, which is not installed: "

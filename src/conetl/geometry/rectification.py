@@ -17,13 +17,12 @@ from conetl.geometry import camera as cameras
 from conetl.geometry import lens as lenses
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.records import MIN_BASELINE_M, Camera, Rig, Side
+from conetl.model.records import MIN_BASELINE_M, SIDES, Camera, Rig, Side
 
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in normalised coordinates of the rectified camera."""
 
-SIDES: tuple[Side, Side] = ("left", "right")
 #: Two cameras turned against each other by less than this are parallel: a tenth of a pixel at f 1000 px.
 PARALLEL_RAD = 1e-4
 #: ... whose baseline leaves the rows by less than this share (KITTI's own rectified pair: 0.005), ...

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from conetl.model.markings import MarkingTrack
 
 Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Matrix3 = tuple[Vec3, Vec3, Vec3]

@@ -143,7 +143,8 @@ def check_outputs(head: YoloHead | SideDistributionHead, shapes: Sequence[Shape]
     """
     expected = expected_shapes(head)
     fits = len(expected) == len(shapes) and all(
-        len(wanted) == len(found) and all(map(_dimension_fits, wanted, found))
+        len(wanted) == len(found)
+        and all(w == f for w, f in zip(wanted, found, strict=True) if isinstance(w, int) and isinstance(f, int))
         for wanted, found in zip(expected, shapes, strict=True)
     )
     if not fits:
@@ -291,10 +292,6 @@ def _probabilities(head: YoloHead, values: Output) -> Floats:
             "export it with its sigmoid, or set the sidecar's head to the network's kind and classes"
         )
     return np.where(np.isfinite(wide), np.clip(wide, 0.0, 1.0), wide)
-
-
-def _dimension_fits(wanted: int | str, found: int | str | None) -> bool:
-    return not (isinstance(wanted, int) and isinstance(found, int)) or wanted == found
 
 
 def _shapes_text(shapes: Sequence[Shape]) -> str:

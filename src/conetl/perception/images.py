@@ -30,6 +30,7 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})
 #: Larger files are not read at all.
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 MAX_FILE_BYTES = 256 * 2**20
 #: A larger image has a byte for this many pixels: one with less shows nothing, and fills the memory.
 SMALL_PIXELS, MAX_PIXELS_PER_BYTE = 2**24, 200

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from conetl.geometry.rig import right_camera_turned
 from conetl.model.errors import DriveFolderError
 from conetl.model.health import HealthCheck, Verdict
-from conetl.model.records import MIN_DETAIL, Drive, Rig, Side
+from conetl.model.records import MIN_DETAIL, SIDES, Drive, Rig, Side
 from conetl.perception.image_detail import local_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
@@ -30,7 +30,6 @@ from conetl.perception.rectified_image import read_pair_image
 Floats = NDArray[np.float64]
 _PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
 _SHRINK, _MAX_HAMMING = 2, 50
-_SIDES: tuple[Side, Side] = ("left", "right")
 #: Share of the matches from which the sides are wrong, and below which the right images of other frames are tried.
 _WRONG_SHARE, _FITTING_SHARE = 0.7, 0.7
 #: Rows by which right images may lie off, scatter of a match, and what self-calibration finds (px of the whole image).
@@ -83,7 +82,7 @@ def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
         )
     rows = _rows_of_one_scene(found)
     trigger = _check_trigger(len(rows), len(found), lambda lag: len(_rows_of_one_scene(offsets(lag))))
-    checks = [_check_lenses({side: [features(k, side).detail for k in chosen] for side in _SIDES}), trigger]
+    checks = [_check_lenses({side: [features(k, side).detail for k in chosen] for side in SIDES}), trigger]
     if len(rows) < _MIN_MATCHES or trigger.verdict is not Verdict.PASS:
         return drive.rig, checks
     checks.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
@@ -116,7 +115,7 @@ def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
 
 def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:
     """Whether a part of a lens is covered; one that is covered whole, darkness and fog leave `ImageDetail` of the whole image."""
-    shares = {side: _blank_share(details[side]) for side in _SIDES}
+    shares = {side: _blank_share(details[side]) for side in SIDES}
     known = {side: share for side, share in shares.items() if share is not None}
     blank = [side for side, share in known.items() if share > _MAX_BLANK_SHARE]
     worst = max(known.values(), default=None)

@@ -57,7 +57,6 @@ class VideoIndex(NamedTuple):
     """What a video file holds, without its images."""
 
     path: Path
-    codec: str
     width_px: int
     height_px: int
     time_base: Fraction
@@ -125,7 +124,7 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
             raise InputError(
                 f"{path}: the video cannot be read to its end ({error.strerror}): copy it again"
             ) from error
-        codec, base, (width, height) = _codec_name(stream), stream.time_base, _size(stream)
+        base, (width, height) = stream.time_base, _size(stream)
         created = container.metadata.get("creation_time")
     if not found or base is None:
         raise InputError(f"{path}: the video has no frames with time stamps; record it into MP4 or MKV")
@@ -133,7 +132,7 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
         raise InputError(f"{path}: frames of {width} x {height} pixels are not supported")
     order = sorted(found)
     sha256s = tuple(found[pts] for pts in order) if hashed else ()
-    return VideoIndex(path, codec, width, height, Fraction(base), tuple(order), sha256s, _created(created))
+    return VideoIndex(path, width, height, Fraction(base), tuple(order), sha256s, _created(created))
 
 
 class VideoFacts(NamedTuple):
@@ -196,10 +195,6 @@ def _images_in_time(container: InputContainer) -> list[VideoStream]:
 def video_stream(container: InputContainer) -> VideoStream:
     """The stream of an open file."""
     return _images_in_time(container)[0]
-
-
-def _codec_name(stream: VideoStream) -> str:
-    return str(stream.codec_context.name)
 
 
 def _size(stream: VideoStream) -> tuple[int, int]:

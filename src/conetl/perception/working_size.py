@@ -91,7 +91,9 @@ def read_working_images(pair: FramePair, read: ImageReader, working: WorkingSize
     grey: list[Bytes] = []
     try:
         for side in ("left", "right"):
-            image = _grey(read(pair, side))
+            image = read(pair, side)
+            if image.ndim == 3:
+                image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
             if image.shape[::-1] != _stored_size(working.rig, side):
                 return NoMeasurement.IMAGE_UNREADABLE  # no image of this rig
             image = _at_size(image, working)
@@ -112,10 +114,6 @@ def _stored_size(rig: Rig, side: Side) -> tuple[int, int]:
     """Width and height, px."""
     camera = camera_of(rig, side)
     return camera.width_px, camera.height_px
-
-
-def _grey(image: Bytes) -> Bytes:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 def _at_size(image: Bytes, working: WorkingSize) -> Bytes:

@@ -17,7 +17,7 @@ from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.errors import ModelFileError
 from conetl.model.params import params_sha256
-from conetl.model.records import Detection, FramePair, ImageDetail, Rig, Side, StereoMatch
+from conetl.model.records import SIDES, Detection, FramePair, ImageDetail, Rig, Side, StereoMatch
 from conetl.model.rejections import INPUT_REASONS, Rejection
 from conetl.perception import detector as detector_io
 from conetl.perception.detections import check_boxes
@@ -31,7 +31,6 @@ from conetl.pipeline.settings import read_settings
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 _per_thread = threading.local()
 
 
@@ -120,7 +119,7 @@ def _search(
     by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
     details: list[ImageDetail] = []
     rejections: list[Rejection] = []
-    for side in _SIDES:
+    for side in SIDES:
         tick(1)
         region = None
         if side == "right" and not everywhere:
@@ -207,8 +206,8 @@ def _match(
         if not match_pair(ours, theirs, rig, params, up_left=up)[0]:
             images = {}  # decoding costs time: only where boxes alone say that something matches
         else:
-            images = {side: read_pair_image(pair, side, chunk.rig) for side in _SIDES}
-    both = (images["left"], images["right"]) if images and len(images) == len(_SIDES) else None
+            images = {side: read_pair_image(pair, side, chunk.rig) for side in SIDES}
+    both = (images["left"], images["right"]) if images and len(images) == len(SIDES) else None
     return match_pair(ours, theirs, rig, params, up_left=up, images=both)
 
 
@@ -227,7 +226,7 @@ def _first_rows(chunk: Chunk) -> dict[Side, int]:
             [map_SE3_camera(pair.pose, chunk.rig, side)[:3, :3] for pair in chunk.frame_pairs],
             chunk.params.detection.searched_margin_rad,
         )
-        for side in _SIDES
+        for side in SIDES
     }
 
 

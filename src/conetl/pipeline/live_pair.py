@@ -21,12 +21,12 @@ from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.errors import StorageError
 from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
-from conetl.model.records import Detection, FramePair, Rig, Side, Track
+from conetl.model.records import SIDES, Detection, FramePair, Rig, Side, Track
 from conetl.model.rejections import RejectionReason
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.perception.model_card import read_model_card
-from conetl.pipeline.one_pair import SIDES, match_searched, search_image
+from conetl.pipeline.one_pair import match_searched, search_image
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.live_tracks import Frame, LiveTracks, add_frame
 from conetl.tracking.positions import locate_positions

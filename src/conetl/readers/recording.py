@@ -21,6 +21,7 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import FramePair, Pose, Rig
 from conetl.model.rejections import RejectionReason
+from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.readers.drives import drive_format, oxts
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.readers.drives.kitti import (
@@ -32,7 +33,7 @@ from conetl.readers.drives.kitti import (
     read_rig_for,
     trigger_problem,
 )
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, PairError, first_size
+from conetl.readers.drives.pairs import ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
 from conetl.readers.drives.poses import checked_srid
 from conetl.readers.rigs import RIG_YAML
@@ -109,7 +110,8 @@ class _Couples:
         seen, known = self.seen.setdefault(folder, set()), self.images.setdefault(folder, {})
         unseen = names - seen
         seen |= unseen
-        stems = {_parts(name)[0]: name for name in sorted(unseen, reverse=True) if _is_image(name)}
+        visible = (name for name in sorted(unseen, reverse=True) if not name.startswith("."))
+        stems = {stem: name for name in visible for stem, suffix in [_parts(name)] if suffix.lower() in IMAGE_SUFFIXES}
         new = stems.keys() - known.keys()
         known |= {stem: stems[stem] for stem in new}
         return new
@@ -121,10 +123,6 @@ def _names(folder: Path) -> set[str]:
         return set(os.listdir(folder))  # noqa: PTH208 -- making a path of every name is slow
     except FileNotFoundError:
         return set()
-
-
-def _is_image(name: str) -> bool:
-    return not name.startswith(".") and _parts(name)[1].lower() in IMAGE_SUFFIXES
 
 
 def _parts(name: str) -> tuple[str, str]:

@@ -11,9 +11,9 @@ import numpy as np
 from conetl.files.atomic import atomic_text_file
 from conetl.geometry.calibration import tables
 from conetl.geometry.calibration.stereo_calibration import StereoCalibration
-from conetl.model.records import Rig
+from conetl.model.records import SIDES, Rig
 from conetl.model.rejections import Rejection
-from conetl.perception.boards.images import SIDES, ImagePair
+from conetl.perception.boards.images import ImagePair
 
 
 def calibration_as_dict(

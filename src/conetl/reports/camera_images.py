@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from conetl.model.errors import InputError
 from conetl.model.records import Rig, Side
+from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.video import frame_of
 
 Image = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
 """x, y (top-left corner), width, height in pixels of the rectified image, counted from its edge."""
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 #: Width and height of what is shown of an object, in those of its box.
 SURROUNDINGS = 3.0
 #: Blue, green, red. Sky blue with a dark edge is visible on asphalt, orange cones and white stripes.

@@ -16,7 +16,7 @@ from conetl.db.statements import load_sql
 from conetl.mapping.visibility import DriveObservations, observations_of_drive, pairs_in_view
 from conetl.model.errors import StorageError
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Rig, Side, utc_from_ns
+from conetl.model.records import SIDES, Rig, utc_from_ns
 from conetl.perception.images import ImageFileError
 from conetl.reports.camera_images import SURROUNDINGS, ImageMissingError, crop_jpeg, image_file
 from conetl.reports.drive_facts import DriveChange, DriveFacts
@@ -24,7 +24,6 @@ from conetl.reports.html import data_uri
 
 #: Changes with images on one page; the table lists all.
 MAX_ILLUSTRATED = 120
-_SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ def _sighting(conn: Connection, drive_uuid: UUID, track_index: int, title: str) 
         return PairOfCrops(title, (), "its raw records were pruned")
     row = rows[0]
     title += f", frame {row['frame_index']}, {row['range_m']:.1f} m"
-    boxes = [tuple(row[f"{side}_{name}_px"] for name in "xywh") for side in _SIDES]
+    boxes = [tuple(row[f"{side}_{name}_px"] for name in "xywh") for side in SIDES]
     paths = [row["left_path"], row["right_path"]]
     return _crops(title, row["source_path"], Rig.model_validate(row["rig"]), paths, boxes)
 
@@ -87,7 +86,7 @@ def _crops(title: str, source_path: str, rig: Rig, paths: Sequence[str], boxes: 
     try:
         crops = [
             data_uri(crop_jpeg(image_file(source_path, path), rig, side, box, context=SURROUNDINGS), "jpeg")
-            for side, path, box in zip(_SIDES, paths, boxes, strict=True)
+            for side, path, box in zip(SIDES, paths, boxes, strict=True)
         ]
     except (ImageMissingError, ImageFileError, StorageError, OSError) as error:
         return PairOfCrops(title, (), f"{Path(paths[0]).name}: {error}")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.model.health import HealthCheck
-from conetl.model.records import Drive, Side
+from conetl.model.records import SIDES, Drive
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.readers.drives.summary import DriveSummary
@@ -22,7 +22,6 @@ from conetl.reports.figures import ORANGE, add_grid, new_figure, png, save_figur
 from conetl.reports.html import render, write_page
 
 _ROWS = 12
-_SIDES: tuple[Side, Side] = ("left", "right")
 
 
 def draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
@@ -31,7 +30,7 @@ def draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.25))
     _draw_drive_path(figure.add_subplot(grid[:, 0]), drive, summary)
     frame_index, images = _middle_pair(drive)
-    for row, side in enumerate(_SIDES):
+    for row, side in enumerate(SIDES):
         axes = figure.add_subplot(grid[row, 1])
         axes.set_axis_off()
         if not images:
@@ -77,7 +76,7 @@ def draw_coverage(path: Path, bundle: Bundle, views: Sequence[BoardView], title:
     figure = new_figure(13, 7.2, dpi=110)
     panels = figure.subplots(1, 2)
     typical_px = float(np.median(np.concatenate([np.hypot(*residuals_px(bundle, v).T) for v in views])))
-    for axes, side, camera in zip(panels, _SIDES, (bundle.left, bundle.right), strict=True):
+    for axes, side, camera in zip(panels, SIDES, (bundle.left, bundle.right), strict=True):
         own = [v for v in views if v.side == side]
         uv = np.concatenate([v.uv_px for v in own])
         residuals = np.concatenate([residuals_px(bundle, v) for v in own])
@@ -154,7 +153,7 @@ def _middle_pair(drive: Drive) -> tuple[int, list[NDArray[np.uint8]]]:
         try:
             if all(file.is_file() for file in files):
                 return pairs[i].frame_index, [
-                    read_rig_image(f, drive.rig, s) for f, s in zip(files, _SIDES, strict=True)
+                    read_rig_image(f, drive.rig, s) for f, s in zip(files, SIDES, strict=True)
                 ]
         except ImageFileError:
             continue

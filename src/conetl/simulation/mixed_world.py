@@ -52,8 +52,9 @@ def mixed_pass(seed: int, pass_number: int) -> ScenarioPass:
         markings = tuple(one for one in markings if one.marking_id != "T1")
     rng = np.random.default_rng([seed, 3, pass_number])
     road = np.random.default_rng([seed, 4])
+    background = (one for one in scenario_pass(1).world.objects if one.kind in _BACKGROUND)
     world = World(
-        cones=cones, objects=(*objects, *_surroundings()), sun_elevation_deg=float(rng.uniform(25.0, 60.0)),
+        cones=cones, objects=(*objects, *background), sun_elevation_deg=float(rng.uniform(25.0, 60.0)),
         sun_azimuth_deg=float(rng.uniform(-180.0, 180.0)), turbidity=float(rng.uniform(2.5, 5.0)),
         road=Road(markings=markings, asphalt=float(road.uniform(0.34, 0.46))), texture_seed=100 + seed,
     )  # fmt: skip
@@ -158,7 +159,3 @@ def _orange(rng: np.random.Generator) -> Colour:
 
 #: Kinds of the sample scenario that have no class, and stand where no device does.
 _BACKGROUND = ("house", "hedge", "tree", "bin", "hydrant")
-
-
-def _surroundings() -> tuple[RoadObject, ...]:
-    return tuple(one for one in scenario_pass(1).world.objects if one.kind in _BACKGROUND)

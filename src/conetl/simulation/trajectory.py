@@ -103,7 +103,7 @@ def oxts_records(positions_m: Array, rpy_grid_rad: Array, times_s: Array) -> lis
     lon, lat = Transformer.from_crs(MAP_SRID, 4326, always_xy=True).transform(positions_m[:, 0], positions_m[:, 1])
     convergence = grid_convergence_rad(MAP_SRID, lat, lon)
     rpy = rpy_grid_rad.copy()
-    rpy[:, 2] = _wrap(rpy[:, 2] - convergence)
+    rpy[:, 2] = (rpy[:, 2] - convergence + np.pi) % (2 * np.pi) - np.pi
     smooth = np.column_stack([_smooth(column, times_s) for column in positions_m.T])
     velocity = np.gradient(smooth, times_s, axis=0)
     cos, sin = np.cos(convergence), np.sin(convergence)  # grid to true: rotate by minus the convergence
@@ -133,7 +133,3 @@ def _smooth(values: Array, times_s: Array) -> Array:
     centred = times_s - times_s.mean()
     degree = min(6, len(values) - 1)
     return np.asarray(np.polynomial.Polynomial.fit(centred, values, degree)(centred))
-
-
-def _wrap(angle_rad: Array) -> Array:
-    return np.asarray((angle_rad + np.pi) % (2 * np.pi) - np.pi)

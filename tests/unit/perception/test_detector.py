@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from onnx import TensorProto, helper, numpy_helper
 
 from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.decoding import (
@@ -33,6 +33,7 @@ from conetl.perception.detector import (
     run_network,
     shipped_model_path,
 )
+from tests.unit.perception.networks import constant_network
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 SHARED_DATA = Path(os.environ.get("CONETL_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -235,14 +236,6 @@ def test_boxes_in_the_padding_are_dropped_and_others_are_cut() -> None:
     np.testing.assert_allclose(boxes_in_image(boxes, 100, 50), [[90.0, 10.0, 10.0, 30.0, 0.9]])
 
 
-def test_channels_are_rgb_between_zero_and_one() -> None:
-    image = np.zeros((32, 32, 3), np.uint8)
-    image[..., 2] = 255  # red in BGR
-    blob, _, _ = network_input(image, 32, 1600)
-    assert blob.dtype == np.float32
-    np.testing.assert_array_equal(blob[0, :, 0, 0], [1.0, 0.0, 0.0])
-
-
 def copy_model(folder: Path) -> Path:
     source = shipped_model_path()
     shutil.copy(source.with_name(source.name + ".json"), folder)
@@ -268,21 +261,35 @@ def test_every_layout_shows_the_same_image(colours: str, axes: str, numbers: str
     np.testing.assert_allclose(shown * (255.0 if "0..1" in numbers.split() else 1.0), expected, atol=1e-4)
 
 
-def test_missing_model_and_missing_sidecar_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ModelFileError, match=r"none\.onnx"):
-        load_detector(tmp_path / "none.onnx")
-    model = copy_model(tmp_path)
+def without_card(model: Path) -> None:
     model.with_name(model.name + ".json").unlink()
-    with pytest.raises(ModelFileError, match="sidecar"):
-        load_detector(model)
 
 
-def test_one_changed_byte_is_refused(tmp_path: Path) -> None:
-    model = copy_model(tmp_path)
+def change_one_byte(model: Path) -> None:
     content = bytearray(model.read_bytes())
     content[len(content) // 2] ^= 1
     model.write_bytes(content)
-    with pytest.raises(ModelFileError, match="SHA-256"):
+
+
+def make_no_network(model: Path) -> None:
+    """With a matching hash, and without the evidence, which is of the file that was there."""
+    model.write_bytes(b"not a network")
+    rewrite_card(model, sha256=hashlib.sha256(b"not a network").hexdigest(), evidence=None)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (Path.unlink, r"conetl-.*\.onnx"), (without_card, "sidecar"), (change_one_byte, "SHA-256"),
+        (make_no_network, "cannot load"),
+    ],
+)  # fmt: skip
+def test_a_model_that_is_incomplete_or_changed_is_refused(
+    tmp_path: Path, damage: Callable[[Path], None], words: str
+) -> None:
+    model = copy_model(tmp_path)
+    damage(model)
+    with pytest.raises(ModelFileError, match=words):
         load_detector(model)
 
 
@@ -292,15 +299,6 @@ def test_providers_are_those_of_the_installed_onnxruntime() -> None:
     for names, missing in (("Abacus,CPU", "no Abacus, it has .*CPU"), ("", "no provider without a name")):
         with pytest.raises(InputError, match=f"CONETL_ONNX_PROVIDERS: the installed onnxruntime has {missing}"):
             load_detector(providers=names)
-
-
-def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path: Path) -> None:
-    model = copy_model(tmp_path)
-    model.write_bytes(b"not a network")
-    # without the evidence, which is of the file that was there
-    rewrite_card(model, sha256=hashlib.sha256(b"not a network").hexdigest(), evidence=None)
-    with pytest.raises(ModelFileError, match="cannot load"):
-        load_detector(model)
 
 
 @pytest.mark.parametrize(
@@ -330,20 +328,9 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(
     tmp_path: Path, size: tuple[int | str, int | str]
 ) -> None:
     """A YOLOv8 export of two classes that always gives one box, centred at (100, 60), 20 x 40, in its own input."""
-    boxes = np.array([[[100], [60], [20], [40], [0.1], [0.9]]], np.float32)
     fixed = size == (160, 320)
-    shapes = [
-        helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, *size, 3]),
-        helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 6, 1]),
-    ]
-    nodes = [
-        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
-        helper.make_node("Mul", ["most", "nothing"], ["zero"]),
-        helper.make_node("Add", ["boxes", "zero"], ["output0"]),
-    ]
-    constants = [numpy_helper.from_array(boxes, "boxes"), numpy_helper.from_array(np.float32(0), "nothing")]
-    graph = helper.make_graph(nodes, "tiny", [shapes[0]], [shapes[1]], constants)
-    content = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
+    boxes = np.array([[[100], [60], [20], [40], [0.1], [0.9]]], np.float32)
+    content = constant_network([boxes], [1, *size, 3])
     (tmp_path / "tiny.onnx").write_bytes(content)
     card = {
         "name": "tiny", "version": "1", "sha256": hashlib.sha256(content).hexdigest(), "input_layout": "BGR float32 NHWC 0..255",

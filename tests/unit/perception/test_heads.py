@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
 import onnxruntime
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from onnx import TensorProto, helper, numpy_helper
 from pydantic import TypeAdapter, ValidationError
 
 from conetl.model.errors import ModelFileError
@@ -26,6 +24,7 @@ from conetl.perception.heads import (
     check_outputs,
     decode_head,
 )
+from tests.unit.perception.networks import constant_network
 
 #: Not square, so that rows taken for columns are noticed.
 HEIGHT_PX, WIDTH_PX = 64, 96
@@ -38,29 +37,14 @@ ANCHORS_PX = (
 Arrays = list[np.ndarray]
 
 
-def build_network(path: Path, outputs: Sequence[np.ndarray]) -> onnxruntime.InferenceSession:
-    """A network that reads an image (1, 3, 64, 96) and gives the outputs plus 0 times the image's mean."""
-    nodes = [
-        helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
-        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
-    ]
-    constants = [numpy_helper.from_array(np.zeros((), np.float32), "zero")]
-    given_outputs = []
-    for index, output in enumerate(outputs):
-        constants.append(numpy_helper.from_array(np.asarray(output, np.float32), f"raw{index}"))
-        nodes.append(helper.make_node("Add", [f"raw{index}", "nothing"], [f"output{index}"]))
-        given_outputs.append(helper.make_tensor_value_info(f"output{index}", TensorProto.FLOAT, output.shape))
-    images = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, HEIGHT_PX, WIDTH_PX])
-    graph = helper.make_graph(nodes, "head", [images], given_outputs, constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    onnx.checker.check_model(model)
-    onnx.save(model, path)
+def session_of(path: Path, outputs: Sequence[np.ndarray]) -> onnxruntime.InferenceSession:
+    path.write_bytes(constant_network(outputs, [1, 3, HEIGHT_PX, WIDTH_PX]))
     return onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
 
 
 def run_network(tmp_path: Path, head: YoloHead, outputs: Sequence[np.ndarray]) -> Arrays:
     """Outputs of the network for a noisy image, after its declared shapes were found to fit the head."""
-    session = build_network(tmp_path / "network.onnx", outputs)
+    session = session_of(tmp_path / "network.onnx", outputs)
     check_outputs(head, [output.shape for output in session.get_outputs()])
     image = np.random.default_rng(3).random((1, 3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
     return [np.asarray(output) for output in session.run(None, {"images": image})]
@@ -103,80 +87,92 @@ def test_yolov3_gives_the_known_boxes(tmp_path: Path, layout: Any) -> None:
     assert decode(head, outputs, 1.0).shape == (0, 6)
 
 
-def test_yolov3_names_a_grid_that_does_not_fit_the_input() -> None:
-    head = YoloV3Head(strides_px=(8, 16, 32), anchors_px=ANCHORS_PX, class_count=1)
-    with pytest.raises(ModelFileError, match=r"8 x 12 cells \(rows x columns\) at stride 8 .* gives 2 x 3"):
-        decode(head, yolov3_maps(1))
-
-
-def test_yolov5_gives_the_known_boxes(tmp_path: Path) -> None:
-    head = YoloV5Head(class_count=3)
-    raw = np.zeros((1, 6, 8), np.float32)
-    raw[0, 0] = (40, 30, 10, 24, 0.9, 0.1, 0.0, 0.8)
-    raw[0, 1] = (50, 30, 10, 24, 0.9, 0.8, 0.0, 0.1)  # another class
-    raw[0, 2] = (60, 30, 10, 24, 0.4, 0.0, 0.0, 0.9)  # hardly an object
-    raw[0, 3] = (70, 30, 10, -24, 0.9, 0.0, 0.0, 0.9)  # no area
-    raw[0, 5] = (80.5, 50, 9, 12, 1.0, 0.0, 0.9, 0.6)
-    outputs = run_network(tmp_path, head, [raw])
-    expected = [[35, 18, 45, 42, 0.72, 2], [45, 18, 55, 42, 0.72, 0], [76, 44, 85, 56, 0.9, 1]]
-    np.testing.assert_allclose(decode(head, outputs), expected, atol=1e-5)
-    np.testing.assert_allclose(decode(head, outputs, 0.8), expected[2:], atol=1e-5)
-    np.testing.assert_allclose(decode(head, outputs, 0.3)[:, 4], (0.72, 0.72, 0.36, 0.9), atol=1e-6)
-
-
-def test_yolov5_with_one_class_scores_by_objectness(tmp_path: Path) -> None:
-    head = YoloV5Head(class_count=1)
-    outputs = run_network(tmp_path, head, [np.array([[[40, 30, 10, 24, 0.8, 0.5]]], np.float32)])
-    np.testing.assert_allclose(decode(head, outputs), [[35, 18, 45, 42, 0.8, 0]], atol=1e-6)
-
-
-def test_yolov8_gives_the_known_boxes(tmp_path: Path) -> None:
-    head = YoloV8Head(class_count=2)
-    raw = np.zeros((1, 6, 9), np.float32)
-    raw[0, :, 4] = (40, 30, 10, 24, 0.7, 0.2)
-    raw[0, :, 5] = (41, 30, 10, 24, 0.2, 0.7)  # another class
-    raw[0, :, 8] = (94, 3, 8, 10, 0.55, 0.0)  # reaches beyond the image
-    outputs = run_network(tmp_path, head, [raw])
-    expected = [[35, 18, 45, 42, 0.7, 0], [36, 18, 46, 42, 0.7, 1], [90, -2, 98, 8, 0.55, 0]]
-    np.testing.assert_allclose(decode(head, outputs), expected, atol=1e-5)
-    np.testing.assert_allclose(decode(head, outputs, 0.6), expected[:2], atol=1e-5)
-
-
 CELLS = 8 * 12 + 4 * 6 + 2 * 3
 
 
-def test_yolox_gives_the_known_boxes(tmp_path: Path) -> None:
-    head = YoloXHead(class_count=2)
-    raw = np.zeros((1, CELLS, 7), np.float32)
-    raw[0, 5 * 12 + 9] = (0.5, -0.25, np.log(2), np.log(3), 0.9, 0.0, 0.8)  # stride 8, row 5, column 9
-    raw[0, 8 * 12 + 2 * 6 + 5] = (0.0, 1.0, 0.0, np.log(0.5), 0.8, 0.0, 0.75)  # stride 16, row 2, column 5
-    raw[0, 8 * 12 + 4 * 6 + 1 * 3 + 2] = (0.5, 0.5, 0.0, 0.0, 1.0, 1.0, 0.0)  # stride 32, another class
+Rows = list[tuple[tuple[int | slice, ...], tuple[float, ...]]]
+#: Head, shape of its output, what is in its rows, the boxes, and which of them are above thresholds.
+KNOWN: dict[str, tuple[YoloHead, tuple[int, ...], Rows, list[list[float]], dict[float, list[int]]]] = {
+    "yolov5": (
+        YoloV5Head(class_count=3), (1, 6, 8),
+        [
+            ((0, 0), (40, 30, 10, 24, 0.9, 0.1, 0.0, 0.8)),
+            ((0, 1), (50, 30, 10, 24, 0.9, 0.8, 0.0, 0.1)),  # another class
+            ((0, 2), (60, 30, 10, 24, 0.4, 0.0, 0.0, 0.9)),  # hardly an object
+            ((0, 3), (70, 30, 10, -24, 0.9, 0.0, 0.0, 0.9)),  # no area
+            ((0, 5), (80.5, 50, 9, 12, 1.0, 0.0, 0.9, 0.6)),
+        ],
+        [[35, 18, 45, 42, 0.72, 2], [45, 18, 55, 42, 0.72, 0], [55, 18, 65, 42, 0.36, 2], [76, 44, 85, 56, 0.9, 1]],
+        {0.3: [0, 1, 2, 3], 0.5: [0, 1, 3], 0.8: [3]},
+    ),
+    "yolov5 with one class, by objectness": (
+        YoloV5Head(class_count=1), (1, 1, 6), [((0, 0), (40, 30, 10, 24, 0.8, 0.5))], [[35, 18, 45, 42, 0.8, 0]], {0.5: [0]},
+    ),
+    "yolov8": (
+        YoloV8Head(class_count=2), (1, 6, 9),
+        [
+            ((0, slice(None), 4), (40, 30, 10, 24, 0.7, 0.2)),
+            ((0, slice(None), 5), (41, 30, 10, 24, 0.2, 0.7)),  # another class
+            ((0, slice(None), 8), (94, 3, 8, 10, 0.55, 0.0)),  # reaches beyond the image
+        ],
+        [[35, 18, 45, 42, 0.7, 0], [36, 18, 46, 42, 0.7, 1], [90, -2, 98, 8, 0.55, 0]],
+        {0.5: [0, 1, 2], 0.6: [0, 1]},
+    ),
+    "yolox": (
+        YoloXHead(class_count=2), (1, CELLS, 7),
+        [  # centre (76, 38), size 16 x 24; centre (80, 48), size 16 x 8
+            ((0, 5 * 12 + 9), (0.5, -0.25, np.log(2), np.log(3), 0.9, 0.0, 0.8)),  # stride 8, row 5, column 9
+            ((0, 8 * 12 + 2 * 6 + 5), (0.0, 1.0, 0.0, np.log(0.5), 0.8, 0.0, 0.75)),  # stride 16, row 2, column 5
+            ((0, 8 * 12 + 4 * 6 + 1 * 3 + 2), (0.5, 0.5, 0.0, 0.0, 1.0, 1.0, 0.0)),  # stride 32, another class
+        ],
+        [[68, 26, 84, 50, 0.72, 1], [72, 44, 88, 52, 0.6, 1], [64, 32, 96, 64, 1.0, 0]],
+        {0.5: [0, 1, 2], 0.7: [0, 2]},
+    ),
+    "end to end": (
+        EndToEndHead(class_count=3), (1, 5, 6),  # the last row stays unfilled
+        [
+            ((0, 0), (35, 18, 45, 42, 0.7, 2)),
+            ((0, 1), (36, 18, 46, 42, 0.9, 0.999)),  # rounded by the network
+            ((0, 2), (60, 20, 70, 44, 0.4, 2)),
+            ((0, 3), (60, 20, 70, 44, 0.9, -1)),  # filled up
+        ],
+        [[35, 18, 45, 42, 0.7, 2], [36, 18, 46, 42, 0.9, 1], [60, 20, 70, 44, 0.4, 2]],
+        {0.0: [0, 1, 2], 0.5: [0, 1]},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_a_network_gives_the_known_boxes(name: str, tmp_path: Path) -> None:
+    head, shape, rows, boxes, seen = KNOWN[name]
+    raw = np.zeros(shape, np.float32)
+    for place, values in rows:
+        raw[place] = values
     outputs = run_network(tmp_path, head, [raw])
-    # Centre (76, 38), size 16 x 24; centre (80, 48), size 16 x 8.
-    expected = [[68, 26, 84, 50, 0.72, 1], [72, 44, 88, 52, 0.6, 1], [64, 32, 96, 64, 1.0, 0]]
-    np.testing.assert_allclose(decode(head, outputs), expected, atol=1e-5)
-    np.testing.assert_allclose(decode(head, outputs, 0.7), expected[::2], atol=1e-5)
+    for threshold, shown in seen.items():
+        np.testing.assert_allclose(decode(head, outputs, threshold), np.array(boxes)[shown], atol=1e-5)
 
 
-def test_yolox_names_strides_that_do_not_fit() -> None:
-    head = YoloXHead(strides_px=(8, 16), class_count=1)
-    with pytest.raises(ModelFileError, match=r"expects 120 cells at strides \(8, 16\) .* gives 126"):
-        decode(head, [np.zeros((1, CELLS, 6), np.float32)])
-
-
-def test_end_to_end_gives_the_known_boxes(tmp_path: Path) -> None:
-    head = EndToEndHead(class_count=3)
-    raw = np.zeros((1, 5, 6), np.float32)  # the last row stays unfilled
-    raw[0, 0] = (35, 18, 45, 42, 0.7, 2)
-    raw[0, 1] = (36, 18, 46, 42, 0.9, 0.999)  # rounded by the network
-    raw[0, 2] = (60, 20, 70, 44, 0.4, 2)
-    raw[0, 3] = (60, 20, 70, 44, 0.9, -1)  # filled up
-    outputs = run_network(tmp_path, head, [raw])
-    expected = [[35, 18, 45, 42, 0.7, 2], [36, 18, 46, 42, 0.9, 1], [60, 20, 70, 44, 0.4, 2]]
-    np.testing.assert_allclose(decode(head, outputs), expected[:2], atol=1e-6)
-    np.testing.assert_allclose(decode(head, outputs, 0.0), expected, atol=1e-6)
-    with pytest.raises(ModelFileError, match="gives class 2, the sidecar's head has class_count 2"):
-        decode(EndToEndHead(class_count=2), outputs)
+@pytest.mark.parametrize(
+    ("head", "outputs", "message"),
+    [
+        (
+            YoloV3Head(strides_px=(8, 16, 32), anchors_px=ANCHORS_PX, class_count=1), yolov3_maps(1),
+            r"8 x 12 cells \(rows x columns\) at stride 8 .* gives 2 x 3",
+        ),
+        (
+            YoloXHead(strides_px=(8, 16), class_count=1), [np.zeros((1, CELLS, 6), np.float32)],
+            r"expects 120 cells at strides \(8, 16\) .* gives 126",
+        ),
+        (
+            EndToEndHead(class_count=2), [np.array([[[35, 18, 45, 42, 0.7, 2]]], np.float32)],
+            "gives class 2, the sidecar's head has class_count 2",
+        ),
+    ],
+)  # fmt: skip
+def test_cells_and_classes_that_do_not_fit_are_named(head: YoloHead, outputs: Arrays, message: str) -> None:
+    with pytest.raises(ModelFileError, match=message):
+        decode(head, outputs)
 
 
 @given(
@@ -270,7 +266,7 @@ WRONG = [
 def test_a_network_of_another_shape_is_refused(
     tmp_path: Path, head: YoloHead, shapes: list[tuple[int, ...]], message: str
 ) -> None:
-    session = build_network(tmp_path / "network.onnx", [np.zeros(shape, np.float32) for shape in shapes])
+    session = session_of(tmp_path / "network.onnx", [np.zeros(shape, np.float32) for shape in shapes])
     with pytest.raises(ModelFileError, match=message):
         check_outputs(head, [output.shape for output in session.get_outputs()])
     outputs = session.run(None, {"images": np.zeros((1, 3, HEIGHT_PX, WIDTH_PX), np.float32)})
@@ -287,19 +283,6 @@ def test_sizes_that_are_not_fixed_are_left_to_the_run() -> None:
         check_outputs(head, [["batch", None]])
     with pytest.raises(ModelFileError, match="gives 0 outputs"):
         check_outputs(head, [])
-
-
-def test_the_sidecar_chooses_the_head_by_its_kind() -> None:
-    sidecar: TypeAdapter[YoloHead] = TypeAdapter(YoloHead)
-    heads: list[YoloHead] = [
-        YoloV3Head(anchors_px=ANCHORS_PX, class_count=80, layout="NHWC"),
-        YoloV5Head(class_count=80),
-        YoloV8Head(class_count=80),
-        YoloXHead(class_count=80),
-        EndToEndHead(class_count=3),
-    ]
-    for head in heads:
-        assert sidecar.validate_json(sidecar.dump_json(head)) == head
 
 
 @pytest.mark.parametrize(

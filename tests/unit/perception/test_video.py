@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -20,6 +19,7 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.video import Frame, frame_of, index_video, video_facts
 from conetl.perception.video_frames import frames_between, read_frame
 from conetl.perception.video_sync import find_video_lag
+from tests.video_drives import write_frames
 
 CODECS = {
     "h264 with B frames.mp4": ("libx264", {"crf": "10", "g": "12", "bf": "3"}),
@@ -36,20 +36,8 @@ def write_video(
     ms: Sequence[int] | None = None,
 ) -> Path:
     """Images (H, W, 3), even in size, as a video; ms: their time stamps, else 10 Hz."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=10, options=options or {"crf": "18"})
-        stream.height, stream.width = images[0].shape[:2]
-        stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
-        if ms is not None:
-            stream.codec_context.time_base = Fraction(1, 1000)
-        for n, image in enumerate(images):
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
-            frame.pts, frame.time_base = (n, Fraction(1, 10)) if ms is None else (ms[n], Fraction(1, 1000))
-            for packet in stream.encode(frame):
-                container.mux(packet)
-        for packet in stream.encode(None):
-            container.mux(packet)
-    return path
+    units, counts = (10, range(len(images))) if ms is None else (1000, ms)
+    return write_frames(path, images, [n * 10**9 // units for n in counts], codec, options or {"crf": "18"}, units)
 
 
 def numbered(count: int, size: tuple[int, int] = (96, 64)) -> list[np.ndarray]:

@@ -56,14 +56,8 @@ def zed_text(
             values = {key: factor * value for key, value in values.items()} | ({} if shared_lens else lens)
             lines += [f"[{side}_CAM_{name}]", *(f"{key}={float(value)!r}" for key, value in values.items()), ""]
         if shared_lens:
-            lines += [
-                f"[{side}_DISTO]",
-                *(f"{key} = {float(value)!r}" for key, value in lens.items()),
-                "k4 = 0",
-                "k5 = 0",
-                "k6 = 0",
-                "",
-            ]
+            more = dict.fromkeys(("k4", "k5", "k6"), 0)
+            lines += [f"[{side}_DISTO]", *(f"{key} = {float(value)!r}" for key, value in (lens | more).items()), ""]
     x, y, z = cv2.Rodrigues(R)[0].ravel()
     found = {"Baseline": -1000 * T[0], "TY": 1000 * T[1], "TZ": 1000 * T[2]}
     for name in resolutions:

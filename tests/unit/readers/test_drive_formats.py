@@ -39,7 +39,6 @@ from tests.unit.readers.drive_formats import (
     sample_frames,
     write_bag,
     write_euroc,
-    write_odometry_bag,
 )
 
 OTHERS = [name for name in WRITERS if name != "kitti"]
@@ -184,26 +183,28 @@ def test_headers_only_understands_the_same(name: str, tmp_path: Path, frames: li
 # --------------------------------------------------------------------------- what only some formats have
 
 
-def test_a_local_trajectory_without_a_georeference_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    for path in (write_euroc(tmp_path / "a", frames, rig), write_odometry_bag(tmp_path / "b", frames, rig)):
-        (path / "drive.yaml").write_text("sigmas: {horizontal_m: 0.02}\n")
-        with pytest.raises(DriveFolderError, match=r"georeference: \{lon_deg"):
-            read(path, tmp_path / "cache")
-
-
-def test_a_euroc_trajectory_needs_sigmas(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_euroc(tmp_path / "run", frames, rig)
-    (path / "drive.yaml").write_text(georeference(frames))
-    with pytest.raises(DriveFolderError, match=r"sigmas\.horizontal_m"):
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("euroc", "sigmas: {horizontal_m: 0.02}", r"georeference: \{lon_deg"),
+        ("odometry bag", "sigmas: {horizontal_m: 0.02}", r"georeference: \{lon_deg"),
+        ("euroc", "GEOREFERENCE", r"sigmas\.horizontal_m"),
+        ("euroc", "GEOREFERENCEsigmas: {horizontal_m: 0.02}\nstreams: {left: cam1, right: cam0}", "swapped"),
+        ("bag", "streams: {trajectory: /nothing}", "no topic /nothing; found /gnss/fix"),
+        ("bag", "streams: {trajectory: /imu/data}", "expected sensor_msgs/msg/NavSatFix"),
+        ("bag", "streams: {left: /stereo/right/image_raw/compressed, right: /stereo/left/image_raw/compressed}", "swapped"),
+        ("bag", "pair_tolerance_ms: 1e308", r"pair_tolerance_ms.*at most 60000"),
+        ("bag", "max_pose_gap_s: 1e308", r"max_pose_gap_s.*at most 3600"),
+    ],
+)  # fmt: skip
+def test_a_drive_yaml_that_does_not_fit_is_refused(
+    name: str, text: str, message: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS[name](tmp_path / "run", frames[:3], rig)
+    (path / "drive.yaml").write_text(text.replace("GEOREFERENCE", georeference(frames)))
+    with pytest.raises((DriveFolderError, CalibrationError), match=message) as refused:
         read(path, tmp_path / "cache")
-
-
-def test_a_euroc_rig_with_swapped_cameras_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_euroc(tmp_path / "run", frames, rig)
-    with (path / "drive.yaml").open("a") as file:
-        file.write("streams: {left: cam1, right: cam0}\n")
-    with pytest.raises(CalibrationError, match="swapped"):
-        read(path, tmp_path / "cache")
+    assert len(str(refused.value)) < 1000
 
 
 def test_a_euroc_lens_makes_a_raw_rig(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
@@ -255,9 +256,8 @@ def test_pairs_are_made_within_the_tolerance(
     late_ms: int, kept: int, tmp_path: Path, frames: list[Frame], rig: Rig
 ) -> None:
     path = write_euroc(tmp_path / "run", frames[:3], rig)
-    file = path / "mav0/cam1/data.csv"
     stamp = frames[1].stamp_ns
-    file.write_text(file.read_text().replace(str(stamp), str(stamp + late_ms * 10**6)))
+    change_rows(path, str(stamp), str(stamp + late_ms * 10**6), ("cam1",))
     drive, rejections = read(path, tmp_path / "cache")
     assert len(drive.frame_pairs) == kept
     # each of the two that found no partner is one rejection
@@ -270,22 +270,6 @@ def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path, frames: list[Frame], 
     file.write_bytes(file.read_bytes()[:-20_000])
     with pytest.raises(DriveFolderError, match="mcap recover"):
         read(file, tmp_path / "cache")
-
-
-def test_streams_are_named_in_drive_yaml(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_bag(tmp_path / "run", frames[:3], rig)
-    (path / "drive.yaml").write_text("streams: {trajectory: /nothing}\n")
-    with pytest.raises(DriveFolderError, match="no topic /nothing; found /gnss/fix"):
-        read(path, tmp_path / "cache")
-    (path / "drive.yaml").write_text("streams: {trajectory: /imu/data}\n")
-    with pytest.raises(DriveFolderError, match="expected sensor_msgs/msg/NavSatFix"):
-        read(path, tmp_path / "cache")
-    # left for right: the calibration contradicts it
-    (path / "drive.yaml").write_text(
-        "streams: {left: /stereo/right/image_raw/compressed, right: /stereo/left/image_raw/compressed}\n"
-    )
-    with pytest.raises(CalibrationError, match="swapped"):
-        read(path, tmp_path / "cache")
 
 
 def test_a_bag_requires_the_poses_of_cameras_and_antenna(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
@@ -322,45 +306,42 @@ def test_a_damaged_message_costs_itself(
     assert (len(drive.frame_pairs), drive.expected_frame_count) == (10 - len(lost), 10)
 
 
-def test_stamps_that_no_driver_set_cost_their_pairs(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_bag(tmp_path / "run", changed(frames, 4, stamp_ns=0), rig)
-    drive, rejections = read(path, tmp_path / "cache")
-    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.TIMESTAMP_INVALID, 4)]
-    assert "stamp is zero" in rejections[0].detail
+def costs_one(path: Path, number: int, reason: R, words: str) -> None:
+    """Reading a drive of ten frame pairs rejects one of them."""
+    drive, rejections = read(path, path.parent / "cache")
+    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(reason, number)]
+    assert words in rejections[0].detail
     assert len(drive.frame_pairs) == 9
+
+
+def test_stamps_that_no_driver_set_cost_their_pairs(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    costs_one(write_bag(tmp_path / "run", changed(frames, 4, stamp_ns=0), rig), 4, R.TIMESTAMP_INVALID, "stamp is zero")
+
+
+def change_rows(path: Path, old: str, new: str, cameras: tuple[str, ...] = ("cam0",)) -> None:
+    for cam in cameras:
+        file = path / f"mav0/{cam}/data.csv"
+        file.write_text(file.read_text().replace(old, new))
 
 
 def test_a_euroc_row_without_a_time_costs_one_pair(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = write_euroc(tmp_path / "run", frames, rig)
-    for cam in ("cam0", "cam1"):
-        file = path / f"mav0/{cam}/data.csv"
-        file.write_text(file.read_text().replace(f"{frames[5].stamp_ns},", "soon,"))
-    drive, rejections = read(path, tmp_path / "cache")
-    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.TIMESTAMP_INVALID, 5)]
-    assert "'soon' is not a time stamp" in rejections[0].detail
-    assert len(drive.frame_pairs) == 9
+    change_rows(path, f"{frames[5].stamp_ns},", "soon,", ("cam0", "cam1"))
+    costs_one(path, 5, R.TIMESTAMP_INVALID, "'soon' is not a time stamp")
 
 
 def test_a_euroc_row_must_stay_inside_the_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    path = write_euroc(tmp_path / "run", frames, rig)
     (tmp_path / "outside.jpg").write_bytes(frames[1].left or b"")
-    file = path / "mav0/cam0/data.csv"
-    file.write_text(file.read_text().replace("000001.jpg", "../../../../outside.jpg"))
-    drive, rejections = read(path, tmp_path / "cache")
-    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.IMAGE_MISSING, 1)]
-    assert "not a file name inside the drive folder" in rejections[0].detail
-    assert len(drive.frame_pairs) == 2
-
-
-@pytest.mark.parametrize("name", [name for name in WRITERS if name not in ("mcap file", "ros1 bag")])
-def test_a_plan_over_many_drives_finds_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
-    assert list(find_drives(tmp_path)) == [path]
+    change_rows(path, "000001.jpg", "../../../../outside.jpg")
+    costs_one(path, 1, R.IMAGE_MISSING, "not a file name inside the drive folder")
 
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_has_a_header(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+    if path.is_dir():
+        assert list(find_drives(tmp_path)) == [path]
     found = read_header(path)
     assert (found.problem, found.drive_id, found.frame_pairs) == (None, "run", len(frames))
     assert (found.captured_from_ns, found.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
@@ -549,20 +530,9 @@ def test_a_chunk_that_grows_beyond_the_limit_is_refused(
         read(path, tmp_path / "images")
 
 
-@pytest.mark.parametrize(
-    ("was", "now", "message"),
-    [
-        ("/stereo/right", "/stereo/right" + 300 * "9", "which two topics"),
-        ("pair_tolerance_ms: 4", "pair_tolerance_ms: 1e308", r"pair_tolerance_ms.*at most 60000"),
-        ("max_pose_gap_s: 1", "max_pose_gap_s: 1e308", r"max_pose_gap_s.*at most 3600"),
-    ],
-)
-def test_values_of_a_bag_beyond_all_bounds_are_refused(
-    was: str, now: str, message: str, tmp_path: Path, frames: list[Frame], rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write_bag(tmp_path / "run", frames[:3], rig, image_name=now[8:] if was[0] == "/" else "image_raw/compressed")
-    (path / "drive.yaml").write_text("pair_tolerance_ms: 4\nmax_pose_gap_s: 1\n".replace(was, now))
-    with pytest.raises(DriveFolderError, match=message) as refused:
+def test_topics_beyond_all_bounds_are_named_in_short(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_bag(tmp_path / "run", frames[:3], rig, image_name="right" + 300 * "9")
+    with pytest.raises(DriveFolderError, match="which two topics") as refused:
         read(path, tmp_path / "images")
     assert len(str(refused.value)) < 1000
 

@@ -289,12 +289,6 @@ def remove(drive: Path, *names: str) -> None:
 FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "no calibration": (lambda d: remove(d.parent, *CALIBRATION), CalibrationError, "neither in the drive folder"),
     "no chain to the IMU": (lambda d: remove(d.parent, "calib_imu_to_velo.txt"), CalibrationError, "imu_to_velo.txt missing"),
-    "calibration key missing": (
-        lambda d: (d.parent / "calib_cam_to_cam.txt").write_text(
-            CALIBRATION["calib_cam_to_cam.txt"].replace("P_rect_02", "P_02")
-        ),
-        CalibrationError, "the key 'P_rect_02' is missing",
-    ),
     "no OXTS": (lambda d: remove(d, "oxts"), DriveFolderError, "no poses in oxts/data"),
     "no right camera": (lambda d: remove(d, "image_03"), DriveFolderError, "image_03/data is missing"),
     "no images": (

@@ -16,6 +16,7 @@ from conetl.geometry.rectification import is_rectified, rectified_from_raw, rect
 from conetl.model.errors import CalibrationError
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import read_kitti_rig, read_rig_for_images
+from tests.unit.readers.test_plain_drive import HEADER
 
 #: The numbers of KITTI's cameras 02 and 03, with few digits.
 CAM_TO_CAM = """S_02: 1392 512
@@ -115,12 +116,8 @@ def plain(root: Path, rig: str) -> Path:
         (root / side).mkdir(parents=True)
         cv2.imwrite(str(root / side / "a.png"), np.full((32, 96, 3), 100, np.uint8))
     (root / "rig.yaml").write_text(rig)
-    header = (
-        "stem,captured_at,lon_deg,lat_deg,height_m,roll_deg,pitch_deg,yaw_deg,sigma_e_m,sigma_n_m,sigma_u_m,"
-        "sigma_roll_deg,sigma_pitch_deg,sigma_yaw_deg\n"
-    )
-    row = "a,2026-03-02 09:41:07,8.43,49.0,116,0,0,32,0.015,0.015,0.02,0.05,0.05,0.15\n"
-    (root / "trajectory.csv").write_text(header + row)
+    row = "a,2026-03-02 09:41:07,8.43,49.0,116,0,0,32,0.015,0.015,0.02,0.05,0.05,0.15"
+    (root / "trajectory.csv").write_text(f"{HEADER}\n{row}\n")
     return root
 
 

@@ -83,12 +83,12 @@ def test_a_known_name_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert drive is not None and len(drive.new_pairs(None)) == 2
     asked: list[str] = []
 
-    def is_image(name: str) -> bool:
+    def parts(name: str) -> tuple[str, str]:
         asked.append(name)
         return real(name)
 
-    real = arriving._is_image
-    monkeypatch.setattr(arriving, "_is_image", is_image)
+    real = arriving._parts
+    monkeypatch.setattr(arriving, "_parts", parts)
     assert drive.new_pairs(None) == [] and asked == []
     write_images(folder, 12)
     assert [pair.left_path for pair in drive.new_pairs(None)] == [folder.resolve() / "left" / "000012.jpg"]

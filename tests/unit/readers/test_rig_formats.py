@@ -309,7 +309,7 @@ BAD_KALIBR = {
     "no pose": (change("cam1/T_cn_cnm1", None), "'cam1.T_cn_cnm1' is missing"),
     "3x4": (change("cam1/T_cn_cnm1", np.eye(4)[:3].tolist()), "'cam1.T_cn_cnm1' must be 4 x 4 numbers, found 3 x 4"),
     "swapped": (change("cam1/T_cn_cnm1", (np.eye(4) + 0.3 * np.eye(4, k=3)).tolist()), "T_cn_cnm1.*swapped"),
-    "no rotation": (change("cam1/T_cn_cnm1", np.diag([1, 2, 1, 1]).tolist()), "T_cn_cnm1.*not a rotation"),
+    "no rotation": (change("cam1/T_cn_cnm1", np.diag([1, 2, 1, 1]).tolist()), "T_cn_cnm1.*not a rigid motion"),
     "words": (change("cam0/resolution", "big"), "'cam0.resolution' must be numbers"),
     "half pixels": (change("cam0/resolution", [640.5, 480]), "'cam0.resolution' must be whole numbers"),
     "another image": (change("cam0/resolution", [160, 120]), "'cam0.intrinsics' has the principal point"),

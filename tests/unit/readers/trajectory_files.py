@@ -126,21 +126,8 @@ def write_rtklib(
     weeks = [f"{week}{sep}{tow_s}" for week, tow_s in zip(*gps_time(t), strict=True)]
     times = weeks if tow else stamps("%Y/%m/%d %H:%M:%S", t, shift)
     if form == "xyz":
-        names = [
-            "x-ecef(m)",
-            "y-ecef(m)",
-            "z-ecef(m)",
-            "Q",
-            "ns",
-            "sdx(m)",
-            "sdy(m)",
-            "sdz(m)",
-            "sdxy(m)",
-            "sdyz(m)",
-            "sdzx(m)",
-            "age(s)",
-            "ratio",
-        ]
+        places = ["x-ecef(m)", "y-ecef(m)", "z-ecef(m)"]
+        sigmas = ["sdx(m)", "sdy(m)", "sdz(m)", "sdxy(m)", "sdyz(m)", "sdzx(m)"]
         lon, lat = np.radians(t.llh[:, 1]), np.radians(t.llh[:, 0])
         xyz = np.column_stack(Transformer.from_crs(4979, 4978).transform(*t.llh.T))
         rows = []
@@ -154,21 +141,8 @@ def write_rtklib(
             rows.append([*(f"{v:.4f}" for v in xyz[i]), str(quality), "12", *(f"{v:.9f}" for v in sds), "0.00", "50.0"])
     else:
         unit = "(d'\")" if form == "dms" else "(deg)"
-        names = [
-            f"latitude{unit}",
-            f"longitude{unit}",
-            "height(m)",
-            "Q",
-            "ns",
-            "sdn(m)",
-            "sde(m)",
-            "sdu(m)",
-            "sdne(m)",
-            "sdeu(m)",
-            "sdun(m)",
-            "age(s)",
-            "ratio",
-        ]
+        places = [f"latitude{unit}", f"longitude{unit}", "height(m)"]
+        sigmas = ["sdn(m)", "sde(m)", "sdu(m)", "sdne(m)", "sdeu(m)", "sdun(m)"]
         angle: Callable[[float], str] = (lambda v: dms(v, 5, sep)) if form == "dms" else (lambda v: f"{v:.9f}")
         rows = [
             [angle(lat), angle(lon), f"{h:.4f}", str(quality), "12", f"{n:.4f}", f"{e:.4f}", f"{u:.4f}",
@@ -176,7 +150,7 @@ def write_rtklib(
             for (lat, lon, h), (e, n, u) in zip(t.llh, t.sigma[:, :3], strict=True)
         ]  # fmt: skip
     gap = "  " if sep == " " else sep
-    lines = [*RTKLIB_HEADER, "%  " + gap.join([f"{system}         ", *names])]
+    lines = [*RTKLIB_HEADER, "%  " + gap.join([f"{system}         ", *places, "Q", "ns", *sigmas, "age(s)", "ratio"])]
     return write(
         folder, "rover.pos", [*lines, *(gap.join([time, *row]) for time, row in zip(times, rows, strict=True))], "\r\n"
     )
@@ -341,19 +315,8 @@ def write_tsv(folder: Path, t: Known | None = None) -> Path:
     east, north = Transformer.from_crs(4326, 25832, always_xy=True).transform(t.llh[:, 1], t.llh[:, 0])
     lines = ["gps_week\ttow[s]\tEasting (m)\tNorthing (m)\tH_mm\troll_rad\tpitch_rad\theading_rad"]
     for i, (week, tow) in enumerate(zip(*gps_time(t), strict=True)):
-        values = [*np.radians(t.rph[i])]
-        lines.append(
-            "\t".join(
-                [
-                    str(week),
-                    tow,
-                    f"{east[i]:.5f}",
-                    f"{north[i]:.5f}",
-                    f"{t.llh[i, 2] * 1000:.3f}",
-                    *(f"{v:.12f}" for v in values),
-                ]
-            )
-        )
+        place = [f"{east[i]:.5f}", f"{north[i]:.5f}", f"{t.llh[i, 2] * 1000:.3f}"]
+        lines.append("\t".join([str(week), tow, *place, *(f"{v:.12f}" for v in np.radians(t.rph[i]))]))
     return write(folder, "drive.tsv", lines)
 
 

@@ -20,12 +20,10 @@ from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.camera import project
 from conetl.geometry.jacobians import project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix
-from conetl.model.records import LENS_COEFFICIENTS, Camera, Lens, LensModel, Side
+from conetl.model.records import LENS_COEFFICIENTS, SIDES, Camera, Lens, LensModel, Side
 
 Ints = NDArray[np.int64]
 Array = NDArray[np.float64]
-#: Sides in the order of the unknowns.
-SIDES: tuple[Side, Side] = ("left", "right")
 #: Prior sigmas of a free board's shape, as a share of its diagonal: paper and plates buckle, but are printed well. Without them
 #: the aspect ratios of a board that is always upright and of the pixels could not be separated.
 SHAPE_SIGMA_ACROSS = 0.001

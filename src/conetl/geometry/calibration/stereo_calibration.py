@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.bundle_covariance import RigCovariance, rig_covariance
 from conetl.geometry.calibration.stereo_bundle import (
-    SIDES,
     BoardView,
     Bundle,
     BundleError,
@@ -25,7 +24,7 @@ from conetl.geometry.calibration.stereo_bundle import (
     stereo_pairs,
 )
 from conetl.geometry.lens import distort, distort_jacobian, undistort
-from conetl.model.records import LENS_COEFFICIENTS, CalibrationCovariance, Camera, Lens, LensModel, Rig, Side
+from conetl.model.records import LENS_COEFFICIENTS, SIDES, CalibrationCovariance, Camera, Lens, LensModel, Rig, Side
 
 Array = NDArray[np.float64]
 

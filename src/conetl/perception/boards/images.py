@@ -19,15 +19,13 @@ from conetl.geometry import pose as se3
 from conetl.geometry.calibration.stereo_bundle import BoardView
 from conetl.geometry.calibration.stereo_calibration import MIN_PAIRS, Start
 from conetl.model.errors import CalibrationError, InputError
-from conetl.model.records import Camera, Lens, Side
+from conetl.model.records import SIDES, Camera, Lens, Side
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.perception.boards.boards import Board, Found, NotFound, find_board, matched_orientation
-from conetl.perception.images import ImageFileError, read_image
+from conetl.perception.images import IMAGE_SUFFIXES, ImageFileError, read_image
 from conetl.perception.video import frame_of
 from conetl.perception.video_frames import read_frame
 
-SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
-SIDES: tuple[Side, Side] = ("left", "right")
 Size = tuple[int, int]
 Array = NDArray[np.float64]
 _FLAGS = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
@@ -77,7 +75,7 @@ def pairs_by_pattern(folder: Path, left_pattern: str, right_pattern: str) -> lis
         if pattern.count("*") != 1:
             raise InputError(f"{option} '{pattern}': expected one * for what left and right names have in common")
         before, after = pattern.split("*")
-        paths = [p for p in folder.glob(pattern) if p.is_file() and p.suffix.lower() in SUFFIXES]
+        paths = [p for p in folder.glob(pattern) if p.is_file() and p.suffix.lower() in IMAGE_SUFFIXES]
         names = {str(p.relative_to(folder)): p for p in sorted(paths)}
         found.append({name[len(before) : len(name) - len(after)]: p for name, p in names.items()})
     return _joined(folder, *found)
@@ -166,7 +164,7 @@ def _search(path: Path, board: Board) -> tuple[Size | None, Found | NotFound]:
 
 
 def _images(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in SUFFIXES)
+    return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in IMAGE_SUFFIXES)
 
 
 def _joined(folder: Path, left: dict[str, Path], right: dict[str, Path]) -> list[ImagePair]:
@@ -185,7 +183,7 @@ def start_values(points_m: Array, views: Sequence[BoardView], sizes: Mapping[Sid
     """
     cameras: dict[Side, Camera] = {}
     poses: dict[Side, dict[int, Array]] = {}
-    for side in ("left", "right"):
+    for side in SIDES:
         own = [view for view in views if view.side == side]
         if len(own) < MIN_PAIRS:
             raise CalibrationError(

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.errors import CalibrationError, InputError
-from conetl.model.records import Side
-from conetl.perception.boards.images import SIDES, ImagePair
+from conetl.model.records import SIDES, Side
+from conetl.perception.boards.images import ImagePair
 from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, Frame, Layout, VideoIndex, index_video, region_of
 from conetl.perception.video_frames import frames_between
 from conetl.perception.video_sync import SEARCH_S, correlation_peak

@@ -17,7 +17,6 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +40,7 @@ from conetl.readers.drives.pairs import (
 )
 from conetl.readers.drives.poses import Samples, at, placed, to_pose
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import bad, calibration_errors, entry, numbers, pinhole_camera, stereo_rig
+from conetl.readers.rigs.common import calibration_errors, motion_at, pinhole_camera, stereo_rig
 from conetl.readers.trajectories import read_trajectory
 
 Array = NDArray[np.float64]
@@ -164,18 +163,9 @@ def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Ri
         sensor = read_yaml(path)
         content.add(f"{name}/{SENSOR_YAML}", path.read_bytes())
         cameras.append(pinhole_camera(path, sensor, "", "distortion_coefficients", _LENSES))
-        poses.append(_T_BS(path, sensor))
-    right_SE3_left = se3.compose(se3.invert(poses[1]), poses[0])
-    rig = stereo_rig(path, "T_BS", "euroc", cameras[0], cameras[1], right_SE3_left[:3, :3], right_SE3_left[:3, 3])
+        poses.append(motion_at(path, sensor, "T_BS"))
+    rig = stereo_rig(path, "T_BS", "euroc", cameras[0], cameras[1], se3.compose(se3.invert(poses[1]), poses[0]))
     return rig_on_body(rig, poses[0], settings, path)
-
-
-def _T_BS(path: Path, sensor: Any) -> Array:
-    """(4, 4) from points of the sensor to points of B. Raises CalibrationError."""
-    matrix = numbers(path, "T_BS", entry(path, sensor, "T_BS"), (4, 4))
-    if not np.allclose(matrix[3], [0, 0, 0, 1]) or not se3.is_rotation(matrix[:3, :3], 1e-4):
-        raise bad(path, "T_BS", "is not a rigid motion: a rotation, a translation in metres and the row 0, 0, 0, 1")
-    return se3.se3(se3.nearest_rotation(matrix[:3, :3]), matrix[:3, 3])
 
 
 def _trajectory_names(settings: DriveYaml) -> Sequence[str]:
@@ -204,7 +194,7 @@ def _trajectory(source: Source, sensor_R_body: Array) -> tuple[int, Samples]:
     if sensor_path.is_file():
         content.add(sensor_path.relative_to(root).as_posix(), sensor_path.read_bytes())
         with calibration_errors():
-            B_SE3_S = _T_BS(sensor_path, read_yaml(sensor_path))
+            B_SE3_S = motion_at(sensor_path, read_yaml(sensor_path), "T_BS")
     name = path.relative_to(root).as_posix()
     content.add(name, path.read_bytes())
     recorded = read_trajectory(path, settings.trajectory.model_copy(update={"format": "euroc"}))

@@ -20,8 +20,9 @@ from conetl.geometry.geodesy import sensor_R_body
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Rig
 from conetl.model.rejections import Rejection
+from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, small_file
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, Source
+from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.rigs.common import Pair, rectified_rig

@@ -14,18 +14,14 @@ from typing import Any, NamedTuple, TypeVar
 from conetl.files.storage import fetch, remember
 from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import Drive, FramePair, Pose, Rig, Side
+from conetl.model.records import SIDES, Drive, FramePair, Pose, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, inspect_image, read_bytes
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.drives.timestamps import misplaced, wrong_clocks
 
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-
-
 #: The pose of a standing vehicle scatters by less.
 MOVED_M = 0.5
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class ContentHash:
@@ -119,8 +115,7 @@ def check_images(
     """
     problem: PairError | None = None
     good: list[ImageFile] = []
-    sides: tuple[tuple[Side, Sequence[Path]], ...] = (("left", left), ("right", right))
-    for side, paths in sides:
+    for side, paths in zip(SIDES, (left, right), strict=True):
         camera = stored_camera(rig, side)
         if len(paths) != 1:
             names = ", ".join(path.name for path in paths)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from conetl.files.documents import named
 from conetl.files.yaml_model import validated
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
@@ -76,7 +77,8 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     if "right-offset" in answers:
         images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
     if "start" in images:
-        _check_time(images["start"])
+        with named("--start"):
+            parse_timestamp(images["start"])
     proposal.settings["images"] = images
     sources = videos or folders
     if not sources:
@@ -215,14 +217,6 @@ def _rigs(root: Path) -> list[tuple[Path, Rig, Any]]:
                 continue
             found.append((root / name, rig, kind))
     return found
-
-
-def _check_time(text: str) -> None:
-    """Raises InputError where a text is no time stamp."""
-    try:
-        parse_timestamp(text)
-    except ValueError as error:
-        raise InputError(f"--start: {error}") from error
 
 
 def _numbers(key: str, text: str, least: int, most: int) -> list[float]:

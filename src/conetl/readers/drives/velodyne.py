@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.errors import CalibrationError, ConetlError
+from conetl.model.errors import ConetlError
 from conetl.model.records import FramePair, Rig
 from conetl.readers.drives.timestamps import parse_timestamps
-from conetl.readers.rigs.kitti import IMU_TO_VELO, read_numbers
+from conetl.readers.rigs.kitti import IMU_TO_VELO, motion_of, read_numbers
 
 Floats = NDArray[np.float64]
 
@@ -79,11 +79,7 @@ def left_SE3_velo(rig: Rig, calibration_folder: Path) -> Floats:
     The rig has body -> left camera; `calib_imu_to_velo.txt` has body (the IMU) -> velodyne. Raises CalibrationError.
     """
     path = calibration_folder / IMU_TO_VELO
-    values = read_numbers(path, {"R": 9, "T": 3})
-    try:
-        velo_SE3_body = se3.se3(se3.nearest_rotation(values["R"].reshape(3, 3)), values["T"])
-    except ValueError as error:
-        raise CalibrationError(f"{path}: R: {error}") from error
+    velo_SE3_body = motion_of(path, read_numbers(path, {"R": 9, "T": 3}))
     return se3.compose(se3.invert(np.array(rig.body_SE3_left)), se3.invert(velo_SE3_body))
 
 

@@ -23,7 +23,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import CAMERA_R_BODY
 from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
-from conetl.model.records import Drive, Rig, Side
+from conetl.model.records import SIDES, Drive, Rig
 from conetl.model.rejections import Rejection
 from conetl.perception.video import VIDEO_SUFFIXES, Frame, VideoIndex, frame_of, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, read_drive_yaml
@@ -155,12 +155,11 @@ def _body_SE3_left(mount: Mount) -> Floats:
 def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[CameraImages]:
     """Left and right camera. Raises DriveFolderError or CalibrationError."""
     sources = _sources(root, settings)
-    sides: tuple[Side, Side] = ("left", "right")
     if any(source.is_dir() for source in sources):
         return [_folder_camera(root, source) for source in sources]
     videos = {source: _indexed(source, root, content) for source in dict.fromkeys(sources)}
     cameras = []
-    for side, source in zip(sides, sources, strict=True):
+    for side, source in zip(SIDES, sources, strict=True):
         video, stored = videos[source], stored_camera(rig, side)
         region = region_of(video, settings.layout, side)
         found = region[2:] if region else (video.width_px, video.height_px)

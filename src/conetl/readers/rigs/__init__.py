@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import Literal
 
@@ -42,11 +43,7 @@ _READERS: dict[Format, Callable[..., Rig]] = {
     "opencv": read_opencv_rig, "matlab": read_matlab_rig, "zed": read_zed_rig, "oak": read_oak_rig,
     "metashape": read_metashape_rig,
 }  # fmt: skip
-#: What a reader takes besides the path, and how messages call it.
-_TAKES: dict[Format, tuple[str, ...]] = {
-    "opencv": ("image_size", "length_unit"), "matlab": ("image_size", "length_unit"), "zed": ("image_size",),
-    "rig": ("pair",), "kalibr": ("pair",), "ros": ("pair",), "oak": ("pair",), "metashape": ("pair", "length_unit"),
-}  # fmt: skip
+#: What readers take besides the path, by how messages call it.
 _CALLED = {"image_size": "image size", "length_unit": "unit", "pair": "pair of cameras"}
 #: Writers by format; that of ROS takes a folder, the others a file.
 WRITERS: dict[str, Callable[[Rig, Path], None]] = {
@@ -79,7 +76,7 @@ def read_rig_and_format(
     path, found = _recognise(path, pair)
     options = {"image_size": image_size, "length_unit": length_unit, "pair": pair}
     given = {name: value for name, value in options.items() if value is not None}
-    foreign = [_CALLED[name] for name in given if name not in _TAKES.get(found, ())]
+    foreign = [_CALLED[name] for name in given if name not in signature(_READERS[found]).parameters]
     if foreign:
         raise CalibrationError(f"{path}: a {FORMAT_NAMES[found]} has its own {' and '.join(foreign)}; leave them out")
     return _READERS[found](path, **given), found

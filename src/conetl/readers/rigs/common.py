@@ -207,16 +207,38 @@ def opencv_coefficients(lens: Lens) -> list[float]:
     return [*lens.coefficients, *[0.0] * (5 - len(lens.coefficients))]
 
 
-def stereo_rig(
-    path: Path, key: str, tool: str, left: Camera, right: Camera, right_R_left: Array, right_t_left_m: Array
-) -> Rig:
-    """Rig of the usual stereo calibration `p_right = R p_left + t`; the body is the left camera.
+def rotation(path: Path, key: str, matrix: Array) -> Array:
+    """The rotation nearest to a (3, 3) matrix written with few digits. Raises CalibrationError where it is none."""
+    if not se3.is_rotation(matrix):
+        raise bad(path, key, "is not a rotation")
+    return se3.nearest_rotation(matrix)
+
+
+def motion_at(path: Path, content: Any, key: str, where: str = "") -> Array:
+    """The rigid motion (4, 4) of a required `entry`. Raises CalibrationError."""
+    matrix = numbers_at(path, content, key, (4, 4), where)
+    if not np.allclose(matrix[3], [0, 0, 0, 1]) or not se3.is_rotation(matrix[:3, :3]):
+        text = "is not a rigid motion: a rotation, a translation in metres and the row 0, 0, 0, 1"
+        raise bad(path, f"{where}{key}", text)
+    return se3.se3(se3.nearest_rotation(matrix[:3, :3]), matrix[:3, 3])
+
+
+def metres(path: Path, key: str, unit: str) -> float:
+    """Length of a unit of `LENGTH_UNITS`. Raises CalibrationError."""
+    if unit not in LENGTH_UNITS:
+        text = f"{shown(unit)} is not a known unit; known: {', '.join(LENGTH_UNITS)}. Give it with conetl rig convert --unit mm"
+        raise bad(path, key, text)
+    return LENGTH_UNITS[unit]
+
+
+def stereo_rig(path: Path, key: str, tool: str, left: Camera, right: Camera, right_SE3_left: Array) -> Rig:
+    """Rig of the usual stereo calibration `p_right = R p_left + t`, as (4, 4); the body is the left camera.
 
     key: of the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises CalibrationError.
     """
     try:
-        rotation = se3.nearest_rotation(right_R_left)
-        left_SE3_right = se3.invert(se3.se3(rotation, right_t_left_m))
+        turn = se3.nearest_rotation(right_SE3_left[:3, :3])
+        left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3]))
         check_stereo_baseline(left_SE3_right)
         return rig_of(tool, left, right, left_SE3_right)
     except ValueError as error:

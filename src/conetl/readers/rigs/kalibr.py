@@ -21,11 +21,9 @@ from conetl.geometry.camera import intrinsics
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
 from conetl.readers.rigs.common import (
-    Array,
     Pair,
-    bad,
     choose_pair,
-    numbers_at,
+    motion_at,
     opencv_coefficients,
     pinhole_camera,
     stereo_rig,
@@ -48,24 +46,15 @@ def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
             f"{path}: expected the cameras cam0 (left), cam1 (right) and so on, found {shown(names)}"
         )
     left, right = choose_pair(path, names, pair)
-    cameras = [pinhole_camera(path, content[name], f"{name}.", "distortion_coeffs", _LENSES) for name in (left, right)]
+    left_camera, right_camera = (
+        pinhole_camera(path, content[name], f"{name}.", "distortion_coeffs", _LENSES) for name in (left, right)
+    )
     first, last = sorted((int(left[3:]), int(right[3:])))
     pose = np.eye(4)
     for number in range(first + 1, last + 1):
-        pose = se3.compose(_from_the_one_before(path, content[f"cam{number}"], f"cam{number}."), pose)
+        pose = se3.compose(motion_at(path, content[f"cam{number}"], "T_cn_cnm1", f"cam{number}."), pose)
     right_SE3_left = pose if left == f"cam{first}" else se3.invert(pose)
-    key = f"cam{last}.T_cn_cnm1"
-    return stereo_rig(path, key, "kalibr", cameras[0], cameras[1], right_SE3_left[:3, :3], right_SE3_left[:3, 3])
-
-
-def _from_the_one_before(path: Path, camera: Any, where: str) -> Array:
-    pose = numbers_at(path, camera, "T_cn_cnm1", (4, 4), where)
-    key = f"{where}T_cn_cnm1"
-    if not np.allclose(pose[3], [0, 0, 0, 1]):
-        raise bad(path, key, "must end with the row 0, 0, 0, 1")
-    if not se3.is_rotation(pose[:3, :3]):
-        raise bad(path, key, "holds a 3 x 3 part that is not a rotation")
-    return se3.se3(se3.nearest_rotation(pose[:3, :3]), pose[:3, 3])
+    return stereo_rig(path, f"cam{last}.T_cn_cnm1", "kalibr", left_camera, right_camera, right_SE3_left)
 
 
 def write_kalibr_rig(rig: Rig, path: Path) -> None:

@@ -1,4 +1,9 @@
-"""KITTI's three calibration text files (Geiger et al., IJRR 2013): the rectified pair, or its raw one."""
+"""KITTI's three calibration text files (Geiger et al., IJRR 2013): the rectified pair, or its raw one.
+
+`x_velo = velo_SE3_imu x_imu` (calib_imu_to_velo), `x_cam0 = cam0_SE3_velo x_velo` (calib_velo_to_cam), `x_rect = R_rect_00
+x_cam0` and `P_rect_0i = K_i [I | t_i]` in the rectified frame of camera 0. Camera i therefore sits at `-t_i` with `t_i = K_i^-1
+p4`, all three components: in P_rect_02 and P_rect_03 ty and tz are not zero. Of the raw pair `x_cam_i = R_0i x_cam0 + T_0i`.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +12,29 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from conetl.files.documents import named, read_limited
-from conetl.geometry.calibration.kitti_rig import kitti_rig
+from conetl.geometry import pose as se3
+from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Rig
-from conetl.readers.rigs.common import Array, Size, calibration_errors, numbers, rectified_rig
+from conetl.model.records import Camera, Lens, Rig
+from conetl.readers.rigs.common import (
+    Array,
+    Size,
+    calibration_errors,
+    camera_from_matrix,
+    numbers,
+    rectified_rig,
+    rotation,
+    size_of_images,
+)
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
 IMU_TO_VELO = "calib_imu_to_velo.txt"
+#: A rectified pair whose baseline points away from the image rows by more than this (as a share) is refused.
+_MAX_BASELINE_SLOPE = 0.1
 
 
 @calibration_errors()
@@ -29,7 +48,7 @@ def read_kitti_rig(
     rig_id: str | None = None,
     sigma_px: float = 0.5,
 ) -> Rig:
-    """Rig of two KITTI cameras from `calib_cam_to_cam.txt` and the two files beside it.
+    """Rig of two KITTI cameras from `calib_cam_to_cam.txt` and the two files beside it; without them the body is the left camera.
 
     body_required: reject the calibration if the chain from the IMU is missing. images: "rectified" for the pair of
     P_rect_0i, "raw" for the cameras that took the images ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included; or
@@ -45,13 +64,10 @@ def read_kitti_rig(
         if images in (None, (own.left.width_px, own.left.height_px)) or images != _raw_size(cam_to_cam, left):
             return own
         return rectified_rig(read(images="raw"), cam_to_cam)
-    keys = {"R_rect_00": 9} if images == "rectified" else {}
-    for number in (left, right):
-        if images == "rectified":
-            keys |= {f"S_rect_{number:02d}": 2, f"P_rect_{number:02d}": 12}
-        else:
-            keys |= {f"{key}_{number:02d}": count for key, count in (("S", 2), ("K", 9), ("D", 5), ("R", 9), ("T", 3))}
-    cameras = read_numbers(cam_to_cam, keys)
+    raw = images == "raw"
+    own_keys = {"S": 2, "K": 9, "D": 5, "R": 9, "T": 3} if raw else {"S_rect": 2, "P_rect": 12}
+    keys = {f"{key}_{number:02d}": count for number in (left, right) for key, count in own_keys.items()}
+    cameras = read_numbers(cam_to_cam, keys if raw else {"R_rect_00": 9} | keys)
     chain = [cam_to_cam.parent / name for name in (VELO_TO_CAM, IMU_TO_VELO)]
     absent = [path.name for path in chain if not path.is_file()]
     if absent and (body_required or len(absent) == 1):
@@ -59,18 +75,58 @@ def read_kitti_rig(
             f"{cam_to_cam.parent}: {' and '.join(absent)} missing. Poses are those of the IMU, so the chain IMU -> velodyne -> "
             "camera is needed; KITTI delivers all three calib_*.txt files together, put them side by side"
         )
-    velo, imu = (None, None) if absent else [read_numbers(path, {"R": 9, "T": 3}) for path in chain]
+    links = [] if absent else [read_numbers(path, {"R": 9, "T": 3}) for path in chain]
     if rig_id is None:
         digest = hashlib.sha256()
-        for part in (cameras, velo or {}, imu or {}):
+        for part in (cameras, *links):
             for key in sorted(part):
                 digest.update(key.encode() + part[key].tobytes())
-        rig_id = f"kitti-{'raw-' if images == 'raw' else ''}{left:02d}-{right:02d}-{digest.hexdigest()[:8]}"
+        rig_id = f"kitti-{'raw-' if raw else ''}{left:02d}-{right:02d}-{digest.hexdigest()[:8]}"
+    # Poses in camera 0, or in its rectified frame.
+    read_camera = _raw_camera if raw else _rectified_camera
+    (left_camera, base_SE3_left), (right_camera, base_SE3_right) = (
+        read_camera(cam_to_cam, cameras, number) for number in (left, right)
+    )
+    x, y, z = (left_SE3_right := se3.compose(se3.invert(base_SE3_left), base_SE3_right))[:3, 3]
+    with named(f"{cam_to_cam}: T_{left:02d}, T_{right:02d}" if raw else cam_to_cam, CalibrationError):
+        check_stereo_baseline(left_SE3_right)
+        if not raw and np.hypot(y, z) > _MAX_BASELINE_SLOPE * x:
+            raise ValueError(
+                f"the baseline ({x:.3f}, {y:.3f}, {z:.3f}) m does not follow the image rows of a rectified pair"
+            )
+    body_SE3_base = se3.invert(base_SE3_left)
+    if links:
+        base_R_cam0 = np.eye(3) if raw else rotation(cam_to_cam, "R_rect_00", cameras["R_rect_00"].reshape(3, 3))
+        cam0_SE3_velo, velo_SE3_body = (motion_of(path, link) for path, link in zip(chain, links, strict=True))
+        cam0_SE3_body = se3.compose(cam0_SE3_velo, velo_SE3_body)
+        body_SE3_base = se3.invert(se3.compose(se3.se3(base_R_cam0, np.zeros(3)), cam0_SE3_body))
     with named(cam_to_cam, CalibrationError):
-        return kitti_rig(
-            cameras, raw=images == "raw", velo_to_cam=velo, imu_to_velo=imu, left=left, right=right, rig_id=rig_id,
-            sigma_px=sigma_px,
+        return Rig(
+            rig_id=rig_id, left=left_camera, right=right_camera, sigma_px=sigma_px,
+            body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_base, base_SE3_left)),
+            body_SE3_right=se3.to_matrix4(se3.compose(body_SE3_base, base_SE3_right)),
         )  # fmt: skip
+
+
+def _rectified_camera(path: Path, cameras: dict[str, Array], number: int) -> tuple[Camera, Array]:
+    """A rectified camera and its pose (4, 4) in the rectified frame of camera 0."""
+    key, size = f"P_rect_{number:02d}", f"S_rect_{number:02d}"
+    p = cameras[key].reshape(3, 4)
+    camera = camera_from_matrix(path, key, p[:, :3], size_of_images(path, size, cameras[size]), Lens())
+    return camera, se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
+
+
+def _raw_camera(path: Path, cameras: dict[str, Array], number: int) -> tuple[Camera, Array]:
+    """A camera that took the images and its pose (4, 4) in camera 0."""
+    s, k, d, r, t = (f"{key}_{number:02d}" for key in "SKDRT")
+    lens = Lens(model="brown", coefficients=tuple(cameras[d].tolist())) if cameras[d].any() else Lens()
+    camera = camera_from_matrix(path, k, cameras[k].reshape(3, 3), size_of_images(path, s, cameras[s]), lens)
+    return camera, se3.invert(se3.se3(rotation(path, r, cameras[r].reshape(3, 3)), cameras[t]))
+
+
+def motion_of(path: Path, link: dict[str, Array]) -> Array:
+    """The motion (4, 4) of R (9) and T (3) of a file. Raises CalibrationError."""
+    return se3.se3(rotation(path, "R", link["R"].reshape(3, 3)), link["T"])
 
 
 def _raw_size(cam_to_cam: Path, number: int) -> Size | None:

@@ -26,12 +26,12 @@ from conetl.geometry.camera import matrix_k
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Rig
 from conetl.readers.rigs.common import (
-    LENGTH_UNITS,
     Array,
     Size,
     bad,
     camera_from_matrix,
     entry,
+    metres,
     numbers,
     numbers_at,
     opencv_coefficients,
@@ -61,16 +61,9 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
         raise bad(path, "CameraParameters1", f"is missing; found {names or 'nothing'}. {_HOW}")
     left = _camera(path, entry(path, found, "CameraParameters1"), "CameraParameters1.", image_size)
     right = _camera(path, entry(path, found, "CameraParameters2"), "CameraParameters2.", image_size)
-    unit = (length_unit or _unit(found)).lower()
-    if unit not in LENGTH_UNITS:
-        known = ", ".join(LENGTH_UNITS)
-        raise bad(
-            path,
-            "WorldUnits",
-            f"{shown(unit)} is not a known unit; known: {known}. Give it with conetl rig convert --unit mm",
-        )
+    unit_m = metres(path, "WorldUnits", (length_unit or _unit(found)).lower())
     key, right_R_left, t = _relative(path, found)
-    return stereo_rig(path, key, "matlab", left, right, right_R_left, t * LENGTH_UNITS[unit])
+    return stereo_rig(path, key, "matlab", left, right, se3.se3(right_R_left, t * unit_m))
 
 
 def _relative(path: Path, found: Mapping[str, Any]) -> tuple[str, Array, Array]:

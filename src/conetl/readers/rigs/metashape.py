@@ -18,16 +18,17 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Lens, Rig
 from conetl.readers.rigs.common import (
-    LENGTH_UNITS,
     Array,
     Pair,
     bad,
     camera_from_matrix,
     choose_pair,
     fisheye_lens,
+    metres,
     numbers,
     opencv_lens,
     read_xml,
+    rotation,
     size_of_images,
     stereo_rig,
 )
@@ -71,16 +72,12 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
             "(master_id) of the other, nor have they the same"
         )
     left_camera, right_camera = (_camera(path, by_name[name], name) for name in (left, right))
-    return stereo_rig(
-        path, f"{right}.location", "metashape", left_camera, right_camera, right_SE3_left[:3, :3], right_SE3_left[:3, 3]
-    )
+    return stereo_rig(path, f"{right}.location", "metashape", left_camera, right_camera, right_SE3_left)
 
 
 def _unit_m(path: Path, chunk: Element, length_unit: str | None) -> float:
     if length_unit is not None:
-        if length_unit not in LENGTH_UNITS:
-            raise bad(path, "location", f"needs a known unit: {', '.join(LENGTH_UNITS)}, found {shown(length_unit)}")
-        return LENGTH_UNITS[length_unit]
+        return metres(path, "location", length_unit)
     for place in ("transform/scale", "components/component/transform/scale"):
         for scale in chunk.findall(place):
             value = numbers(path, "transform.scale", (scale.text or "").strip(), (1,))[0]
@@ -94,10 +91,8 @@ def _unit_m(path: Path, chunk: Element, length_unit: str | None) -> float:
 
 def _pose(path: Path, sensor: Element, name: str, unit_m: float) -> Array:
     """master_SE3_sensor (4, 4)."""
-    rotation = _numbers(path, sensor, "rotation", name, 9).reshape(3, 3)
-    if not se3.is_rotation(rotation):
-        raise bad(path, f"{name}.rotation", "is not a rotation")
-    return se3.se3(se3.nearest_rotation(rotation), unit_m * _numbers(path, sensor, "location", name, 3))
+    turn = rotation(path, f"{name}.rotation", _numbers(path, sensor, "rotation", name, 9).reshape(3, 3))
+    return se3.se3(turn, unit_m * _numbers(path, sensor, "location", name, 3))
 
 
 def _numbers(path: Path, sensor: Element, key: str, name: str, count: int) -> Array:

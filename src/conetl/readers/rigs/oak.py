@@ -29,6 +29,7 @@ from conetl.readers.rigs.common import (
     numbers,
     numbers_at,
     opencv_lens,
+    rotation,
     size_of_images,
     stereo_rig,
 )
@@ -64,7 +65,7 @@ def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     if (left, right) == stated:
         _check(path, rectification, right_SE3_left)
     left_camera, right_camera = (_camera(path, cameras[name], f"cameraData.{name}.") for name in (left, right))
-    return stereo_rig(path, key, "oak", left_camera, right_camera, right_SE3_left[:3, :3], right_SE3_left[:3, 3])
+    return stereo_rig(path, key, "oak", left_camera, right_camera, right_SE3_left)
 
 
 def _socket(value: Any) -> str:
@@ -115,12 +116,11 @@ def _pose(path: Path, camera: Mapping[str, Any], where: str) -> tuple[str, Array
     unit = extrinsics.get("lengthUnit", 1)
     if type(unit) is not int or unit not in _UNITS_M:
         raise bad(path, f"{where}lengthUnit", f"must be 0 (m), 1 (cm) or 2 (mm), found {shown(unit)}")
-    rotation = numbers_at(path, extrinsics, "rotationMatrix", (3, 3), where)
+    matrix = numbers_at(path, extrinsics, "rotationMatrix", (3, 3), where)
     shift = entry(path, extrinsics, "translation", where)
     t = numbers(path, f"{where}translation", [entry(path, shift, axis, f"{where}translation.") for axis in "xyz"], (3,))
-    if not se3.is_rotation(rotation):
-        raise bad(path, f"{where}rotationMatrix", "is not a rotation")
-    return _socket(extrinsics["toCameraSocket"]), se3.se3(se3.nearest_rotation(rotation), _UNITS_M[unit] * t)
+    turn = rotation(path, f"{where}rotationMatrix", matrix)
+    return _socket(extrinsics["toCameraSocket"]), se3.se3(turn, _UNITS_M[unit] * t)
 
 
 def _check(path: Path, rectification: Mapping[str, Any], right_SE3_left: Array) -> None:

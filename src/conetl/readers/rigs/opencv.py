@@ -26,11 +26,11 @@ from conetl.geometry.camera import matrix_k
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Rig, Side
 from conetl.readers.rigs.common import (
-    LENGTH_UNITS,
     Size,
     bad,
     camera_from_matrix,
     fisheye_lens,
+    metres,
     numbers,
     opencv_coefficients,
     opencv_lens,
@@ -134,12 +134,9 @@ def read_opencv_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     if r.size == 3:  # as a rotation vector
         r = np.asarray(cv2.Rodrigues(r)[0], dtype=np.float64)
     stated = next((str(content[name]) for name in _UNIT_NAMES if name in content), "m")
-    unit = length_unit or stated
-    if unit not in LENGTH_UNITS:
-        raise bad(first, "length_unit", f"must be one of {', '.join(LENGTH_UNITS)}, found {shown(unit)}")
-    t = numbers(first, key_t, translation, (3,)) * LENGTH_UNITS[unit]
-    key = f"{key_r}, {key_t}"
-    return stereo_rig(first, key, "opencv", cameras["left"], cameras["right"], numbers(first, key_r, r, (3, 3)), t)
+    t = numbers(first, key_t, translation, (3,)) * metres(first, "length_unit", length_unit or stated)
+    pose = se3.se3(numbers(first, key_r, r, (3, 3)), t)
+    return stereo_rig(first, f"{key_r}, {key_t}", "opencv", cameras["left"], cameras["right"], pose)
 
 
 def _files(path: Path) -> dict[str, Path]:

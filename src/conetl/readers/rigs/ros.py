@@ -20,7 +20,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Lens, Rig
+from conetl.model.records import Camera, Rig
 from conetl.readers.rigs.common import (
     Array,
     Pair,
@@ -32,6 +32,7 @@ from conetl.readers.rigs.common import (
     numbers_at,
     opencv_coefficients,
     opencv_lens,
+    rotation,
     size_of_images,
     stereo_rig,
     write_yaml,
@@ -75,9 +76,9 @@ def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
         left, right = _camera(left_path, read_yaml(left_path))[0], _camera(right_path, read_yaml(right_path))[0]
         key = "left_SE3_right"
         relative = entry(extrinsics, read_yaml(extrinsics), key)
-        rotation = numbers_at(extrinsics, relative, "R", (3, 3), f"{key}.")
+        turn = numbers_at(extrinsics, relative, "R", (3, 3), f"{key}.")
         shift = numbers_at(extrinsics, relative, "t_m", (3,), f"{key}.")
-        return stereo_rig(extrinsics, key, "ros", left, right, rotation.T, -rotation.T @ shift)
+        return stereo_rig(extrinsics, key, "ros", left, right, se3.invert(se3.se3(turn, shift)))
     return rig_of_camera_infos(left_path, read_yaml(left_path), right_path, read_yaml(right_path))
 
 
@@ -97,8 +98,7 @@ def rig_of_camera_infos(left_path: Path, left_info: Any, right_path: Path, right
         raise bad(right_path, key, f"must have a positive focal length, found {right_p[0, 0]:g}")
     centre = np.array([-right_p[0, 3] / right_p[0, 0], 0.0, 0.0])  # of the right camera, in the common rectified frame
     # x_rect = left_R x_left and x_rect = right_R x_right + centre
-    right_R_left = right_R.T @ left_R
-    return stereo_rig(right_path, key, "ros", left, right, right_R_left, -right_R.T @ centre)
+    return stereo_rig(right_path, key, "ros", left, right, se3.se3(right_R.T @ left_R, -right_R.T @ centre))
 
 
 def _camera(path: Path, content: Any) -> tuple[Camera, Array, Array]:
@@ -114,11 +114,9 @@ def _camera(path: Path, content: Any) -> tuple[Camera, Array, Array]:
     key = "distortion_coefficients"
     lens = (fisheye_lens if model == "equidistant" else opencv_lens)(path, key, numbers_at(path, content, key))
     k = numbers_at(path, content, "camera_matrix", (3, 3))
-    rotation = numbers_at(path, content, "rectification_matrix", (3, 3))
-    if not se3.is_rotation(rotation):
-        raise bad(path, "rectification_matrix", "is not a rotation")
+    turn = rotation(path, "rectification_matrix", numbers_at(path, content, "rectification_matrix", (3, 3)))
     projection = numbers_at(path, content, "projection_matrix", (3, 4))
-    return camera_from_matrix(path, "camera_matrix", k, size, lens), se3.nearest_rotation(rotation), projection
+    return camera_from_matrix(path, "camera_matrix", k, size, lens), turn, projection
 
 
 def write_ros_rig(rig: Rig, folder: Path) -> None:
@@ -148,16 +146,14 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
             "image_height": camera.height_px,
             "camera_name": name,
             "camera_matrix": _matrix(matrix_k(camera)),
-            "distortion_model": _model(camera.lens),
+            "distortion_model": {"fisheye": "equidistant", "rational": "rational_polynomial"}.get(
+                camera.lens.model, "plumb_bob"
+            ),
             "distortion_coefficients": _matrix(np.array([opencv_coefficients(camera.lens)])),
             "rectification_matrix": _matrix(turn.T),
             "projection_matrix": _matrix(projection),
         }
         write_yaml(folder / f"{name}.yaml", content)
-
-
-def _model(lens: Lens) -> str:
-    return {"fisheye": "equidistant", "rational": "rational_polynomial"}.get(lens.model, "plumb_bob")
 
 
 def _matrix(values: Array) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conetl.files.documents import MAX_SHOWN, read_limited, shown
+from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError
 from conetl.model.records import MIN_BASELINE_M, Camera, Lens, Rig
 from conetl.readers.rigs.common import LENGTH_UNITS, Size, bad, camera_from_matrix, numbers_at, opencv_lens, stereo_rig
@@ -49,8 +50,8 @@ def read_zed_rig(path: Path, *, image_size: Size | None = None) -> Rig:
         raise bad(
             path, f"STEREO.RX_{name}, CV_{name}, RZ_{name}", f"must be small angles in radians, found {shown(turn)}"
         )
-    right_R_left = Rotation.from_rotvec(turn).as_matrix()
-    return stereo_rig(path, key, "zed", left, right, right_R_left, LENGTH_UNITS["mm"] * np.array([-baseline, ty, tz]))
+    shift_m = LENGTH_UNITS["mm"] * np.array([-baseline, ty, tz])
+    return stereo_rig(path, key, "zed", left, right, se3.se3(Rotation.from_rotvec(turn).as_matrix(), shift_m))
 
 
 def _sections(path: Path) -> Sections:

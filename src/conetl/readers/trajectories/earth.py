@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Iterator
 from pathlib import Path, PurePath
 
@@ -17,9 +16,9 @@ from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 from pyproj.exceptions import CRSError, ProjError
-from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from conetl.files.documents import shown
+from conetl.geometry import heights
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Floats, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -74,11 +73,8 @@ def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
             raise DriveFolderError(f"drive.yaml: trajectory.{key}: {shown(crs.name)} is not the name of a frame")
     source, target = (crs.to_3d() for crs in known.values())
     lat, lon = (float(value) for value in start[:2])
-    area = AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05) if abs(lon) < 179 and abs(lat) < 89 else None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a missing grid counts as no transformation
-            group = TransformerGroup(source, target, True, area, allow_ballpark=False)
+        group = heights.operations(source, target, heights.around(lon, lat))
     except (ProjError, CRSError, ValueError) as error:
         raise DriveFolderError(f"drive.yaml: trajectory.frame, map_frame: {shown(str(error))}") from error
     if not group.transformers or not group.best_available:
@@ -136,7 +132,8 @@ def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path
             f"{path}: has easting and northing, but does not say of which coordinate reference system: put "
             "trajectory: {crs: 'EPSG:25832'} into drive.yaml"
         )
-    if reading.heights == "sea level" and settings.heights is None and not _has_vertical(settings):
+    stated = settings.heights is not None or (settings.crs is not None and _crs(settings.crs, "crs").is_compound)
+    if reading.heights == "sea level" and not stated:
         raise DriveFolderError(
             f"{path}: its heights are above the sea, the map's are above the WGS 84 ellipsoid: put the geoid into drive.yaml, "
             "trajectory: {heights: 'EPSG:5773'} (EGM96), or export ellipsoidal heights"
@@ -148,10 +145,6 @@ def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path
 def is_geocentric(settings: TrajectoryFile) -> bool:
     """Whether the CRS of the settings has its origin in the earth's centre. Raises DriveFolderError if PROJ does not know it."""
     return settings.crs is not None and _crs(settings.crs, "crs").is_geocentric
-
-
-def _has_vertical(settings: TrajectoryFile) -> bool:
-    return settings.crs is not None and _crs(settings.crs, "crs").is_compound
 
 
 def _crs(text: str, key: str) -> CRS:
@@ -197,15 +190,12 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
         lon, lat = Transformer.from_crs(
             flat, CRS(4979) if flat.is_geocentric else flat.geodetic_crs, always_xy=True
         ).transform(x, y, start[2])[:2]
-        area = AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05) if math.isfinite(lon + lat) else None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a missing grid is reported below
-            group = TransformerGroup(source, CRS(4979), True, area, allow_ballpark=False)
+        group = heights.operations(source, CRS(4979), heights.around(lon, lat))
     except (ProjError, CRSError, ValueError) as error:
         raise DriveFolderError(
             f"{path}: no transformation from {shown(source.name)} to WGS 84: {shown(str(error))}"
         ) from error
-    missing = [grid.short_name for op in group.unavailable_operations[:1] for grid in op.grids if not grid.available]
+    missing = heights.missing_grids(group)
     if not group.transformers or (missing and not group.best_available):
         raise DriveFolderError(_missing(path, source.name, missing))
     return [group.transformers[0], *after], _accuracy_m(group.transformers[0])
@@ -252,8 +242,5 @@ def _missing(path: Path, what: str, grids: list[str]) -> str:
 
 def _accuracy_m(transformer: Transformer) -> float:
     """Stated accuracy of the steps of a transformation that are more than a change of names, metres."""
-    found = 0.0
-    for operation in transformer.operations or ():
-        if operation.accuracy > 0 and (operation.grids or operation.accuracy > _NOMINAL_M):
-            found = math.hypot(found, operation.accuracy)
-    return found
+    done = transformer.operations or ()
+    return math.hypot(*(one.accuracy for one in done if one.accuracy > 0 and (one.grids or one.accuracy > _NOMINAL_M)))

@@ -17,7 +17,7 @@ import numpy as np
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.text import head_bytes
+from conetl.readers.trajectories.text import floats, head_bytes
 from conetl.readers.trajectories.times import TimeFormat, TimeReader, time_reader
 
 _BLOCK = 1 << 20
@@ -69,16 +69,8 @@ class _Points:
         self.key = None
         if tag.rpartition(":")[2] == "trkpt" and self.point is not None:
             point, self.point = self.point, None
-            numbers = [_number(point.get(key, "")) for key in ("lat", "lon", "ele", "geoidheight")]
-            line = self.parser.CurrentLineNumber
-            self.rows.append((numbers[0], numbers[1], numbers[2], numbers[3], point.get("time", ""), line))
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
+            lat, lon, ele, geoid = floats([point.get(key, "") for key in ("lat", "lon", "ele", "geoidheight")]).tolist()
+            self.rows.append((lat, lon, ele, geoid, point.get("time", ""), self.parser.CurrentLineNumber))
 
 
 def _records(path: Path, settings: TrajectoryFile, unstated: bool) -> Iterator[Records]:

@@ -123,7 +123,8 @@ def assembled(
             wrong.setdefault(i, f"the time {clock_problem(int(piece.times_ns[i]))}")
         if good.any():
             found_ns += [int(piece.times_ns[good].min()), int(piece.times_ns[good].max())]
-        inside = good & _within(piece.times_ns, between_ns)
+        first_ns, last_ns = between_ns or (-(2**63), 2**63 - 1)
+        inside = good & (piece.times_ns >= first_ns) & (piece.times_ns <= last_ns)
         if wrong:
             names = dict(enumerate(piece.names)) if piece.names is not None else {}
             for i, text in sorted(wrong.items()):
@@ -184,12 +185,6 @@ def problems(piece: Records, is_local: bool) -> dict[int, str]:
             "the attitude is not one of finite numbers (a quaternion: of length 1)",
         )
     return wrong
-
-
-def _within(times_ns: Times, between_ns: tuple[int, int] | None) -> NDArray[np.bool_]:
-    if between_ns is None:
-        return np.ones(len(times_ns), np.bool_)
-    return (times_ns >= between_ns[0]) & (times_ns <= between_ns[1])
 
 
 def _of(between_ns: tuple[int, int] | None, found_ns: list[int]) -> str:

@@ -20,12 +20,12 @@ _BLOCK = 4 << 20
 _HEAD = 65_536
 
 
-def head_bytes(path: Path, count: int = _HEAD) -> bytes:
+def head_bytes(path: Path) -> bytes:
     """The first bytes of a file. Raises DriveFolderError where it cannot be read or is larger than a trajectory may be."""
     with named(path, DriveFolderError), path.open("rb") as file:
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise DriveFolderError(f"{path}: expected at most {MAX_TEXT_BYTES:,} bytes")
-        return file.read(count)
+        return file.read(_HEAD)
 
 
 def encoding_of(head: bytes) -> str:
@@ -42,7 +42,8 @@ def encoding_of(head: bytes) -> str:
 def head_lines(path: Path) -> list[str]:
     """The lines among the first bytes of a file, without the last one if it is cut. Raises DriveFolderError."""
     head = head_bytes(path)
-    lines = _lines(head.decode(encoding_of(head), errors="replace"))
+    text = head.decode(encoding_of(head), errors="replace")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return lines[:-1] if len(head) == _HEAD else lines
 
 
@@ -62,10 +63,6 @@ def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
         raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
     if rest:
         yield number, [rest]
-
-
-def _lines(text: str) -> list[str]:
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
 def split_line(line: str, delimiter: str | None) -> list[str]:
