@@ -11,15 +11,13 @@ from conetl.cli.database import open_map
 from conetl.cli.map.decisions import By, Note, finish, who_decides
 from conetl.db.map.hold_store import held_drives
 from conetl.db.map.map_store import list_changesets
-from conetl.pipeline.settings import read_settings
 
 
 def held(map_name: MapOption = None, as_json: JsonOption = False) -> None:
     """List the drives on hold, and why."""
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        found = held_drives(conn, map_name=settings.map_name)
-        known = {one.changeset_id: one for one in list_changesets(conn, map_name=settings.map_name)}
+    with open_map(map_name) as (conn, info):
+        found = held_drives(conn, map_name=info.map_name)
+        known = {one.changeset_id: one for one in list_changesets(conn, map_name=info.map_name)}
     if as_json:
         print_json([vars(known[one.changeset_id]) | one.model_dump(mode="json") for one in found])
         return
@@ -38,7 +36,6 @@ def accept(
     """Let a drive on hold count as it is: it is compared with the map, and so are later drives over the same roads."""
     from conetl.pipeline.maps.decisions import accept_drive
 
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        decided = accept_drive(conn, drive, map_name=settings.map_name, note=note, decided_by=who_decides(by))
-        finish(conn, decided, settings, as_json)
+    with open_map(map_name) as (conn, info):
+        decided = accept_drive(conn, drive, map_name=info.map_name, note=note, decided_by=who_decides(by))
+        finish(conn, decided, info.map_name, as_json)

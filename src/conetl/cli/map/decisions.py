@@ -16,7 +16,7 @@ from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import list_changesets
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.map_records import FeatureVersion
-from conetl.pipeline.settings import Settings, read_settings
+from conetl.pipeline.settings import read_settings
 
 if TYPE_CHECKING:
     from conetl.pipeline.maps.decisions import DecisionOutcome
@@ -36,7 +36,7 @@ def suppress(
     as_json: JsonOption = False,
 ) -> None:
     """Mark a feature as a false positive: no cone is added here, whatever drives detect."""
-    _decide_place("suppress", feature, radius, note, by, read_settings(map_name), as_json)
+    _decide_place("suppress", feature, radius, note, by, map_name, as_json)
 
 
 def pin(
@@ -48,7 +48,7 @@ def pin(
     as_json: JsonOption = False,
 ) -> None:
     """Fix a cone: drives may confirm it, but neither move nor remove it."""
-    _decide_place("pin", feature, radius, note, by, read_settings(map_name), as_json)
+    _decide_place("pin", feature, radius, note, by, map_name, as_json)
 
 
 def classify(
@@ -61,7 +61,7 @@ def classify(
     as_json: JsonOption = False,
 ) -> None:
     """Correct the class of an object: what drives detect here as its present class is another one."""
-    _decide_place("classify", feature, radius, note, by, read_settings(map_name), as_json, category)
+    _decide_place("classify", feature, radius, note, by, map_name, as_json, category)
 
 
 def revert(
@@ -76,13 +76,12 @@ def revert(
     """Undo a changeset (its drive no longer counts) or a decision. Nothing is lost: revert the revert to restore it."""
     from conetl.pipeline.maps import decisions
 
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        decided = decisions.revert(conn, what, map_name=settings.map_name, note=note, decided_by=who_decides(by))
-        numbers = {c.changeset_id: c.changeset_no for c in list_changesets(conn, map_name=settings.map_name)}
+    with open_map(map_name) as (conn, info):
+        decided = decisions.revert(conn, what, map_name=info.map_name, note=note, decided_by=who_decides(by))
+        numbers = {c.changeset_id: c.changeset_no for c in list_changesets(conn, map_name=info.map_name)}
         if not as_json:
             _print_conflicts(decided, numbers)
-        finish(conn, decided, settings, as_json)
+        finish(conn, decided, info.map_name, as_json)
 
 
 def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> None:
@@ -103,9 +102,8 @@ def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> N
 
 def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
     """List the decisions in force."""
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        found = list_decisions(conn, map_name=settings.map_name)
+    with open_map(map_name) as (conn, info):
+        found = list_decisions(conn, map_name=info.map_name)
     if as_json:
         print_json(found)
         return
@@ -132,18 +130,18 @@ def _decide_place(
     radius: float,
     note: str,
     by: str | None,
-    settings: Settings,
+    map_name: str | None,
     as_json: bool,
     category: str | None = None,
 ) -> None:
     from conetl.pipeline.maps.decisions import decide_place
 
-    with open_map(settings) as conn:
+    with open_map(map_name) as (conn, info):
         decided = decide_place(
-            conn, kind, feature, map_name=settings.map_name, radius_m=radius, category=category, note=note,
+            conn, kind, feature, map_name=info.map_name, radius_m=radius, category=category, note=note,
             decided_by=who_decides(by),
         )  # fmt: skip
-        finish(conn, decided, settings, as_json)
+        finish(conn, decided, info.map_name, as_json)
 
 
 def who_decides(by: str | None) -> str:
@@ -154,7 +152,7 @@ def who_decides(by: str | None) -> str:
         raise InputError("the login name is unknown: give the name of the person who decides with --by NAME") from error
 
 
-def finish(conn: Connection, decided: DecisionOutcome, settings: Settings, as_json: bool) -> None:
+def finish(conn: Connection, decided: DecisionOutcome, map_name: str, as_json: bool) -> None:
     """Print what a decision did, and write the QA reports of the drives again whose state it changed. Exits with 1 where a report
     cannot be written: the decision is made."""
     if as_json:
@@ -170,7 +168,7 @@ def finish(conn: Connection, decided: DecisionOutcome, settings: Settings, as_js
             say(change.sentence)
     from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load
 
-    problem = publish_decision(conn, decided, settings)
+    problem = publish_decision(conn, decided, read_settings(map_name))
     if problem is not None:
         complain(problem)
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
