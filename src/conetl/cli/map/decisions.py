@@ -1,4 +1,4 @@
-"""`conetl map suppress|pin|classify|revert|decisions`: decisions of people about the map."""
+"""`conetl map suppress|pin|classify|revert|decisions`, `conetl drive held|accept`: decisions of people about the map."""
 
 from __future__ import annotations
 
@@ -9,10 +9,21 @@ from uuid import UUID
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, MapOption, complain, counted, print_json, print_records, say
+from conetl.cli.console import (
+    Columns,
+    JsonOption,
+    MapOption,
+    complain,
+    counted,
+    print_held,
+    print_json,
+    print_records,
+    say,
+)
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import list_decisions
+from conetl.db.map.hold_store import held_drives
 from conetl.db.map.map_store import list_changesets
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.map_records import FeatureVersion
@@ -122,6 +133,34 @@ def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
     print_records("", columns, found, numbers_from=4)
     if not found:
         say("No decisions.")
+
+
+def held(map_name: MapOption = None, as_json: JsonOption = False) -> None:
+    """List the drives on hold, and why."""
+    with open_map(map_name) as (conn, info):
+        found = held_drives(conn, map_name=info.map_name)
+        known = {one.changeset_id: one for one in list_changesets(conn, map_name=info.map_name)}
+    if as_json:
+        print_json([vars(known[one.changeset_id]) | one.model_dump(mode="json") for one in found])
+        return
+    print_held(found)
+    if not found:
+        say("No drive is on hold.")
+
+
+def accept(
+    drive: Annotated[str, typer.Argument(help="Drive on hold: its id, or the number of its changeset.")],
+    note: Note = "",
+    by: By = None,
+    map_name: MapOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Let a drive on hold count as it is: it is compared with the map, and so are later drives over the same roads."""
+    from conetl.pipeline.maps.decisions import accept_drive
+
+    with open_map(map_name) as (conn, info):
+        decided = accept_drive(conn, drive, map_name=info.map_name, note=note, decided_by=who_decides(by))
+        finish(conn, decided, info.map_name, as_json)
 
 
 def _decide_place(
