@@ -14,7 +14,7 @@ from prefect.artifacts import (
     update_progress_artifact,
 )
 
-from conetl.files.names import as_markdown
+from conetl.files.names import as_markdown, minutes
 from conetl.model.health import what_to_do
 from conetl.pipeline.backfill_plan import reasons
 
@@ -145,12 +145,3 @@ def sentence(standing: Standing) -> str:
     when = "" if left is None else f", about {minutes(left)} left"
     counts = f"{len(standing.ended)} of {standing.todo} drives ({len(standing.failed)} failed), {len(standing.running)} in work"
     return counts + rate + when
-
-
-def minutes(seconds: float) -> str:
-    """A time span in words."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"

@@ -90,6 +90,17 @@ def services_home(pytestconfig: pytest.Config) -> Path:
 
 
 @pytest.fixture(scope="session")
+def sample_settings(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Any:
+    """Settings of all that analyse the sample drives: what one test has computed the others read, on whatever worker."""
+    from conetl.pipeline.settings import Settings
+
+    folder = tmp_path_factory.getbasetemp()
+    home = (folder.parent if hasattr(pytestconfig, "workerinput") else folder) / "samples-home"
+    home.mkdir(mode=0o700, exist_ok=True)
+    return Settings(home=home, workers=2)
+
+
+@pytest.fixture(scope="session")
 def template_database(cluster_url: str, pytestconfig: pytest.Config) -> str:
     """A migrated database that each test clones."""
     from conetl.db.connection import connect, execute

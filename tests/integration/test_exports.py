@@ -20,8 +20,7 @@ from conetl.db.connection import address, execute
 from conetl.db.map.map_store import read_current_features
 from conetl.exports.export import export_map
 from conetl.exports.geojson import export_geojson
-from conetl.exports.kind_marks import KIND_MARKS
-from conetl.exports.markings import PAINT
+from conetl.exports.kind_marks import KIND_MARKS, PAINT
 from conetl.exports.qgis_project import _iso, write_qgis_project
 from conetl.exports.source import ExportRequest, What
 from conetl.exports.text_files import iso_utc

@@ -305,20 +305,16 @@ def empty(drive: Path) -> None:
     drive.mkdir()
 
 
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [(remove_key, "P_rect_03"), (empty, "small"), (shutil.rmtree, "no such drive folder")],
-    ids=["calibration without a key", "empty folder", "no such path"],
-)
-def test_bad_input_is_named_and_writes_nothing(
-    desk: Desk, small_drive: Path, spoil: Callable[[Path], None], message: str
-) -> None:
-    spoil(small_drive)
-    result = desk.run("ingest", small_drive)
+def test_bad_input_is_named_and_writes_nothing(desk: Desk, tmp_path: Path) -> None:
+    keyless, hollow = (part_of(DRIVES[0], tmp_path / name, 2) for name in ("keyless", "hollow"))
+    remove_key(keyless)
+    empty(hollow)
+    result = desk.run("ingest", keyless, hollow)
     assert result.code == 2
-    assert message in result.err
+    assert "P_rect_03" in result.err and "hollow" in result.err
     assert "Traceback" not in result.err
     assert "Prefect" not in result.err  # nobody waits for services to hear that
+    assert "no such drive folder" in desk.ask("ingest", tmp_path / "nowhere", code=2)
     assert not any(desk.final_tables().values())
 
 

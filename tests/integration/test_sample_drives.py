@@ -34,17 +34,12 @@ PARAMS = IngestParams()
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
-    return Settings(home=tmp_path_factory.mktemp("home"), workers=2)
-
-
-@pytest.fixture(scope="module")
-def sightings(settings: Settings) -> dict[Path, AnalysedDrive]:
+def sightings(sample_settings: Settings) -> dict[Path, AnalysedDrive]:
     """What the steps make of each drive."""
     found = {}
     for drive in DRIVES:
         srid = read_truth_cones(drive / "truth.csv")[1]
-        found[drive] = analyse_folder(drive, settings, PARAMS, map_srid=srid)
+        found[drive] = analyse_folder(drive, sample_settings, PARAMS, map_srid=srid)
     return found
 
 
@@ -82,8 +77,8 @@ def results(sightings: dict[Path, AnalysedDrive]) -> AnalysedDrive:
     return sightings[DRIVE]
 
 
-def test_the_same_cones_at_the_same_places(settings: Settings, results: AnalysedDrive) -> None:
-    whole = analyse_folder(DRIVE, settings, EVERYWHERE)
+def test_the_same_cones_at_the_same_places(sample_settings: Settings, results: AnalysedDrive) -> None:
+    whole = analyse_folder(DRIVE, sample_settings, EVERYWHERE)
     count = {
         side: [sum(d.side == side for d in r.records.detections) for r in (whole, results)]
         for side in ("left", "right")
@@ -99,33 +94,33 @@ def test_the_same_cones_at_the_same_places(settings: Settings, results: Analysed
 
 @pytest.mark.parametrize("covered", ["image_02", "image_03"])
 def test_a_covered_lens_removes_nothing(
-    tmp_path: Path, settings: Settings, results: AnalysedDrive, covered: str
+    tmp_path: Path, sample_settings: Settings, results: AnalysedDrive, covered: str
 ) -> None:
     """What one camera still shows is not gone, whichever it is: a drive with one of them covered tells nothing."""
     drive = _with_covered(covered, tmp_path)
-    assert _removed_by(drive, settings, results) == 0
+    assert _removed_by(drive, sample_settings, results) == 0
 
 
 def test_a_covered_lens_removes_nothing_beside_broken_images(
-    tmp_path: Path, settings: Settings, results: AnalysedDrive
+    tmp_path: Path, sample_settings: Settings, results: AnalysedDrive
 ) -> None:
     """Just those right images that were to tell whether the others need to be searched."""
     drive = _with_covered("image_02", tmp_path)
     for frame_pairs in (results.drive.frame_pairs[:20], results.drive.frame_pairs[20:]):
         for middle, _ in blocks_of(len(frame_pairs), PARAMS):
             spoil_huffman_table(drive / "image_03" / "data" / Path(frame_pairs[middle].right_path).name)
-    assert _removed_by(drive, settings, results) == 0
+    assert _removed_by(drive, sample_settings, results) == 0
 
 
 def test_a_drive_without_a_whole_right_image_looks_at_nothing(
-    tmp_path: Path, settings: Settings, results: AnalysedDrive
+    tmp_path: Path, sample_settings: Settings, results: AnalysedDrive
 ) -> None:
     """Not even at an empty street, where no right image but those of some pairs would have to be searched."""
     drive = _with_covered("image_02", tmp_path)
     for path in (drive / "image_03" / "data").iterdir():
         spoil_huffman_table(path)
     with pytest.raises(DriveFolderError, match=r"not one of \d+ frame pairs"):
-        _removed_by(drive, settings, results)
+        _removed_by(drive, sample_settings, results)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +154,7 @@ def _with_covered(covered: str, folder: Path) -> Path:
     return drive
 
 
-def _removed_by(drive: Path, settings: Settings, before: AnalysedDrive) -> int:
+def _removed_by(drive: Path, sample_settings: Settings, before: AnalysedDrive) -> int:
     """How many of the cones that `before` put on the map a drive, which finds none, takes from it."""
     features = [
         delta.new.model_copy(update={"last_seen_ns": 1, "first_seen_ns": 0})
@@ -170,7 +165,7 @@ def _removed_by(drive: Path, settings: Settings, before: AnalysedDrive) -> int:
     # Poses as they are logged: odometry has nothing to go by.
     trajectory = PARAMS.trajectory.model_copy(update={"refine": False})
     params = PARAMS.model_copy(update={"trajectory": trajectory})
-    dark_drive = analyse_folder(drive, settings, params)
+    dark_drive = analyse_folder(drive, sample_settings, params)
     assert dark_drive.tracks == []
     evidence = read_model_card(None).evidence
     assert evidence is not None

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -19,13 +20,16 @@ from conetl.cli.tools.calibrate import calibrate
 from conetl.model.errors import CalibrationError, InputError
 from conetl.readers.rigs import read_rig
 from tests.command import ROOT
-from tests.integration.conftest import conetl_process
+from tests.integration.conftest import command_line
 
 IMAGE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
 
 
-def detect(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
-    return conetl_process(folder / "home", "", "detect", *arguments, folder=folder)
+@pytest.fixture
+def detect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """`conetl detect --json` in a folder of the test's own."""
+    monkeypatch.chdir(tmp_path)
+    return partial(command_line(tmp_path / "home", ""), "detect", "--json")
 
 
 @pytest.fixture
@@ -36,11 +40,8 @@ def small_image(tmp_path: Path) -> Path:
     return path
 
 
-def test_boxes_and_annotated_copies_are_written_into_new_folders(tmp_path: Path) -> None:
-    done = detect(
-        IMAGE, "--out", tmp_path / "new" / "found.json", "--draw", tmp_path / "drawn" / "deep", folder=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
+def test_boxes_and_annotated_copies_are_written_into_new_folders(detect: Callable[..., str], tmp_path: Path) -> None:
+    detect(IMAGE, "--out", tmp_path / "new" / "found.json", "--draw", tmp_path / "drawn" / "deep")
     found = json.loads((tmp_path / "new" / "found.json").read_text())
     assert found
     assert {"file_name", "category", "bbox", "score", "foot", "tip"} <= set(found[0])
@@ -48,27 +49,27 @@ def test_boxes_and_annotated_copies_are_written_into_new_folders(tmp_path: Path)
 
 
 @pytest.mark.parametrize("option", ["--out", "--draw"])
-def test_a_path_that_cannot_be_written_is_bad_input(tmp_path: Path, small_image: Path, option: str) -> None:
+def test_a_path_that_cannot_be_written_is_bad_input(
+    detect: Callable[..., str], tmp_path: Path, small_image: Path, option: str
+) -> None:
     (tmp_path / "file").write_text("taken")
-    done = detect(small_image, option, tmp_path / "file" / "below", folder=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert "cannot be written" in done.stderr and "Traceback" not in done.stderr
+    assert "cannot be written" in detect(small_image, option, tmp_path / "file" / "below", code=2)
     assert not (tmp_path / "detections.json").exists()
 
 
-def test_one_unreadable_image_costs_only_itself(tmp_path: Path, small_image: Path) -> None:
+def test_one_unreadable_image_costs_only_itself(small_image: Path, tmp_path: Path) -> None:
     (small_image.parent / "broken.jpg").write_bytes(b"\xff\xd8\xff\xe0 no image")
-    done = detect(small_image.parent, folder=tmp_path)
-    assert done.returncode == 1 and "broken.jpg" in done.stderr
+    arguments = ["detect", str(small_image.parent), "--out", str(tmp_path / "found.json"), "--json"]
+    done = CliRunner().invoke(app, arguments, env={"CONETL_HOME": str(tmp_path / "home")})
+    assert done.exit_code == 1 and "broken.jpg" in done.stderr
     result = json.loads(done.stdout)
     assert result["images"] == 2
     assert [Path(name).name for name in result["refused"]] == ["broken.jpg"]
 
 
-def test_nothing_is_written_where_no_image_can_be_read(tmp_path: Path) -> None:
+def test_nothing_is_written_where_no_image_can_be_read(detect: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "broken.png").write_bytes(b"\x89PNG no image")
-    done = detect(tmp_path / "broken.png", "--out", tmp_path / "found.json", folder=tmp_path)
-    assert done.returncode == 2
+    detect(tmp_path / "broken.png", "--out", tmp_path / "found.json", code=2)
     assert not (tmp_path / "found.json").exists()
 
 

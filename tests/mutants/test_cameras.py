@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from conetl.model.ingest_report import TooManyRejectionsError
 from conetl.model.map_records import DeltaKind
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
+from tests.conftest import cloned_database
 from tests.integration.small_drives import SAMPLES
 from tests.mutants.images import copy_drive
 from tests.mutants.table import RECORDINGS, SECOND
@@ -25,12 +27,20 @@ WRONG_SIDES = ("sides swapped", "images mirrored", "images upside down")
 FROZEN = ("both cameras frozen", "right camera frozen")
 
 
-@pytest.fixture
-def settings(database_url: str, tmp_path: Path) -> Settings:
+@pytest.fixture(scope="module")
+def first_day(module_database_url: str, sample_settings: Settings) -> Settings:
     """A map of the first sample drive."""
-    settings = Settings(home=tmp_path / "home", database_url=SecretStr(database_url), workers=2)
+    settings = sample_settings.model_copy(update={"database_url": SecretStr(module_database_url)})
     assert ingest(SAMPLES[0], settings=settings).counts[DeltaKind.ADDED] == 9
     return settings
+
+
+@pytest.fixture
+def settings(first_day: Settings, module_database_url: str, cluster_url: str) -> Iterator[Settings]:
+    """The same map in a database of the test's own."""
+    name = module_database_url.partition("@/")[2].partition("?")[0]
+    with cloned_database(cluster_url, name) as url:
+        yield first_day.model_copy(update={"database_url": SecretStr(url)})
 
 
 def next_day(name: str, folder: Path) -> Path:

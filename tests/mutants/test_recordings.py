@@ -49,24 +49,22 @@ def against_truth(analysed: AnalysedDrive, folder: Path) -> tuple[NDArray[np.flo
     return np.linalg.norm(off, axis=1), np.einsum("ni,nij,nj->n", off, np.linalg.inv(cov), off)
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Detections are made once for all mutants."""
-    return tmp_path_factory.mktemp("home")
-
-
 @pytest.mark.parametrize("recording", HELD, ids=lambda recording: recording.name)
-def test_a_recording_that_contradicts_itself_is_held(home: Path, tmp_path: Path, recording: WrongRecording) -> None:
+def test_a_recording_that_contradicts_itself_is_held(
+    sample_settings: Settings, tmp_path: Path, recording: WrongRecording
+) -> None:
     drive, _ = recording.read(FIRST, tmp_path)
     assert recording.cause is not None
-    reason = hold_reason(analyse(drive, settings=Settings(home=home, workers=2)).health)
+    reason = hold_reason(analyse(drive, settings=sample_settings).health)
     assert re.search(recording.cause, reason or "")
 
 
 @pytest.mark.parametrize("milliseconds", [-100, -50, 50, 100, 200])
-def test_an_offset_of_the_clocks_is_found_and_corrected(home: Path, milliseconds: int) -> None:
-    drive, _ = NAMED[f"clock {milliseconds:+d} ms"].read(SECOND, home)
-    analysed = analyse(drive, settings=Settings(home=home, workers=2))
+def test_an_offset_of_the_clocks_is_found_and_corrected(
+    sample_settings: Settings, tmp_path: Path, milliseconds: int
+) -> None:
+    drive, _ = NAMED[f"clock {milliseconds:+d} ms"].read(SECOND, tmp_path)
+    analysed = analyse(drive, settings=sample_settings)
     clock = analysed.trajectory.clock
     assert clock is not None and abs(1e3 * clock.offset_s - milliseconds) < 5.0
     assert hold_reason(analysed.health) is None
@@ -75,15 +73,15 @@ def test_an_offset_of_the_clocks_is_found_and_corrected(home: Path, milliseconds
     assert np.median(errors_m) <= 0.03 and chi2.max() < 18.4
 
 
-def test_a_small_offset_of_the_clocks_widens_the_sigmas(home: Path) -> None:
-    analysed = analyse(NAMED["clock +10 ms"].read(FIRST, home)[0], settings=Settings(home=home, workers=2))
+def test_a_small_offset_of_the_clocks_widens_the_sigmas(sample_settings: Settings, tmp_path: Path) -> None:
+    analysed = analyse(NAMED["clock +10 ms"].read(FIRST, tmp_path)[0], settings=sample_settings)
     assert against_truth(analysed, SAMPLES[0])[1].max() < 18.4
 
 
 @pytest.mark.parametrize("rows", [3])
-def test_right_images_some_rows_off_are_corrected(home: Path, tmp_path: Path, rows: int) -> None:
+def test_right_images_some_rows_off_are_corrected(sample_settings: Settings, tmp_path: Path, rows: int) -> None:
     drive, _ = NAMED[f"right images {rows} rows lower"].read(FIRST, tmp_path)
-    analysed = analyse(drive, settings=Settings(home=home, workers=2))
+    analysed = analyse(drive, settings=sample_settings)
     check = next(check for check in analysed.health if check.name.startswith("rows"))
     assert check.verdict is Verdict.CORRECTED and check.value == pytest.approx(rows, abs=0.3)
     assert hold_reason(analysed.health) is None
@@ -97,14 +95,14 @@ def test_images_alone_show_covered_lenses_and_shifted_columns(tmp_path: Path, re
 
 
 @pytest.mark.parametrize("folder", SAMPLES, ids=lambda folder: folder.name)
-def test_good_recordings_pass(home: Path, folder: Path) -> None:
-    checks = analyse(read_drive(folder)[0], settings=Settings(home=home, workers=2)).health
+def test_good_recordings_pass(sample_settings: Settings, folder: Path) -> None:
+    checks = analyse(read_drive(folder)[0], settings=sample_settings).health
     assert checks
     assert {check.verdict for check in checks} == {Verdict.PASS}, [c for c in checks if c.verdict is not Verdict.PASS]
 
 
-def test_a_drive_on_hold_changes_nothing_until_it_is_accepted(database_url: str, home: Path, tmp_path: Path) -> None:
-    settings = Settings(home=home, database_url=SecretStr(database_url), workers=2)
+def test_a_drive_on_hold_changes_nothing_until_it_is_accepted(database_url: str, sample_settings: Settings) -> None:
+    settings = sample_settings.model_copy(update={"database_url": SecretStr(database_url)})
     assert len(ingest(SAMPLES[0], settings=settings).changes) == 9
     drive, _ = read_drive(SAMPLES[1])
     moved = wrong.jump(5.0)(drive)
@@ -121,13 +119,15 @@ def test_a_drive_on_hold_changes_nothing_until_it_is_accepted(database_url: str,
         assert [(known.hold, known.counts) for known in list_changesets(conn)] == [(None, True)] * 2
 
 
-def test_ingest_of_a_drive_on_hold_ends_with_its_cause(database_url: str, home: Path, tmp_path: Path) -> None:
+def test_ingest_of_a_drive_on_hold_ends_with_its_cause(
+    database_url: str, sample_settings: Settings, tmp_path: Path
+) -> None:
     folder = tmp_path / "jumping"
     shutil.copytree(SAMPLES[0], folder)
     for path in sorted((folder / "oxts" / "data").iterdir())[20:]:
         latitude, *others = path.read_text().split()
         path.write_text(" ".join([str(float(latitude) + np.degrees(5.0 / 6_378_137.0)), *others]))
-    settings = Settings(home=home, database_url=SecretStr(database_url), workers=2)
+    settings = sample_settings.model_copy(update={"database_url": SecretStr(database_url)})
     for _ in range(2):  # a second time it is known, and on hold as before
         with pytest.raises(DriveOnHoldError, match=r"on hold .* jumps by 5.0 m .* conetl drive accept jumping") as held:
             ingest(folder, settings=settings)
@@ -139,8 +139,8 @@ def test_ingest_of_a_drive_on_hold_ends_with_its_cause(database_url: str, home: 
         assert not read_current_features(conn)
 
 
-def test_a_first_drive_on_hold_does_not_fix_the_crs_of_a_map(database_url: str, home: Path) -> None:
-    settings = Settings(home=home, database_url=SecretStr(database_url), workers=2)
+def test_a_first_drive_on_hold_does_not_fix_the_crs_of_a_map(database_url: str, sample_settings: Settings) -> None:
+    settings = sample_settings.model_copy(update={"database_url": SecretStr(database_url)})
     elsewhere = analyse(wrong.jump(5.0)(read_drive(SAMPLES[1])[0]), settings=settings)
     drive = elsewhere.records.drive.model_copy(update={"map_srid": 32633})
     elsewhere = replace(elsewhere, records=elsewhere.records._replace(drive=drive))

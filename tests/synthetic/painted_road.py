@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.mapping.history import DriveEvidence
-from conetl.mapping.marking_visibility import markings_in_view
-from conetl.mapping.visibility import NotObserved, observations_of_drive
+from conetl.mapping.visibility import NotObserved, markings_in_view, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.markings import MarkingTrack

@@ -6,7 +6,7 @@ import type { Stage } from "./scene";
 import { colourOf, colours } from "./theme";
 
 const PICK_PX = 9;
-/** Of the paint (src/conetl/exports/markings.py, compared by a test). */
+/** Of the paint (src/conetl/exports/kind_marks.py, compared by a test). */
 export const PAINT: Record<Marking["colour"], string> = { white: "#ffffff", yellow: "#f2b705", other: "#9aa5b0" };
 /** Above the road, so that the map under it does not show through. */
 const LIFT_M = 0.02;

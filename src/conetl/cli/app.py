@@ -47,7 +47,7 @@ _COMMANDS = {
 _GROUPS = {
     "drive": (
         "Drives on hold: recordings that contradict themselves.",
-        {"held": "drive:held", "accept": "drive:accept"},
+        {"held": "map.decisions:held", "accept": "map.decisions:accept"},
     ),
     "map": (
         "Show, compare, export, import, correct and manage maps.",

@@ -33,6 +33,7 @@ from conetl.cli.console import (
 from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
 from conetl.db.run_store import QUIET, pending_changesets
+from conetl.files.names import minutes
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, EXIT_SERVICE_MISSING
 from conetl.pipeline.settings import prefect_environment, read_settings
 
@@ -161,7 +162,6 @@ _ACTIONS = {"ingest": "ingest", "wait": "wait", "skip": "-", "refuse": "not usab
 
 def _print_plan(plan: Plan, parallel: int) -> None:
     from conetl.pipeline.backfill_plan import reasons
-    from flows.batch_artifacts import minutes
 
     span = " to ".join(f"{t:%Y-%m-%d %H:%M}" if t else "..." for t in (plan.since, plan.until))
     recorded = f", recorded {span}" if plan.since or plan.until else ""

@@ -16,6 +16,7 @@ from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
 from conetl.db.map.map_store import require_map
+from conetl.db.map.results import MapInfo
 from conetl.db.retention import parse_age, prunable_drives, prune_drives
 from conetl.db.schema import database_status
 from conetl.db.schema import migrate as apply_migrations
@@ -50,11 +51,11 @@ def open_maps(settings: Settings) -> Iterator[Connection]:
 
 
 @contextmanager
-def open_map(settings: Settings) -> Iterator[Connection]:
-    """A connection to a database that has the map of the settings. Raises InputError, with the nearest names, if it has not."""
+def open_map(map_name: str | None) -> Iterator[tuple[Connection, MapInfo]]:
+    """A connection to the database, and the map of this name, or of the settings. Raises InputError, with the nearest names."""
+    settings = read_settings(map_name)
     with open_maps(settings) as conn:
-        require_map(conn, settings.map_name)
-        yield conn
+        yield conn, require_map(conn, settings.map_name)
 
 
 def up(as_json: JsonOption = False) -> None:

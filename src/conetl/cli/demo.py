@@ -62,7 +62,7 @@ def demo(
         raise typer.Exit(exit_code)
     for name in _BASE_LAYERS:
         if (layer := samples.parent / name).is_file():
-            imported = import_one(settings, layer)
+            imported = import_one(settings.map_name, layer)
             if not as_json:
                 print_imported(imported)
     last = drives[-1]
@@ -70,7 +70,7 @@ def demo(
     drive, _ = read_drive(last, map_srid=reports[-1].map_srid)
     path = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
     export = settings.exports_folder / "demo.geojson"
-    with open_map(settings) as conn:
+    with open_map(settings.map_name) as (conn, _):
         features = read_current_features(conn, map_name=settings.map_name)
         export_geojson(conn, export, map_name=settings.map_name)
     lines, false = compare_with_truth(truth, features, path)

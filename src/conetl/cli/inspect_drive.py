@@ -18,6 +18,7 @@ from conetl.cli.console import (
     print_table,
     say,
 )
+from conetl.files.names import minutes
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
 from conetl.model.health import hold_reason
 from conetl.model.params import IngestParams
@@ -120,7 +121,7 @@ def _facts(kind: str, summary: DriveSummary, seconds: float, workers: int) -> li
         "map": f"EPSG:{summary.map_srid}, east {extent.east_m[0]:.0f} to {extent.east_m[1]:.0f}, "
         f"north {extent.north_m[0]:.0f} to {extent.north_m[1]:.0f}, height {low:.1f} to {high:.1f}",
         "lon, lat": f"{west:.6f}, {south:.6f} to {east:.6f}, {north:.6f}",
-        "ingest time": f"about {_duration(seconds)} with {workers} workers and nothing else running",
+        "ingest time": f"about {minutes(seconds)} with {workers} workers and nothing else running",
     }
     return list(values.items())
 
@@ -149,9 +150,3 @@ def _print_first(title: str, columns: Mapping[str, Any], records: Sequence[Any])
         print_records(title, columns, records[:_MAX_LINES], numbers_from=len(columns))
         if len(records) > _MAX_LINES:
             say(f"... and {len(records) - _MAX_LINES} more (--json lists all)")
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -27,7 +27,7 @@ def drive(
     from conetl.reports.drive_page import write_drive_page  # matplotlib takes half a second to load
 
     settings = read_settings(map_name)
-    with open_map(settings) as conn:
+    with open_map(map_name) as (conn, _):
         changeset = find_drive(conn, name, map_name=settings.map_name)
         path = output or settings.drive_report_path(changeset.drive_id, changeset.changeset_no)
         write_drive_page(conn, changeset, path, map_name=settings.map_name)
@@ -55,7 +55,7 @@ def night(
     settings = read_settings(map_name)
     begin, end = _period(day, since, until)
     path = output or settings.reports_folder / f"night-{end:%Y%m%dT%H%M%SZ}.html"
-    with open_map(settings) as conn:
+    with open_map(map_name) as (conn, _):
         facts = write_night_page(conn, path, map_name=settings.map_name, since=begin, until=end)
     period = {"since": begin.isoformat(), "until": end.isoformat()}
     if not as_json:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from conetl.exports import FORMATS, Format, writer_of
 from conetl.exports.source import ExportRequest, Source, What, open_source
 from conetl.exports.text_files import iso_utc
 from conetl.files.atomic import atomic_files
+from conetl.files.parquet_store import file_sha256
 from conetl.geometry.heights import system_name
 from conetl.model.errors import InputError
 
@@ -77,7 +77,7 @@ def _manifest(sources: Sequence[Source], file_format: str, chosen: Format, file:
         "manifest_version": MANIFEST_VERSION,
         "file": file.name,
         "format": file_format,
-        "sha256": _sha256(file),
+        "sha256": file_sha256(file),
         "bytes": file.stat().st_size,
         "rows": counts.total(),
         "rows_by_class": dict(sorted(counts.items())),
@@ -101,11 +101,6 @@ def _manifest(sources: Sequence[Source], file_format: str, chosen: Format, file:
         "schema_version": facts["schema_version"],
         "licence": facts["licence"],
     }
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _text(instant: datetime | None) -> str | None:

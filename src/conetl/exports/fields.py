@@ -38,7 +38,7 @@ FIELDS = {
     ),
     "lon_deg": Field("Longitude", "degrees", "WGS 84."),
     "lat_deg": Field("Latitude", "degrees", "WGS 84."),
-    "easting_m": Field("Easting", "m", "Of the cone's foot, in the map's CRS, or in that of --crs."),
+    "easting_m": Field("Easting", "m", "Of the cone's foot, in the map's CRS; in files in that of --crs, if given."),
     "northing_m": Field("Northing", "m", "Likewise."),
     "sigma_e_m": Field("Sigma east", "m", "Standard deviation of the position along the easting axis."),
     "sigma_n_m": Field("Sigma north", "m", "Along the northing axis."),

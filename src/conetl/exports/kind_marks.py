@@ -1,12 +1,16 @@
-"""Colours of cones and base layers in images, reports and exports, the same as in `conetl view`; marker and text of each kind.
+"""Colours of cones, lane markings and base layers in images, reports and exports, the same as in `conetl view`; marker and text
+of each kind.
 
 The colours are safe for the colour-blind (no red beside green, no orange), and each kind has a shape of its own. A test
-compares them with web/src/kinds.ts and theme.ts.
+compares them with web/src/kinds.ts, markings.ts and theme.ts.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from conetl.model.map_records import DeltaKind
 
@@ -33,3 +37,27 @@ KIND_MARKS = {
 STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")
 #: Muted, so that cones come first: LiDAR points of low and of high intensity, lane boundaries, drive paths.
 DARK_POINT, BRIGHT_POINT, LANE, DRIVE_PATH = "#a9a294", "#dcd7cc", "#8a7443", "#4a5560"
+#: #rrggbb of the paint by `Marking.colour`.
+PAINT = {"white": "#ffffff", "yellow": "#f2b705", "other": "#9aa5b0"}
+#: Around the paint, so that white is seen on white paper.
+CASING = "#4a5560"
+
+
+def dashes_of(vertices_m: ArrayLike, dash_m: float | None, gap_m: float | None) -> list[NDArray[np.float64]]:
+    """The parts of a lane marking (N, 2 or 3) that are painted: one of solid lines, dash_m and gap_m None.
+
+    Where along the road the dashes begin is not known: one dash has its middle in the middle of the line.
+    """
+    line = np.asarray(vertices_m, np.float64)
+    if dash_m is None or gap_m is None:
+        return [line]
+    station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    length_m, period_m = station[-1], dash_m + gap_m
+    first = (length_m / 2 - dash_m / 2) % period_m - period_m
+    parts = []
+    for start in np.arange(first, length_m, period_m):
+        low, high = max(start, 0.0), min(start + dash_m, length_m)
+        if low < high:
+            at = np.concatenate([[low], station[(station > low) & (station < high)], [high]])
+            parts.append(np.stack([np.interp(at, station, axis) for axis in line.T], axis=1))
+    return parts

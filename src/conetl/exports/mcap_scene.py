@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import Writer
 
-from conetl.exports.kind_marks import KIND_MARKS
-from conetl.exports.markings import PAINT, dashes_of
+from conetl.exports.kind_marks import KIND_MARKS, PAINT, dashes_of
 from conetl.exports.source import LINE_NAME, Source, What
 from conetl.exports.text_files import iso_utc
 from conetl.model.feature_classes import CONE, width_over_height

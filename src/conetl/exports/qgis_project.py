@@ -20,8 +20,7 @@ from conetl.db.connection import Connection, address, database_errors, execute, 
 from conetl.db.map.map_store import require_map
 from conetl.db.statements import load_sql
 from conetl.exports.fields import FIELDS
-from conetl.exports.kind_marks import KIND_MARKS
-from conetl.exports.markings import CASING, PAINT
+from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT
 from conetl.files.atomic import atomic_files
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind

@@ -1,4 +1,4 @@
-"""Names of files as text that can be printed and stored, and texts as names of files."""
+"""Names of files as text that can be printed and stored, and texts as names of files; time spans in words."""
 
 from __future__ import annotations
 
@@ -46,3 +46,10 @@ def cut_to_bytes(text: str, most_bytes: int) -> str:
     """The start of a name in at most this many bytes, whole characters only."""
     raw = text.encode(errors="surrogateescape")
     return text if len(raw) <= most_bytes else raw[:most_bytes].decode(errors="ignore")
+
+
+def minutes(seconds: float) -> str:
+    """A time span in words."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,4 +1,5 @@
-"""Whether a drive contradicts the map as a whole: all its cones lower, aside or turned, or too many of the map's cones gone.
+"""Whether a drive contradicts the map as a whole: all its cones lower, aside or turned, or too many of the map's cones gone; or
+its lane markings, where a drive that shows no cone has nothing else that its position can be compared with.
 
 Such a drive is one finding for a person, not nine moved cones. The checks are part of the fold, so that they are decided anew
 when an earlier drive arrives; docs/explanation/health.md has their limits.
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from math import exp, hypot, lgamma, log
+from math import exp, hypot, lgamma, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -18,17 +19,20 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, classes_of, common_offset, near_pairs
+from conetl.mapping.marking_deltas import drive_of, lines_on_map
+from conetl.mapping.marking_lines import feet
 from conetl.model.health import AGREEMENT, HealthCheck, Verdict
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
+from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
 
 Floats = NDArray[np.float64]
-#: Squared Mahalanobis distance of a common displacement that the stated sigmas do not explain: 5 sigma.
-_MAX_CHI2 = 25.0
+#: Sigmas of a common displacement that the stated ones do not explain.
+_MAX_SIGMAS = 5.0
 #: Smaller displacements and height differences are left to the fusion.
 _LEAST_OFFSET_M, _LEAST_RISE_M = 0.1, 0.3
-#: Cones that must agree on a small displacement; on a height difference beyond any error of measurement one is enough.
+#: Cones or stretches that must agree on a small displacement; on a height difference beyond any error of measurement one does.
 _LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
@@ -42,6 +46,7 @@ _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
 _MAX_NEAR, _MAX_TRIED = 150, 300
 #: Fewer removals, or cones that were moved, need no second look.
 _LEAST_REMOVED, _LEAST_MOVED = 3, 3
+_STRETCHES = "stretches of lane markings"
 #: Prior that a drive is blind to what the model card says it sees, and the posterior from which a person decides.
 _BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
 
@@ -59,7 +64,19 @@ def contradiction(
         key=lambda track: track.xyz_m,
     )
     displaced = _displaced(sure, features, kinds, params) if sure and features else None
-    return displaced or scattered(kinds, "cones", "the zone was set up anew") or _blind(kinds, params)
+    return displaced or _scattered(kinds, "cones", "the zone was set up anew") or _blind(kinds, params)
+
+
+def marking_contradiction(
+    markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
+) -> HealthCheck | None:
+    """Why a drive must not change the map before a person has looked; None if it may. The order of none of them matters.
+
+    stretches: those of the map around the drive; deltas: what `reconcile_markings` made of both.
+    """
+    kinds = Counter(delta.kind for delta in deltas)
+    moved = _scattered(kinds, _STRETCHES, "the road was painted anew")
+    return moved or _displaced_markings(markings, stretches, params) or _replaced(kinds)
 
 
 def _displaced(
@@ -94,19 +111,19 @@ def _displaced(
         return None  # the map's row may go on, or have a second one beside it, where the drive sees it
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     sigma_m = _horizontal_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
-    if fit.largest_m <= min(params.max_offset_m, np.sqrt(_MAX_CHI2) * sigma_m):
+    if fit.largest_m <= min(params.max_offset_m, _MAX_SIGMAS * sigma_m):
         return None
     turned = f" and turned by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
-    if fit.largest_m <= np.sqrt(_MAX_CHI2) * sigma_m:
+    if fit.largest_m <= _MAX_SIGMAS * sigma_m:
         detail = (
             f"Its cones lie {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
             "to tell which cone is which: process its GNSS with corrections, or ingest it into a map of its own."
         )
-        return held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
-    return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, np.sqrt(_MAX_CHI2) * sigma_m))
+        return _held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
+    return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, _MAX_SIGMAS * sigma_m))
 
 
-def held(what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str) -> HealthCheck:
+def _held(what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str) -> HealthCheck:
     """A hold; its figures are rounded to what is meant, so that they are the same wherever they are computed again."""
     value, limit = round(value, 3), round(float(limit), 3)
     sigma = None if sigma is None else round(sigma, 3)
@@ -129,20 +146,27 @@ def _horizontal_sigma_m(cov_m2: Floats) -> float:
 def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
     """apart_m (K, 3): tracks less their features; cov_m2 (3, 3): of one difference."""
     east, north, up = np.median(apart_m, axis=0).tolist()
-    sigma_m = float(np.sqrt(cov_m2[2, 2]))
-    least_m = _LEAST_RISE_M if len(apart_m) >= _LEAST_PAIRS else _GROSS_RISE_M
-    if abs(up) > (limit_m := max(least_m, np.sqrt(_MAX_CHI2) * sigma_m)):
-        detail = (
-            f"Its cones lie {abs(up):.1f} m {'higher' if up > 0 else 'lower'} than the same cones of the map, at a stated "
-            f"{sigma_m:.2f} m: the heights refer to another datum (ellipsoid or geoid), or the height of the antenna is wrong."
-        )
-        return held("heights", up, detail, sigma=sigma_m, limit=limit_m, unit="m")
+    higher = _higher(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), "cones", "the same cones")
+    if higher is not None:
+        return higher
     offset = np.array([east, north])
     chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
-    if len(apart_m) >= _LEAST_PAIRS and chi2 > _MAX_CHI2 and hypot(east, north) > _LEAST_OFFSET_M:
+    if len(apart_m) >= _LEAST_PAIRS and chi2 > _MAX_SIGMAS**2 and hypot(east, north) > _LEAST_OFFSET_M:
         sigma_m = _horizontal_sigma_m(cov_m2)
-        return _aside(hypot(east, north), sigma_m, "", max(_LEAST_OFFSET_M, np.sqrt(_MAX_CHI2) * sigma_m))
+        return _aside(hypot(east, north), sigma_m, "", max(_LEAST_OFFSET_M, _MAX_SIGMAS * sigma_m))
     return None
+
+
+def _higher(up_m: float, sigma_m: float, count: int, what: str, those: str) -> HealthCheck | None:
+    """count: pairs that agree on a height difference."""
+    limit_m = max(_LEAST_RISE_M if count >= _LEAST_PAIRS else _GROSS_RISE_M, _MAX_SIGMAS * sigma_m)
+    if abs(up_m) <= limit_m:
+        return None
+    detail = (
+        f"Its {what} lie {abs(up_m):.1f} m {'higher' if up_m > 0 else 'lower'} than {those} of the map, at a stated "
+        f"{sigma_m:.2f} m: the heights refer to another datum (ellipsoid or geoid), or the height of the antenna is wrong."
+    )
+    return _held("heights", up_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
 def _aside(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> HealthCheck:
@@ -150,7 +174,7 @@ def _aside(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> He
         f"Its cones lie {distance_m:.1f} m from those of the map{turned}, at a stated {sigma_m:.2f} m: one of the two has a "
         "wrong position, or all cones were moved alike. Check base station, datum and antenna offset of the drive."
     )
-    return held("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+    return _held("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
 class _Fit(NamedTuple):
@@ -210,7 +234,7 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
     return _Fit(agreeing, residual_m, float(np.median(moved_m)), float(moved_m.max()), turn, beside, distinct)
 
 
-def scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCheck | None:
+def _scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCheck | None:
     """Whether most of the objects that a drive shows are at other positions than the map's.
 
     what: their name; otherwise: what happened if the drive is right.
@@ -222,7 +246,7 @@ def scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthChe
         f"It would move {moved} of the {moved + stayed} {what} that it shows: its distances or poses are wrong (baseline, "
         f"alignment), or {otherwise}."
     )
-    return held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
+    return _held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
 
 
 def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | None:
@@ -246,8 +270,49 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | 
         f"{'cone' if seen == 1 else 'cones'}: were they cleared, or could its cameras not see them? Look at its images."
     )
     probability = 1.0 / (1.0 + exp(gone - blind))
-    return held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
+    return _held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
 
 
 def _log_beta(a: float, b: float) -> float:
     return lgamma(a) + lgamma(b) - lgamma(a + b)
+
+
+def _displaced_markings(
+    markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], params: ReconcileParams
+) -> HealthCheck | None:
+    drive = drive_of(markings)
+    on_map, map_cov = lines_on_map(sorted(stretches, key=lambda feature: feature.feature_id))
+    found = feet(on_map, drive.lines, params.marking_moved_max_m)
+    if not len(found.point):
+        return None
+    order = np.lexsort((np.abs(found.lateral_m), found.point))  # of each vertex the nearest line
+    found = found.only(order[np.concatenate([[True], np.diff(found.point[order]) != 0])])
+    cov = map_cov[found.point] + found.at(drive.cov_m2)
+    count = len(np.unique(on_map.line[found.point]))
+    up = float(np.median((found.at(drive.lines.vertices_m) - on_map.vertices_m[found.point])[:, 2]))
+    higher = _higher(up, sqrt(cov[:, 2, 2].mean()), count, "lane markings", "those")
+    if higher is not None:
+        return higher
+    aside_m = float(np.hypot(*np.median(found.lateral_m[:, None] * on_map.normals[found.point], axis=0)))
+    sigma_m = sqrt(float(cov[:, 0, 0].mean() + cov[:, 1, 1].mean()) / 2)
+    limit_m = max(_LEAST_OFFSET_M, _MAX_SIGMAS * sigma_m)
+    if count < _LEAST_PAIRS or aside_m <= limit_m:
+        return None
+    detail = (
+        f"Its lane markings lie {aside_m:.2f} m beside those of the map, at a stated {sigma_m:.2f} m: one of the two has a wrong "
+        "position, or the road was painted anew. Check base station, datum and antenna offset of the drive."
+    )
+    return _held("position", aside_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+
+
+def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
+    """Most stretches in view gone, and as many others where the map has none: a drive that lies farther aside."""
+    stayed, replaced = kinds[DeltaKind.CONFIRMED], min(kinds[DeltaKind.REMOVED], kinds[DeltaKind.ADDED])
+    if replaced < _LEAST_PAIRS or replaced + kinds[DeltaKind.MOVED] <= stayed:
+        return None
+    detail = (
+        f"It would remove {kinds[DeltaKind.REMOVED]} {_STRETCHES}, add {kinds[DeltaKind.ADDED]} others and confirm "
+        f"{stayed}: its position is wrong, or the road was painted anew. Check base station, datum and antenna offset."
+    )
+    limit = max(stayed, _LEAST_PAIRS - 1)
+    return _held("replaced", replaced, detail, limit=limit, unit=_STRETCHES)

@@ -82,14 +82,7 @@ def moved_and_merged(old: MapFeature, confirmation: Delta) -> list[Delta]:
     merged, state = confirmation.old, confirmation.new
     if merged is None or state is None:
         raise ValueError(f"the confirmation of feature {confirmation.feature_id} lacks its old or new state")
-    new = state.model_copy(
-        update={
-            "feature_id": old.feature_id,
-            "version": old.version + 1,
-            "first_seen_ns": old.first_seen_ns,
-            "observation_count": old.observation_count + state.observation_count,
-        }
-    )
+    new = seen_again(old, state).model_copy(update={"feature_id": old.feature_id, "version": old.version + 1})
     shift_m = float(np.hypot(*(np.array(new.xyz_m) - np.array(old.xyz_m))[:2]))
     moved = {"kind": DeltaKind.MOVED, "feature_id": old.feature_id, "old": old, "new": new, "shift_m": shift_m}
     return [
@@ -102,22 +95,27 @@ def changed(
     kind: DeltaKind, feature: MapFeature, track: Track, map_xyz_m: Floats, shift: Floats, evidence: ExistenceEvidence
 ) -> Delta:
     """The feature as this drive alone observed it; map_xyz_m, shift: as for `feature_from_track`."""
-    new = feature_from_track(track, map_xyz_m, shift, feature.feature_id, feature.version + 1, evidence).model_copy(
-        update={
-            "first_seen_ns": feature.first_seen_ns,
-            "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
-            "observation_count": feature.observation_count + track.observation_count,
-        }
-    )
+    new = feature_from_track(track, map_xyz_m, shift, feature.feature_id, feature.version + 1, evidence)
     return Delta(
         kind=kind,
         feature_id=feature.feature_id,
         old=feature,
-        new=new,
+        new=seen_again(feature, new),
         track_index=track.track_index,
         changed_at_ns=track.first_seen_ns,
         shift_m=float(np.linalg.norm((map_xyz_m - np.array(feature.xyz_m))[:2])),
         evidence=evidence,
+    )
+
+
+def seen_again(old: MapFeature, new: MapFeature) -> MapFeature:
+    """What one drive alone observed of a feature, with the time and the number of all observations."""
+    return new.model_copy(
+        update={
+            "first_seen_ns": old.first_seen_ns,
+            "last_seen_ns": max(old.last_seen_ns, new.last_seen_ns),
+            "observation_count": old.observation_count + new.observation_count,
+        }
     )
 
 

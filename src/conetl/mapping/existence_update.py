@@ -11,8 +11,7 @@ from __future__ import annotations
 from math import exp, log
 
 from conetl.mapping.visibility import NotObserved
-from conetl.model.map_records import ExistenceEvidence, ImportedFeature, MapFeature, MissSummary
-from conetl.model.markings import MarkingTrack
+from conetl.model.map_records import ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track, sound
 
@@ -23,19 +22,22 @@ _EDGE = 1e-6
 
 def observed(feature: MapFeature | None, summary: MissSummary | None, track: Track) -> ExistenceEvidence:
     """Evidence of a drive that observed the feature (None: a new one) as `track`; summary: of the misses since its version."""
-    return _confirming(feature, summary, track.existence_probability, len({frame for frame, _ in track.members}))
+    return confirming(feature, summary, track.existence_probability, len({frame for frame, _ in track.members}))
 
 
-def observed_line(
-    feature: MapFeature | None, summary: MissSummary | None, track: MarkingTrack, frames: int
+def confirming(
+    feature: MapFeature | None, summary: MissSummary | None, existence_probability: float, frames_seen: int
 ) -> ExistenceEvidence:
-    """Evidence of a drive that observed a stretch of a lane marking in some frame pairs; other arguments as for `observed`."""
-    return _confirming(feature, summary, track.existence_probability, frames)
-
-
-def imported(feature: MapFeature | None, summary: MissSummary | None, statement: ImportedFeature) -> ExistenceEvidence:
-    """Evidence of an imported map that contains the feature (None: a new one); arguments as for `observed`."""
-    return _confirming(feature, summary, statement.feature.existence_probability, 0)
+    """Evidence of a drive that observed the feature in some frame pairs, or of an imported map that contains it."""
+    ratio = log_odds(existence_probability)
+    before = 0.0 if feature is None else log_odds((summary or feature).existence_probability)
+    return sound(
+        ExistenceEvidence,
+        log_likelihood_ratio=ratio,
+        existence_probability=probability(min(before + ratio, MAX_LOG_ODDS)),
+        frames_seen=frames_seen,
+        frames_empty=0,
+    )
 
 
 def missed(
@@ -73,17 +75,3 @@ def log_odds(value: float) -> float:
 def probability(log_odds_value: float) -> float:
     """The inverse of `log_odds`."""
     return 1 / (1 + exp(-log_odds_value))
-
-
-def _confirming(
-    feature: MapFeature | None, summary: MissSummary | None, existence_probability: float, frames_seen: int
-) -> ExistenceEvidence:
-    ratio = log_odds(existence_probability)
-    before = 0.0 if feature is None else log_odds((summary or feature).existence_probability)
-    return sound(
-        ExistenceEvidence,
-        log_likelihood_ratio=ratio,
-        existence_probability=probability(min(before + ratio, MAX_LOG_ODDS)),
-        frames_seen=frames_seen,
-        frames_empty=0,
-    )

@@ -15,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from conetl.mapping.agreement import contradiction
+from conetl.mapping.agreement import contradiction, marking_contradiction
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import VisibilityCheck, reconcile
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
-from conetl.mapping.marking_agreement import marking_contradiction
-from conetl.mapping.marking_visibility import not_in_view
 from conetl.mapping.markings import ViewCheck, reconcile_markings
-from conetl.mapping.visibility import NotObserved
+from conetl.mapping.visibility import NotObserved, not_in_view
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import (
     Classification,

@@ -14,7 +14,7 @@ import numpy as np
 from conetl.mapping.association import pair
 from conetl.mapping.changes import height_differs
 from conetl.mapping.deltas import changed, confirmed
-from conetl.mapping.existence_update import imported
+from conetl.mapping.existence_update import confirming
 from conetl.model.map_records import Delta, DeltaKind, ImportedFeature, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
@@ -46,7 +46,10 @@ def reconcile_imported(
     tracks = [_as_track(statement.feature, at_ns) for statement in statements]
     pairs = _pair(tracks, statements, features, params)
     evidence = {
-        j: imported(features[j], summaries.get(features[j].feature_id), statements[i]) for j, i in sorted(pairs.items())
+        j: confirming(
+            features[j], summaries.get(features[j].feature_id), statements[i].feature.existence_probability, 0
+        )
+        for j, i in sorted(pairs.items())
     }
     kinds: dict[int, DeltaKind] = {}
     for j, i in sorted(pairs.items()):
@@ -106,7 +109,7 @@ def _added(statement: ImportedFeature, founding_key: str, known: Collection[UUID
     feature_id = statement.feature.feature_id
     if feature_id in known:
         feature_id = uuid5(_NAMESPACE, f"{founding_key}/{feature_id}")
-    evidence = imported(None, None, statement)
+    evidence = confirming(None, None, statement.feature.existence_probability, 0)
     own = {"feature_id": feature_id, "version": 1, "existence_probability": evidence.existence_probability}
     return Delta(
         kind=DeltaKind.ADDED,

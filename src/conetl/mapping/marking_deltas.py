@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrices, vec3
+from conetl.mapping.deltas import seen_again
 from conetl.mapping.fusion import OffsetErrors, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Floats, Indices, Lines, lines_of
-from conetl.mapping.marking_visibility import MarkingView
+from conetl.mapping.visibility import MarkingView
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
 from conetl.model.records import SharedErrorJacobian, sound
@@ -167,18 +168,11 @@ def confirmed(
 def moved(feature: MapFeature, found: Feet, seen: Sighting, drive: LineDrive, evidence: ExistenceEvidence) -> Delta:
     """A stretch that was painted anew: the drive's marking beside it, where its vertices were."""
     new = _of_drive(found, seen, drive, feature.feature_id, feature.version + 1, evidence)
-    new = new.model_copy(
-        update={
-            "first_seen_ns": feature.first_seen_ns,
-            "last_seen_ns": max(feature.last_seen_ns, new.last_seen_ns),
-            "observation_count": feature.observation_count + new.observation_count,
-        }
-    )
     return Delta(
         kind=DeltaKind.MOVED,
         feature_id=feature.feature_id,
         old=feature,
-        new=new,
+        new=seen_again(feature, new),
         changed_at_ns=seen.first_ns,
         shift_m=float(np.abs(found.lateral_m).mean()),
         evidence=evidence,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.mapping.deltas import not_observed
-from conetl.mapping.existence_update import is_gone, missed, observed_line
+from conetl.mapping.existence_update import confirming, is_gone, missed
 from conetl.mapping.fusion import offset_errors
 from conetl.mapping.marking_deltas import (
     LineDrive,
@@ -35,15 +35,14 @@ from conetl.mapping.marking_deltas import (
     stretches_of,
 )
 from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
-from conetl.mapping.marking_visibility import MarkingView
-from conetl.mapping.visibility import NotObserved
+from conetl.mapping.visibility import MarkingView, NotObserved
 from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-#: Vertices (n, 3) in the drive's map frame -> when they were in view; see `marking_visibility.markings_in_view`.
+#: Vertices (n, 3) in the drive's map frame -> when they were in view; see `visibility.markings_in_view`.
 ViewCheck = Callable[[Floats], MarkingView]
 #: A marking of another colour or width is as bad a match as one so much farther aside.
 _UNLIKE_M, _OTHER_WIDTH_M = 0.1, 0.06
@@ -114,7 +113,7 @@ def reconcile_markings(
 
     def evidence_for(j: int, one: Sighting) -> ExistenceEvidence:
         old = features[j]
-        return observed_line(old, summaries.get(old.feature_id), drive.tracks[one.track], one.frames)
+        return confirming(old, summaries.get(old.feature_id), drive.tracks[one.track].existence_probability, one.frames)
 
     seen = {j: sighting(_main_line(c, j), drive, one.view, one.seen) for j, one in states.items() if one.is_seen}
     confirmations = confirmed(seen, features, c.on_map, c.same, drive, {j: evidence_for(j, seen[j]) for j in seen})
@@ -143,7 +142,7 @@ def reconcile_markings(
             for piece in stretches_of(drive, i, part_m):
                 view = check_view(piece.at(drive.lines.vertices_m))
                 one = sighting(i, drive, view, np.ones(len(piece.point), bool))
-                founding = observed_line(None, None, drive.tracks[i], one.frames)
+                founding = confirming(None, None, drive.tracks[i].existence_probability, one.frames)
                 deltas.append(added(piece, one, drive, founding_key, founding))
     return deltas
 

@@ -147,37 +147,21 @@ def commit(
     if not holding(health):  # a recording that contradicts itself is not compared with the map
         health = (*health, merged.extension.hold or AGREES)
     hold = hold_reason(health)
-    report = IngestReport(
-        drive_id=drive.drive_id,
-        status="committed" if hold is None else "held",
-        changeset_id=merged.changeset.changeset_id,
-        captured_from=drive.captured_from,
-        captured_to=drive.captured_to,
-        map_name=settings.map_name,
-        map_srid=drive.map_srid,
-        frame_pairs=len(drive.frame_pairs),
-        frame_pairs_rejected=len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
-        detections=len(records.detections),
-        matches=len(records.matches),
-        positions=len(records.positions),
-        tracks=len(records.tracks),
-        counts={kind: sum(d.kind == kind for d in points) for kind in DeltaKind},
-        line_counts=dict(sorted(Counter(delta.kind for delta in deltas if delta.is_of_line).items())),
-        markings=len(records.markings),
-        changes=tuple(_line(delta) for delta in points),
-        rejections=dict(sorted(Counter(r.reason for r in records.rejections).items())),
-        params_sha256=identity.params_sha256,
-        model_sha256=identity.model_sha256,
-        content_sha256=drive.content_sha256,
-        seconds=0.0,
-        trajectory=analysed.trajectory.detail,
-        calibration=analysed.calibration.detail,
-        committed_at=None,
-        counts_on_map=hold is None,
-        health=health,
-        on_hold=hold,
-        replayed_drives=merged.replayed,
-        hold_changes=merged.hold_changes,
+    report = report_of(merged.result.changeset, drive, settings.map_name).model_copy(
+        update={
+            "status": "committed" if hold is None else "held",
+            "frame_pairs_rejected": len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
+            "changes": tuple(_line(delta) for delta in points),
+            "rejections": dict(sorted(Counter(r.reason for r in records.rejections).items())),
+            "trajectory": analysed.trajectory.detail,
+            "calibration": analysed.calibration.detail,
+            "committed_at": None,
+            "counts_on_map": hold is None,
+            "health": health,
+            "on_hold": hold,
+            "replayed_drives": merged.replayed,
+            "hold_changes": merged.hold_changes,
+        }
     )
     untouched = tuple(feature for feature in merged.extension.untouched if feature.marking is None)
     return CommittedDrive(merged.result.changeset, drive, points, untouched, report)

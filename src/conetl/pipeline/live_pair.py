@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -27,7 +26,7 @@ from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.one_pair import match_searched, search_image
-from conetl.pipeline.settings import Settings, read_settings
+from conetl.pipeline.settings import Settings
 from conetl.tracking.live_tracks import Frame, LiveTracks, add_frame
 from conetl.tracking.positions import locate_positions
 
@@ -37,11 +36,10 @@ _WARM_UP_SHAPE = (320, 1242, 3)
 
 @dataclass(frozen=True)
 class Detectors:
-    """Two threads, each with a detector of its own, and what the network's scores mean."""
+    """Two threads, a detector for either side, and what the network's scores mean."""
 
     pool: ThreadPoolExecutor
-    per_thread: threading.local
-    model_path: Path | None
+    by_side: Mapping[Side, Detector]
     evidence: DetectorEvidence
     params: IngestParams
 
@@ -105,23 +103,12 @@ def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detecto
     cones_everywhere: dict[str, object] = {"search_right": "everywhere", "categories": (CONE,)}
     params = params.model_copy(update={"detection": params.detection.model_copy(update=cones_everywhere)})
     card = read_model_card(settings.model_path)
-    ready = threading.Barrier(len(SIDES))
+    by_side = {side: load_detector(settings.model_path, providers=settings.onnx_providers) for side in SIDES}
+    grey = np.full(_WARM_UP_SHAPE, 127, np.uint8)
     with ThreadPoolExecutor(len(SIDES)) as pool:
-        detectors = Detectors(pool, threading.local(), settings.model_path, card.evidence or UNMEASURED, params)
-
-        def warm_up() -> None:
-            try:
-                detect_image(
-                    _detector(detectors),
-                    np.full(_WARM_UP_SHAPE, 127, np.uint8),
-                    score_threshold=params.detection.score_threshold,
-                )
-            finally:
-                ready.wait()  # so that the other thread takes the other call
-
-        for future in [pool.submit(warm_up) for _ in SIDES]:
-            future.result()
-        yield detectors
+        for detector in by_side.values():
+            detect_image(detector, grey, score_threshold=params.detection.score_threshold)
+        yield Detectors(pool, by_side, card.evidence or UNMEASURED, params)
 
 
 def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, first: FramePair) -> LiveDrive:
@@ -169,16 +156,7 @@ def _search(detectors: Detectors, rig: Rig, pair: FramePair, side: Side) -> Sear
     started_s = time.thread_time()
     path = Path(pair.left_path if side == "left" else pair.right_path)
     try:
-        found = search_image(path, rig, side, _detector(detectors), detectors.params.detection, pair)
+        found = search_image(path, rig, side, detectors.by_side[side], detectors.params.detection, pair)
     except StorageError as error:  # the watch tries again, and leaves the pair out in time
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
     return SearchedImage(found, time.monotonic(), time.thread_time() - started_s)
-
-
-def _detector(detectors: Detectors) -> Detector:
-    loaded: Detector | None = getattr(detectors.per_thread, "detector", None)
-    if loaded is None:
-        loaded = detectors.per_thread.detector = load_detector(
-            detectors.model_path, providers=read_settings().onnx_providers
-        )
-    return loaded

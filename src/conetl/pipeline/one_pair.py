@@ -93,10 +93,7 @@ def match_searched(
 
 def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams) -> LocatedPair:
     """Objects of one stereo pair in the frame of the left camera. Raises ImageFileError."""
-    found = [
-        search_image(path, rig, side, detector, params.detection, None) for side, path in zip(SIDES, paths, strict=True)
-    ]
-    _, detections, matches, refused = match_searched(found, rig, params, None)
+    _, detections, matches, refused = match_images(paths, rig, detector, params)
     located, more = locate_in_camera(matches, rig, params.position)
     located.sort(key=lambda one: one.ground_distance_m)
     # No second pair distinguishes a cone from a sign, but its height must be that of a cone, as in a drive.

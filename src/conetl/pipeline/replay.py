@@ -33,9 +33,14 @@ from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping.changes import VisibilityCheck
 from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, replay_drives
-from conetl.mapping.marking_visibility import blur_of, markings_in_view
 from conetl.mapping.markings import ViewCheck
-from conetl.mapping.visibility import DriveObservations, check_visibility, observations_of_drive
+from conetl.mapping.visibility import (
+    DriveObservations,
+    blur_of,
+    check_visibility,
+    markings_in_view,
+    observations_of_drive,
+)
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MissedObservation

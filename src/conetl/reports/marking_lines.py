@@ -11,8 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from conetl.exports.kind_marks import KIND_MARKS
-from conetl.exports.markings import CASING, PAINT, dashes_of
+from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT, dashes_of
 from conetl.model.map_records import Delta, DeltaKind, FeatureChange, MapFeature
 from conetl.model.markings import Marking
 

@@ -127,17 +127,13 @@ def frame_view(row: Row, side: Side, boxes: Sequence[Row], problem: str | None, 
 def drive_pass(found: reports.DrivePass, origin_m: Vec3) -> DrivePass:
     """One drive past a feature."""
     frames = [
-        PassFrame(
-            frame_index=frame.frame_index,
-            captured_at=utc_from_ns(frame.captured_at_ns),
-            range_m=round(frame.range_m, 3),
-            state=frame.state,
+        answer(
+            PassFrame, frame._asdict(), origin_m, range_m=round(frame.range_m, 3),
             camera_xyz_m=offset(frame.camera_m.tolist(), origin_m),
         )
         for frame in found.frames
-    ]
-    own = found._asdict() | {"captured_from": utc_from_ns(found.captured_from_ns), "frames": frames}
-    return DrivePass(**{name: own[name] for name in DrivePass.model_fields})
+    ]  # fmt: skip
+    return answer(DrivePass, found._asdict(), origin_m, frames=frames)
 
 
 def pose_of(row: Row, prefix: str = "") -> Pose:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from conetl.exports import qgis_project
-from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, STANDING
-from conetl.exports.markings import PAINT
+from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, PAINT, STANDING
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import DeltaKind
 

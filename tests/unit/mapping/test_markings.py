@@ -13,7 +13,7 @@ import pytest
 from conetl.geometry.packing import cov_matrix
 from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
 from conetl.mapping.marking_deltas import STRETCH_M
-from conetl.mapping.marking_visibility import MarkingView, not_in_view
+from conetl.mapping.visibility import MarkingView, not_in_view
 from conetl.model.map_records import Decisions, Delta, Location, MapFeature
 from conetl.model.markings import MarkingTrack
 from tests.synthetic.painted_road import Paint, painted_drive

@@ -23,9 +23,7 @@ from conetl.cli.console import (
 )
 from conetl.cli.database import open_map
 from conetl.db.base_store import drop_base_layer, list_base_sources, read_map_ground
-from conetl.db.map.map_store import require_map
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_NEEDS_ATTENTION, InputError
-from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # GDAL and the LAS libraries take seconds to load: only where a file is imported
     from conetl.pipeline.maps.import_base_layer import ImportedFile
@@ -63,13 +61,12 @@ def import_files(
     as_json: JsonOption = False,
 ) -> None:
     """Import files as base layers. An unchanged file changes nothing; a changed file replaces its earlier version."""
-    settings = read_settings(map_name)
     done: list[ImportedFile] = []
     failed = False
     for path in files:
         try:
             imported = import_one(
-                settings, path, kind=kind, crs=crs, layer=layer, voxel_m=voxel, height_offset_m=height_offset
+                map_name, path, kind=kind, crs=crs, layer=layer, voxel_m=voxel, height_offset_m=height_offset
             )
         except InputError as error:
             complain(error)
@@ -87,10 +84,10 @@ def import_files(
 
 
 def import_one(
-    settings: Settings, path: Path, *, kind: str | None = None, crs: str | None = None, layer: str | None = None,
+    map_name: str | None, path: Path, *, kind: str | None = None, crs: str | None = None, layer: str | None = None,
     voxel_m: float = 0.05, height_offset_m: float = 0.0,
 ) -> ImportedFile:  # fmt: skip
-    """Import one file into the map of the settings. Raises InputError; then nothing was written."""
+    """Import one file into the map of this name, or of the settings. Raises InputError; then nothing was written."""
     from conetl.pipeline.maps.import_base_layer import FileImport, import_file, kind_of
 
     if path.exists() and kind is not None and kind_of(path) != kind:
@@ -98,8 +95,8 @@ def import_one(
     name = layer if layer is not None else _name_of(path)
     if not _LAYER_NAME.fullmatch(name):
         raise InputError(f"--layer {name!r}: a name has 1 to 60 letters, digits, spaces, dots, dashes or underscores")
-    with open_map(settings) as conn, progress_bar(path.name, "scans" if path.is_dir() else "points") as update:
-        info = require_map(conn, settings.map_name)
+    unit = "scans" if path.is_dir() else "points"
+    with open_map(map_name) as (conn, info), progress_bar(path.name, unit) as update:
         ground = read_map_ground(conn, info.map_name, info.srid)
         return import_file(FileImport(conn, path, ground, info.map_name, name, crs, voxel_m, height_offset_m, update))
 
@@ -136,15 +133,14 @@ _COLUMNS: Columns = {
 
 def list_layers(map_name: MapOption = None, as_json: JsonOption = False) -> None:
     """List the base layers of the map and their files."""
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        found = list_base_sources(conn, settings.map_name)
+    with open_map(map_name) as (conn, info):
+        found = list_base_sources(conn, info.map_name)
     if as_json:
         print_json(found)
     elif found:
         print_records("", _COLUMNS, found, numbers_from=4)
     else:
-        say(f"The map {settings.map_name} has no base layers: `conetl base import FILE` adds one.")
+        say(f"The map {info.map_name} has no base layers: `conetl base import FILE` adds one.")
 
 
 def drop(
@@ -153,11 +149,10 @@ def drop(
     as_json: JsonOption = False,
 ) -> None:
     """Remove a base layer with all its files; cones and their history are kept."""
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        dropped = drop_base_layer(conn, settings.map_name, layer)
+    with open_map(map_name) as (conn, info):
+        dropped = drop_base_layer(conn, info.map_name, layer)
     if not dropped:
-        raise InputError(f"the map {settings.map_name} has no base layer {layer}: `conetl base list` lists them")
+        raise InputError(f"the map {info.map_name} has no base layer {layer}: `conetl base list` lists them")
     facts = {"layer": layer, "files": len(dropped)}
     answer(as_json, facts, f"Removed layer {layer} with {counted(len(dropped), 'file')}.")
 

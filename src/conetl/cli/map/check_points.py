@@ -9,10 +9,9 @@ import typer
 
 from conetl.cli.console import JsonOption, MapOption, counted, parse_instant, print_json, print_table, say
 from conetl.cli.database import open_map
-from conetl.db.map.map_store import read_features_as_of, require_map
+from conetl.db.map.map_store import read_features_as_of
 from conetl.evaluation.check_points import CheckedMap, check_map
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
-from conetl.pipeline.settings import read_settings
 from conetl.readers.surveyed_points import read_surveyed_points
 
 _AXES = ("east", "north", "up", "horizontal", "3D")
@@ -44,16 +43,14 @@ def check_points(
 
     The points change nothing on the map. Exit code 1 if no point has a cone, or the residuals contradict the stated sigmas.
     """
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        info = require_map(conn, settings.map_name)
-        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name))
+    with open_map(map_name) as (conn, info):
+        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=info.map_name))
     points = read_surveyed_points(file, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
     checked = check_map(points, [version.feature for version in versions], within_m=within_m)
     if as_json:
         print_json(_values(checked, info.srid))
     else:
-        _print(checked, settings.map_name, info.srid)
+        _print(checked, info.map_name, info.srid)
     raise typer.Exit(EXIT_NEEDS_ATTENTION if checked.contradicts or checked.rmse_m is None else EXIT_DONE)
 
 

@@ -24,12 +24,11 @@ from conetl.cli.console import (
 )
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import feature_log, list_changesets, read_features_as_of, require_map
+from conetl.db.map.map_store import feature_log, list_changesets, read_features_as_of
 from conetl.exports.geojson import ChangeOrigin, export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import InputError
 from conetl.model.map_records import FeatureChange, MapFeature
-from conetl.pipeline.settings import Settings, read_settings
 
 
 def diff(
@@ -43,13 +42,11 @@ def diff(
     as_json: JsonOption = False,
 ) -> None:
     """Show the differences between two states of the map."""
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        info = require_map(conn, settings.map_name)
-        old, new = state_of(conn, settings, before), state_of(conn, settings, after)
+    with open_map(map_name) as (conn, info):
+        old, new = state_of(conn, info.map_name, before), state_of(conn, info.map_name, after)
         changes = map_diff.diff(old, new)
         points = [change for change in changes if not change.is_of_line]
-        origins = {} if output is None else _origins(conn, points, instants_of(conn, settings, after))
+        origins = {} if output is None else _origins(conn, points, instants_of(conn, info.map_name, after))
     if output is not None:
         export_diff_geojson(points, output, srid=info.srid, origins=origins)
     if picture is not None:
@@ -60,7 +57,7 @@ def diff(
         changed = {change.feature_id for change in changes}
         draw_plan_view(
             picture,
-            title=f"Map {settings.map_name}, EPSG:{info.srid}: {before} to {after}",
+            title=f"Map {info.map_name}, EPSG:{info.srid}: {before} to {after}",
             trajectory_m=np.empty((0, 2)),
             deltas=changes,
             untouched=[one for one in new if one.feature_id not in changed],
@@ -122,18 +119,18 @@ _COLUMNS: Columns = {
 }
 
 
-def state_of(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
+def state_of(conn: Connection, map_name: str, name: str) -> list[MapFeature]:
     """All features after a changeset, as known then, or at a time on the road, as known now."""
-    valid_at, known_at = instants_of(conn, settings, name)
-    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name, lines=True)
+    valid_at, known_at = instants_of(conn, map_name, name)
+    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=map_name, lines=True)
     return [version.feature for version in versions]
 
 
-def instants_of(conn: Connection, settings: Settings, name: str) -> tuple[datetime | None, datetime | None]:
+def instants_of(conn: Connection, map_name: str, name: str) -> tuple[datetime | None, datetime | None]:
     """Time on the road and time of the database for a changeset number or a time; None: the latest."""
     if name.isdigit() and len(name) < 8:
-        changesets = [c for c in list_changesets(conn, map_name=settings.map_name) if c.changeset_no == int(name)]
+        changesets = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == int(name)]
         if not changesets:
-            raise InputError(f"the map {settings.map_name} has no changeset {name}: `conetl map log` lists them")
+            raise InputError(f"the map {map_name} has no changeset {name}: `conetl map log` lists them")
         return None, changesets[0].committed_at
     return parse_instant(name), None

@@ -1,4 +1,4 @@
-"""`conetl map suppress|pin|classify|revert|decisions`: decisions of people about the map."""
+"""`conetl map suppress|pin|classify|revert|decisions`, `conetl drive held|accept`: decisions of people about the map."""
 
 from __future__ import annotations
 
@@ -9,14 +9,25 @@ from uuid import UUID
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, MapOption, complain, counted, print_json, print_records, say
+from conetl.cli.console import (
+    Columns,
+    JsonOption,
+    MapOption,
+    complain,
+    counted,
+    print_held,
+    print_json,
+    print_records,
+    say,
+)
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import list_decisions
+from conetl.db.map.hold_store import held_drives
 from conetl.db.map.map_store import list_changesets
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.map_records import FeatureVersion
-from conetl.pipeline.settings import Settings, read_settings
+from conetl.pipeline.settings import read_settings
 
 if TYPE_CHECKING:
     from conetl.pipeline.maps.decisions import DecisionOutcome
@@ -36,7 +47,7 @@ def suppress(
     as_json: JsonOption = False,
 ) -> None:
     """Mark a feature as a false positive: no cone is added here, whatever drives detect."""
-    _decide_place("suppress", feature, radius, note, by, read_settings(map_name), as_json)
+    _decide_place("suppress", feature, radius, note, by, map_name, as_json)
 
 
 def pin(
@@ -48,7 +59,7 @@ def pin(
     as_json: JsonOption = False,
 ) -> None:
     """Fix a cone: drives may confirm it, but neither move nor remove it."""
-    _decide_place("pin", feature, radius, note, by, read_settings(map_name), as_json)
+    _decide_place("pin", feature, radius, note, by, map_name, as_json)
 
 
 def classify(
@@ -61,7 +72,7 @@ def classify(
     as_json: JsonOption = False,
 ) -> None:
     """Correct the class of an object: what drives detect here as its present class is another one."""
-    _decide_place("classify", feature, radius, note, by, read_settings(map_name), as_json, category)
+    _decide_place("classify", feature, radius, note, by, map_name, as_json, category)
 
 
 def revert(
@@ -76,13 +87,12 @@ def revert(
     """Undo a changeset (its drive no longer counts) or a decision. Nothing is lost: revert the revert to restore it."""
     from conetl.pipeline.maps import decisions
 
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        decided = decisions.revert(conn, what, map_name=settings.map_name, note=note, decided_by=who_decides(by))
-        numbers = {c.changeset_id: c.changeset_no for c in list_changesets(conn, map_name=settings.map_name)}
+    with open_map(map_name) as (conn, info):
+        decided = decisions.revert(conn, what, map_name=info.map_name, note=note, decided_by=who_decides(by))
+        numbers = {c.changeset_id: c.changeset_no for c in list_changesets(conn, map_name=info.map_name)}
         if not as_json:
             _print_conflicts(decided, numbers)
-        finish(conn, decided, settings, as_json)
+        finish(conn, decided, info.map_name, as_json)
 
 
 def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> None:
@@ -103,9 +113,8 @@ def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> N
 
 def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
     """List the decisions in force."""
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        found = list_decisions(conn, map_name=settings.map_name)
+    with open_map(map_name) as (conn, info):
+        found = list_decisions(conn, map_name=info.map_name)
     if as_json:
         print_json(found)
         return
@@ -126,24 +135,52 @@ def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
         say("No decisions.")
 
 
+def held(map_name: MapOption = None, as_json: JsonOption = False) -> None:
+    """List the drives on hold, and why."""
+    with open_map(map_name) as (conn, info):
+        found = held_drives(conn, map_name=info.map_name)
+        known = {one.changeset_id: one for one in list_changesets(conn, map_name=info.map_name)}
+    if as_json:
+        print_json([vars(known[one.changeset_id]) | one.model_dump(mode="json") for one in found])
+        return
+    print_held(found)
+    if not found:
+        say("No drive is on hold.")
+
+
+def accept(
+    drive: Annotated[str, typer.Argument(help="Drive on hold: its id, or the number of its changeset.")],
+    note: Note = "",
+    by: By = None,
+    map_name: MapOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Let a drive on hold count as it is: it is compared with the map, and so are later drives over the same roads."""
+    from conetl.pipeline.maps.decisions import accept_drive
+
+    with open_map(map_name) as (conn, info):
+        decided = accept_drive(conn, drive, map_name=info.map_name, note=note, decided_by=who_decides(by))
+        finish(conn, decided, info.map_name, as_json)
+
+
 def _decide_place(
     kind: Literal["suppress", "pin", "classify"],
     feature: str,
     radius: float,
     note: str,
     by: str | None,
-    settings: Settings,
+    map_name: str | None,
     as_json: bool,
     category: str | None = None,
 ) -> None:
     from conetl.pipeline.maps.decisions import decide_place
 
-    with open_map(settings) as conn:
+    with open_map(map_name) as (conn, info):
         decided = decide_place(
-            conn, kind, feature, map_name=settings.map_name, radius_m=radius, category=category, note=note,
+            conn, kind, feature, map_name=info.map_name, radius_m=radius, category=category, note=note,
             decided_by=who_decides(by),
         )  # fmt: skip
-        finish(conn, decided, settings, as_json)
+        finish(conn, decided, info.map_name, as_json)
 
 
 def who_decides(by: str | None) -> str:
@@ -154,7 +191,7 @@ def who_decides(by: str | None) -> str:
         raise InputError("the login name is unknown: give the name of the person who decides with --by NAME") from error
 
 
-def finish(conn: Connection, decided: DecisionOutcome, settings: Settings, as_json: bool) -> None:
+def finish(conn: Connection, decided: DecisionOutcome, map_name: str, as_json: bool) -> None:
     """Print what a decision did, and write the QA reports of the drives again whose state it changed. Exits with 1 where a report
     cannot be written: the decision is made."""
     if as_json:
@@ -170,7 +207,7 @@ def finish(conn: Connection, decided: DecisionOutcome, settings: Settings, as_js
             say(change.sentence)
     from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load
 
-    problem = publish_decision(conn, decided, settings)
+    problem = publish_decision(conn, decided, read_settings(map_name))
     if problem is not None:
         complain(problem)
         raise typer.Exit(EXIT_NEEDS_ATTENTION)

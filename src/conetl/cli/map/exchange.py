@@ -76,16 +76,15 @@ def export(
     A manifest (FILE.manifest.json) is written beside the file. Lane markings are lines in the same file; of CSV, GeoParquet and
     FlatGeobuf, which hold one type of geometry, in a second one, FILE_lane_markings.
     """
-    settings = read_settings(map_name)
     file_format = _format_by_name(output) if file_format is None else file_format
     if file_format in (WZDX, WZDX_DEVICES):
         if what is not What.FEATURES or believed_at or since or until or crs or category:
             raise InputError(
                 f"--what, --believed-at, --from, --to, --crs and --category cannot be used with --format {file_format}"
             )
-        with open_map(settings) as conn:
+        with open_map(map_name) as (conn, info):
             count = export_wzdx(
-                conn, output, devices=file_format == WZDX_DEVICES, map_name=settings.map_name, as_of=parse_instant(as_of),
+                conn, output, devices=file_format == WZDX_DEVICES, map_name=info.map_name, as_of=parse_instant(as_of),
                 feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
                 max_age=None if max_age is None else timedelta(seconds=parse_age(max_age)),
             )  # fmt: skip
@@ -99,10 +98,10 @@ def export(
     if file_format not in FORMATS:
         raise InputError(f"unknown format {file_format}: use one of {', '.join(ALL_FORMATS)}")
     request = ExportRequest(
-        settings.map_name, what, as_of=parse_instant(as_of), believed_at=parse_instant(believed_at), since=parse_time(since),
-        until=parse_instant(until), crs=None if crs is None else map_crs(crs), category=category,
+        read_settings(map_name).map_name, what, as_of=parse_instant(as_of), believed_at=parse_instant(believed_at),
+        since=parse_time(since), until=parse_instant(until), crs=None if crs is None else map_crs(crs), category=category,
     )  # fmt: skip
-    with open_map(settings) as conn:
+    with open_map(map_name) as (conn, _):
         manifest = export_map(conn, output, file_format, request)
     rows, lines = manifest["rows"], manifest.get("lane_markings")
     first = {name: count for name, count in manifest["rows_by_class"].items() if lines is None or name != LANE_MARKING}
@@ -210,12 +209,11 @@ def licence(
     as_json: JsonOption = False,
 ) -> None:
     """Show or set the licence that is written into every export of the map."""
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
+    with open_map(map_name) as (conn, info):
         if text is not None:
-            set_licence(conn, settings.map_name, text)
-        found = read_licence(conn, settings.map_name)
-    answer(as_json, {"map": settings.map_name, "licence": found}, found or "No licence is set.")
+            set_licence(conn, info.map_name, text)
+        found = read_licence(conn, info.map_name)
+    answer(as_json, {"map": info.map_name, "licence": found}, found or "No licence is set.")
 
 
 def qgis(
@@ -230,9 +228,8 @@ def qgis(
 
     Passwords are not stored in it.
     """
-    settings = read_settings(map_name)
-    with open_map(settings) as conn:
-        write_qgis_project(conn, output, map_name=settings.map_name, user=user)
+    with open_map(map_name) as (conn, info):
+        write_qgis_project(conn, output, map_name=info.map_name, user=user)
     answer(as_json, {"written": str(output)}, f"Project -> {output}")
 
 

@@ -14,11 +14,10 @@ from pyproj import Transformer
 from conetl.cli.console import JsonOption, MapOption, answer, counted, counted_by_class, parse_instant
 from conetl.cli.database import open_map
 from conetl.cli.map.compare import instants_of, state_of
-from conetl.db.map.map_store import read_features_as_of, require_map
+from conetl.db.map.map_store import read_features_as_of
 from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
-from conetl.pipeline.settings import read_settings
 from conetl.reports.map_picture import SUFFIXES, Bbox, draw_map_picture, plan_extent, read_plan_content
 
 
@@ -50,17 +49,15 @@ def picture(
         raise InputError("--changes names both states: leave --at and --known-at out")
     valid_at, known = parse_instant(at), parse_instant(known_at)
     size_mm = _size(size)
-    settings = read_settings(map_name)
-    name = settings.map_name
-    with open_map(settings) as conn:
-        info = require_map(conn, name)
+    with open_map(map_name) as (conn, info):
+        name = info.map_name
         if changes is None:
             versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name, lines=True)
             standing, differing = [version.feature for version in versions], None
         else:
-            standing = state_of(conn, settings, changes[1])
-            valid_at, known = instants_of(conn, settings, changes[1])
-            differing = diff(state_of(conn, settings, changes[0]), standing)
+            standing = state_of(conn, name, changes[1])
+            valid_at, known = instants_of(conn, name, changes[1])
+            differing = diff(state_of(conn, name, changes[0]), standing)
         extent = plan_extent(standing, differing) if bbox is None else _bbox(bbox, info.srid)
         content = read_plan_content(
             conn, name, info.srid, extent, standing, differing, valid_at=valid_at, known_at=known

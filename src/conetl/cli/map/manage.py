@@ -77,7 +77,7 @@ def rename(
     """Give a map another name. Its history, decisions, receipts and reports are kept."""
     settings = read_settings(name)
     reports, target = settings.reports_folder, settings.reports_folder.with_name(checked_map_name(new_name))
-    with open_map(settings) as conn:
+    with open_map(name) as (conn, _):
         if target.exists() and find_map(conn, new_name) is None:
             raise InputError(f"{target}: there are reports of an earlier map {new_name}; move them away first")
         rename_map(conn, name, new_name)
@@ -102,7 +102,7 @@ def delete(
     path = dump or _dump_path(settings)
     if path.exists():
         raise InputError(f"{path}: exists already, choose another file with --dump")
-    with open_map(settings) as conn:
+    with open_map(name) as (conn, _):
         size = next(one for one in list_maps(conn) if one.map_name == name)
         text = (
             f"map {name} with {counted(size.feature_count, 'feature')} and {counted(size.changeset_count, 'changeset')}"

@@ -80,17 +80,16 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """List the cones and other objects on the map."""
-    settings = read_settings(map_name)
     if provisional:
         if as_of:
             raise InputError("--provisional and --as-of exclude each other: provisional cones have no history")
         from conetl.cli.watch import show_provisional
 
-        show_provisional(settings, as_json=as_json)
+        show_provisional(read_settings(map_name), as_json=as_json)
         return
-    with open_map(settings) as conn:
-        summary = map_summary(conn, settings.map_name)
-        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=settings.map_name, lines=True))
+    with open_map(map_name) as (conn, info):
+        summary = map_summary(conn, info.map_name)
+        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=info.map_name, lines=True))
     if category:
         versions = [version for version in versions if version.feature.category in category]
     if as_json:
@@ -117,22 +116,22 @@ def log(
     as_json: JsonOption = False,
 ) -> None:
     """Show the history of the map, or of one feature."""
-    settings = read_settings(map_name)
     from conetl.reports.drive_passes import reasons_of  # OpenCV takes a while to load
 
-    with open_map(settings) as conn:
+    with open_map(map_name) as (conn, info):
+        name = info.map_name
         if feature is None:
-            changesets = list_changesets(conn, map_name=settings.map_name)
-            events = hold_events(conn, map_name=settings.map_name)
+            changesets = list_changesets(conn, map_name=name)
+            events = hold_events(conn, map_name=name)
         else:
-            found = find_features(conn, feature, map_name=settings.map_name)
+            found = find_features(conn, feature, map_name=name)
             if not found:
-                raise InputError(f"the map {settings.map_name} has no feature {feature}: `conetl map show` lists them")
+                raise InputError(f"the map {name} has no feature {feature}: `conetl map show` lists them")
             if len(found) > 1:
                 raise InputError(f"{feature!r} is ambiguous: give more characters of the id")
             entries = feature_log(conn, found[0])
-            classified = read_decisions(conn, map_name=settings.map_name).classified
-            reasons = reasons_of(conn, settings.map_name, found[0], [vars(entry) for entry in entries])
+            classified = read_decisions(conn, map_name=name).classified
+            reasons = reasons_of(conn, name, found[0], [vars(entry) for entry in entries])
     if as_json and feature is None:
         print_json([vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets])
     elif as_json:

@@ -17,7 +17,6 @@ from conetl.model.errors import InputError
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import Finding, Level, WorkZone
 from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
-from conetl.pipeline.settings import read_settings
 from conetl.workzones.layout_check import allowed_spacing_m, check_layout
 from conetl.workzones.standards import DEFAULT, STANDARDS, layout_rules, read_standard
 
@@ -74,15 +73,12 @@ def check_layout_command(
     as_json: JsonOption = False,
 ) -> None:
     """Check the layout of the work zones: spacing, missing cones, taper lengths, cones in the open lane."""
-    settings = read_settings(map_name)
     if standard not in STANDARDS:
         raise InputError(f"--standard {standard}: expected one of {', '.join(STANDARDS)}")
     chosen = read_yaml_model(rules, Rules, "rules")
     layout = layout_rules(standard, chosen.layout)
-    with open_map(settings) as conn:
-        found = read_zones(
-            conn, map_name=settings.map_name, as_of=parse_instant(as_of), lanes=lanes, params=chosen.zones
-        )
+    with open_map(map_name) as (conn, info):
+        found = read_zones(conn, map_name=info.map_name, as_of=parse_instant(as_of), lanes=lanes, params=chosen.zones)
     standing = [zone for zone in found.zones if zone.history.end_ns is None]
     checked = [(zone, check_layout(zone.history, zone.layout, speed_kmh, layout, chosen.zones)) for zone in standing]
     findings = [finding for _, some in checked for finding in some]
@@ -93,21 +89,19 @@ def check_layout_command(
         else "no rule of spacing"
     )
     known = read_standard(standard)
-    title = (
-        f"Map {settings.map_name}{f' as of {as_of}' if as_of else ''}, {known.standard}, {speed_kmh:g} km/h: {spacing}"
-    )
+    title = f"Map {info.map_name}{f' as of {as_of}' if as_of else ''}, {known.standard}, {speed_kmh:g} km/h: {spacing}"
     if output is not None:
         export_layout_geojson(findings, output, srid=found.srid)
     if picture is not None:
         if not checked:
-            raise InputError(f"the map {settings.map_name} has no work zone to draw: {picture} was not written")
+            raise InputError(f"the map {info.map_name} has no work zone to draw: {picture} was not written")
         from conetl.reports.layout_image import draw_layout  # matplotlib takes half a second to load
 
         draw_layout(picture, checked, found.paths, title=title)
     if as_json:
         print_json(
             {
-                "map": settings.map_name,
+                "map": info.map_name,
                 "standard": known.standard,
                 "not_covered": known.not_covered,
                 "speed_kmh": speed_kmh,

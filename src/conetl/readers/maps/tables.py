@@ -18,7 +18,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-import pyogrio
 import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
@@ -106,6 +105,8 @@ def read_table(path: Path, layer: str | None = None) -> MapTable:
 
 
 def _read_vector(path: Path, layer: str | None) -> MapTable:
+    import pyogrio  # GDAL takes half a second to load, and few drives come with points to read
+
     if path.suffix.lower() == ".fgb":
         _check_flatgeobuf_header(path)
     try:

@@ -15,6 +15,7 @@ from tipg.errors import NotFound, TiPgError
 
 from conetl.db.ogc_store import MapDirectory
 from conetl.db.reader_pool import STATEMENT_TIMEOUT, AsyncReaderPool
+from conetl.exports.fields import FIELDS
 from conetl.model.errors import DatabaseError
 from conetl.web.models import Problem
 from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS, MARKING_COLUMNS
@@ -114,13 +115,13 @@ def _definition(app: FastAPI) -> dict[str, Any]:
         operation = operations["get"]
         parameters = [p for p in operation.get("parameters", ()) if p["name"] not in _NOT_OFFERED]
         names = {p["name"] for p in parameters}
-        filters = {} if path not in _FILTERED else CHANGE_COLUMNS | MARKING_COLUMNS | FEATURE_COLUMNS
+        filters = dict.fromkeys((*CHANGE_COLUMNS, *MARKING_COLUMNS, *FEATURE_COLUMNS)) if path in _FILTERED else {}
         operation["parameters"] = parameters + [
             {
-                "name": name, "in": "query", "required": False, "description": f"Only items with this value: {text}.",
-                "schema": {"type": "string"},
+                "name": name, "in": "query", "required": False, "schema": {"type": "string"},
+                "description": f"Only items with this value: {FIELDS[name].meaning}",
             }
-            for name, (_, text) in filters.items() if name not in names
+            for name in filters if name not in names
         ]  # fmt: skip
         operation["responses"].pop("422", None)
         for answer in operation["responses"].values():

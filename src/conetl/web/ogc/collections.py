@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -18,6 +18,7 @@ from tipg.model import Extent, Spatial, Temporal
 
 from conetl.db import ogc_store as store
 from conetl.db.ogc_store import Degrees, ServedMap
+from conetl.exports.fields import FIELDS
 from conetl.model.params import ReconcileParams
 from conetl.web.ogc.values import BadParameterError, Interval, check_value
 
@@ -67,62 +68,27 @@ EVIDENCE_COLUMNS = {
     "seen_count": "coalesce(n.seen_count, 0)",
     "missed_count": "coalesce(n.missed_count, 0)",
 }
-FEATURE_COLUMNS = {
-    "feature_id": ("uuid", "The cone, the same in all its versions"),
-    "version": ("integer", "Number of the state on the road, from 1"),
-    "category": ("text", "Kind of object"),
-    "existence_probability": ("float8", "After the last drive that could see it, up to the requested instant"),
-    "easting_m": ("float8", "In the map's CRS"),
-    "northing_m": ("float8", "In the map's CRS"),
-    "ellipsoidal_height_m": ("float8", "Of the ground, above the WGS 84 ellipsoid"),
-    "sigma_e_m": ("float8", "Standard deviation"),
-    "sigma_n_m": ("float8", "Standard deviation"),
-    "sigma_u_m": ("float8", "Standard deviation"),
-    "cov_en_m2": ("float8", "Covariance of easting and northing"),
-    "object_height_m": ("float8", "From the foot to the tip"),
-    "height_sigma_m": ("float8", "Standard deviation"),
-    "observation_count": ("integer", "Frame pairs in which it was observed"),
-    "seen_count": ("integer", "Drives that observed it, up to the requested instant"),
-    "missed_count": ("integer", "Drives that did not observe it although it was visible, up to the requested instant"),
-    "first_seen_at": ("timestamptz", "First frame pair"),
-    "last_seen_at": ("timestamptz", "Last frame pair of this version"),
-    "valid_from": ("timestamptz", "Start of the period in which the version is valid on the road"),
-    "valid_to": ("timestamptz", "End of that period (null: still valid)"),
-}
-CHANGE_COLUMNS = {
-    "feature_id": ("uuid", "The cone"),
-    "change": ("text", "added, removed, moved or confirmed (the same position with newer values)"),
-    "changed_at": ("timestamptz", "Instant of the change on the road (confirmed: of the newest confirmation)"),
-    "shift_m": ("float8", "Horizontal distance between old and new position"),
-    "category": ("text", "Kind of object"),
-    "easting_m": ("float8", "After the change (removed: before), in the map's CRS"),
-    "northing_m": ("float8", "After the change (removed: before), in the map's CRS"),
-    "ellipsoidal_height_m": ("float8", "Of the ground, above the WGS 84 ellipsoid"),
-    "old_easting_m": ("float8", "Before the change"),
-    "old_northing_m": ("float8", "Before the change"),
-    "old_ellipsoidal_height_m": ("float8", "Of the ground before the change, above the WGS 84 ellipsoid"),
-    "existence_probability": ("float8", "Of the version"),
-    "observation_count": ("integer", "Frame pairs in which it was observed"),
-    "object_height_m": ("float8", "From the foot to the tip"),
-    "version": ("integer", "After the change (removed: before)"),
-}
-MARKING_COLUMNS = {
-    **{name: FEATURE_COLUMNS[name] for name in ("feature_id", "version", "category", "existence_probability")},
-    "width_m": ("float8", "Of the paint, across the line"),
-    "width_sigma_m": ("float8", "Standard deviation"),
-    "colour": ("text", "white, yellow or other"),
-    "pattern": ("text", "solid or dashed; a dashed line runs through its gaps"),
-    "dash_m": ("float8", "Length of a dash (null: solid)"),
-    "gap_m": ("float8", "Between two dashes (null: solid)"),
-    "length_m": ("float8", "Of this stretch"),
-    "sigma_lateral_m": ("float8", "Standard deviation across the line, of the vertex with the largest one"),
-    **{
-        name: FEATURE_COLUMNS[name]
-        for name in (
-            "observation_count", "seen_count", "missed_count", "first_seen_at", "last_seen_at", "valid_from", "valid_to",
-        )
-    },
-}  # fmt: skip
+#: Properties of the collections; `exports/fields.py` has their meanings and units.
+FEATURE_COLUMNS = (
+    "feature_id", "version", "category", "existence_probability", "easting_m", "northing_m", "ellipsoidal_height_m", "sigma_e_m",
+    "sigma_n_m", "sigma_u_m", "cov_en_m2", "object_height_m", "height_sigma_m", "observation_count", "seen_count", "missed_count",
+    "first_seen_at", "last_seen_at", "valid_from", "valid_to",
+)  # fmt: skip
+CHANGE_COLUMNS = (
+    "feature_id", "change", "changed_at", "shift_m", "category", "easting_m", "northing_m", "ellipsoidal_height_m",
+    "old_easting_m", "old_northing_m", "old_ellipsoidal_height_m", "existence_probability", "observation_count",
+    "object_height_m", "version",
+)  # fmt: skip
+MARKING_COLUMNS = (
+    "feature_id", "version", "category", "existence_probability", "width_m", "width_sigma_m", "colour", "pattern", "dash_m",
+    "gap_m", "length_m", "sigma_lateral_m", "observation_count", "seen_count", "missed_count", "first_seen_at", "last_seen_at",
+    "valid_from", "valid_to",
+)  # fmt: skip
+#: Types of PostgreSQL, of ids and counts by name, of words and times by unit; all others are numbers.
+_TYPES = {"feature_id": "uuid", "version": "integer"} | dict.fromkeys(
+    ("observation_count", "seen_count", "missed_count"), "integer"
+)
+_TYPES_BY_UNIT = {"": "text", "UTC": "timestamptz"}
 _FEATURE_PARAMETERS = {"map_name": "text", "from_at": "timestamptz", "to_at": "timestamptz", "known_at": "timestamptz"}
 _CHANGE_PARAMETERS = {
     "map_name": "text", "from_at": "timestamptz", "known_from": "timestamptz", "to_at": "timestamptz", "known_to": "timestamptz",
@@ -312,16 +278,17 @@ def changes_of(served: ServedMap, instants: Instants) -> AsOfCollection:
     return _collection(
         "changes", served, instants, CHANGE_COLUMNS, _CHANGE_PARAMETERS, f"Changes of the map {served.map_name}",
         "Traffic cones that were added, moved, removed or confirmed between the instants `from` and `to` on the road; "
-        "without `from`, all that stand at `to` are added.",
+        "without `from`, all that stand at `to` are added. Positions and versions are those after the change, of removed ones "
+        "those before it.",
     )  # fmt: skip
 
 
 def _collection(
-    name: str, served: ServedMap, instants: Instants, columns: Mapping[str, tuple[str, str]], parameters: Mapping[str, str],
+    name: str, served: ServedMap, instants: Instants, columns: Sequence[str], parameters: Mapping[str, str],
     title: str, description: str, geometry: str = "Point",
 ) -> AsOfCollection:  # fmt: skip
     place = Column(name="geom", type="geometry", geometry_type=geometry, srid=4326, bounds=list(served.extent))
-    listed = [Column(name=name, type=kind, description=text) for name, (kind, text) in columns.items()]
+    listed = [_column(name) for name in columns]
     types = dict(parameters) | dict.fromkeys(_BOX, "float8")  # tipg leaves out those without a value
     return AsOfCollection(
         type="Function", id=f"{served.map_name}.{name}", table=name, schema=SCHEMA, title=title, description=description,
@@ -329,6 +296,12 @@ def _collection(
         parameters=[Parameter(name=key, type=kind, default="") for key, kind in types.items()],
         served=served, instants=instants,
     )  # fmt: skip
+
+
+def _column(name: str) -> Column:
+    field = FIELDS[name]
+    kind = _TYPES.get(name) or _TYPES_BY_UNIT.get(field.unit, "float8")
+    return Column(name=name, type=kind, description=field.meaning)
 
 
 async def warm(conn: asyncpg.Connection) -> None:
