@@ -19,7 +19,7 @@ FOUND = {
     "points_laz": (388, 812, 873, 891), "lanes_opendrive": (106, 137, 371, 2367, 8516), "lanes_geojson": (79, 142),
     "lanes_gpkg": (145,), "map_geojson": (44, 192), "map_csv": (189, 360, 383), "model_card": (807,), "odometry_bag": (2960,),
     "bag": (4210, 5444, 6669), "mcap_file": (495, 4535, 5646, 7141, 8777),
-    "ros1_bag": (4717,),
+    "ros1_bag": (4717,), "video_search": (5679,),
 }  # fmt: skip
 
 

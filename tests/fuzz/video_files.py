@@ -88,7 +88,7 @@ def search_times(path: Path, _: Path) -> object:
     """What `conetl init` does: a proposal, then the shift of both files and the clock."""
     with suppress(ConetlError):
         propose(path, {"mount": "1,0,0"})
-    with suppress(ConetlError):
+    with suppress(ConetlError, ImageFileError):
         find_video_lag(index_video(path / "left.mp4"), index_video(path / "right.mp4"))
     with suppress(ConetlError):
         read_timing(path)

@@ -23,7 +23,7 @@ from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 
 _TIME_QUESTIONS = {
     "start": "When was the first frame of the left camera taken (UTC, like 2026-03-02 10:00:00.250)",
-    "right-offset": "By how many seconds does the right file begin after the left one",
+    "right-offset": "By how many seconds does the right file begin after the left one (0: both begin with one trigger)",
 }
 _COMMENTS = {
     "images": "the videos or folders of images",
@@ -119,9 +119,9 @@ def _settled(
     """
     path = root / DRIVE_YAML
     before = path.read_bytes() if path.exists() else None
-    asked = None
+    asked, shown = None, set[str]()
     while True:
-        proposal = _complete(root, answers, asked, asks=asks, as_json=as_json)
+        proposal = _complete(root, answers, asked, shown, asks=asks, as_json=as_json)
         proposal.settings["images"] |= part
         if proposal.rig is not None:
             write_rig_yaml(proposal.rig, root / RIG_YAML)
@@ -130,10 +130,10 @@ def _settled(
             with spinner("finding when the images were taken"):
                 return proposal.settings, read_timing(root)
         except UnknownTimeError as error:
+            path.unlink() if before is None else path.write_bytes(before)  # nobody may answer
             if not asks:
-                path.unlink() if before is None else path.write_bytes(before)
                 raise InputError(f"{error}; or answer with --{error.key}: {_TIME_QUESTIONS[error.key]}") from error
-            say(str(error))
+            say(error.cause)
             asked = Question(error.key, _TIME_QUESTIONS[error.key])
             answers[asked.key] = _answer(asked)
         except ConetlError as error:
@@ -162,12 +162,13 @@ def _answer(question: Question) -> str:
     return str(typer.prompt(question.text, default=question.default))
 
 
-def _complete(root: Path, answers: dict[str, str], asked: Question | None, *, asks: bool, as_json: bool) -> Proposal:
+def _complete(
+    root: Path, answers: dict[str, str], asked: Question | None, shown: set[str], *, asks: bool, as_json: bool
+) -> Proposal:
     """The proposal once nothing is missing. asked: the question that was answered last; a wrong answer is asked again.
 
-    Raises InputError where something is missing and nobody can be asked.
+    shown: what was said of the folder before. Raises InputError where something is missing and nobody can be asked.
     """
-    shown = 0
     while True:
         try:
             proposal = propose(root, answers)
@@ -178,9 +179,10 @@ def _complete(root: Path, answers: dict[str, str], asked: Question | None, *, as
             answers[asked.key] = _answer(asked)
             continue
         if not as_json:
-            for line in proposal.found[shown:]:
-                say(f"  {line}")
-            shown = len(proposal.found)
+            for line in proposal.found:
+                if line not in shown:
+                    say(f"  {line}")
+            shown.update(proposal.found)
         if not proposal.questions:
             return proposal
         if not asks:

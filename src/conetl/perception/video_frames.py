@@ -8,20 +8,23 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import av
+import cv2
 import numpy as np
 from av.video.frame import VideoFrame
-from av.video.reformatter import Interpolation, VideoReformatter
+from av.video.plane import VideoPlane
+from av.video.reformatter import ColorRange, Interpolation, VideoReformatter
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError, StorageError
 from conetl.model.records import MAX_IMAGE_PIXELS
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError
-from conetl.perception.video import Frame, frame_sha256, open_video, packet_sha256, video_stream
+from conetl.perception.video import Frame, Region, frame_sha256, open_video, packet_sha256, video_stream
 
 Image = NDArray[np.uint8]
 #: Decoders that stay open between two reads, and bytes of decoded frames that stay in memory: searches read the middle of five
@@ -30,6 +33,9 @@ _MAX_DECODERS, _KEPT_BYTES = 8, 256 * 2**20
 #: Without these the library rounds down, by more than one grey level.
 _EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
 _reformatters: list[VideoReformatter] = []
+#: Formats whose first plane is the brightness in 8 bits, and that brightness in full range where its range is that of television.
+_LUMA_FORMATS = frozenset({"yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "yuvj444p", "nv12"})
+_FULL_RANGE = np.clip(np.round((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)
 
 
 def read_frame(frame: Frame, sha256: str = "", *, grey: bool = False) -> Image:
@@ -44,11 +50,7 @@ def read_frame(frame: Frame, sha256: str = "", *, grey: bool = False) -> Image:
             f"{frame.path}: the video changed while it was worked on. Run the same command again when nobody writes to the "
             "drive. Nothing was written."
         )
-    image = _pixels(decoded.frame, grey)
-    if frame.region is None:
-        return image
-    x, y, width, height = frame.region
-    return np.ascontiguousarray(image[y : y + height, x : x + width])
+    return _pixels(decoded.frame, frame.region, grey=grey)
 
 
 def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = False) -> Iterator[tuple[int, Image]]:
@@ -60,7 +62,7 @@ def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = Fa
             if pts > last_pts:
                 break
             if pts >= first_pts:
-                yield pts, _pixels(frame, grey)
+                yield pts, _pixels(frame, None, grey=grey)
     except av.FFmpegError as error:
         raise ImageFileError(
             RejectionReason.IMAGE_UNREADABLE, f"{path}: cannot be decoded ({error.strerror}): copy the video again"
@@ -69,17 +71,49 @@ def frames_between(path: Path, first_pts: int, last_pts: int, *, grey: bool = Fa
         decoder.close()
 
 
-def _pixels(frame: VideoFrame, grey: bool) -> Image:
+def _pixels(frame: VideoFrame, region: Region | None, *, grey: bool) -> Image:
     """(height, width, 3) in blue, green, red order or (height, width), in the range and colour space that the file states."""
+    x, y, width, height = region or (0, 0, frame.width, frame.height)
+    if x + width > frame.width or y + height > frame.height:
+        raise ImageFileError(
+            RejectionReason.IMAGE_WRONG_SIZE,
+            f"a frame of {frame.width} x {frame.height} pixels has no region {x},{y},{width},{height}: the video changes size",
+        )
+    part = np.s_[y : y + height, x : x + width]
+    if (
+        grey and frame.format.name in _LUMA_FORMATS and frame.planes[0].line_size >= frame.width
+    ):  # negative: upside down
+        luma = _view(frame.planes[0])[part]
+        is_full = frame.color_range == ColorRange.JPEG or frame.format.name.startswith("yuvj")
+        return luma.copy() if is_full else np.asarray(cv2.LUT(luma, _FULL_RANGE), dtype=np.uint8)
+    first, *others = (_converted if region is None else _converted_once)(frame, "gray" if grey else "gbrp")
+    if grey:
+        return first[part].copy()
+    blue, red = others
+    return np.asarray(cv2.merge([blue[part], first[part], red[part]]), dtype=np.uint8)
+
+
+def _converted(frame: VideoFrame, to: str) -> list[Image]:
+    """The planes (height, width) of a frame in another format. Planes are written twice as fast as mixed colours."""
     # A frame's own reformatter is not safe where two threads read the same frame. One with threads of its own, or one that is
     # freed with its thread, would hang a process that is forked from this one: they are kept, each used by one thread at a time.
     try:
         own = _reformatters.pop()
     except IndexError:
         own = VideoReformatter()
-    image = own.reformat(frame, format="gray" if grey else "bgr24", interpolation=_EXACT, threads=1).to_ndarray()
+    planes = own.reformat(frame, format=to, interpolation=_EXACT, threads=1).planes
     _reformatters.append(own)
-    return np.asarray(image, dtype=np.uint8)
+    return [_view(plane) for plane in planes]
+
+
+#: Frames with both images are read for one and then for the other.
+_converted_once = lru_cache(maxsize=4)(_converted)
+
+
+def _view(plane: VideoPlane) -> Image:
+    """(height, width) of the bytes of a plane."""
+    rows = np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)
+    return rows[:, : plane.width]
 
 
 # --------------------------------------------------------------------------- decoders

@@ -13,6 +13,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from av.video.reformatter import Interpolation
 
 from conetl.model.errors import InputError, StorageError
 from conetl.perception.images import ImageFileError
@@ -109,6 +110,38 @@ def test_a_region_is_a_part_of_the_frame(tmp_path: Path) -> None:
     image = read_frame(frame, index.sha256(1, region))
     assert image.shape == (64, 96, 3) and abs(float(image.mean()) - 180) < 2
     assert index.sha256(1, region) != index.sha256(1)
+
+
+EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
+
+
+@pytest.mark.parametrize(
+    ("codec", "pixels"),
+    [
+        ("libx264", "yuv420p"), ("libx264", "yuvj420p"), ("libx264", "yuv422p"), ("libx264", "yuv420p10le"),
+        ("ffv1", "yuv420p"), ("ffv1", "gray"), ("ffv1", "bgr0"),
+    ],
+)  # fmt: skip
+def test_pixels_are_those_of_the_librarys_exact_conversion(codec: str, pixels: str, tmp_path: Path) -> None:
+    """In colour and in grey, of a frame and of each half of it."""
+    scene = cv2.resize(np.random.default_rng(1).integers(0, 255, (8, 24, 3), np.uint8), (200, 64))
+    path = tmp_path / "both.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=10)
+        stream.width, stream.height, stream.pix_fmt = 200, 64, pixels
+        frame = av.VideoFrame.from_ndarray(scene, format="bgr24").reformat(format=pixels)
+        container.mux([*stream.encode(frame), *stream.encode(None)])
+    with av.open(str(path)) as container:
+        (stored,) = container.decode(video=0)
+    colours = stored.to_ndarray(format="bgr24", interpolation=EXACT)
+    grey = stored.to_ndarray(format="gray", interpolation=EXACT)
+    for region in (None, (0, 0, 100, 64), (100, 0, 100, 64), (0, 31, 200, 33)):
+        x, y, width, height = region or (0, 0, 200, 64)
+        part, frame_name = np.s_[y : y + height, x : x + width], Frame(path, 0, region)
+        np.testing.assert_array_equal(read_frame(frame_name), colours[part])
+        np.testing.assert_array_equal(read_frame(frame_name, grey=True), grey[part])
+    with pytest.raises(ImageFileError, match="changes size"):
+        read_frame(Frame(path, 0, (150, 0, 100, 64)))
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -358,6 +360,30 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
         made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", option, value])
         assert isinstance(made.exception, ConetlError | SystemExit), (option, made.exception)
         assert says in f"{made.exception}{made.output}", option
+
+
+def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tmp_path: Path) -> None:
+    """On a terminal, where an end of input stands for Ctrl-C."""
+    copy = with_settings(folder, tmp_path, "")
+    (copy / "drive.yaml").unlink()
+    terminal, stdin = os.openpty()
+    os.write(terminal, b"0\n\x04")
+    command = [
+        sys.executable,
+        "-c",
+        "from conetl.cli import main; main()",
+        "init",
+        str(copy),
+        "--trajectory",
+        "drive.csv",
+    ]
+    made = subprocess.run(command, stdin=stdin, capture_output=True, text=True, timeout=120, check=False)
+    os.close(terminal)
+    os.close(stdin)
+    assert made.returncode != 0
+    assert "(0: both begin with one trigger): " in made.stdout and "When was the first frame" in made.stdout
+    assert made.stdout.count("trajectory drive.csv") == 1 and "images: {start" not in made.stdout
+    assert not (copy / "drive.yaml").exists()
 
 
 # --------------------------------------------------------------------------- files that a stranger may have made

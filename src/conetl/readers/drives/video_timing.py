@@ -40,6 +40,7 @@ _MOST_TIME_BYTES = 128_000_000
 _MOST_PARTS = 4
 #: Of an offset that is stated without one (s), as from a flash of light. The poses tell what is left of it.
 _STATED_SIGMA_S = 0.01
+_STATE_START = f"State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'"
 _log = logging.getLogger(__name__)
 
 
@@ -68,11 +69,12 @@ class Timing(NamedTuple):
 
 
 class UnknownTimeError(DriveFolderError):
-    """The images do not show when they were taken. key: name of the option of `conetl init` that states it."""
+    """The images do not show when they were taken. key: name of the option of `conetl init` that states it; remedy: what to
+    write into drive.yaml by hand."""
 
-    def __init__(self, key: str, message: str) -> None:
-        super().__init__(message)
-        self.key = key
+    def __init__(self, key: str, cause: str, remedy: str) -> None:
+        super().__init__(f"{cause}. {remedy}")
+        self.key, self.cause = key, cause
 
 
 def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Source, *, from_course: bool) -> Timing:
@@ -89,7 +91,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
             raise UnknownTimeError(
                 "start",
                 f"{root}: {track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} "
-                f"was recorded. State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'",
+                "was recorded",
+                _STATE_START,
             )
         if search_s is not None:
             clock = Clock(search_s=search_s)
@@ -116,8 +119,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         raise UnknownTimeError(
             "start",
             f"{root}: turns and changes of speed do not show when {left.name} was recorded: there are too few of them in images "
-            f"and {track.name}, or both are not of the same time. State the time of its first frame in {DRIVE_YAML}: 'images: "
-            "{start: 2026-03-02 10:00:00.250Z}'",
+            f"and {track.name}, or both are not of the same time",
+            _STATE_START,
         ) from error
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
@@ -219,8 +222,8 @@ def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -
     if lag is None:
         raise UnknownTimeError(
             "right-offset",
-            f"{left.video.path.parent}: the images do not show how {right.name} and {left.name} are shifted in time. Put "
-            f"'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "
+            f"{left.video.path.parent}: the images do not show how {right.name} and {left.name} are shifted in time",
+            f"Put 'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "
             "right file's times",
         )
     if not lag.is_constant:
