@@ -5,8 +5,12 @@
 select set_config('lock_timeout', %(timeout)s, true);
 
 -- name: lock_map
--- Let only one transaction at a time read and change this map; held until the transaction ends. Parameters: map_name.
+-- Let no other transaction change this map until this one ends. Parameters: map_name.
 select pg_advisory_xact_lock(hashtextextended('conetl.map/' || %(map_name)s, 0));
+
+-- name: share_map
+-- Let only transactions change this map that share it, until this one ends. Parameters: map_name.
+select pg_advisory_xact_lock_shared(hashtextextended('conetl.map/' || %(map_name)s, 0));
 
 -- name: system_time
 -- The system time of a new changeset: later than every earlier one of the map, even when the clock was set back.
