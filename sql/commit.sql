@@ -14,10 +14,11 @@ select pg_advisory_xact_lock_shared(hashtextextended('conetl.map/' || %(map_name
 
 -- name: system_time
 -- The system time of a new changeset: later than every earlier one of the map, even when the clock was set back.
--- Parameters: now (timestamptz, null: the server's clock); last_committed_at (timestamptz or null).
+-- Parameters: now (timestamptz, null: the server's clock); map_id.
 select greatest(
     coalesce(%(now)s::timestamptz, clock_timestamp()),
-    %(last_committed_at)s::timestamptz + interval '1 microsecond'
+    (select max(c.committed_at) from conetl.changeset c where c.map_id = %(map_id)s) + interval '1 microsecond',
+    (select max(d.decided_at) from conetl.decision d where d.map_id = %(map_id)s) + interval '1 microsecond'
 ) as committed_at;
 
 -- name: insert_run

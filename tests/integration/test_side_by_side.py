@@ -40,9 +40,9 @@ def drive_at(start_m, hour, name=""):
 
 def lock(conn, survey):
     """As `merge_drive` does at its beginning."""
-    drive, params = survey.drive, IngestParams()
+    drive, key = survey.drive, key_of(survey, IngestParams())
     return lock_neighbourhood(
-        conn, "default", drive, lambda: place_drive(conn, drive, key_of(survey, params), influence_m=REACH_M),
+        conn, "default", drive, key, lambda: place_drive(conn, drive, key, influence_m=REACH_M),
         path_wkt=path_wkt(drive), influence_m=REACH_M,
     )  # fmt: skip
 

@@ -19,10 +19,10 @@ from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_
 from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.hold_store import held_drives, hold_changes
-from conetl.db.map.map_store import find_changeset, require_map
+from conetl.db.map.map_store import require_map
 from conetl.db.map.neighbourhood import lock_neighbourhood
 from conetl.db.map.replay_store import read_deltas, read_doubts_around, read_misses, read_standing_around, read_versions
-from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
+from conetl.db.map.results import CommitResult, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping.changes import VisibilityCheck
 from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, replay_drives
@@ -100,14 +100,17 @@ def merge_drive(
         figures=figures,
     )  # fmt: skip
     path = None if hold else path_wkt(drive)
-    near = lock_neighbourhood(conn, map_name, drive, place, path_wkt=path, influence_m=reach_m)
-    known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
-    if known is not None:  # another ingest of the same drive was faster
-        return Merged(changeset, MapUpdate([], [], [], []), 0, CommitResult(False, known, 0), ())
+    near = lock_neighbourhood(
+        conn, map_name, drive, changeset.idempotency_key, place, path_wkt=path, influence_m=reach_m
+    )
+    if isinstance(near, CommittedChangeset):  # another ingest of the same drive was faster
+        return Merged(changeset, MapUpdate([], [], [], []), 0, CommitResult(False, near, 0), ())
     changeset = with_free_id(conn, changeset, near.drive_uuid)
     affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
     if hold:
-        result = commit_changeset(conn, records, changeset, map_name=map_name, run=run, hold=hold)
+        result = commit_changeset(
+            conn, records, changeset, map_name=map_name, run=run, hold=hold, placed=near.drive_uuid
+        )
         others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
         return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
     spots = [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
@@ -145,8 +148,11 @@ def merge_drive(
         replay=replay,
         hold=() if extension.hold is None else (extension.hold,),
         held_by_map=True,
+        placed=near.drive_uuid,
     )
-    others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
+    others = ()
+    if held_before or affected:  # else there is no drive whose hold could begin or end
+        others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
     return Merged(changeset, extension, len(later), result, others)
 
 

@@ -3,10 +3,10 @@
 One drive is one atomic changeset. The caller holds the locks of its neighbourhood from reading the features to the commit:
 
     with drive_transaction(conn, map_name):
-        near = lock_neighbourhood(conn, map_name, drive, lambda: place_drive(conn, drive, key, ...), ...)
-        if find_changeset(conn, key, map_name=map_name) is None:
+        near = lock_neighbourhood(conn, map_name, drive, key, lambda: place_drive(conn, drive, key, ...), ...)
+        if isinstance(near, Neighbourhood):           # else it is on the map already
             ...                                       # compare in Python: in pipeline/replay.py
-            commit_changeset(conn, records, changeset, map_name=map_name)
+            commit_changeset(conn, records, changeset, map_name=map_name, placed=near.drive_uuid)
 
 Everything is committed at the end of the block, or nothing.
 """
@@ -120,6 +120,7 @@ def commit_changeset(
     replay: Replay | None = None,
     hold: Sequence[HealthCheck] = (),
     held_by_map: bool = False,
+    placed: UUID | None = None,
 ) -> CommitResult:
     """Write a drive, everything made from it, and its changeset, under the locks that the caller holds.
 
@@ -127,25 +128,27 @@ def commit_changeset(
     clock); it is moved behind the map's last one. Versions are numbered here: the open one's plus one. suppressed: features that
     end where a person decided that nothing stands. replay: for a drive that is older than others around it, the new state of the
     whole neighbourhood, the changeset's own deltas included. hold: the checks for which the drive must not count until a person
-    accepts it; held_by_map: whether the comparison with the map made them. Raises MapMismatchError if the drive is in another
+    accepts it; held_by_map: whether the comparison with the map made them. placed: the drive, where the
+    caller placed it, and knows that it has no changeset yet. Raises MapMismatchError if the drive is in another
     CRS, the records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding
     transaction.
     """
-    known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
-    if known is not None:
-        return CommitResult(committed=False, changeset=known, versions_written=0)
-    _require_consistent(records, changeset)
     drive = records.drive
-    drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
+    if placed is None:
+        known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
+        if known is not None:
+            return CommitResult(committed=False, changeset=known, versions_written=0)
+        placed = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
+    _require_consistent(records, changeset)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     # Encoding takes nearly as long as sending, during which this process would only wait.
-    with made_ahead(_encoded_records(drive_uuid, info.srid, records), ahead=BLOCKS_AHEAD) as blocks:
+    with made_ahead(_encoded_records(placed, info.srid, records), ahead=BLOCKS_AHEAD) as blocks:
         if replay is None:
-            _stage_deltas(conn, info, drive_uuid, changeset, suppressed)
+            _stage_deltas(conn, info, placed, changeset, suppressed)
         for block in blocks:
             copy_block(conn, block)
     take_turn(conn, map_name)  # what follows keeps other drives of the map waiting
-    committed_at = system_time(conn, map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now), now)
+    committed_at = system_time(conn, info, now)
     counts = RecordCounts(
         frame_pair_count=len(drive.frame_pairs),
         detection_count=len(records.detections),
@@ -155,7 +158,7 @@ def commit_changeset(
         marking_count=len(records.markings),
         rejection_count=len(records.rejections),
     )
-    insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
+    insert_changeset(conn, info, placed, changeset, counts, run, committed_at)
     copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
     if replay is None:

@@ -199,7 +199,10 @@ def insert_map(
 
 
 def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) -> datetime:
-    """The instant of a new changeset or decision: now (None: the server's clock), but later than the map's last one."""
-    clock = {"now": now, "last_committed_at": info.last_committed_at}
+    """The instant of a new changeset or decision: now (None: the server's clock), but later than the map's last one.
+
+    Under the map's lock, or in turn (`take_turn`).
+    """
+    clock = {"now": now, "map_id": info.map_id}
     instant: datetime = execute(conn, load_sql("commit.system_time"), clock)[0]["committed_at"]
     return instant

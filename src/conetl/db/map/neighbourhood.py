@@ -14,9 +14,9 @@ from typing import NamedTuple
 from uuid import UUID
 
 from conetl.db.connection import Connection, execute
-from conetl.db.map.map_store import find_map, map_lock
+from conetl.db.map.map_store import find_changeset, find_map, map_lock
 from conetl.db.map.replay_store import affected_drives, superseded_drives
-from conetl.db.map.results import DriveRef
+from conetl.db.map.results import CommittedChangeset, DriveRef
 from conetl.db.statements import load_sql
 from conetl.model.records import Drive
 
@@ -46,15 +46,17 @@ def lock_neighbourhood(
     conn: Connection,
     map_name: str,
     drive: Drive,
+    idempotency_key: str,
     place: Callable[[], UUID],
     *,
     path_wkt: str | None,
     influence_m: float,
-) -> Neighbourhood:
-    """Take the locks of a drive in an open transaction, which must not have written before.
+) -> Neighbourhood | CommittedChangeset:
+    """Take the locks of a drive in an open transaction, which must not have written before, and add it to the map.
 
-    place: adds the drive to the map (`place_drive`). path_wkt: its path (line, map CRS), of which it may change everything within
-    influence_m; None: it changes nothing, because its recording is on hold.
+    place: adds it (`place_drive`). path_wkt: its path (line, map CRS), of which it may change everything within influence_m;
+    None: it changes nothing, because its recording is on hold. The result is a changeset, and nothing was added, where
+    the drive is on the map already.
     """
     recording = {f"{map_name}/drive/{drive.drive_id}", f"{map_name}/content/{drive.content_sha256}"}
     regions = set[str]() if path_wkt is None else regions_of(conn, [], path_wkt=path_wkt, influence_m=influence_m)
@@ -67,6 +69,8 @@ def lock_neighbourhood(
         info = find_map(conn, map_name)
         # A drive that may create the map, or set it aside, does so alone.
         if whole or (info is not None and info.counts and len(regions) <= MAX_REGIONS):
+            if (known := find_changeset(conn, idempotency_key, map_name=map_name)) is not None:
+                return known
             drive_uuid = place()
             if path_wkt is None:
                 found = Neighbourhood(drive_uuid, [drive_uuid], [])
