@@ -148,6 +148,7 @@ def server_ms(conn: Connection, count: int) -> list[float]:
             "valid_at": AS_OF.isoformat(),
             "known_at": "infinity",
             "max_rows": None,
+            "lines": False,
         }
         [plan] = execute(conn, f"explain (analyze, format json) {load_sql('map.features_as_of')}", parameters)
         top = plan["QUERY PLAN"][0]

@@ -24,8 +24,8 @@ from conetl.model.records import Drive
 REGION_M = 2048.0
 #: A feature that was moved over the edge of two areas is within this of both: they have a region in common.
 MARGIN_M = 50.0
-#: A drive that comes near more of them takes the whole map: the server has room for some thousand locks.
-MAX_REGIONS = 400
+#: A drive that comes near more of them takes the whole map: the private server has room for 5,000 locks of all sessions.
+MAX_REGIONS = 200
 
 
 class Neighbourhood(NamedTuple):
