@@ -8,7 +8,7 @@ export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: help setup demo up down test lint check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants bench-recordings fuzz lock
+.PHONY: help setup demo up down test lint check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-changes bench-map bench-fleet bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants bench-recordings fuzz lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -72,6 +72,9 @@ bench-map: setup  ## a drive of 100,000 cones into maps of 100 thousand and 1 mi
 
 bench-view: setup  ## first frame of the web view, clicks and frames (POINTS=3000000 for a large cloud; needs Chromium)
 	@$(BIN)/python benchmarks/bench_view.py --points $(or $(POINTS),100000)
+
+bench-fleet: setup  ## one and eight writers on one map, and a month of 200 vehicles at 1:100 (ARGS='--only writers' ...)
+	@$(BIN)/python benchmarks/bench_fleet.py $(ARGS)
 
 bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no lock, no file left (KILLS=20 for fewer)
 	@$(BIN)/python benchmarks/bench_kills.py --kills $(or $(KILLS),200)

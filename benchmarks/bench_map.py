@@ -23,6 +23,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from uuid import NAMESPACE_URL, uuid5
 
@@ -42,9 +43,10 @@ from benchmarks.made_up_maps import (
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_up
 from conetl.db.connection import Connection, connect, execute
-from conetl.db.map.commit import commit_changeset, place_drive
-from conetl.db.map.map_store import map_transaction, read_features_as_of
-from conetl.db.map.replay_store import affected_drives, read_doubts_around, read_standing_around, superseded_drives
+from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_drive
+from conetl.db.map.map_store import drive_transaction, read_features_as_of
+from conetl.db.map.neighbourhood import Neighbourhood, lock_neighbourhood
+from conetl.db.map.replay_store import read_doubts_around, read_standing_around
 from conetl.db.schema import migrate
 from conetl.db.statements import load_sql
 from conetl.mapping.history import DriveEvidence, apply_drive
@@ -70,21 +72,26 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
     key = hashlib.sha256(f"changeset {drive.drive_id}".encode()).hexdigest()
     changeset_id = uuid5(NAMESPACE_URL, key)
     with watch.phase("lock, commit"):  # noqa: SIM117 -- its own share is the rest
-        with no_cycle_search(), map_transaction(conn, MAP_NAME):
+        with no_cycle_search(), drive_transaction(conn, MAP_NAME):
             with watch.phase("place the drive"):
-                drive_uuid = place_drive(conn, drive, key, map_name=MAP_NAME)
-                later = [r for r in affected_drives(conn, [drive_uuid]) if r.drive_uuid != drive_uuid]
-                if later or superseded_drives(conn, drive_uuid):
+                place = partial(place_drive, conn, drive, key, map_name=MAP_NAME)
+                near = lock_neighbourhood(
+                    conn, MAP_NAME, drive, key, place, path_wkt=path_wkt(drive), influence_m=INFLUENCE_M
+                )
+                if not isinstance(near, Neighbourhood) or near.affected:
                     raise SystemExit("the drive is not the newest one: this would be a replay")
             with watch.phase("read the surroundings"):
-                standing, summaries = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
+                standing, summaries = (
+                    read_standing_around(conn, near.drive_uuid),
+                    read_doubts_around(conn, near.drive_uuid),
+                )
             evidence = DriveEvidence(
                 key=(drive.frame_pairs[0].captured_at_ns, drive.content_sha256, key),
                 changeset_id=changeset_id,
                 founding_key=f"{MAP_NAME}/{drive.content_sha256}",
                 tracks=sightings.tracks,
                 path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
-                influence_m=60.0,
+                influence_m=INFLUENCE_M,
                 check_visibility=sightings.check_visibility,
                 params=ReconcileParams(),
             )
@@ -106,6 +113,7 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
                     changeset,
                     map_name=MAP_NAME,
                     suppressed=extension.suppressed,
+                    placed=near.drive_uuid,
                 )
     rest = np.subtract(watch.phases["lock, commit"], np.sum(list(watch.phases.values())[:-1], axis=0))
     watch.phases["lock, commit"] = tuple(rest.tolist())
@@ -140,6 +148,7 @@ def server_ms(conn: Connection, count: int) -> list[float]:
             "valid_at": AS_OF.isoformat(),
             "known_at": "infinity",
             "max_rows": None,
+            "lines": False,
         }
         [plan] = execute(conn, f"explain (analyze, format json) {load_sql('map.features_as_of')}", parameters)
         top = plan["QUERY PLAN"][0]

@@ -5,15 +5,20 @@
 select set_config('lock_timeout', %(timeout)s, true);
 
 -- name: lock_map
--- Let only one transaction at a time read and change this map; held until the transaction ends. Parameters: map_name.
+-- Let no other transaction change this map until this one ends. Parameters: map_name.
 select pg_advisory_xact_lock(hashtextextended('conetl.map/' || %(map_name)s, 0));
+
+-- name: share_map
+-- Let only transactions change this map that share it, until this one ends. Parameters: map_name.
+select pg_advisory_xact_lock_shared(hashtextextended('conetl.map/' || %(map_name)s, 0));
 
 -- name: system_time
 -- The system time of a new changeset: later than every earlier one of the map, even when the clock was set back.
--- Parameters: now (timestamptz, null: the server's clock); last_committed_at (timestamptz or null).
+-- Parameters: now (timestamptz, null: the server's clock); map_id.
 select greatest(
     coalesce(%(now)s::timestamptz, clock_timestamp()),
-    %(last_committed_at)s::timestamptz + interval '1 microsecond'
+    (select max(c.committed_at) from conetl.changeset c where c.map_id = %(map_id)s) + interval '1 microsecond',
+    (select max(d.decided_at) from conetl.decision d where d.map_id = %(map_id)s) + interval '1 microsecond'
 ) as committed_at;
 
 -- name: insert_run

@@ -68,6 +68,10 @@ and (
 order by n.newer_no desc
 limit 1;
 
+-- name: earlier_deliveries
+-- The earlier analyses and deliveries of the recording of a changeset. Parameters: changeset_id. Columns: changeset_id.
+select n.changeset_id from conetl.newer_delivery n where n.newer_id = %(changeset_id)s;
+
 -- name: map_checks
 -- The open hold of a changeset against the map, whether the drive is active or not. Parameters: changeset_id. Columns: checks.
 select h.checks

@@ -1,4 +1,4 @@
--- Session locks: the server frees them when the session ends, however it ends.
+-- Session locks, which the server frees when the session ends, however it ends; and locks of parts of a map.
 
 -- name: take_lock
 -- Wait for a lock of this session. Parameters: name.
@@ -37,3 +37,27 @@ order by a.xact_start;
 -- name: wait_without_limit
 -- Locks that show which processes are alive are waited for as long as their holders work.
 set lock_timeout = 0;
+
+-- name: take_parts
+-- Lock parts of maps one after the other, until the transaction or the savepoint before is ended. Parameters: names
+-- (text[], always in the same order).
+select pg_advisory_xact_lock(hashtextextended('conetl.map/' || part.name, 0)) from unnest(%(names)s::text[]) as part (name);
+
+-- name: regions
+-- The squares of side_m, numbered from the origin of the map's CRS, to which the areas of some drives come within margin_m, and
+-- that of a path which is not stored yet (as drives.insert_drive makes it).
+-- Parameters: drive_uuids (uuid[]); path_wkt (line, null: none), influence_m; side_m, margin_m. Columns: region.
+with around (area) as (
+    select d.area from conetl.drive d where d.drive_uuid = any(%(drive_uuids)s::uuid[])
+    union all
+    select ST_Buffer(ST_GeomFromText(%(path_wkt)s::text), 1.05 * %(influence_m)s + 5) where %(path_wkt)s::text is not null
+)
+select distinct format('%%s,%%s', x, y) as region
+from around
+cross join lateral conetl.pieces(area) piece
+cross join lateral generate_series(
+    floor((ST_XMin(piece) - %(margin_m)s) / %(side_m)s)::bigint, floor((ST_XMax(piece) + %(margin_m)s) / %(side_m)s)::bigint
+) x
+cross join lateral generate_series(
+    floor((ST_YMin(piece) - %(margin_m)s) / %(side_m)s)::bigint, floor((ST_YMax(piece) + %(margin_m)s) / %(side_m)s)::bigint
+) y;

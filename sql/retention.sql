@@ -1,4 +1,4 @@
--- Deleting raw records of old drives.
+-- Deleting raw records of old drives, or moving them to Parquet files and back.
 
 -- name: prunable_drives
 -- The drives whose raw records may be deleted: recorded and committed before an instant, not pruned
@@ -36,8 +36,92 @@ select (select count(*) from stereo_matches) + (select count(*) from detections)
 
 -- name: pruned_drives
 -- Which of some drives have no raw records any more.
--- Parameters: drive_uuids (uuid[]). Columns: drive_id, captured_to, pruned_at (timestamptz).
-select d.drive_id, upper(d.captured_period) as captured_to, d.pruned_at
+-- Parameters: drive_uuids (uuid[]). Columns: drive_uuid, drive_id, captured_to, pruned_at (timestamptz), archive_path (null: deleted).
+select d.drive_uuid, d.drive_id, upper(d.captured_period) as captured_to, d.pruned_at, d.archive_path
 from conetl.drive d
 where d.drive_uuid = any(%(drive_uuids)s) and d.pruned_at is not null
 order by d.captured_from_ns;
+
+-- name: archived_drives
+-- Drives of a map whose raw records are in Parquet files. Parameters: map_name; drive_id (null: all). Columns: drive_uuid, drive_id.
+select d.drive_uuid, d.drive_id
+from conetl.drive d
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and d.archive_path is not null and (%(drive_id)s::text is null or d.drive_id = %(drive_id)s)
+order by d.captured_from_ns, d.drive_uuid;
+
+-- name: mark_archived
+-- Remember where the raw records of a drive that is being pruned are. Parameters: drive_uuid; archive_path.
+update conetl.drive set archive_path = %(archive_path)s where drive_uuid = %(drive_uuid)s;
+
+-- name: mark_restored
+-- The raw records of a drive are in the tables again. Parameters: drive_uuid.
+update conetl.drive set archive_path = null, pruned_at = null where drive_uuid = %(drive_uuid)s;
+
+-- name: records_of_detection
+-- The detections of a drive, as they are archived. Parameters: drive_uuid.
+select d.drive_id, r.*
+from conetl.detection r
+join conetl.drive d using (drive_uuid)
+where r.drive_uuid = %(drive_uuid)s
+order by r.frame_index, r.side, r.detection_index;
+
+-- name: records_of_stereo_match
+-- The stereo matches of a drive, as they are archived. Parameters: drive_uuid.
+select d.drive_id, r.*
+from conetl.stereo_match r
+join conetl.drive d using (drive_uuid)
+where r.drive_uuid = %(drive_uuid)s
+order by r.frame_index, r.match_index;
+
+-- name: records_of_position
+-- The positions of a drive, as they are archived: coordinates in metres of the map's CRS (EPSG: srid). Parameters: drive_uuid.
+select
+    d.drive_id, d.srid, r.drive_uuid, r.frame_index, r.match_index, r.category,
+    ST_X(r.geom) as easting_m, ST_Y(r.geom) as northing_m, ST_Z(r.geom) as height_m,
+    ST_X(r.centre_geom) as centre_easting_m, ST_Y(r.centre_geom) as centre_northing_m, ST_Z(r.centre_geom) as centre_height_m,
+    r.cov_xx, r.cov_xy, r.cov_xz, r.cov_yy, r.cov_yz, r.cov_zz, r.cone_height_m, r.camera_x_m, r.camera_y_m,
+    r.camera_z_m, r.camera_cov_xx, r.camera_cov_xy, r.camera_cov_xz, r.camera_cov_yy, r.camera_cov_yz,
+    r.camera_cov_zz, r.range_m, r.ray_angle_rad, r.residual_rms_px, r.iterations, r.score
+from conetl.position r
+join conetl.drive d using (drive_uuid)
+where r.drive_uuid = %(drive_uuid)s
+order by r.frame_index, r.match_index;
+
+-- name: restore_detection
+-- Detections from record_stage, which has the columns of records_of_detection.
+insert into conetl.detection (drive_uuid, frame_index, side, detection_index, category, x_px, y_px, w_px, h_px, score)
+select drive_uuid, frame_index, side, detection_index, category, x_px, y_px, w_px, h_px, score
+from record_stage;
+
+-- name: restore_stereo_match
+-- Stereo matches from record_stage, which has the columns of records_of_stereo_match.
+insert into conetl.stereo_match (
+    drive_uuid, frame_index, match_index, left_detection_index, right_detection_index, foot_left_u_px, foot_left_v_px,
+    foot_right_u_px, foot_right_v_px, centre_left_u_px, centre_left_v_px, centre_right_u_px, centre_right_v_px,
+    tip_left_u_px, tip_left_v_px, tip_right_u_px, tip_right_v_px, sigma_u_px, sigma_v_px, sigma_pointing_px, refined,
+    cost
+)
+select
+    drive_uuid, frame_index, match_index, left_detection_index, right_detection_index, foot_left_u_px, foot_left_v_px,
+    foot_right_u_px, foot_right_v_px, centre_left_u_px, centre_left_v_px, centre_right_u_px, centre_right_v_px,
+    tip_left_u_px, tip_left_v_px, tip_right_u_px, tip_right_v_px, sigma_u_px, sigma_v_px, sigma_pointing_px, refined,
+    cost
+from record_stage;
+
+-- name: restore_position
+-- Positions from record_stage, which has the columns of records_of_position.
+insert into conetl.position (
+    drive_uuid, frame_index, match_index, category, geom, centre_geom,
+    cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, cone_height_m, camera_x_m, camera_y_m, camera_z_m, camera_cov_xx,
+    camera_cov_xy, camera_cov_xz, camera_cov_yy, camera_cov_yz, camera_cov_zz, range_m, ray_angle_rad,
+    residual_rms_px, iterations, score
+)
+select
+    drive_uuid, frame_index, match_index, category,
+    ST_SetSRID(ST_MakePoint(easting_m, northing_m, height_m), srid),
+    ST_SetSRID(ST_MakePoint(centre_easting_m, centre_northing_m, centre_height_m), srid),
+    cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, cone_height_m, camera_x_m, camera_y_m, camera_z_m, camera_cov_xx,
+    camera_cov_xy, camera_cov_xz, camera_cov_yy, camera_cov_yz, camera_cov_zz, range_m, ray_angle_rad,
+    residual_rms_px, iterations, score
+from record_stage;

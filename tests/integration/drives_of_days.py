@@ -13,8 +13,9 @@ import numpy as np
 
 from conetl.db.audits import AuditResult, run_audits
 from conetl.db.connection import Connection, execute
-from conetl.db.map.map_store import find_changeset, map_transaction
+from conetl.db.map.map_store import drive_transaction
 from conetl.geometry.calibration.covariance import with_covariance
+from conetl.model.detector_evidence import DetectorEvidence
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.map_records import Changeset
@@ -132,6 +133,7 @@ def merge(
     map_name: str = "default",
     params: IngestParams | None = None,
     hold: str | None = None,
+    evidence: DetectorEvidence | None = None,
 ) -> Merged | None:
     """Merge as the last step of an ingest does; None where the drive is on the map already."""
     params = params or (PAINTED if survey.markings else IngestParams())
@@ -143,10 +145,11 @@ def merge(
     records = DriveRecords(
         survey.drive, survey.detections, survey.matches, survey.positions, survey.tracks, (), survey.markings
     )
-    with map_transaction(conn, map_name):
-        if find_changeset(conn, key, map_name=map_name) is not None:
-            return None
-        return merge_drive(conn, records, changeset, params, map_name=map_name, hold=held_for(hold))
+    with drive_transaction(conn, map_name):
+        merged = merge_drive(
+            conn, records, changeset, params, map_name=map_name, evidence=evidence, hold=held_for(hold)
+        )
+    return merged if merged.result.committed else None
 
 
 def held_for(reason: str | None) -> tuple[HealthCheck, ...]:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
+import duckdb
 import pytest
 
-from conetl.db.connection import execute
+from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets
-from conetl.db.retention import parse_age, prunable_drives, prune_drives
+from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune_drives, restore_drives
 from conetl.model.errors import InputError
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_place, revert
+from tests.conftest import cloned_database
 from tests.integration.drives_of_days import failed_audits, merge, survey, valid_time_map
 
 LATER = datetime.now(UTC) + timedelta(days=1)
@@ -103,3 +106,93 @@ def test_an_age_that_is_none_is_refused(text):
 
 def test_ages():
     assert (parse_age("36h"), parse_age("90d"), parse_age("2w")) == (129_600.0, 7_776_000.0, 1_209_600.0)
+
+
+def archive(conn, folder):
+    drives = prunable_drives(conn, LATER)
+    return [archive_drive(conn, drive, folder) for drive in drives]
+
+
+def raw_content(conn):
+    found = [
+        execute(conn, f"select to_jsonb(r)::text as line from conetl.{table} r order by 1")
+        for table in ("detection", "stereo_match", "position")
+    ]
+    conn.rollback()
+    return found
+
+
+def test_archived_records_come_back_to_the_last_bit_when_a_comparison_needs_them(conn, tmp_path):
+    for day in (0, 2):
+        merge(conn, survey(day))
+    before, map_before = raw_content(conn), valid_time_map(conn)
+    assert len(archive(conn, tmp_path / "archive")) == 2
+    assert raw_rows(conn) == [0, 0, 0]
+    assert valid_time_map(conn) == map_before
+    assert failed_audits(conn) == []
+    assert prunable_drives(conn, LATER) == []
+    assert restore_drives(conn, "default", survey(0).drive.drive_id) == [survey(0).drive.drive_id]
+    execute(conn, "set session authorization conetl_writer")
+    conn.commit()
+    assert merge(conn, survey(1)).replayed == 1, "recorded before the second one, which comes back"
+    execute(conn, "reset session authorization")
+    conn.commit()
+    assert failed_audits(conn) == []
+    own = execute(conn, "select drive_uuid from conetl.drive where drive_id = %(d)s", {"d": survey(1).drive.drive_id})
+    for table in ("detection", "stereo_match", "position"):
+        execute(conn, f"delete from conetl.{table} where drive_uuid = %(u)s", {"u": own[0]["drive_uuid"]})
+    conn.commit()
+    assert raw_content(conn) == before
+
+
+def test_the_map_does_not_depend_on_what_was_archived(conn, cluster_url, template_database, tmp_path):
+    def late_and_reverted(own, *, archived):
+        for day in (0, 2):
+            merge(own, survey(day))
+        if archived:
+            archive(own, tmp_path)
+        assert merge(own, survey(1)).replayed == 1
+        if archived:
+            archive(own, tmp_path)
+        oldest = list_changesets(own)[-1]
+        assert revert(own, str(oldest.changeset_id), map_name="default").replayed == 2
+        return valid_time_map(own)
+
+    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as other:
+        expected = late_and_reverted(other, archived=False)
+    assert late_and_reverted(conn, archived=True) == expected
+
+
+def test_a_missing_file_of_the_archive_is_named_and_nothing_is_written(conn, tmp_path):
+    for day in (0, 2):
+        merge(conn, survey(day))
+    archive(conn, tmp_path)
+    before = valid_time_map(conn)
+    for path in tmp_path.glob("*/position.parquet"):
+        path.rename(path.with_suffix(".gone"))
+    with pytest.raises(InputError, match=r"position\.parquet.*put the file back"):
+        merge(conn, survey(1))
+    assert valid_time_map(conn) == before
+    assert raw_rows(conn) == [0, 0, 0]
+
+
+def test_other_programs_read_the_archive(conn, conetl, tmp_path):
+    merge(conn, survey(0))
+    execute(conn, "update conetl.changeset set committed_at = '2026-03-01'")
+    conn.commit()
+    rows, folder = raw_rows(conn), tmp_path / "cold"
+    conn.rollback()
+    told = json.loads(conetl("db", "archive", "--keep-positions", "1h", "--to", str(folder), "--json"))
+    assert (told["archived"], len(told["drives"]), folder.exists()) == (False, 1, False)
+    done = json.loads(conetl("db", "archive", "--keep-positions", "1h", "--to", str(folder), "--yes", "--json"))
+    assert done["bytes"] == sum(path.stat().st_size for path in folder.glob("*/*.parquet"))
+    assert raw_rows(conn) == [0, 0, 0]
+    conn.rollback()
+    for table, count in zip(("detection", "stereo_match", "position"), rows, strict=True):
+        found = duckdb.sql(f"select count(*), min(drive_id) from '{folder}/*/{table}.parquet'").fetchone()
+        assert found == (count, survey(0).drive.drive_id)
+    nearest = duckdb.sql(f"select min(range_m), any_value(srid) from '{folder}/*/position.parquet'").fetchone()
+    assert nearest == (min(position.range_m for position in survey(0).positions), 32632)
+    restored = json.loads(conetl("db", "archive", "--restore", survey(0).drive.drive_id, "--json"))
+    assert restored == {"restored": [survey(0).drive.drive_id]}
+    assert raw_rows(conn) == rows

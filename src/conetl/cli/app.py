@@ -88,7 +88,7 @@ _GROUPS = {
     ),
     "db": (
         "The PostGIS database: CONETL_DATABASE_URL, or a private cluster.",
-        {name: f"database:{name}" for name in ("up", "down", "status", "migrate", "audit", "prune")},
+        {name: f"database:{name}" for name in ("up", "down", "status", "migrate", "audit", "archive", "prune")},
     ),
     "rig": (
         "Show the calibration of a rig, or convert it to the format of another tool.",

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -17,7 +18,7 @@ from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
-from conetl.db.retention import parse_age, prunable_drives, prune_drives
+from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune_drives, restore_drives
 from conetl.db.schema import database_status
 from conetl.db.schema import migrate as apply_migrations
 from conetl.files.atomic import sweep
@@ -140,6 +141,52 @@ _PRUNABLE: Columns = {
     "matches": "match_count",
     "positions": "position_count",
 }
+
+
+def archive(
+    keep_positions: Annotated[
+        str | None,
+        typer.Option(
+            help="Keep the detections, stereo matches and positions of drives this long in the tables: 90d, 12w, 36h."
+        ),
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--to", help="Folder for the files; `archive` under CONETL_HOME unless given.")
+    ] = None,
+    restore: Annotated[
+        str | None, typer.Option(help="Bring the records of this drive back into the tables.", metavar="DRIVE_ID")
+    ] = None,
+    do_it: Annotated[bool, typer.Option("--yes", help="Move. Without it only list what would be moved.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Move raw records of old drives from the tables to Parquet files. Without --yes nothing is moved.
+
+    The map and its whole history are kept. The records come back into the tables when a comparison needs them: an earlier drive
+    over the same road, or a decision. The files must stay where they are.
+    """
+    if (keep_positions is None) == (restore is None):
+        raise InputError("give either an age (--keep-positions 90d) or a drive to bring back (--restore DRIVE_ID)")
+    settings, now = read_settings(), datetime.now(UTC)
+    if restore is not None:
+        with open_map(None) as (conn, _):
+            restored = restore_drives(conn, settings.map_name, restore)
+        if not restored:
+            raise InputError(f"map {settings.map_name} has no drive {restore} whose records were archived")
+        answer(as_json, {"restored": restored}, f"restored: {len(restored)} drives")
+        return
+    to = folder or settings.home / "archive"
+    before = now - timedelta(seconds=parse_age(keep_positions or ""))
+    with open_maps(settings) as conn:
+        drives = prunable_drives(conn, before)
+        size = sum(archive_drive(conn, drive, to, now=now) for drive in drives) if do_it else None
+    if as_json:
+        print_json({"archived": do_it, "drives": drives, "folder": to, "bytes": size})
+        return
+    print_records("", _PRUNABLE, drives, numbers_from=3)
+    say(
+        f"{len(drives)} drives "
+        + (f"moved to {to}: {(size or 0) / 1e6:.1f} MB" if do_it else "to move: add --yes to move them.")
+    )
 
 
 def prune(

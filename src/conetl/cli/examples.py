@@ -56,6 +56,11 @@ EXAMPLES = {
     "db status": ("db status", "db status --json"),
     "db migrate": ("db migrate",),
     "db audit": ("db audit",),
+    "db archive": (
+        "db archive --keep-positions 90d",
+        "db archive --keep-positions 90d --yes",
+        "db archive --restore 2026-03-02_taper_pass1",
+    ),
     "db prune": ("db prune --keep-positions 90d --keep-results 30d", "db prune --keep-results 30d --yes"),
     "demo": ("demo", "demo data/drives"),
     "detect": ("detect images --out detections.json --draw annotated",),

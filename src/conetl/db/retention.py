@@ -1,23 +1,39 @@
-"""Deletion of raw records of old drives.
+"""Deletion of raw records of old drives, or their move to Parquet files.
 
 The detections, stereo matches and positions of a drive are deleted. Its path, tracks, changeset and deltas stay, so the history
 of the map and every audit remain valid. Lost are its single sightings, and the possibility to compare it with the map again. A
 drive or a decision that requires that is rejected (`require_comparable`) instead of using half of the evidence, so the map does
 not depend on the order of the drives that were accepted.
+
+Archived records are not lost: a comparison that needs them brings them back, and other programs read the files, one folder per
+drive with a file per table (columns: `records_of_...` in `sql/retention.sql`).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute
+import pyarrow as pa
+from pyarrow import csv
+
+from conetl.db.connection import Connection, copied_csv, copy_columns, database_errors, execute, query_columns
+from conetl.db.copy_binary import booleans, constant_uuid, doubles, integers, texts
 from conetl.db.map.map_store import map_transaction
 from conetl.db.statements import load_sql
-from conetl.model.errors import InputError
+from conetl.files.atomic import atomic_files
+from conetl.files.parquet_store import read_table, write_table
+from conetl.model.errors import InputError, MapMismatchError
+
+_RAW_TABLES = ("detection", "stereo_match", "position")
+#: By PostgreSQL's number of a type: bool, int4, text, float8, uuid.
+_ARROW_TYPES = {16: pa.bool_(), 23: pa.int32(), 25: pa.string(), 701: pa.float64(), 2950: pa.string()}
+_ENCODERS = {pa.bool_(): booleans, pa.int32(): integers, pa.string(): texts, pa.float64(): doubles}
 
 
 @dataclass(frozen=True)
@@ -55,8 +71,9 @@ def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: date
 
 
 def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
-    """Raise InputError if one of the drives must be compared with the map again, but was pruned."""
-    pruned = execute(conn, load_sql("retention.pruned_drives"), {"drive_uuids": list(drive_uuids)})
+    """Bring back archived raw records of drives that must be compared with the map again. Raises InputError if one was pruned."""
+    gone = execute(conn, load_sql("retention.pruned_drives"), {"drive_uuids": list(drive_uuids)})
+    pruned = [drive for drive in gone if drive["archive_path"] is None]
     if pruned:
         first = pruned[0]
         more = f" and {len(pruned) - 1} more" if len(pruned) > 1 else ""
@@ -65,6 +82,76 @@ def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
             f"again, but its raw records were pruned on {first['pruned_at']:%Y-%m-%d}: the map before that time is closed. "
             "Nothing was written."
         )
+    for drive in gone:
+        _restore(conn, drive["drive_uuid"], Path(drive["archive_path"]))
+
+
+def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: datetime | None = None) -> int:
+    """Move the raw records of a drive to Parquet files in a folder of its own, under the map's lock; the bytes of the files.
+
+    The files are complete on the disk before the rows are deleted. Raises InputError, StorageError where they cannot be written.
+    """
+    path = folder.resolve() / str(drive.drive_uuid)
+    parameters = {"drive_uuid": drive.drive_uuid}
+    finals = [path / f"{table}.parquet" for table in _RAW_TABLES]
+    with map_transaction(conn, drive.map_name):
+        rows = 0
+        with atomic_files(*finals) as files:
+            for table, file in zip(_RAW_TABLES, files, strict=True):
+                records = _records(conn, load_sql(f"retention.records_of_{table}").rstrip().rstrip(";"), parameters)
+                write_table(records, file)
+                rows += len(records)
+        pruned = {"drive_uuids": [drive.drive_uuid], "pruned_at": now or datetime.now(UTC)}
+        if (deleted := execute(conn, load_sql("retention.prune_drives"), pruned)[0]["deleted"]) != rows:
+            raise MapMismatchError(
+                f"drive {drive.drive_id}: {deleted} rows, but {rows} in its files; nothing was archived"
+            )
+        execute(conn, load_sql("retention.mark_archived"), parameters | {"archive_path": str(path)})
+    return sum(final.stat().st_size for final in finals)
+
+
+def restore_drives(conn: Connection, map_name: str, drive_id: str | None = None) -> list[str]:
+    """Bring the archived raw records of drives of a map back into the tables, of one or of all; the ids of the drives."""
+    with map_transaction(conn, map_name):
+        found = execute(conn, load_sql("retention.archived_drives"), {"map_name": map_name, "drive_id": drive_id})
+        require_comparable(conn, [drive["drive_uuid"] for drive in found])
+    return [drive["drive_id"] for drive in found]
+
+
+def _records(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> pa.Table:
+    columns = query_columns(conn, sql, parameters)
+    schema = pa.schema([(name, _ARROW_TYPES[oid]) for name, oid in columns])
+    with copied_csv(conn, sql, parameters) as rows:
+        if not rows.peek(1):
+            return schema.empty_table()
+        options = csv.ReadOptions(column_names=schema.names)
+        types = csv.ConvertOptions(column_types=schema, true_values=["t"], false_values=["f"])
+        return csv.read_csv(rows, options, convert_options=types)
+
+
+def _restore(conn: Connection, drive_uuid: UUID, path: Path) -> None:
+    """Inside the caller's transaction. Raises InputError where a file is missing or damaged."""
+    for table in _RAW_TABLES:
+        try:
+            records = read_table(path / f"{table}.parquet")
+        except (OSError, pa.ArrowException) as error:
+            raise InputError(
+                f"{path / table}.parquet: the archived records of the drive are required, but cannot be read ({error}). Nothing "
+                "was written; put the file back where it was."
+            ) from error
+        sql = load_sql(f"retention.records_of_{table}").rstrip().rstrip(";")
+        stage = f"create temporary table record_stage as select * from ({sql}) q with no data"
+        execute(conn, stage, {"drive_uuid": drive_uuid})
+        columns = {name: _ENCODERS[column.type](column.to_pylist()) for name, column in _columns(records)}
+        copy_columns(conn, "record_stage", columns | {"drive_uuid": constant_uuid(drive_uuid, len(records))})
+        execute(conn, load_sql(f"retention.restore_{table}"))
+        execute(conn, "drop table record_stage")
+    execute(conn, load_sql("retention.mark_restored"), {"drive_uuid": drive_uuid})
+
+
+def _columns(records: pa.Table) -> list[tuple[str, pa.ChunkedArray]]:
+    named = zip(records.schema.names, records.columns, strict=True)
+    return [(name, column) for name, column in named if name != "drive_uuid"]
 
 
 def parse_age(text: str) -> float:

@@ -51,7 +51,7 @@ def file_sha256(path: Path) -> str:
 def has_result(folder: Path, key: str) -> bool:
     """Whether the chunk `key` was finished earlier and its file is whole; a damaged one is computed again."""
     try:
-        table = _read(result_path(folder, key))
+        table = read_table(result_path(folder, key))
     except (OSError, pa.ArrowException):
         return False
     return _REJECTIONS in (table.schema.metadata or {})
@@ -69,7 +69,7 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
     unfinished = aside(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        pq.write_table(table, unfinished, compression="zstd", write_page_checksum=True)
+        write_table(table, unfinished)
         os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     except OSError as error:
         raise StorageError(
@@ -84,7 +84,7 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
 
 def load_result(path: Path, record_type: type[R]) -> tuple[list[R], list[Rejection]]:
     """Records and rejections of one chunk, validated again."""
-    table = _read(path)
+    table = read_table(path)
     metadata = table.schema.metadata or {}
     rejections = TypeAdapter(list[Rejection]).validate_json(metadata[_REJECTIONS])
     return TypeAdapter(list[record_type]).validate_python(table.to_pylist()), rejections  # type: ignore[valid-type]
@@ -101,7 +101,13 @@ def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], 
     return records, rejections
 
 
-def _read(path: Path) -> pa.Table:
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a Parquet file, compressed and with checksums. Raises OSError."""
+    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+
+
+def read_table(path: Path) -> pa.Table:
+    """A Parquet file that `write_table` wrote. Raises OSError, ArrowException where it is missing or damaged."""
     # pq.read_table imports pandas, which takes as long as a few hundred images.
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
         return file.read()

@@ -1,4 +1,4 @@
-"""Tracks of one drive into the map, as one atomic changeset under the map's lock."""
+"""Tracks of one drive into the map, as one atomic changeset under the locks of its neighbourhood."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from uuid import UUID, uuid4, uuid5
 from conetl.db.connection import transaction
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.hold_store import held_drives
-from conetl.db.map.map_store import find_changeset, map_transaction
+from conetl.db.map.map_store import drive_transaction, find_changeset
 from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.db.run_store import PendingChangeset
@@ -127,10 +127,7 @@ def commit(
     with ExitStack() as stack:
         database = database or stack.enter_context(MapDatabase(settings))
         conn = stack.enter_context(database.connection())
-        stack.enter_context(map_transaction(conn, settings.map_name))
-        known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
-        if known is not None:  # another ingest of the same drive was faster
-            return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
+        stack.enter_context(drive_transaction(conn, settings.map_name))
         changeset = _changeset(drive, settings.map_name, identity)
         merged = merge_drive(
             conn,
@@ -142,6 +139,9 @@ def commit(
             run=run,
             hold=holding(analysed.health),
         )
+    if not merged.result.committed:
+        known = merged.result.changeset
+        return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
     deltas, health = merged.changeset.deltas, analysed.health
     points = tuple(delta for delta in deltas if not delta.is_of_line)
     if not holding(health):  # a recording that contradicts itself is not compared with the map

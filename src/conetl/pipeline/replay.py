@@ -1,6 +1,6 @@
 """One drive into the map, in the order of recording or later: between the fold (`mapping/history.py`) and the tables.
 
-All of it runs inside the caller's `map_transaction`.
+All of it runs inside the caller's transaction: `drive_transaction`, or `map_transaction` where the whole map is changed.
 """
 
 from __future__ import annotations
@@ -15,21 +15,14 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db.connection import Connection
-from conetl.db.map.commit import INFLUENCE_M, commit_changeset, place_drive, with_free_id
+from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_drive, with_free_id
 from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.hold_store import held_drives, hold_changes
 from conetl.db.map.map_store import require_map
-from conetl.db.map.replay_store import (
-    affected_drives,
-    read_deltas,
-    read_doubts_around,
-    read_misses,
-    read_standing_around,
-    read_versions,
-    superseded_drives,
-)
-from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
+from conetl.db.map.neighbourhood import lock_neighbourhood
+from conetl.db.map.replay_store import read_deltas, read_doubts_around, read_misses, read_standing_around, read_versions
+from conetl.db.map.results import CommitResult, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping.changes import VisibilityCheck
 from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, replay_drives
@@ -98,26 +91,32 @@ def merge_drive(
 
     changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
     the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: the checks for which the
-    recording must not count; it is stored and changes nothing until a person accepts it.
+    recording must not count; it is stored and changes nothing until a person accepts it. A drive that is on the map already is
+    not merged again (`result.committed`).
     """
-    drive, held_before = records.drive, held_drives(conn, map_name=map_name)
+    drive = records.drive
     searched = params.detection
     figures = AbsenceFigures(
         evidence=evidence or UNMEASURED, score_threshold=searched.score_threshold, categories=searched.categories
     )
-    drive_uuid = place_drive(
-        conn,
-        drive,
-        changeset.idempotency_key,
-        map_name=map_name,
-        reconcile=params.reconcile,
-        influence_m=influence_m(params),
+    reach_m = influence_m(params)
+    place = partial(
+        place_drive, conn, drive, changeset.idempotency_key, map_name=map_name, reconcile=params.reconcile, influence_m=reach_m,
         figures=figures,
+    )  # fmt: skip
+    path = None if hold else path_wkt(drive)
+    near = lock_neighbourhood(
+        conn, map_name, drive, changeset.idempotency_key, place, path_wkt=path, influence_m=reach_m
     )
-    changeset = with_free_id(conn, changeset, drive_uuid)
+    if isinstance(near, CommittedChangeset):  # another ingest of the same drive was faster
+        return Merged(changeset, MapUpdate([], [], [], []), 0, CommitResult(False, near, 0), ())
+    changeset = with_free_id(conn, changeset, near.drive_uuid)
+    affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
     if hold:
-        result = commit_changeset(conn, records, changeset, map_name=map_name, run=run, hold=hold)
-        others = hold_changes(conn, held_before, map_name=map_name, without=changeset.changeset_id)
+        result = commit_changeset(
+            conn, records, changeset, map_name=map_name, run=run, hold=hold, placed=near.drive_uuid
+        )
+        others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
         return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
     spots = [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
     view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
@@ -128,21 +127,20 @@ def merge_drive(
         founding_key=founding_key(require_map(conn, map_name).id_name, drive.content_sha256),
         tracks=records.tracks,
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
-        influence_m=influence_m(params),
+        influence_m=reach_m,
         check_visibility=visible,
         markings=records.markings,
         check_view=in_view,
         params=params.reconcile,
     )
     decisions = read_decisions(conn, map_name=map_name)
-    seeds = [drive_uuid, *superseded_drives(conn, drive_uuid)]
-    later = [ref for ref in affected_drives(conn, seeds) if ref.drive_uuid not in seeds]
+    aside, later = near.aside, near.later
     replay = None
-    if later or len(seeds) > 1:
-        folded, replay = replay_of(conn, [*seeds, *(ref.drive_uuid for ref in later)], later, decisions, own=[own])
+    if later or len(aside) > 1:
+        folded, replay = replay_of(conn, [*aside, *(ref.drive_uuid for ref in later)], later, decisions, own=[own])
         extension = folded.updates[changeset.changeset_id]
     else:
-        standing, summaries = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
+        standing, summaries = read_standing_around(conn, near.drive_uuid), read_doubts_around(conn, near.drive_uuid)
         extension = apply_drive(standing, own, decisions, summaries)
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     result = commit_changeset(
@@ -155,8 +153,11 @@ def merge_drive(
         replay=replay,
         hold=() if extension.hold is None else (extension.hold,),
         held_by_map=True,
+        placed=near.drive_uuid,
     )
-    others = hold_changes(conn, held_before, map_name=map_name, without=changeset.changeset_id)
+    others = ()
+    if held_before or affected:  # else there is no drive whose hold could begin or end
+        others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
     return Merged(changeset, extension, len(later), result, others)
 
 

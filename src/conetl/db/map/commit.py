@@ -1,12 +1,12 @@
 """Write a drive, its records and its changeset into the map.
 
-One drive is one atomic changeset. The caller holds the map's lock from reading the features to the commit:
+One drive is one atomic changeset. The caller holds the locks of its neighbourhood from reading the features to the commit:
 
-    with map_transaction(conn, map_name):
-        if find_changeset(conn, key, map_name=map_name) is None:
-            drive_uuid = place_drive(conn, drive, key, ...)
+    with drive_transaction(conn, map_name):
+        near = lock_neighbourhood(conn, map_name, drive, key, lambda: place_drive(conn, drive, key, ...), ...)
+        if isinstance(near, Neighbourhood):           # else it is on the map already
             ...                                       # compare in Python: in pipeline/replay.py
-            commit_changeset(conn, records, changeset, map_name=map_name)
+            commit_changeset(conn, records, changeset, map_name=map_name, placed=near.drive_uuid)
 
 Everything is committed at the end of the block, or nothing.
 """
@@ -28,7 +28,8 @@ from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
 from conetl.db.map.hold_store import write_holds
-from conetl.db.map.map_store import find_changeset, map_for, map_lock, system_time
+from conetl.db.map.map_store import find_changeset, map_for, system_time
+from conetl.db.map.neighbourhood import take_turn
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
 from conetl.db.statements import load_sql
@@ -94,7 +95,7 @@ def place_drive(
         "reconcile": json_text((reconcile or ReconcileParams()).model_dump(mode="json")),
         "influence_m": influence_m,
         "absence_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
-        "path_wkt": _path_wkt(drive),
+        "path_wkt": path_wkt(drive),
     }
     execute(conn, load_sql("drives.insert_drive"), parameters)
     return drive_uuid
@@ -119,25 +120,34 @@ def commit_changeset(
     replay: Replay | None = None,
     hold: Sequence[HealthCheck] = (),
     held_by_map: bool = False,
+    placed: UUID | None = None,
 ) -> CommitResult:
-    """Write a drive, everything made from it, and its changeset, inside the caller's `map_transaction`.
+    """Write a drive, everything made from it, and its changeset, under the locks that the caller holds.
 
     The map is created by its first changeset with the drive's SRID. `now` is the system time of the changeset (None: the server's
     clock); it is moved behind the map's last one. Versions are numbered here: the open one's plus one. suppressed: features that
     end where a person decided that nothing stands. replay: for a drive that is older than others around it, the new state of the
     whole neighbourhood, the changeset's own deltas included. hold: the checks for which the drive must not count until a person
-    accepts it; held_by_map: whether the comparison with the map made them. Raises MapMismatchError if the drive is in another
+    accepts it; held_by_map: whether the comparison with the map made them. placed: the drive, where the
+    caller placed it, and knows that it has no changeset yet. Raises MapMismatchError if the drive is in another
     CRS, the records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding
-    `map_transaction`.
+    transaction.
     """
-    map_lock(conn, map_name)
-    known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
-    if known is not None:
-        return CommitResult(committed=False, changeset=known, versions_written=0)
-    _require_consistent(records, changeset)
     drive = records.drive
-    drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
+    if placed is None:
+        known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
+        if known is not None:
+            return CommitResult(committed=False, changeset=known, versions_written=0)
+        placed = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
+    _require_consistent(records, changeset)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
+    # Encoding takes nearly as long as sending, during which this process would only wait.
+    with made_ahead(_encoded_records(placed, info.srid, records), ahead=BLOCKS_AHEAD) as blocks:
+        if replay is None:
+            _stage_deltas(conn, info, placed, changeset, suppressed)
+        for block in blocks:
+            copy_block(conn, block)
+    take_turn(conn, map_name)  # what follows keeps other drives of the map waiting
     committed_at = system_time(conn, info, now)
     counts = RecordCounts(
         frame_pair_count=len(drive.frame_pairs),
@@ -148,19 +158,13 @@ def commit_changeset(
         marking_count=len(records.markings),
         rejection_count=len(records.rejections),
     )
-    insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
+    insert_changeset(conn, info, placed, changeset, counts, run, committed_at)
     copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
     if replay is None:
-        _stage_deltas(conn, info, changeset, suppressed)
-    # Encoding takes nearly as long as the merge, during which this process would only wait.
-    with made_ahead(_encoded_records(drive_uuid, info.srid, records), ahead=BLOCKS_AHEAD) as blocks:
-        if replay is None:
-            versions_written = _merge_deltas(conn, info, drive_uuid, changeset, committed_at)
-        else:
-            versions_written = write_replay(conn, info, replay, committed_at)
-        for block in blocks:
-            copy_block(conn, block)
+        versions_written = _merge_deltas(conn, info, changeset, committed_at)
+    else:
+        versions_written = write_replay(conn, info, replay, committed_at)
     write_holds(conn, {changeset.changeset_id: hold} if hold else {}, committed_at, by_map=held_by_map)
     return committed_result(conn, changeset, versions_written, map_name=map_name)
 
@@ -268,7 +272,7 @@ def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
         raise MapMismatchError(f"drive {drive.drive_id} comes with {problems[0]}{more}: nothing was written.")
 
 
-def _path_wkt(drive: Drive) -> str:
+def path_wkt(drive: Drive) -> str:
     """The drive's path as a line, without points nearer than `_PATH_STEP_M` to the one before."""
     points = [drive.frame_pairs[0].pose.map_t_body_m]
     for pair in drive.frame_pairs:
@@ -299,23 +303,23 @@ def _blocks(
         yield encoded_block(table, columns_of(records[start : start + BLOCK_RECORDS]))
 
 
-def _stage_deltas(conn: Connection, info: MapInfo, changeset: Changeset, suppressed: Collection[UUID]) -> None:
-    """All deltas into a table of the transaction's own."""
+def _stage_deltas(
+    conn: Connection, info: MapInfo, drive_uuid: UUID, changeset: Changeset, suppressed: Collection[UUID]
+) -> None:
+    """All deltas, and the versions that they start from, into tables of the transaction's own. Raises MapMismatchError."""
     execute(conn, load_sql("commit.create_delta_stage"))
     copy_columns(conn, "delta_stage", map_rows.delta_columns(info.srid, changeset.deltas, suppressed))
     execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
-
-
-def _merge_deltas(
-    conn: Connection, info: MapInfo, drive_uuid: UUID, changeset: Changeset, committed_at: datetime
-) -> int:
-    """Check the staged deltas against the map, close what they replace, write what they bring; new versions."""
     execute(conn, load_sql("commit.create_open_version"), {"drive_uuid": drive_uuid})
     execute(conn, "analyze open_version")
     execute(conn, load_sql("commit.add_open_versions"))
     conflicts = execute(conn, load_sql("commit.delta_conflicts"), {"map_id": info.map_id})
     if conflicts:
         raise MapMismatchError(_conflict_text(info.map_name, conflicts[0]))
+
+
+def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime) -> int:
+    """Close what the staged deltas replace, write what they bring; new versions."""
     parameters = {
         "map_id": info.map_id,
         "srid": info.srid,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from uuid import UUID
 
@@ -36,16 +36,30 @@ def held_drives(conn: Connection, *, map_name: str) -> list[HeldDrive]:
 
 
 def hold_changes(
-    conn: Connection, before: Sequence[HeldDrive], *, map_name: str, without: UUID | None = None
+    conn: Connection,
+    before: Sequence[HeldDrive],
+    *,
+    map_name: str,
+    by: UUID | None = None,
+    among: Collection[UUID] = (),
 ) -> tuple[HoldChange, ...]:
-    """Which drives went on hold since `before` was read, and which are on hold no longer. without: changeset to leave out."""
+    """Which drives went on hold since `before` was read, and which are on hold no longer.
+
+    by: the changeset of a drive that did it, and not others that were merged beside it; among: changesets that it affects.
+    """
     held = {drive.changeset_id: drive for drive in held_drives(conn, map_name=map_name)}
     was = {drive.changeset_id: drive for drive in before}
-    gone = {"changeset_ids": list(was.keys() - held.keys())}
-    states = dict.fromkeys(held.keys() - was.keys(), "on hold")
+    changed_ids = was.keys() ^ held.keys()
+    if not changed_ids:
+        return ()
     with database_errors(f"The drives on hold on map {map_name} cannot be read"):
+        if by is not None:
+            replaced = execute(conn, load_sql("holds.earlier_deliveries"), {"changeset_id": by})
+            changed_ids &= {*among, *(row["changeset_id"] for row in replaced)}
+        states = dict.fromkeys(changed_ids & held.keys(), "on hold")
+        gone = {"changeset_ids": list(changed_ids & was.keys())}
         states |= {row["changeset_id"]: row["state"] for row in execute(conn, load_sql("holds.unheld_states"), gone)}
-    changed = [(was | held)[drive] for drive in states if drive != without]
+    changed = [(was | held)[drive] for drive in states]
     return tuple(
         HoldChange.model_validate(
             {

@@ -39,15 +39,24 @@ def map_transaction(
     Raises `DatabaseError` if the database is lost meanwhile, or another ingest holds the map longer than `lock_timeout_s`;
     nothing was written then (a commit whose answer was lost is found by its idempotency key).
     """
-    with transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
-        execute(conn, load_sql("commit.set_lock_timeout"), {"timeout": f"{lock_timeout_s * 1000:.0f}ms"})
+    with drive_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         map_lock(conn, map_name)
         yield
 
 
-def map_lock(conn: Connection, map_name: str = "default") -> None:
-    """Take the map's lock until the end of the open transaction; other ingests into the same map wait."""
-    execute(conn, load_sql("commit.lock_map"), {"map_name": map_name})
+@contextmanager
+def drive_transaction(
+    conn: Connection, map_name: str = "default", *, lock_timeout_s: float = LOCK_TIMEOUT_S
+) -> Iterator[None]:
+    """As `map_transaction`, but without a lock: for one drive, which takes its own ones (`lock_neighbourhood`)."""
+    with transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
+        execute(conn, load_sql("commit.set_lock_timeout"), {"timeout": f"{lock_timeout_s * 1000:.0f}ms"})
+        yield
+
+
+def map_lock(conn: Connection, map_name: str = "default", *, shared: bool = False) -> None:
+    """Take the map's lock until the end of the open transaction. shared: together with others who share it."""
+    execute(conn, load_sql("commit.share_map" if shared else "commit.lock_map"), {"map_name": map_name})
 
 
 def find_map(conn: Connection, map_name: str = "default") -> MapInfo | None:
@@ -190,7 +199,10 @@ def insert_map(
 
 
 def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) -> datetime:
-    """The instant of a new changeset or decision: now (None: the server's clock), but later than the map's last one."""
-    clock = {"now": now, "last_committed_at": info.last_committed_at}
+    """The instant of a new changeset or decision: now (None: the server's clock), but later than the map's last one.
+
+    Under the map's lock, or in turn (`take_turn`).
+    """
+    clock = {"now": now, "map_id": info.map_id}
     instant: datetime = execute(conn, load_sql("commit.system_time"), clock)[0]["committed_at"]
     return instant
