@@ -80,14 +80,22 @@ def small_frames() -> list[formats.Frame]:
     return [replace(frame, left=image, right=image) for frame in formats.sample_frames()[:FRAMES]]
 
 
+def _of_small_images(line: str) -> str:
+    """A line of KITTI's calibration for images a tenth as large as those of the sample drives."""
+    key, *values = line.split()
+    if key.startswith("S_rect_0"):
+        values = [str(WIDTH), str(HEIGHT)]
+    elif key.startswith("P_rect_0"):
+        values = [*(str(float(value) / 10) for value in values[:8]), *values[8:]]
+    return f"{key} {' '.join(values)}\n"
+
+
 def write_drive(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         path = formats.WRITERS[name](folder / "run", small_frames(), small_rig())
         if name == "kitti":
             calibration = path / "calib_cam_to_cam.txt"
-            lines = calibration.read_text().splitlines()
-            sized = [f"{line[:9]}: {WIDTH} {HEIGHT}" if line.startswith("S_rect_0") else line for line in lines]
-            calibration.write_text("\n".join(sized) + "\n")
+            calibration.write_text("".join(map(_of_small_images, calibration.read_text().splitlines())))
             (path / "drive.yaml").write_text("sigmas: {horizontal_m: 0.02, yaw_deg: 0.1}\ncameras: {left: image_02}\n")
         if name == "plain":
             (path / "drive.yaml").write_text("drive_id: morning\ntimestamps_timezone: Europe/Berlin\nmap_srid: 25832\n")

@@ -338,7 +338,7 @@ import errno
 from conetl.files import parquet_store
 def fail(*_, **__):
     raise OSError(errno.EIO, "Input/output error", "results/chunk.parquet")
-parquet_store._read = fail
+parquet_store.read_table = fail
 """
 
 
