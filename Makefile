@@ -64,7 +64,7 @@ bench-export: setup  ## export of a million cones to GeoParquet: time and memory
 bench-ogc: setup  ## OGC API Features over a million cones, 20 users (ARGS='--side-m 1000 --seconds 60' ...)
 	@$(BIN)/python benchmarks/bench_ogc.py $(ARGS)
 
-bench-changes: setup  ## what the map makes of 200 simulated days of changes: confusion matrix (10 minutes of processor time)
+bench-changes: setup  ## what the map makes of 200 simulated days of changes: confusion matrix (1 minute of processor time)
 	@$(BIN)/python benchmarks/bench_changes.py $(ARGS)
 
 bench-map: setup  ## a drive of 100,000 cones into maps of 100 thousand and 1 million features (SIZES="... 10000000" for more)

@@ -137,7 +137,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("init nowhere", 2, "nowhere"),
     ("init empty", 2, "empty"),
     ("backfill nowhere", 2, "nowhere"),
-    ("ingest --category drum plain", 2, "knows no category drum: choose from traffic_cone"),
+    ("ingest --category cone plain", 2, "cone: .*traffic_cone"),
     ("ingest --params params_class.yaml plain", 2, "bollard: expected some of traffic_cone, tubular_marker"),
     ("detect nowhere.png --out x.json", 2, "nowhere.png"),
     ("locate a.png b.png --calibration rig_half.yaml", 2, "a.png|rig_half.yaml"),

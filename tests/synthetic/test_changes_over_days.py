@@ -9,7 +9,7 @@ from tests.synthetic.changing_road import simulate
 def test_changes_of_some_days_are_told_rightly() -> None:
     evidence = read_model_card(None).evidence
     assert evidence is not None
-    score = simulate(4, evidence, seed=3)
+    score = simulate(10, evidence, seed=3)
     happened = sum(
         score.confusion[kind, said] for kind in ("added", "moved", "removed") for said in ("added", "moved", "removed")
     )

@@ -36,7 +36,7 @@ _EDGE_SIGMA_SHARE = 0.025
 #: Sigma of the network's foot: a floor (px), a share of the box's height or width, and a term divided by the height (px^2).
 #: Across the rows in each image, along the rows in both alike, and common to all observations of one cone. Measured on the
 #: sample drives (docs/explanation/accuracy.md).
-_FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 0.0)
+_FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 3.0)
 #: Ratio of the scatter of feet to the difference of both images, which have errors in common.
 _BOTH_ALIKE = 1.5
 #: Prior weight of the stated scatter, in matches; limit of a difference in sigmas; limits of the factor.
