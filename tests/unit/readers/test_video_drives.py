@@ -154,23 +154,25 @@ def test_a_part_of_the_recording(folder: Path, tmp_path: Path, sample: Drive) ->
     assert all(abs(p.captured_at_ns - t) < 20_000 for p, t in zip(drive.frame_pairs, inside[::3], strict=True))
 
 
-def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive) -> None:
+@pytest.mark.parametrize("folders", [("image_02", "image_03"), ("left", "right")])
+def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive, folders: tuple[str, str]) -> None:
     root = tmp_path / "run"
     root.mkdir()
-    for camera in ("image_02", "image_03"):
-        (root / camera).mkdir()
+    left, right = folders
+    for camera, folder in zip(("image_02", "image_03"), folders, strict=True):
+        (root / folder).mkdir()
         for n, pair in enumerate(sample.frame_pairs):
-            (root / camera / f"{pair.captured_at_ns}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
+            (root / folder / f"{pair.captured_at_ns}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
     write_rig_yaml(sample.rig, root / "rig.yaml")
     write_csv(root, known_of(sample))
-    (root / "drive.yaml").write_text("images: {left: image_02, right: image_03}\n")
+    (root / "drive.yaml").write_text(f"images: {{left: {left}, right: {right}}}\n")
     drive, rejections = read_drive(root)
     assert rejections == []
     assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
     lines = [f"{p.captured_at_ns / 1e9:.6f}" for p in sample.frame_pairs]
     (root / "times.txt").write_text("\n".join(lines[:-1]))
-    (root / "drive.yaml").write_text("images: {left: image_02, right: image_03, timestamps: times.txt}\n")
-    with pytest.raises(DriveFolderError, match=r"times\.txt: 15 time stamps for the 16 images of image_02"):
+    (root / "drive.yaml").write_text(f"images: {{left: {left}, right: {right}, timestamps: times.txt}}\n")
+    with pytest.raises(DriveFolderError, match=rf"times\.txt: 15 time stamps for the 16 images of {left}"):
         read_drive(root)
 
 

@@ -198,6 +198,14 @@ def read_drive_yaml(source: Path) -> DriveYaml:
         raise DriveFolderError(str(error)) from error.__cause__
 
 
+def names_images(source: Path) -> bool:
+    """Whether drive.yaml names videos or folders of images; the format says what is wrong with a broken file."""
+    try:
+        return (source / DRIVE_YAML).is_file() and read_drive_yaml(source).images.left is not None
+    except DriveFolderError:
+        return False
+
+
 def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     """Path of something named in a file, which must be in the drive folder after symbolic links are resolved.
 

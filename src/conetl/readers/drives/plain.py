@@ -29,7 +29,7 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Height, Latitude, Longitude, Pose, Record, Rig
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives.drive_yaml import DriveYaml
+from conetl.readers.drives.drive_yaml import DriveYaml, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, overrides, own_rig
 from conetl.readers.drives.pairs import (
     ContentHash,
@@ -117,8 +117,9 @@ class Rows:
 
 
 def matches(path: Path) -> bool:
-    """True where a folder looks like a plain drive, complete or not."""
-    return (path / TRAJECTORY).is_file() or ((path / "left").is_dir() and (path / "right").is_dir())
+    """True where a folder looks like a plain drive, complete or not; not where drive.yaml names its images (`video`)."""
+    has_folders = (path / "left").is_dir() and (path / "right").is_dir()
+    return ((path / TRAJECTORY).is_file() or has_folders) and not names_images(path)
 
 
 def read(source: Source) -> tuple[Drive, list[Rejection]]:

@@ -26,7 +26,7 @@ from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import SIDES, Drive, Rig
 from conetl.model.rejections import Rejection
 from conetl.perception.video import VIDEO_SUFFIXES, Frame, VideoIndex, frame_of, index_video, region_of, video_facts
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, read_drive_yaml
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, opened, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, Source, check_images, drive_of_couples, time_of
 from conetl.readers.drives.poses import Samples, placed
@@ -43,15 +43,7 @@ READS_OBJECTS = False
 def matches(path: Path) -> bool:
     """True for a folder with video files, or with folders of images that drive.yaml names. (KITTI drives may hold videos.)"""
     has_videos = path.is_dir() and not (path / "image_02").is_dir() and bool(names_in(path, VIDEO_SUFFIXES))
-    return has_videos or _names_images(path)
-
-
-def _names_images(path: Path) -> bool:
-    """Whether drive.yaml names images; a broken one is read again by the format, which says what is wrong."""
-    try:
-        return (path / DRIVE_YAML).is_file() and read_drive_yaml(path).images.left is not None
-    except DriveFolderError:
-        return False
+    return has_videos or names_images(path)
 
 
 class _Recording(NamedTuple):
