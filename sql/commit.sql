@@ -85,6 +85,7 @@ with around as materialized (
     cross join lateral conetl.pieces(d.area) piece
     join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece
     where d.drive_uuid = %(drive_uuid)s and upper_inf(v.system_period) and upper_inf(v.valid_period)
+    and (v.present or v.suppressed)
     order by v.feature_id
 )
 select a.*

@@ -5,14 +5,21 @@
 -- ones among them, every later one whose area meets one of theirs, and so on.
 -- Parameters: drive_uuids (uuid[], of one map). Columns: drive_uuid, changeset_id, idempotency_key, in the order of the
 -- fold.
+-- offset 0: from each affected drive to its neighbours; otherwise the planner compares all drives of the map with each other.
 with recursive affected (drive_uuid) as (
     select unnest(%(drive_uuids)s::uuid[])
     union
-    select later.drive_uuid
+    select near.drive_uuid
     from affected a
     join conetl.drive d using (drive_uuid)
-    join conetl.active_drive later on later.map_id = d.map_id and later.area && d.area and ST_Intersects(later.area, d.area)
-        and (later.captured_from_ns, later.content_sha256 collate "C") > (d.captured_from_ns, d.content_sha256 collate "C")
+    cross join lateral (
+        select l.drive_uuid, l.area from conetl.drive l
+        where l.map_id = d.map_id and l.area && d.area
+        and (l.captured_from_ns, l.content_sha256 collate "C") > (d.captured_from_ns, d.content_sha256 collate "C")
+        offset 0
+    ) near
+    cross join lateral (select from conetl.active_drive v where v.drive_uuid = near.drive_uuid offset 0) active
+    where ST_Intersects(near.area, d.area)
 )
 select d.drive_uuid, d.changeset_id, d.idempotency_key
 from affected a
