@@ -2,9 +2,8 @@
 
 The sample drives, and KITTI where it is in the shared data, are encoded anew; `analyse` must find the same cones. Differences
 are those of the positions on sample drives, and of the distances between pairs of cones on KITTI, whose GNSS is accurate to
-0.4 m. Logs without attitudes are also compared with the same images and the same log, which shows what the video alone does.
-The log of a video has a record at each of its frames. Processor time is that of reading and analysing with the first log of a
-container: later ones find the detections of the same frames. Then positions alone at 1 Hz, and the clock of images that
+0.4 m. The log of a video has a record at each of its frames. Processor time is that of reading and analysing with the first log
+of a container: later ones find the detections of the same frames. Then positions alone at 1 Hz, and the clock of images that
 is wrong by seconds.
 
     python benchmarks/bench_recordings.py [--only TEXT] [--parts logs sparse clocks] [--folder FOLDER]
@@ -13,7 +12,6 @@ is wrong by seconds.
 from __future__ import annotations
 
 import itertools
-import shutil
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -29,12 +27,10 @@ from benchmarks.harness import KITTI, SAMPLE, arguments_of, print_rows, write_js
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import ConetlError
 from conetl.model.health import hold_reason
-from conetl.model.records import Drive
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.video import read_timing
-from conetl.readers.rigs import write_rig_yaml
 from tests.unit.readers import trajectory_files as logs
 from tests.unit.readers.drive_formats import write_bag, write_ros1_bag
 from tests.video_drives import LOGS, frames_of, known_of, with_log, write_video_drive
@@ -49,8 +45,7 @@ VIDEOS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 BAGS = {"ROS 1 bag": write_ros1_bag, "ROS 2 bag": write_bag}
 CLOCK_ERRORS_S = (-20, -5, 0, 5, 20)
-FIGURES = ("largest m", "median m", "horizontal m", "in sigmas", "same log m", "pairs", "s per pair", "throughput")
-POSITIONS_ALONE = ("RTKLIB .pos", "NMEA, positions", "GPX")
+FIGURES = ("largest m", "median m", "horizontal m", "in sigmas", "pairs", "s per pair", "throughput")
 
 
 class Run(NamedTuple):
@@ -101,18 +96,13 @@ def differences(found: AnalysedDrive, true: AnalysedDrive, *, of_distances: bool
     return Differences(space, horizontal, None)
 
 
-def compared(
-    names: Mapping[str, str], root: Path, home: Path, true: Run, *, cold: bool, same_log: Run | None = None
-) -> dict[str, object]:
-    """A row of the table. cold: nothing of these images was found before, so that the processor time is that of all steps.
-    same_log: the images with the log of this recording."""
+def compared(names: Mapping[str, str], root: Path, home: Path, true: Run, *, cold: bool) -> dict[str, object]:
+    """A row of the table. cold: nothing of these images was found before, so that the processor time is that of all steps."""
     try:
         found = run(root, home)
     except ConetlError as error:
         return {**names, "cones": "refused", **dict.fromkeys(FIGURES), "held": str(error)}
-    of_distances = names["drive"].startswith("KITTI")
-    off = differences(found.analysed, true.analysed, of_distances=of_distances)
-    alike = same_log and differences(found.analysed, same_log.analysed, of_distances=of_distances)
+    off = differences(found.analysed, true.analysed, of_distances=names["drive"].startswith("KITTI"))
     return {
         **names,
         "cones": f"{len(found.analysed.tracks)}/{len(true.analysed.tracks)}",
@@ -120,24 +110,11 @@ def compared(
         "median m": float(np.median(off.space_m)) if len(off.space_m) else None,
         "horizontal m": float(off.horizontal_m.max()) if len(off.space_m) else None,
         "in sigmas": off.sigmas,
-        "same log m": float(alike.space_m.max()) if alike and len(alike.space_m) else None,
         "pairs": f"{len(found.analysed.drive.frame_pairs)}/{len(true.analysed.drive.frame_pairs)}",
         "s per pair": found.per_pair_s if cold else None,
         "throughput": true.per_pair_s / found.per_pair_s if cold else None,
         "held": hold_reason(found.analysed.health) or "no",
     }
-
-
-def write_image_folders(root: Path, drive: Drive) -> Path:
-    """The images as they are, named by their times, without a trajectory."""
-    for side in ("left", "right"):
-        (root / side).mkdir(parents=True)
-        for pair in drive.frame_pairs:
-            image = Path(pair.left_path if side == "left" else pair.right_path)
-            shutil.copyfile(image, root / side / f"{pair.captured_at_ns}{image.suffix}")
-    write_rig_yaml(drive.rig, root / "rig.yaml")
-    (root / "drive.yaml").write_text("images: {left: left, right: right}\n")
-    return root
 
 
 def every_second(t: logs.Known) -> logs.Known:
@@ -199,11 +176,6 @@ def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str,
             root = write(folder / kind.replace(" ", ""), frames, drive.rig)
             names = {"drive": name, "container": kind, "log": "NavSatFix + Imu"}
             yield "logs", compared(names, root, folder / f"home {kind}", true, cold=True)
-        images = write_image_folders(folder / "images", drive)
-        alone = {
-            log: run(with_log(images, folder / f"images {number}", LOGS[log], t), folder / "home images")
-            for number, log in enumerate(POSITIONS_ALONE)
-        }
     for kind, how in VIDEOS.items():
         if "logs" not in parts and kind != "2 x H.264":
             continue
@@ -212,7 +184,7 @@ def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str,
         for number, (log_name, log) in enumerate(LOGS.items() if "logs" in parts else ()):
             names = {"drive": name, "container": kind, "log": log_name}
             root = with_log(videos, folder / f"{kind} {number}", log, t)
-            yield "logs", compared(names, root, home, true, cold=number == 0, same_log=alone.get(log_name))
+            yield "logs", compared(names, root, home, true, cold=number == 0)
         if kind != "2 x H.264":
             continue
         if "sparse" in parts and source == KITTI:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import os
-import shutil
 import struct
 from collections.abc import Callable, Sequence
 from fractions import Fraction
@@ -179,12 +177,10 @@ LOGS = {
 
 
 def with_log(videos: Path, root: Path, log: Log, t: Known, **more: Any) -> Path:
-    """The same videos or image folders with another log, and more settings: those of `images` are added to what is there."""
+    """The same videos with another log, and more settings: those of `images` are added to what is there."""
     root.mkdir(parents=True)
     for path in videos.iterdir():
-        if path.is_dir():
-            shutil.copytree(path, root / path.name, copy_function=os.link)
-        elif path.name != "drive.yaml":
+        if path.name != "drive.yaml":
             (root / path.name).hardlink_to(path)
     file = log.write(root, t)
     settings = yaml.safe_load((videos / "drive.yaml").read_text())
