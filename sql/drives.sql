@@ -163,6 +163,20 @@ join conetl.map m on m.map_id = d.map_id
 where m.map_name = %(map_name)s
 order by c.changeset_no;
 
+-- name: drives_at_the_same_time
+-- The active drives of other recordings that were around a path while it was driven, and are not on hold.
+-- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); content_sha256; path_wkt, srid (a line).
+-- Columns: drive_uuid, drive_id, changeset_no, rig.
+select d.drive_uuid, d.drive_id, d.changeset_no, d.rig
+from conetl.active_drive d
+join conetl.map m on m.map_id = d.map_id
+where m.map_name = %(map_name)s and m.srid = %(srid)s and d.rig is not null
+and d.drive_id <> %(drive_id)s and d.content_sha256 <> %(content_sha256)s
+and d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s
+and ST_Intersects(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s))
+and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
+order by d.changeset_no;
+
 -- name: other_deliveries
 -- Changesets of the same recording with other content that count: equal id, and the first or the last frame pair at the
 -- same nanosecond. Imported maps, which have no rig, are not recordings.

@@ -286,6 +286,10 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
     assert result.code == 2
     assert "other content (changeset 1)" in result.err
     assert "conetl map revert 1" in result.err
+    other_name = shutil.copytree(small_drive, small_drive.with_name("the same again"))
+    result = desk.run("ingest", other_name)
+    assert result.code == 2
+    assert f"this is the recording of drive {small_drive.name} again (changeset 1)" in result.err
     assert desk.final_tables() == before
     desk.ask("map", "revert", "1")
     (report,) = desk.run("ingest", small_drive, "--json").json

@@ -184,6 +184,8 @@ def test_exports_and_pictures_name_what_stands_on_the_map(conn, conetl, samples,
     assert written("--category", "barricade").startswith("0 barricades ->")
     assert written("--category", "lane_marking").startswith("1 lane marking ->")
     assert written("--what", "history").startswith("3 versions ->")
+    assert "1 drum" in conetl("map", "show", "--category", "all")
+    assert "there is no class dromedary; give traffic_cone" in conetl("map", "show", "--category", "dromedary", code=2)
     assert conetl("map", "export", "--out", tmp_path / "map.csv").startswith("1 drum, 2 cones ->")
     said, image = drawn()
     assert said.startswith("1 drum, 2 cones, 1 lane marking, 0 lane boundaries") and "Map default" in image

@@ -13,7 +13,7 @@ from conetl.cli.console import JsonOption, print_json, say, spinner
 from conetl.files.atomic import atomic_text_file
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
 from conetl.model.records import utc_from_ns
-from conetl.readers.drives import find_format
+from conetl.readers.drives import find_format, plain
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.proposal import Proposal, Question, propose
 from conetl.readers.drives.video import NAME, read_timing
@@ -88,7 +88,9 @@ def init(
     if not root.is_dir():
         raise DriveFolderError(f"{folder}: there is no such folder")
     kind = find_format(root)
-    if kind is not None and kind.NAME != NAME:
+    # Folders called left and right may be a plain drive, or images with a log of any format.
+    open_plain = kind is plain and not (root / plain.TRAJECTORY).is_file()
+    if kind is not None and kind.NAME != NAME and not open_plain:
         _finish(folder, f"{folder} is a drive already ({kind.NAME}); nothing has to be written.", {}, as_json)
         return
     if (root / DRIVE_YAML).exists() and not force:

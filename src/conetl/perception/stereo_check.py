@@ -77,8 +77,8 @@ def check_stereo(drive: Drive) -> tuple[Rig, list[HealthCheck]]:
     if len(near) >= _MIN_MATCHES and wrong > _WRONG_SHARE * len(near):
         raise DriveFolderError(
             f"{drive.source_path}: the images are swapped, mirrored or upside down: of {len(near)} points in both images "
-            f"{wrong} lie farther right in the right image. Exchange the cameras' folders (drive.yaml: cameras), or turn the "
-            "images."
+            f"{wrong} lie farther right in the right image. Exchange left and right in drive.yaml (`images` of videos and "
+            "image folders, `cameras` of KITTI drives), or turn the images."
         )
     rows = _rows_of_one_scene(found)
     trigger = _check_trigger(len(rows), len(found), lambda lag: len(_rows_of_one_scene(offsets(lag))))

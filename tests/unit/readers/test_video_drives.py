@@ -165,7 +165,11 @@ def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive, folders: 
             (root / folder / f"{pair.captured_at_ns}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
     write_rig_yaml(sample.rig, root / "rig.yaml")
     write_csv(root, known_of(sample))
-    (root / "drive.yaml").write_text(f"images: {{left: {left}, right: {right}}}\n")
+    if left == "left":
+        made = CliRunner().invoke(app, ["init", str(root), "--yes"])
+        assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
+    else:
+        (root / "drive.yaml").write_text(f"images: {{left: {left}, right: {right}}}\n")
     drive, rejections = read_drive(root)
     assert rejections == []
     assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]

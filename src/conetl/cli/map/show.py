@@ -30,7 +30,7 @@ from conetl.db.map.hold_store import hold_events
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, FeatureLogEntry
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import noun_of
+from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
 from conetl.model.health import HoldEvent
 from conetl.model.map_records import Classification
 from conetl.model.markings import Marking
@@ -90,7 +90,11 @@ def show(
     with open_map(map_name) as (conn, info):
         summary = map_summary(conn, info.map_name)
         versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=info.map_name, lines=True))
-    if category:
+    if category and "all" not in category:
+        there = {version.feature.category for version in versions}
+        if unknown := set(category) - there - set(FEATURE_CLASSES):
+            known = ", ".join(FEATURE_CLASSES)
+            raise InputError(f"--category: there is no class {', '.join(sorted(unknown))}; give {known} or all")
         versions = [version for version in versions if version.feature.category in category]
     if as_json:
         features = [

@@ -6,7 +6,7 @@ Numbers come back to the last bit, so the result of another comparison is that o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from uuid import UUID
 
 import numpy as np
@@ -22,7 +22,7 @@ from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import DriveOrder, ImportedFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Detection, FramePair, Pose, Rig, Track, Vec3, sound
+from conetl.model.records import Detection, Drive, FramePair, Pose, Rig, Track, Vec3, sound
 
 _DETECTION = ("frame_index", "side", "detection_index", "category", "x_px", "y_px", "w_px", "h_px", "score")
 
@@ -90,6 +90,36 @@ def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
             markings=[_marking_track(row) for row in stream(conn, load_sql("drives.marking_tracks"), parameters)],
             statements=statements,
         )
+
+
+class DriveThen(NamedTuple):
+    """A drive of another recording that was around at the same time."""
+
+    drive_uuid: UUID
+    drive_id: str
+    changeset_no: int
+    rig: Rig
+
+
+def drives_at_the_same_time(
+    conn: Connection, drive: Drive, captured_ns: tuple[int, int], path_wkt: str, *, map_name: str
+) -> list[DriveThen]:
+    """The drives that count, of other ids and content, whose areas and times meet those of a drive that is not stored yet.
+
+    captured_ns: instants of its first and last frame pair; path_wkt: its path (line, map CRS).
+    """
+    parameters = {
+        "map_name": map_name,
+        "drive_id": drive.drive_id,
+        "content_sha256": drive.content_sha256,
+        "captured_from_ns": captured_ns[0],
+        "captured_to_ns": captured_ns[1],
+        "path_wkt": path_wkt,
+        "srid": drive.map_srid,
+    }
+    with database_errors("The drives of the map cannot be read"):
+        rows = execute(conn, load_sql("drives.drives_at_the_same_time"), parameters)
+    return [DriveThen(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
 
 
 def read_view(conn: Connection, drive_uuid: UUID, near: Square | None = None) -> StoredView:

@@ -1,0 +1,48 @@
+"""Which drives are one recording, whatever they are called."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conetl.model.records import Drive, FramePair, Rig
+from conetl.pipeline.commit import is_same_camera
+from tests.synthetic.world import make_path, make_rig, shifted
+
+RIG = make_rig()
+PAIRS = tuple(make_path(20))
+
+
+def later(pair: FramePair, seconds: float) -> FramePair:
+    return pair.model_copy(update={"captured_at_ns": pair.captured_at_ns + round(seconds * 1e9)})
+
+
+def turned(rig: Rig, degrees: float) -> Rig:
+    """The rig, looking elsewhere from the same vehicle."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    poses = {
+        name: tuple(map(tuple, turn @ np.array(getattr(rig, name)))) for name in ("body_SE3_left", "body_SE3_right")
+    }
+    return rig.model_copy(update=poses)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "rig", "same"),
+    [
+        (PAIRS, RIG, True),
+        ([shifted(pair, (0.6, -0.5, 0.0)) for pair in PAIRS], RIG, True),  # another GNSS solution
+        ([later(pair, 0.02) for pair in PAIRS[:12]], RIG, True),  # a part of it, with another start of the clock
+        ([shifted(pair, (0.0, 3.5, 0.0)) for pair in PAIRS], RIG, False),  # a vehicle beside it
+        ([later(pair, 3600.0) for pair in PAIRS], RIG, False),
+        (PAIRS[:1], RIG, False),
+        (PAIRS, turned(RIG, 90.0), False),
+    ],
+)
+def test_the_same_camera(pairs: list[FramePair], rig: Rig, same: bool) -> None:
+    drive = Drive(
+        drive_id="a", source_path="a", rig=RIG, map_srid=32632, content_sha256="ab" * 32, frame_pairs=PAIRS,
+        expected_frame_count=len(PAIRS),
+    )  # fmt: skip
+    assert is_same_camera(drive, rig, pairs) is same
