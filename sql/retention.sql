@@ -30,14 +30,23 @@ positions as (
     delete from conetl.position r where r.drive_uuid = any(%(drive_uuids)s) returning 1
 ),
 marked as (
-    update conetl.drive d set pruned_at = %(pruned_at)s where d.drive_uuid = any(%(drive_uuids)s)
+    update conetl.drive d set pruned_at = %(pruned_at)s where d.drive_uuid = any(%(drive_uuids)s) and d.pruned_at is null
 )
 select (select count(*) from stereo_matches) + (select count(*) from detections) + (select count(*) from positions) as deleted;
 
 -- name: pruned_drives
 -- Which of some drives have no raw records any more.
--- Parameters: drive_uuids (uuid[]). Columns: drive_uuid, drive_id, captured_to, pruned_at (timestamptz), archive_path (null: deleted).
-select d.drive_uuid, d.drive_id, upper(d.captured_period) as captured_to, d.pruned_at, d.archive_path
+-- Parameters: drive_uuids (uuid[]). Columns: drive_uuid, drive_id, captured_to, pruned_at (timestamptz), archive_path (null: deleted);
+-- rows (json: how many records each table had).
+select
+    d.drive_uuid, d.drive_id, upper(d.captured_period) as captured_to, d.pruned_at, d.archive_path,
+    (
+        select json_build_object(
+            'detection', sum(c.detection_count), 'stereo_match', sum(c.match_count), 'position', sum(c.position_count)
+        )
+        from conetl.changeset c
+        where c.drive_uuid = d.drive_uuid
+    ) as rows
 from conetl.drive d
 where d.drive_uuid = any(%(drive_uuids)s) and d.pruned_at is not null
 order by d.captured_from_ns;

@@ -8,6 +8,7 @@ from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
 import duckdb
+import pyarrow.parquet as pq
 import pytest
 
 from conetl.db.connection import connect, execute
@@ -174,6 +175,38 @@ def test_a_missing_file_of_the_archive_is_named_and_nothing_is_written(conn, tmp
         merge(conn, survey(1))
     assert valid_time_map(conn) == before
     assert raw_rows(conn) == [0, 0, 0]
+
+
+def test_an_archive_that_is_not_that_of_the_drive_is_refused(conn, tmp_path):
+    for day in (0, 2):
+        merge(conn, survey(day))
+    archive(conn, tmp_path)
+    first, second = sorted(tmp_path.iterdir())
+    for path, content in ((second, (first / "position.parquet").read_bytes()), (first, None)):
+        file = path / "position.parquet"
+        whole = file.read_bytes()
+        if content is None:
+            records = pq.read_table(file)
+            pq.write_table(records.slice(0, len(records) // 3), file)
+        else:
+            file.write_bytes(content)
+        with pytest.raises(InputError, match=rf"position\.parquet: it has .*expected \d+ of drive {path.name}"):
+            restore_drives(conn, "default")
+        assert raw_rows(conn) == [0, 0, 0]
+        conn.rollback()
+        file.write_bytes(whole)
+    assert len(restore_drives(conn, "default")) == 2
+    assert failed_audits(conn) == []
+
+
+def test_two_that_archive_at_once_leave_the_files_of_the_faster_one(conn, tmp_path):
+    merge(conn, survey(0))
+    before, drives = raw_content(conn), prunable_drives(conn, LATER)
+    assert archive_drive(conn, drives[0], tmp_path / "a") > 0
+    assert archive_drive(conn, drives[0], tmp_path / "a") == 0  # it listed the drives earlier
+    prune_drives(conn, drives)
+    restore_drives(conn, "default")
+    assert raw_content(conn) == before
 
 
 def test_other_programs_read_the_archive(conn, conetl, tmp_path):

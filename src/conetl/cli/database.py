@@ -178,7 +178,10 @@ def archive(
     before = now - timedelta(seconds=parse_age(keep_positions or ""))
     with open_maps(settings) as conn:
         drives = prunable_drives(conn, before)
-        size = sum(archive_drive(conn, drive, to, now=now) for drive in drives) if do_it else None
+        sizes = [archive_drive(conn, drive, to, now=now) for drive in drives] if do_it else []
+    if do_it:  # without those that another process archived meanwhile
+        drives = [drive for drive, size in zip(drives, sizes, strict=True) if size]
+    size = sum(sizes) if do_it else None
     if as_json:
         print_json({"archived": do_it, "drives": drives, "folder": to, "bytes": size})
         return

@@ -83,28 +83,35 @@ def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
             "Nothing was written."
         )
     for drive in gone:
-        _restore(conn, drive["drive_uuid"], Path(drive["archive_path"]))
+        _restore(conn, drive["drive_uuid"], Path(drive["archive_path"]), drive["rows"])
 
 
 def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: datetime | None = None) -> int:
     """Move the raw records of a drive to Parquet files in a folder of its own, under the map's lock; the bytes of the files.
 
-    The files are complete on the disk before the rows are deleted. Raises InputError, StorageError where they cannot be written.
+    The files are complete on the disk before the rows are deleted. 0 where another process was faster, whose files stay. Raises
+    InputError, StorageError where they cannot be written, MapMismatchError where the drive has not the records that it should.
     """
     path = folder.resolve() / str(drive.drive_uuid)
     parameters = {"drive_uuid": drive.drive_uuid}
     finals = [path / f"{table}.parquet" for table in _RAW_TABLES]
+    counts = (drive.detection_count, drive.match_count, drive.position_count)
     with map_transaction(conn, drive.map_name):
-        rows = 0
+        if execute(conn, load_sql("retention.pruned_drives"), {"drive_uuids": [drive.drive_uuid]}):
+            return 0
         with atomic_files(*finals) as files:
-            for table, file in zip(_RAW_TABLES, files, strict=True):
+            for table, count, file in zip(_RAW_TABLES, counts, files, strict=True):
                 records = _records(conn, load_sql(f"retention.records_of_{table}").rstrip().rstrip(";"), parameters)
+                if len(records) != count:
+                    raise MapMismatchError(
+                        f"drive {drive.drive_id}: table {table} has {len(records)} rows of it, expected {count} by its "
+                        "changeset; nothing was archived. See `conetl db audit`"
+                    )
                 write_table(records, file)
-                rows += len(records)
         pruned = {"drive_uuids": [drive.drive_uuid], "pruned_at": now or datetime.now(UTC)}
-        if (deleted := execute(conn, load_sql("retention.prune_drives"), pruned)[0]["deleted"]) != rows:
+        if (deleted := execute(conn, load_sql("retention.prune_drives"), pruned)[0]["deleted"]) != sum(counts):
             raise MapMismatchError(
-                f"drive {drive.drive_id}: {deleted} rows, but {rows} in its files; nothing was archived"
+                f"drive {drive.drive_id}: {deleted} rows, but {sum(counts)} in its files; nothing was archived"
             )
         execute(conn, load_sql("retention.mark_archived"), parameters | {"archive_path": str(path)})
     return sum(final.stat().st_size for final in finals)
@@ -129,8 +136,11 @@ def _records(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> pa.Ta
         return csv.read_csv(rows, options, convert_options=types)
 
 
-def _restore(conn: Connection, drive_uuid: UUID, path: Path) -> None:
-    """Inside the caller's transaction. Raises InputError where a file is missing or damaged."""
+def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, int]) -> None:
+    """Inside the caller's transaction. rows: how many each file must have, by table.
+
+    Raises InputError where a file is missing, damaged, shorter or that of another drive.
+    """
     for table in _RAW_TABLES:
         try:
             records = read_table(path / f"{table}.parquet")
@@ -139,6 +149,13 @@ def _restore(conn: Connection, drive_uuid: UUID, path: Path) -> None:
                 f"{path / table}.parquet: the archived records of the drive are required, but cannot be read ({error}). Nothing "
                 "was written; put the file back where it was."
             ) from error
+        others = set(records["drive_uuid"].unique().to_pylist()) - {str(drive_uuid)}
+        if others or len(records) != rows[table]:
+            of_others = f" of drive {min(others)}" if others else ""
+            raise InputError(
+                f"{path / table}.parquet: it has {len(records)} records{of_others}, expected {rows[table]} of drive "
+                f"{drive_uuid}. Nothing was written; put the file back that `conetl db archive` wrote."
+            )
         sql = load_sql(f"retention.records_of_{table}").rstrip().rstrip(";")
         stage = f"create temporary table record_stage as select * from ({sql}) q with no data"
         execute(conn, stage, {"drive_uuid": drive_uuid})
