@@ -306,13 +306,15 @@ def _displaced_markings(
 
 
 def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
-    """Most stretches in view gone, and as many others where the map has none: a drive that lies farther aside."""
-    stayed, replaced = kinds[DeltaKind.CONFIRMED], min(kinds[DeltaKind.REMOVED], kinds[DeltaKind.ADDED])
-    if replaced < _LEAST_PAIRS or replaced + kinds[DeltaKind.MOVED] <= stayed:
+    """Most stretches in view gone: a drive that lies farther aside, and adds as many others, or one that cannot see them."""
+    stayed, moved = kinds[DeltaKind.CONFIRMED], kinds[DeltaKind.MOVED]
+    added, removed = kinds[DeltaKind.ADDED], kinds[DeltaKind.REMOVED]
+    if min(removed, added) >= _LEAST_PAIRS and min(removed, added) + moved > stayed:
+        cause = "its position is wrong, or the road was painted anew. Check base station, datum and antenna offset."
+    elif removed >= _LEAST_PAIRS and removed > stayed + moved + added:
+        cause = "a lens was smeared or covered, or the paint is gone. Look at its images."
+    else:
         return None
-    detail = (
-        f"It would remove {kinds[DeltaKind.REMOVED]} {_STRETCHES}, add {kinds[DeltaKind.ADDED]} others and confirm "
-        f"{stayed}: its position is wrong, or the road was painted anew. Check base station, datum and antenna offset."
-    )
+    detail = f"It would remove {removed} {_STRETCHES}, add {added} others and confirm {stayed}: {cause}"
     limit = max(stayed, _LEAST_PAIRS - 1)
-    return _held("replaced", replaced, detail, limit=limit, unit=_STRETCHES)
+    return _held("replaced", removed, detail, limit=limit, unit=_STRETCHES)

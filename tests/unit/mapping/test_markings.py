@@ -103,10 +103,15 @@ def test_where_half_of_a_stretch_is_gone_the_rest_is_split_off() -> None:
         assert split.other_feature_id in {d.feature_id for d in deltas_of(history, drives[1]) if d.kind == "removed"}
 
 
-def test_a_poor_drive_removes_nothing_and_several_of_them_do() -> None:
+def test_drives_that_show_no_line_at_all_remove_nothing_before_a_person_looks() -> None:
+    """As behind a smeared lens: the first ones miss the lines, and the one that would remove them waits."""
     drives = drives_of([ROAD, *[()] * 4])
     history = replay_drives(drives)
-    assert set(kinds_of(history, drives[1])) == {"missed"} and not standing(history)
+    assert set(kinds_of(history, drives[1])) == {"missed"}
+    assert len(standing(history)) == len(standing(replay_drives(drives[:1])))
+    holds = {d.changeset_id: hold.detail for d in drives if (hold := history.updates[d.changeset_id].hold) is not None}
+    assert holds and all("a lens was smeared" in detail for detail in holds.values())
+    assert not standing(replay_drives(drives, Decisions(accepted=frozenset(holds))))
     glimpse = replace(drives[1], check_view=lambda v, seen=drives[1].check_view: few_frames(seen(v)))
     assert kinds_of(replay_drives([drives[0], glimpse]), glimpse) == {}
     blind = replace(drives[1], check_view=not_in_view)

@@ -188,12 +188,15 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
             start + ", left: front.mp4}": "the left camera's images are not clear",
             "images: {start: yesterday, right_offset_s: 0}": "drive.yaml: images.start: expected a time stamp",
             start + "}\ntrajectory: {file: rover.pos}": "rover.pos",
+            start + ", left: left.mp4, right: stills}": "left.mp4: this is a file, .* name two files or two folders",
             start + "}\ntrajectory: {file: ../drive.csv}": "outside the drive folder",
         }.items()
     ):
         (tmp_path / str(number)).mkdir()
+        copy = with_settings(folder, tmp_path / str(number), text)
+        (copy / "stills").mkdir()
         with pytest.raises((DriveFolderError, CalibrationError), match=message):
-            read_drive(with_settings(folder, tmp_path / str(number), text))
+            read_drive(copy)
     for number, (name, message) in enumerate(
         {"drive.csv": "which file is the trajectory", "rig.yaml": r"rig\.yaml is missing"}.items()
     ):

@@ -148,6 +148,11 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
     """Left and right camera. Raises DriveFolderError or CalibrationError."""
     sources = _sources(root, settings)
     if any(source.is_dir() for source in sources):
+        if files := [source for source in sources if not source.is_dir()]:
+            raise DriveFolderError(
+                f"{files[0]}: this is a file, the images of the other camera are a folder; name two files or two folders in "
+                f"{DRIVE_YAML}"
+            )
         return [_folder_camera(root, source) for source in sources]
     videos = {source: _indexed(source, root, content) for source in dict.fromkeys(sources)}
     cameras = []

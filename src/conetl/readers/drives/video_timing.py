@@ -251,6 +251,8 @@ def _chosen(couples: Sequence[Couple], settings: Images) -> list[Couple]:
     if not both:
         return []
     inside = couples[both[0] : both[-1] + 1]
+    if alone := len(couples) - len(inside):
+        _log.warning("%d frames at the beginning or end have none of the other camera, and are not used", alone)
     first_ns = min((t for couple in inside if (t := time_of(couple)) is not None), default=0)
     from_ns = first_ns + round(settings.from_s * 1e9)
     to_ns = 2**63 if settings.to_s is None else first_ns + round(settings.to_s * 1e9)
