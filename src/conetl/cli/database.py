@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, answer, print_json, print_records, print_table, say
+from conetl.cli.console import Columns, JsonOption, MapOption, answer, print_json, print_records, print_table, say
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
@@ -157,6 +157,7 @@ def archive(
         str | None, typer.Option(help="Bring the records of this drive back into the tables.", metavar="DRIVE_ID")
     ] = None,
     do_it: Annotated[bool, typer.Option("--yes", help="Move. Without it only list what would be moved.")] = False,
+    map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Move raw records of old drives from the tables to Parquet files. Without --yes nothing is moved.
@@ -166,9 +167,9 @@ def archive(
     """
     if (keep_positions is None) == (restore is None):
         raise InputError("give either an age (--keep-positions 90d) or a drive to bring back (--restore DRIVE_ID)")
-    settings, now = read_settings(), datetime.now(UTC)
+    settings, now = read_settings(map_name), datetime.now(UTC)
     if restore is not None:
-        with open_map(None) as (conn, _):
+        with open_map(map_name) as (conn, _):
             restored = restore_drives(conn, settings.map_name, restore)
         if not restored:
             raise InputError(f"map {settings.map_name} has no drive {restore} whose records were archived")

@@ -121,12 +121,12 @@ class TooManyRejectionsError(NeedsAttentionError):
         blind = report.rejections.get(RejectionReason.IMAGE_WITHOUT_DETAIL, 0)
         cause = (
             f" The images of {blind} of them show too little detail: look for a covered lens, darkness, fog, blur or strong "
-            "compression. What they show is used, but no cone is removed by them."
+            "compression. What they show is on the map, but nothing is removed by them."
             if blind
             else ""
         )
         super().__init__(
             report,
-            f"{rejected} of {total} frame pairs of drive {report.drive_id} were rejected, more than {allowed_fraction:.0%} "
-            f"(max_rejected_fraction). The good ones are on the map; see the table of rejections.{cause}",
+            f"{rejected} of {total} frame pairs of drive {report.drive_id} were rejected or show too little, more than "
+            f"{allowed_fraction:.0%} (max_rejected_fraction). The others are on the map; see the table of rejections.{cause}",
         )

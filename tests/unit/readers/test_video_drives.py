@@ -186,6 +186,7 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
         {
             "images: {layout: left-right, left: left.mp4, start: '2026-03-02 10:00:00'}": "480 x 320 pixels, but the calibration",
             start + ", left: front.mp4}": "the left camera's images are not clear",
+            "images: {from_s: 5, to_s: 2}": "to_s 2 is not after from_s 5",
             "images: {start: yesterday, right_offset_s: 0}": "drive.yaml: images.start: expected a time stamp",
             start + "}\ntrajectory: {file: rover.pos}": "rover.pos",
             start + ", left: left.mp4, right: stills}": "left.mp4: this is a file, .* name two files or two folders",

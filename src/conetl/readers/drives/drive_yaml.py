@@ -84,6 +84,12 @@ class Images(Record):
     to_s: float | None = Field(default=None, gt=0, le=1e7)
     """Part of the left file that is used."""
 
+    @model_validator(mode="after")
+    def _check(self) -> Images:
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise ValueError(f"to_s {self.to_s:g} is not after from_s {self.from_s:g}")
+        return self
+
 
 class Mount(Record):
     """The left camera on the body whose trajectory was recorded (an IMU, or the antenna), for a rig.yaml without its pose."""
