@@ -35,7 +35,7 @@ lint: setup     ## lint, types, import contracts, wording and documentation
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python scripts/check_wording.py
-	$(BIN)/mkdocs build --quiet --strict
+	$(BIN)/mkdocs build --strict
 
 check: lint     ## the same, and the fast tests
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/unit
