@@ -180,6 +180,7 @@ def test_exports_and_pictures_name_what_stands_on_the_map(conn, conetl, samples,
     samples.commit(conn, samples.added(drum), samples.added(line), key="2", start_ns=day)
     conn.commit()
     assert written().startswith("1 drum, 2 cones ->") and "1 lane marking ->" in written()
+    assert all(text in drawn()[1] for text in ("drum, standing (1)", "cone, standing (2)"))
     assert written("--category", "drum").startswith("1 drum ->")
     assert written("--category", "barricade").startswith("0 barricades ->")
     assert written("--category", "lane_marking").startswith("1 lane marking ->")

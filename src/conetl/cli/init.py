@@ -109,7 +109,13 @@ def init(
     _add_timing(settings, timing)
     _write(root, settings)
     pairs = sum(left is not None and right is not None for left, right in timing.couples)
-    _finish(folder, f"{root / DRIVE_YAML} is written: {pairs:,} frame pairs.", settings, as_json)
+    text = f"{root / DRIVE_YAML} is written: {pairs:,} frame pairs."
+    if timing.start_ns is not None and timing.clock.sigma_s and "start" not in answers:
+        text += (
+            f"\nBy its images the first left frame is of {_stated(timing.start_ns)}, +-{1000 * timing.clock.sigma_s:.0f} ms. "
+            "If its time was noted, state it: --start."
+        )
+    _finish(folder, text, settings, as_json)
 
 
 def _settled(

@@ -27,6 +27,7 @@ from conetl.db.serve_store import read_base_lines, read_base_tile, read_base_til
 from conetl.db.zone_store import read_paths
 from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, STANDING, KindMark
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import FEATURE_CLASSES, known_of, noun_of
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
 from conetl.reports.figures import draw_arrow, new_figure, save_figure
@@ -180,6 +181,13 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     return figure
 
 
+#: Of what did not change; the shape of a change says what happened.
+_CLASS_MARKERS = {
+    "tubular_marker": "d", "drum": "h", "vertical_panel": "s", "barricade": "P", "work_zone_sign": "D", "arrow_board": "X",
+    "traffic_sign": "v",
+}  # fmt: skip
+
+
 def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
     """Draw points, lane boundaries and paths; their lines of the legend."""
     handles: list[Line2D] = []
@@ -232,7 +240,13 @@ def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     changed = {change.feature_id for change in content.changes or ()}
     rest = [feature for feature in content.standing if feature.feature_id not in changed and feature.marking is None]
     label = "unchanged" if content.changes is not None else STANDING.label
-    handles = [_mark(axes, rest, STANDING._replace(label=label), box, 4)]
+    present = {feature.category for feature in rest}
+    classes = [*sorted(present - set(FEATURE_CLASSES)), *reversed(known_of(present))]  # the legend begins with the last
+    handles = []
+    for one in classes:
+        name = label if len(classes) == 1 else f"{noun_of(one)}, {label}"
+        style = STANDING._replace(marker=_CLASS_MARKERS.get(one, STANDING.marker), label=name)
+        handles.append(_mark(axes, [feature for feature in rest if feature.category == one], style, box, 4))
     for level, (kind, style) in enumerate(KIND_MARKS.items(), 5):
         these = [change for change in changes if change.kind == kind]
         handles.append(_mark(axes, [c.state_after for c in these], style, box, level))
