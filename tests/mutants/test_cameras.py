@@ -43,13 +43,13 @@ def settings(first_day: Settings, module_database_url: str, cluster_url: str) ->
         yield first_day.model_copy(update={"database_url": SecretStr(url)})
 
 
-def next_day(name: str, folder: Path) -> Path:
+def next_day(name: str, folder: Path, day: int = 3) -> Path:
     """The first sample drive, recorded again a day later, and wrong."""
     files = SECOND_DRIVE[name]
     assert files is not None
     files(copy_drive(SAMPLES[0], folder))
     for path in folder.glob("*/timestamps.txt"):
-        path.write_text(path.read_text().replace("2026-03-02", "2026-03-03"))
+        path.write_text(path.read_text().replace("2026-03-02", f"2026-03-{day:02d}"))
     return folder
 
 
@@ -61,7 +61,7 @@ def standing(settings: Settings) -> int:
 
 def test_cameras_that_see_nothing_remove_nothing(settings: Settings, tmp_path: Path) -> None:
     for number, name in enumerate(BLIND):
-        folder = next_day(name, tmp_path / f"2026-03-03_{number}")
+        folder = next_day(name, tmp_path / f"blind_{number}", day=3 + number)
         with pytest.raises(TooManyRejectionsError, match="too little detail") as doubted:
             ingest(folder, settings=settings)
         counts = doubted.value.report.counts
