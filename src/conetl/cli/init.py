@@ -89,8 +89,8 @@ def init(
         raise DriveFolderError(f"{folder}: there is no such folder")
     kind = find_format(root)
     # Folders called left and right may be a plain drive, or images with a log of any format.
-    open_plain = kind is plain and not (root / plain.TRAJECTORY).is_file()
-    if kind is not None and kind.NAME != NAME and not open_plain:
+    lacks_poses = kind is plain and not (root / plain.TRAJECTORY).is_file()
+    if kind is not None and kind.NAME != NAME and not lacks_poses:
         _finish(folder, f"{folder} is a drive already ({kind.NAME}); nothing has to be written.", {}, as_json)
         return
     if (root / DRIVE_YAML).exists() and not force:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,27 +16,20 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4, uuid5
 
-import numpy as np
-
 from conetl.db.connection import transaction
 from conetl.db.live_store import drop_watched_recording
-from conetl.db.map.commit import path_wkt
-from conetl.db.map.drive_store import drives_at_the_same_time, read_frame_pairs
 from conetl.db.map.hold_store import held_drives
 from conetl.db.map.map_store import drive_transaction, find_changeset
-from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.db.run_store import PendingChangeset
 from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
-from conetl.geometry.rig import map_SE3_left
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
-from conetl.model.errors import MapMismatchError
 from conetl.model.health import AGREES, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import Drive, FramePair, Record, Rig, utc_from_ns
+from conetl.model.records import Drive, Record, utc_from_ns
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
@@ -45,7 +38,6 @@ from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings
 
 _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
-_SAME_CAMERA_M, _SAME_CAMERA_RAD = 2.0, 0.5
 #: Libraries that numbers come from.
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj", "prefect")
 
@@ -96,55 +88,6 @@ def already_committed(
     report = _no_changes(drive, identity, known, settings)
     return report.model_copy(
         update={"health": next((one.checks for one in held if one.changeset_id == known.changeset_id), ())}
-    )
-
-
-def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
-    """Raise MapMismatchError where the recording is on the map with other content: one drive would count as two surveys."""
-    with database.connection() as conn, transaction(conn, "The map cannot be read"):
-        instants_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
-        captured_ns = min(instants_ns), max(instants_ns)
-        numbers = other_deliveries(conn, drive.drive_id, captured_ns, drive.content_sha256, map_name=settings.map_name)
-        then = drives_at_the_same_time(conn, drive, captured_ns, path_wkt(drive), map_name=settings.map_name)
-        same = [one for one in then if is_same_camera(drive, one.rig, read_frame_pairs(conn, one.drive_uuid))]
-    if numbers:
-        number = numbers[-1]
-        raise MapMismatchError(
-            f"{drive.source_path}: drive {drive.drive_id} is on the map already, with other content (changeset {number}); the "
-            f"two would count as two surveys. Revert that changeset with `conetl map revert {number}` and ingest the drive "
-            "again, or give it a drive_id of its own in drive.yaml if it is another drive. Nothing was written."
-        )
-    if same:
-        other = same[-1]
-        raise MapMismatchError(
-            f"{drive.source_path}: this is the recording of drive {other.drive_id} again (changeset {other.changeset_no}), with "
-            "other settings or files: the left camera was at the same places at the same times. The two would count as two "
-            f"surveys. If this one is to replace it, `conetl map revert {other.changeset_no}`. Nothing was written."
-        )
-
-
-def is_same_camera(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
-    """Whether a drive's left camera was, in most of its frames of that time, where that of other frame pairs was, and looked the
-    same way: to `_SAME_CAMERA_M` and `_SAME_CAMERA_RAD`, which allow for another lever arm, GNSS solution or start of the clock.
-
-    Two vehicles are farther apart; two rigs of one vehicle look in different directions.
-    """
-    if len(pairs) < 2:
-        return False
-    pairs = sorted(pairs, key=lambda pair: pair.captured_at_ns)
-    times_ns, at_ns = (np.array([p.captured_at_ns for p in some]) for some in (pairs, drive.frame_pairs))
-    there, here = (
-        np.array([map_SE3_left(pair.pose, one) for pair in some])
-        for some, one in ((pairs, rig), (drive.frame_pairs, drive.rig))
-    )
-    both = (at_ns >= times_ns[0]) & (at_ns <= times_ns[-1])
-    if not both.any():
-        return False
-    at_ns, here = at_ns[both], here[both]
-    apart_m = here[:, :2, 3] - np.column_stack([np.interp(at_ns, times_ns, there[:, axis, 3]) for axis in (0, 1)])
-    cosines = (here[:, :3, 2] * there[np.searchsorted(times_ns, at_ns), :3, 2]).sum(axis=1)
-    return bool(
-        np.median(np.linalg.norm(apart_m, axis=1)) < _SAME_CAMERA_M and np.median(cosines) > np.cos(_SAME_CAMERA_RAD)
     )
 
 

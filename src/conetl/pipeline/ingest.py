@@ -25,18 +25,11 @@ from conetl.model.records import Drive
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
 from conetl.perception.model_card import NOT_MEASURED
 from conetl.pipeline.analysis import AnalysedDrive, analyse
-from conetl.pipeline.commit import (
-    CommittedDrive,
-    already_committed,
-    commit,
-    identify,
-    lost_frame_pairs,
-    refuse_other_delivery,
-    run_info,
-)
+from conetl.pipeline.commit import CommittedDrive, already_committed, commit, identify, lost_frame_pairs, run_info
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Executor, Progress, ThreadExecutor
 from conetl.pipeline.publish import publish
+from conetl.pipeline.same_recording import refuse_other_delivery
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import DriveHeader

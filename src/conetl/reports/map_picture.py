@@ -25,7 +25,16 @@ from conetl.db.connection import Connection
 from conetl.db.map.map_store import list_changesets
 from conetl.db.serve_store import read_base_lines, read_base_tile, read_base_tiles
 from conetl.db.zone_store import read_paths
-from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, STANDING, KindMark
+from conetl.exports.kind_marks import (
+    BRIGHT_POINT,
+    CLASS_MARKERS,
+    DARK_POINT,
+    DRIVE_PATH,
+    KIND_MARKS,
+    LANE,
+    STANDING,
+    KindMark,
+)
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import FEATURE_CLASSES, known_of, noun_of
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
@@ -181,13 +190,6 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     return figure
 
 
-#: Of what did not change; the shape of a change says what happened.
-_CLASS_MARKERS = {
-    "tubular_marker": "d", "drum": "h", "vertical_panel": "s", "barricade": "P", "work_zone_sign": "D", "arrow_board": "X",
-    "traffic_sign": "v",
-}  # fmt: skip
-
-
 def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
     """Draw points, lane boundaries and paths; their lines of the legend."""
     handles: list[Line2D] = []
@@ -245,7 +247,7 @@ def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     handles = []
     for one in classes:
         name = label if len(classes) == 1 else f"{noun_of(one)}, {label}"
-        style = STANDING._replace(marker=_CLASS_MARKERS.get(one, STANDING.marker), label=name)
+        style = STANDING._replace(marker=CLASS_MARKERS.get(one, STANDING.marker), label=name)
         handles.append(_mark(axes, [feature for feature in rest if feature.category == one], style, box, 4))
     for level, (kind, style) in enumerate(KIND_MARKS.items(), 5):
         these = [change for change in changes if change.kind == kind]
@@ -262,12 +264,13 @@ def _mark(axes: Axes, cones: Sequence[MapFeature], style: KindMark, box: Bbox, l
     if not len(inside):
         return None
     marker, colour, label = style
+    edge = colour if marker.startswith("$") else "white"  # a white edge would cover thin signs
     axes.scatter(
-        inside[:, 0], inside[:, 1], marker=marker, s=42, color=colour, edgecolors="white", linewidths=0.8, zorder=level
+        inside[:, 0], inside[:, 1], marker=marker, s=42, color=colour, edgecolors=edge, linewidths=0.8, zorder=level
     )
     label = f"{label} ({len(inside)})"
     return Line2D(
-        [], [], marker=marker, color=colour, markeredgecolor="white", markersize=8, linestyle="", label=label
+        [], [], marker=marker, color=colour, markeredgecolor=edge, markersize=8, linestyle="", label=label
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.model.records import Drive, FramePair, Rig
-from conetl.pipeline.commit import is_same_camera
+from conetl.pipeline.same_recording import is_same_camera
 from tests.synthetic.world import make_path, make_rig, shifted
 
 RIG = make_rig()

@@ -1,0 +1,69 @@
+"""One recording must not count as two surveys, whatever its settings, its files or its name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from conetl.db.connection import transaction
+from conetl.db.map.commit import path_wkt
+from conetl.db.map.drive_store import drives_at_the_same_time, read_frame_pairs
+from conetl.db.map.replay_store import other_deliveries
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.errors import MapMismatchError
+from conetl.model.records import Drive, FramePair, Rig
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.settings import Settings
+
+#: Another lever arm, GNSS solution or start of the clock moves the camera less.
+_SAME_CAMERA_M, _SAME_CAMERA_RAD = 2.0, 0.5
+
+
+def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
+    """Raise MapMismatchError where the recording is on the map with other content: one drive would count as two surveys."""
+    with database.connection() as conn, transaction(conn, "The map cannot be read"):
+        instants_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+        captured_ns = min(instants_ns), max(instants_ns)
+        numbers = other_deliveries(conn, drive.drive_id, captured_ns, drive.content_sha256, map_name=settings.map_name)
+        then = drives_at_the_same_time(conn, drive, captured_ns, path_wkt(drive), map_name=settings.map_name)
+        same = [one for one in then if is_same_camera(drive, one.rig, read_frame_pairs(conn, one.drive_uuid))]
+    if numbers:
+        number = numbers[-1]
+        raise MapMismatchError(
+            f"{drive.source_path}: drive {drive.drive_id} is on the map already, with other content (changeset {number}); the "
+            f"two would count as two surveys. Revert that changeset with `conetl map revert {number}` and ingest the drive "
+            "again, or give it a drive_id of its own in drive.yaml if it is another drive. Nothing was written."
+        )
+    if same:
+        other = same[-1]
+        raise MapMismatchError(
+            f"{drive.source_path}: this is the recording of drive {other.drive_id} again (changeset {other.changeset_no}), with "
+            "other settings or files: the left camera was at the same places at the same times. The two would count as two "
+            f"surveys. If this one is to replace it, `conetl map revert {other.changeset_no}`. Nothing was written."
+        )
+
+
+def is_same_camera(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
+    """Whether a drive's left camera was, in most of its frames of that time, where that of other frame pairs was, and looked the
+    same way: to `_SAME_CAMERA_M` and `_SAME_CAMERA_RAD`, which allow for another lever arm, GNSS solution or start of the clock.
+
+    Two vehicles are farther apart; two rigs of one vehicle look in different directions.
+    """
+    if len(pairs) < 2:
+        return False
+    pairs = sorted(pairs, key=lambda pair: pair.captured_at_ns)
+    times_ns, at_ns = (np.array([p.captured_at_ns for p in some]) for some in (pairs, drive.frame_pairs))
+    there, here = (
+        np.array([map_SE3_left(pair.pose, one) for pair in some])
+        for some, one in ((pairs, rig), (drive.frame_pairs, drive.rig))
+    )
+    both = (at_ns >= times_ns[0]) & (at_ns <= times_ns[-1])
+    if not both.any():
+        return False
+    at_ns, here = at_ns[both], here[both]
+    apart_m = here[:, :2, 3] - np.column_stack([np.interp(at_ns, times_ns, there[:, axis, 3]) for axis in (0, 1)])
+    cosines = (here[:, :3, 2] * there[np.searchsorted(times_ns, at_ns), :3, 2]).sum(axis=1)
+    return bool(
+        np.median(np.linalg.norm(apart_m, axis=1)) < _SAME_CAMERA_M and np.median(cosines) > np.cos(_SAME_CAMERA_RAD)
+    )
