@@ -2,9 +2,9 @@
 
     .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE] [--pictures FOLDER]
 
-Rows: the complete detection (`conetl.perception.detector.detect_image`), its network alone on the tensor of the full-size pass,
-on the tensors of all passes, and two rivals with random weights (`rival_networks.py`), network alone. `--pictures` measures
-conetl's rows on at most 24 images of a folder; times are per image.
+Rows: the complete detection (`conetl.perception.detector.detect_image`) of cones and of all classes, its network alone on the
+tensor of the full-size pass and on the tensors of all passes, and two rivals with random weights (`rival_networks.py`), network
+alone. `--pictures` measures conetl's rows on at most 24 images of a folder; times are per image.
 
 One thread is one session of one thread; two threads are two Python threads, each with its own such session, working on the same
 image at the same time. Requires the development packages (onnx).
@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from benchmarks.harness import ROOT, arguments_of, load, print_rows, write_json
 from benchmarks.rival_networks import INPUT_NAME, write_yolo11n, write_yolov3
 from conetl.model.errors import ModelFileError
+from conetl.model.feature_classes import CONE
 from conetl.perception.detector import MIN_SIDE_PX, Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_image
 from conetl.perception.model_card import shipped_model_path
@@ -50,6 +51,8 @@ QUICK_RUNS = 3
 #: Threads with a smaller share of a core were disturbed by other programs.
 LEAST_SHARE = 0.9
 WHOLE, ALONE, ALL_PASSES = "conetl whole", "conetl network", "conetl network, all passes"
+#: What is searched for, by the ending of the names of its rows.
+SEARCHED: dict[str, tuple[str, ...] | None] = {"": (CONE,), ", all classes": None}
 YOLOV3, YOLO11N = "YOLOv3", "YOLO11n-sized"
 MOST_IMAGES = 24
 
@@ -134,38 +137,49 @@ def images_of(folder: Path) -> list[Image]:
 def measure_conetl(
     detectors: Sequence[Detector], images: Sequence[Image], runs: int
 ) -> tuple[list[Timing], dict[str, Any]]:
-    """Rows of the complete detection and of the network alone, per image, and the passes of the detection."""
+    """Rows of the complete detection and of the network alone, per image, and the passes of the detection by what is searched."""
     size_px = (images[0].shape[1], images[0].shape[0])
-    recorders = [RecordingSession(detectors[0].session) for _ in images]
-    cones = [
-        detect_image(dataclasses.replace(detectors[0], session=recorder), image, score_threshold=SCORE_THRESHOLD)
-        for recorder, image in zip(recorders, images, strict=True)
-    ]
-    # The first pass is the one at full size.
-    first, every = [recorder.fed[0] for recorder in recorders], [fed for recorder in recorders for fed in recorder.fed]
-
-    def detect_all(detector: Detector) -> None:
-        for image in images:
-            detect_image(detector, image, score_threshold=SCORE_THRESHOLD)
-
-    def run_all(detector: Detector, fed: list[tuple[Any, dict[str, NDArray[Any]]]]) -> None:
-        for outputs, feeds in fed:
-            detector.session.run(outputs, feeds)
-
-    whole: list[Work] = [partial(detect_all, each) for each in detectors]
-    alone: list[Work] = [partial(run_all, each, first) for each in detectors]
-    all_passes: list[Work] = [partial(run_all, each, every) for each in detectors]
-    timings = [
-        measure(what, size_px, works[:count], runs, len(images))
-        for count in range(1, len(detectors) + 1)
-        for what, works in ((WHOLE, whole), (ALONE, alone), (ALL_PASSES, all_passes))
-    ]
-    others = [list(next(iter(feeds.values())).shape) for recorder in recorders for _, feeds in recorder.fed[1:]]
+    timings: list[Timing] = []
+    passes: dict[str, Any] = {}
+    for ending, categories in SEARCHED.items():
+        recorders = [RecordingSession(detectors[0].session) for _ in images]
+        found = [
+            detect_image(
+                dataclasses.replace(detectors[0], session=recorder), image,
+                score_threshold=SCORE_THRESHOLD, categories=categories,
+            )
+            for recorder, image in zip(recorders, images, strict=True)
+        ]  # fmt: skip
+        # The first pass is the one at full size.
+        first, every = (
+            [recorder.fed[0] for recorder in recorders],
+            [fed for recorder in recorders for fed in recorder.fed],
+        )
+        works: dict[str, list[Work]] = {
+            WHOLE + ending: [partial(_detect_all, each, images, categories) for each in detectors],
+            ALL_PASSES + ending: [partial(_run_all, each, every) for each in detectors],
+        }
+        if not ending:  # the first pass does not depend on the classes
+            works[ALONE] = [partial(_run_all, each, first) for each in detectors]
+        timings += [
+            measure(what, size_px, each[:count], runs, len(images))
+            for count in range(1, len(detectors) + 1)
+            for what, each in works.items()
+        ]
+        others = [list(next(iter(feeds.values())).shape) for recorder in recorders for _, feeds in recorder.fed[1:]]
+        passes[WHOLE + ending] = {"other_passes": others, "objects_found": sum(map(len, found))}
     full_size = list(next(iter(first[0][1].values())).shape)
-    return timings, {
-        "size_px": list(size_px), "pictures": len(images), "full_size": full_size,
-        "other_passes": others, "cones_found": sum(map(len, cones)),
-    }  # fmt: skip
+    return timings, {"size_px": list(size_px), "pictures": len(images), "full_size": full_size, "passes": passes}
+
+
+def _detect_all(detector: Detector, images: Sequence[Image], categories: tuple[str, ...] | None) -> None:
+    for image in images:
+        detect_image(detector, image, score_threshold=SCORE_THRESHOLD, categories=categories)
+
+
+def _run_all(detector: Detector, fed: Sequence[tuple[Any, dict[str, NDArray[Any]]]]) -> None:
+    for outputs, feeds in fed:
+        detector.session.run(outputs, feeds)
 
 
 def measure_rival(path: Path, what: str, size_px: int, image: Image, runs: int, threads: int) -> list[Timing]:
@@ -188,9 +202,11 @@ def ratios(timings: Sequence[Timing]) -> dict[str, float]:
     least = {(row.what, row.width_px, row.height_px): row.min_ms for row in timings if row.threads == 1}
     result = {}
     whole = {f"{width}x{height}": (width, height) for what, width, height in least if what == WHOLE}
-    for what, its_name in ((ALONE, "network alone"), (ALL_PASSES, "network alone, all passes")):
-        for text, size in whole.items():
-            result[f"whole detection / {its_name}, {text}"] = least[WHOLE, *size] / least[what, *size]
+    for ending in SEARCHED:
+        for what, its_name in ((ALONE, "network alone"), (ALL_PASSES + ending, "network alone, all passes")):
+            for text, size in whole.items():
+                ratio = least[WHOLE + ending, *size] / least[what, *size]
+                result[f"whole detection{ending} / {its_name}, {text}"] = ratio
     for rival, side_px in ((YOLOV3, 416), (YOLO11N, 640)):
         for text, size in whole.items():
             ratio = least[rival, side_px, side_px] / least[WHOLE, *size]
@@ -224,13 +240,14 @@ def print_report(report: dict[str, Any]) -> None:
             "threads, the median is too long. Measure again on an idle machine."
         )
     for detection in report["detections"]:
-        passes = Counter("x".join(map(str, shape)) for shape in detection["other_passes"])
-        others = ", ".join(f"{count} of {shape}" for shape, count in sorted(passes.items())) or "none"
         print(
             f"conetl at {detection['size_px'][0]}x{detection['size_px'][1]}: network input "
-            f"{'x'.join(map(str, detection['full_size']))}, further passes: {others}; {detection['cones_found']} cones found; "
-            f"{detection['pictures']} image(s): {detection['image']}"
+            f"{'x'.join(map(str, detection['full_size']))}; {detection['pictures']} image(s): {detection['image']}"
         )
+        for what, passes in detection["passes"].items():
+            shapes = Counter("x".join(map(str, shape)) for shape in passes["other_passes"])
+            others = ", ".join(f"{count} of {shape}" for shape, count in sorted(shapes.items())) or "none"
+            print(f"  {what}: {passes['objects_found']} objects found; further passes: {others}")
     print_rows("", [{"ratio": name, "value": value} for name, value in report["ratios"].items()])
 
 
