@@ -49,12 +49,11 @@ def decode_cells(
             raise ValueError(f"cells have shapes {values.shape} and {cells.shape}, expected (K, {channels}) and (K,)")
     counts = [len(cells) for cells in outputs[1::2]]
     numbers, cells_at = np.concatenate(outputs[::2]), np.concatenate(outputs[1::2])
-    by_class = numbers[:, -class_count:]
-    scores = 1.0 / (1.0 + np.exp(-by_class.max(axis=1).astype(np.float64)))
-    kept = scores >= score_threshold
-    scores, cells_at, classes = scores[kept], cells_at[kept], by_class[kept].argmax(axis=1)
-    stride_px = np.repeat(strides_px, counts)[kept]
+    scores = 1.0 / (1.0 + np.exp(-_best_logits(numbers, class_count).astype(np.float64)))
+    kept = np.flatnonzero(scores >= score_threshold)
+    scores, cells_at, stride_px = scores[kept], cells_at[kept], np.repeat(strides_px, counts)[kept]
     numbers = numbers[kept].astype(np.float64).T
+    classes = numbers[-class_count:].argmax(axis=0)
     in_row, in_column = size_px[1] // stride_px, size_px[0] // stride_px
     images, cells_at = np.divmod(cells_at, in_row * in_column)
     rows, columns = np.divmod(cells_at, in_row)
@@ -85,8 +84,13 @@ def omitted_below(
     best = 0.0
     for values, stride_px in zip(outputs[::2], strides_px, strict=True):
         if 0 < len(values) < images * (height_px // stride_px) * (width_px // stride_px):
-            best = max(best, float(1.0 / (1.0 + np.exp(-float(values[:, -class_count:].max(axis=1).min())))))
+            best = max(best, float(1.0 / (1.0 + np.exp(-float(_best_logits(values, class_count).min())))))
     return best
+
+
+def _best_logits(values: NDArray[Any], class_count: int) -> NDArray[Any]:
+    """(K,) the best of the last `class_count` columns of (K, C); along rows of a few numbers numpy takes six times as long."""
+    return np.asarray(np.ascontiguousarray(values[:, -class_count:].T).max(axis=0))
 
 
 def intersection_over_union(box: Floats, boxes: Floats) -> Floats:
