@@ -9,6 +9,7 @@ Scores of two passes are combined as a logarithmic opinion pool (Genest & Zidek 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import cv2
@@ -94,9 +95,10 @@ def window_around(image_bgr: Image, box: Floats, settings: ReScoringPass) -> tup
 
 def pooled_score(first: float, second: float, second_share: float) -> float:
     """One score from two in 0..1: the weighted mean of their log-odds, the second with `second_share`."""
-    shares = np.array((1.0 - second_share, second_share))
-    scores = np.clip((first, second), *SCORE_LIMITS)
-    return float(1.0 / (1.0 + np.exp(-(shares @ np.log(scores / (1.0 - scores))))))
+    low, high = SCORE_LIMITS
+    first, second = min(max(first, low), high), min(max(second, low), high)
+    log_odds = (1.0 - second_share) * math.log(first / (1.0 - first)) + second_share * math.log(second / (1.0 - second))
+    return 1.0 / (1.0 + math.exp(-log_odds))  # numpy takes ten times as long for two numbers
 
 
 def detect_small_objects(
