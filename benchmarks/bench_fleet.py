@@ -39,10 +39,10 @@ import psutil
 from benchmarks.bench_kills import EMPTY
 from benchmarks.harness import arguments_of, load, own_cluster, print_rows, write_json
 from benchmarks.made_up_maps import DAY_NS
-from conetl.db.audits import run_audits
 from conetl.db.connection import Connection, connect, execute
 from conetl.db.map.map_store import find_map, read_features_as_of
 from conetl.db.retention import archive_drive, prunable_drives
+from conetl.db.schema import run_audits
 from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence
 from conetl.model.errors import DatabaseError
 from conetl.model.params import IngestParams

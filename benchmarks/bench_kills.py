@@ -29,8 +29,8 @@ import pyarrow.parquet as pq
 
 from benchmarks.harness import arguments_of, own_cluster, write_json
 from benchmarks.whole_job import params_with
-from conetl.db.audits import run_audits
 from conetl.db.connection import Connection, connect, execute
+from conetl.db.schema import run_audits
 from conetl.files.atomic import sweep
 from conetl.pipeline.ingest import ingest as pipeline_ingest
 from conetl.pipeline.settings import Settings, prefect_environment

@@ -40,15 +40,12 @@ from benchmarks.made_up_maps import (
     load_roads,
     position_of,
 )
-from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_up
-from conetl.db.connection import Connection, connect, execute
+from conetl.db.connection import Connection, connect, execute, load_sql
 from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_drive
 from conetl.db.map.map_store import drive_transaction, read_features_as_of
-from conetl.db.map.neighbourhood import Neighbourhood, lock_neighbourhood
-from conetl.db.map.replay_store import read_doubts_around, read_standing_around
-from conetl.db.schema import migrate
-from conetl.db.statements import load_sql
+from conetl.db.map.replay_store import Neighbourhood, lock_neighbourhood, read_doubts_around, read_standing_around
+from conetl.db.schema import migrate, run_audits
 from conetl.mapping.history import DriveEvidence, apply_drive
 from conetl.model.map_records import Changeset, Decisions
 from conetl.model.params import ReconcileParams

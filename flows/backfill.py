@@ -19,7 +19,7 @@ from prefect.states import Completed
 from pydantic import Field
 
 from conetl.db.connection import Connection
-from conetl.db.map.hold_store import held_drives, hold_events
+from conetl.db.map.decision_store import held_drives, hold_events
 from conetl.db.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.files.names import printable
 from conetl.files.storage import as_path

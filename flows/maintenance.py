@@ -9,9 +9,9 @@ from prefect.artifacts import create_link_artifact, create_table_artifact
 from prefect.states import Completed, Failed
 from pydantic import Field
 
-from conetl.db.audits import run_audits
-from conetl.db.map.hold_store import held_drives
+from conetl.db.map.decision_store import held_drives
 from conetl.db.map.map_store import find_map
+from conetl.db.schema import run_audits
 from conetl.exports import FORMATS
 from conetl.files.names import as_markdown
 from conetl.pipeline.nightly_publication import REPORT, write_publication

@@ -22,8 +22,7 @@ from prefect.runtime import flow_run
 from prefect.states import Crashed, Scheduled
 from pydantic import Field
 
-from conetl.db.receipt_store import held_locks, run_lock
-from conetl.db.session_locks import holding
+from conetl.db.receipt_store import held_locks, holding, run_lock
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives.header import DriveHeader

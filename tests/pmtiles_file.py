@@ -6,7 +6,7 @@ import gzip
 import struct
 from pathlib import Path
 
-from conetl.web.pmtiles import tile_id
+from conetl.web.basemap import tile_id
 
 
 def _varint(value: int) -> bytes:

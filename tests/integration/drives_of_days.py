@@ -11,9 +11,9 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
-from conetl.db.audits import AuditResult, run_audits
 from conetl.db.connection import Connection, execute
 from conetl.db.map.map_store import drive_transaction
+from conetl.db.schema import AuditResult, run_audits
 from conetl.geometry.calibration.covariance import with_covariance
 from conetl.model.detector_evidence import DetectorEvidence
 from conetl.model.feature_classes import CONE, LANE_MARKING

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from conetl.db.connection import connect, execute
-from conetl.db.map.decision_store import list_decisions, read_decisions
+from conetl.db.map.decision_store import held_drives, hold_events, list_decisions, read_decisions
 from conetl.db.map.drive_store import load_stored_drive
-from conetl.db.map.hold_store import held_drives, hold_events
 from conetl.db.map.map_store import (
     feature_log,
     find_map,

@@ -8,6 +8,7 @@ from itertools import permutations
 import pytest
 
 from conetl.db.connection import connect
+from conetl.db.map.archive import list_maps
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import (
     feature_log,
@@ -16,7 +17,6 @@ from conetl.db.map.map_store import (
     read_current_features,
     read_features_as_of,
 )
-from conetl.db.serve_store import read_maps
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
@@ -70,11 +70,11 @@ def test_a_map_tells_when_it_was_last_decided_about(conn):
     conn.rollback()
 
     def told():
-        [served] = read_maps(conn)
+        [served] = list_maps(conn)
         summary = map_summary(conn)
         conn.rollback()
-        assert served["last_committed_at"] == summary.last_committed_at
-        return summary.last_committed_at
+        assert served["last_committed_at"] == summary["last_committed_at"]
+        return summary["last_committed_at"]
 
     committed = told()
     decided = decide_place(conn, PIN, str(feature.feature_id), map_name="default")

@@ -13,9 +13,8 @@ import pyproj
 import pytest
 from pyproj import Transformer
 
-from conetl.db.connection import execute, query_columns
+from conetl.db.connection import execute, load_sql, query_columns
 from conetl.db.map.map_store import read_current_features
-from conetl.db.statements import load_sql
 from conetl.exports import FORMATS
 from conetl.exports.fields import FIELDS, as_markdown
 from conetl.geometry import heights

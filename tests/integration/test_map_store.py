@@ -52,7 +52,7 @@ def test_first_drive_makes_the_map(conn, samples):
     assert (result.changeset.added_count, result.changeset.position_count) == (1, 3)
     assert read_current_features(conn) == [feature]
     summary = map_summary(conn)
-    assert (summary.srid, summary.feature_count, summary.changeset_count) == (samples.SRID, 1, 1)
+    assert (summary["srid"], summary["feature_count"], summary["changeset_count"]) == (samples.SRID, 1, 1)
     assert find_changeset(conn, "1" * 64) == result.changeset
     assert list_changesets(conn) == [result.changeset]
     [entry] = feature_log(conn, feature.feature_id)
@@ -144,7 +144,7 @@ def test_confirmed_moved_removed_and_the_map_of_every_day(conn, samples):
         ("removed", 3, 4),
     ]
     assert log[2].shift_m == pytest.approx(1.48, abs=0.001)
-    assert map_summary(conn).removed_count == 1
+    assert map_summary(conn)["removed_count"] == 1
 
 
 def test_a_feature_keeps_its_cell_wherever_it_is_moved(conn, samples):

@@ -9,9 +9,8 @@ from uuid import uuid4
 
 import pytest
 
-from conetl.db.connection import connect, execute
+from conetl.db.connection import connect, execute, load_sql
 from conetl.db.receipt_store import Receipt, held_if_free, write_receipt
-from conetl.db.statements import load_sql
 from conetl.pipeline.maps.decisions import decide_place, revert
 from conetl.pipeline.settings import Settings
 from tests.integration.drives_of_days import failed_audits, merge, survey

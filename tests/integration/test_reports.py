@@ -28,9 +28,8 @@ from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
 from conetl.pipeline.nightly_publication import write_publication
 from conetl.pipeline.settings import Settings
-from conetl.reports.change_images import images_of
 from conetl.reports.drive_facts import find_drive, read_drive_facts
-from conetl.reports.drive_page import alerts, drive_page, write_drive_page
+from conetl.reports.drive_page import alerts, drive_page, images_of, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
 from conetl.web.app import create_app
 from tests.conftest import cloned_database

@@ -12,11 +12,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from conetl.db.connection import connect, execute
-from conetl.db.map import neighbourhood
+from conetl.db.map import replay_store
 from conetl.db.map.commit import path_wkt, place_drive
 from conetl.db.map.map_store import drive_transaction, list_changesets, map_transaction
-from conetl.db.map.neighbourhood import REGION_M, lock_neighbourhood, regions_of, take_turn
-from conetl.db.map.replay_store import affected_drives
+from conetl.db.map.replay_store import REGION_M, affected_drives, lock_neighbourhood, regions_of, take_turn
 from conetl.model.errors import DatabaseError
 from conetl.model.params import IngestParams
 from conetl.pipeline.replay import influence_m
@@ -96,7 +95,7 @@ def test_a_late_drive_waits_for_what_it_affects_far_away(conn, impatient):
 def test_a_drive_that_comes_between_the_look_and_the_locks_is_found(conn, database_url, monkeypatch):
     """Drives that a late drive affects are read again under its locks, until these cover them all."""
     merge(conn, drive_at(BORDER_M - 240.0, 3))
-    taken, find = [], neighbourhood.regions_of
+    taken, find = [], replay_store.regions_of
 
     def look(own, drive_uuids, **path):
         found = find(own, drive_uuids, **path)
@@ -107,7 +106,7 @@ def test_a_drive_that_comes_between_the_look_and_the_locks_is_found(conn, databa
                 merge(other, drive_at(BORDER_M + 30.0, 5))
         return found
 
-    monkeypatch.setattr(neighbourhood, "regions_of", look)
+    monkeypatch.setattr(replay_store, "regions_of", look)
     with drive_transaction(conn):
         near = lock(conn, drive_at(BORDER_M - 300.0, 0))
         assert near.later == affected_drives(conn, [near.drive_uuid])
@@ -120,7 +119,7 @@ def test_a_drive_that_comes_between_the_look_and_the_locks_is_found(conn, databa
 
 def test_a_drive_near_very_many_regions_takes_the_whole_map(conn, impatient, monkeypatch):
     merge(conn, drive_at(0.0, 0))
-    monkeypatch.setattr(neighbourhood, "MAX_REGIONS", 0)
+    monkeypatch.setattr(replay_store, "MAX_REGIONS", 0)
     with drive_transaction(conn):
         lock(conn, drive_at(0.0, 1))
         monkeypatch.undo()

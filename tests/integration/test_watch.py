@@ -18,11 +18,11 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.cli.watch import latency, report_as_dict
-from conetl.db.audits import run_audits
 from conetl.db.connection import connect, execute
 from conetl.db.live_store import WatchedDrive, drop_watched_recording, read_provisional, watch_lock, write_live
 from conetl.db.map.map_store import find_map, map_transaction
 from conetl.db.receipt_store import held_if_free
+from conetl.db.schema import run_audits
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from conetl.db.audits import audits_of_open_transaction, run_audits
-from conetl.db.connection import connect, execute
-from conetl.db.statements import statements
+from conetl.db.connection import connect, execute, statements
+from conetl.db.schema import audits_of_open_transaction, run_audits
 
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
 DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"

@@ -13,11 +13,10 @@ import psycopg2
 import pytest
 
 from conetl.db import schema
-from conetl.db.connection import connect, execute
+from conetl.db.connection import connect, execute, load_sql, sql_directory, statements
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import read_current_features
 from conetl.db.schema import database_status, migrate, migrate_once
-from conetl.db.statements import load_sql, sql_directory, statements
 from conetl.model.errors import DatabaseError
 from tests.conftest import cloned_database
 

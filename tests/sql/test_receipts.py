@@ -15,8 +15,7 @@ from uuid import uuid4
 import pytest
 
 from conetl.db.connection import connect, execute
-from conetl.db.receipt_store import Receipt, end_crashed, held_locks, latest_receipts, run_lock, write_receipt
-from conetl.db.session_locks import holding
+from conetl.db.receipt_store import Receipt, end_crashed, held_locks, holding, latest_receipts, run_lock, write_receipt
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
 from conetl.pipeline import backfill_plan as planning

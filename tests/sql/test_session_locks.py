@@ -11,11 +11,9 @@ from typing import Any
 import psycopg2
 import pytest
 
-from conetl.db import session_locks
-from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute
-from conetl.db.receipt_store import held_if_free, held_locks
-from conetl.db.session_locks import holding
-from conetl.db.statements import load_sql
+from conetl.db import receipt_store
+from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql
+from conetl.db.receipt_store import held_if_free, held_locks, holding
 from conetl.model.errors import DatabaseError
 
 NAMES = ("conetl.drive/a", "conetl.flow_run/b")
@@ -23,7 +21,7 @@ NAMES = ("conetl.drive/a", "conetl.flow_run/b")
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session_locks, "CHECK_EVERY_S", 0.05)
+    monkeypatch.setattr(receipt_store, "CHECK_EVERY_S", 0.05)
 
 
 @pytest.fixture

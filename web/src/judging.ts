@@ -1,4 +1,4 @@
-// Requests and answers for judging changes (src/conetl/web/frames.py, review.py).
+// Requests and answers for judging changes (src/conetl/web/frames.py, decisions.py).
 import { ask, askMap, mapPath, query, type ChangeKind, type Vec3 } from "./api";
 
 export type Side = "left" | "right";

@@ -40,7 +40,7 @@ MapOption = Annotated[
     str | None, typer.Option("--map", metavar="NAME", help="Name of the map; default: CONETL_MAP_NAME, or `default`.")
 ]
 
-#: Heading of a column -> attribute of the record, or function of the record.
+#: Heading of a column -> attribute of the record (of a row of the database: column), or function of the record.
 Columns = Mapping[str, str | Callable[[Any], object]]
 _ANY_WIDTH = 100_000
 _DATE = re.compile(r"\d{4}-?\d{2}-?\d{2}")
@@ -123,9 +123,14 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
 
 def print_records(title: str, columns: Columns, records: Iterable[object], *, numbers_from: int = 1) -> None:
     """A table of records on standard output."""
-    readers = [attrgetter(value) if isinstance(value, str) else value for value in columns.values()]
-    rows = [[read(record) for read in readers] for record in records]
+    rows = [[_read(record, value) for value in columns.values()] for record in records]
     print_table(title, list(columns), rows, numbers_from=numbers_from)
+
+
+def _read(record: Any, value: str | Callable[[Any], object]) -> object:
+    if not isinstance(value, str):
+        return value(record)
+    return record[value] if isinstance(record, Mapping) else attrgetter(value)(record)
 
 
 def print_checks(checks: Sequence[HealthCheck]) -> None:

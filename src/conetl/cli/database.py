@@ -13,13 +13,12 @@ from typing import Annotated, Any
 import typer
 
 from conetl.cli.console import Columns, JsonOption, MapOption, answer, print_json, print_records, print_table, say
-from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune_drives, restore_drives
-from conetl.db.schema import database_status
+from conetl.db.schema import database_status, run_audits
 from conetl.db.schema import migrate as apply_migrations
 from conetl.files.atomic import sweep
 from conetl.files.expiry import old_images, old_publications, old_results, remove, size_bytes

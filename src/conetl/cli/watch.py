@@ -97,17 +97,17 @@ def watch(
 
 
 _PROVISIONAL: Columns = {
-    "drive": lambda row: row["drive_id"],
-    "no": lambda row: row["feature_index"],
-    "easting m": lambda row: row["easting_m"],
-    "northing m": lambda row: row["northing_m"],
-    "height m": lambda row: row["height_m"],
+    "drive": "drive_id",
+    "no": "feature_index",
+    "easting m": "easting_m",
+    "northing m": "northing_m",
+    "height m": "height_m",
     "cone m": lambda row: f"{row['cone_height_m']:.2f}",
     "sigma m": lambda row: ((row["cov_xx"] + row["cov_yy"]) / 2) ** 0.5,
-    "probability": lambda row: row["existence_probability"],
-    "observations": lambda row: row["observation_count"],
+    "probability": "existence_probability",
+    "observations": "observation_count",
     "on the map as": lambda row: str(row["near_feature_id"] or "")[:8],
-    "updated (UTC)": lambda row: row["updated_at"],
+    "updated (UTC)": "updated_at",
 }
 
 

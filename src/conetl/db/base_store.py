@@ -6,7 +6,6 @@ import hashlib
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from datetime import datetime
 from typing import Any, Literal
 from uuid import UUID, uuid4
 
@@ -15,9 +14,8 @@ import shapely
 from numpy.typing import NDArray
 
 from conetl.db import copy_binary as binary
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, transaction
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, transaction
 from conetl.db.copy_binary import Column
-from conetl.db.statements import load_sql
 from conetl.readers.base_layers.georeferencing import MapGround, ground_under
 from conetl.readers.base_layers.lines import Line
 from conetl.readers.base_layers.point_tiles import Tile
@@ -53,29 +51,6 @@ class BaseCounts:
     south_m: float
     east_m: float
     north_m: float
-
-
-@dataclass(frozen=True)
-class BaseSource:
-    """One imported file."""
-
-    source_id: UUID
-    layer_name: str
-    kind: Kind
-    source_path: str
-    content_sha256: str
-    params: Mapping[str, Any]
-    source_crs: str
-    read_count: int
-    kept_count: int
-    refused_count: int
-    heights: str
-    imported_at: datetime
-    west_m: float
-    south_m: float
-    east_m: float
-    north_m: float
-    bytes: int
 
 
 def read_map_ground(conn: Connection, map_name: str, srid: int) -> MapGround:
@@ -125,10 +100,10 @@ def write_lines(conn: Connection, file: BaseFile, counts: BaseCounts, lines: Ite
     return _write(conn, source_id, file, counts, "conetl.base_line", blocks)
 
 
-def list_base_sources(conn: Connection, map_name: str) -> list[BaseSource]:
-    """All imported files of a map, by layer."""
+def list_base_sources(conn: Connection, map_name: str) -> list[dict[str, Any]]:
+    """All imported files of a map, by layer: columns of `base_layers.sources`."""
     with database_errors(f"The base layers of map {map_name} cannot be read"):
-        return [BaseSource(**row) for row in execute(conn, load_sql("base_layers.sources"), {"map_name": map_name})]
+        return execute(conn, load_sql("base_layers.sources"), {"map_name": map_name})
 
 
 def drop_base_layer(conn: Connection, map_name: str, layer_name: str) -> list[int]:

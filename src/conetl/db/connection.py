@@ -1,4 +1,4 @@
-"""Connections to PostGIS: errors, transactions, statements, COPY. The only module that imports psycopg2."""
+"""Connections to PostGIS: named statements, errors, transactions, COPY. The only module that imports psycopg2."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import re
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from functools import cache
 from io import BufferedReader, BytesIO
+from pathlib import Path
 from typing import IO, Any, TypeAlias
 from urllib.parse import quote, urlencode
 from weakref import WeakKeyDictionary
@@ -19,7 +21,6 @@ import psycopg2.extras
 
 from conetl.db.copy_binary import Column, encode
 from conetl.db.lock_watch import LockWatch
-from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError, InputError
 
 Connection: TypeAlias = psycopg2.extensions.connection
@@ -47,6 +48,7 @@ SESSION_OPTIONS = (
 COPY_CHUNK_BYTES = 1 << 20
 CopyBlock: TypeAlias = tuple[str, BytesIO]
 """A COPY statement and the rows that are ready to be sent."""
+_NAME = re.compile(r"^-- name: (\w+)\n", re.MULTILINE)
 
 
 def sqlalchemy_url(url: str, database: str | None = None) -> str:
@@ -256,3 +258,35 @@ def _first_line(error: Exception) -> str:
 
 def _without_password(url: str) -> str:
     return re.sub(r"(://[^:/@]*):[^@]*@", r"\1:***@", re.sub(r"password=('[^']*'|\S+)", "password=***", url))
+
+
+@cache
+def sql_directory() -> Path:
+    """The folder of .sql files: `conetl/sql` in an installed wheel, `sql/` at the top of a clone."""
+    package = Path(__file__).resolve().parents[1]
+    for directory in (package / "sql", package.parents[1] / "sql"):
+        if (directory / "migrations").is_dir():
+            return directory
+    raise DatabaseError(f"conetl's .sql files are missing beside {package}: install it again.")
+
+
+@cache
+def statements(topic: str) -> dict[str, str]:
+    """All statements of a topic by name, in the order of the file, with the comments that follow their names."""
+    path = sql_directory() / f"{topic}.sql"
+    try:
+        _, *parts = _NAME.split(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DatabaseError(f"{path} cannot be read ({error.strerror}): install conetl again.") from error
+    return {name: text.strip() for name, text in zip(parts[::2], parts[1::2], strict=True)}
+
+
+def load_sql(name: str) -> str:
+    """One statement by topic and name, for example load_sql("map.features_as_of")."""
+    topic, _, statement = name.partition(".")
+    try:
+        return statements(topic)[statement]
+    except KeyError:
+        raise DatabaseError(
+            f"{sql_directory() / topic}.sql has no statement {statement}: install conetl again."
+        ) from None

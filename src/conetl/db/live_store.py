@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, execute_count, transaction
+from conetl.db.connection import Connection, database_errors, execute, execute_count, load_sql, transaction
 from conetl.db.copy_binary import clean_text
 from conetl.db.receipt_store import held_locks
-from conetl.db.statements import load_sql
 from conetl.model.records import Drive, Track
 
 #: Watched drives that nobody ingested are deleted after this time, when the next watch begins.

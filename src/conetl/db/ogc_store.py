@@ -10,7 +10,7 @@ from datetime import datetime
 import asyncpg
 import numpy as np
 
-from conetl.db.statements import load_sql
+from conetl.db.connection import load_sql
 from conetl.geometry.geodesy import Array, to_geodetic, to_map
 
 #: West, south, east, north in degrees.

@@ -12,8 +12,15 @@ from urllib.parse import quote, urlencode
 
 import asyncpg
 
-from conetl.db.connection import CONNECT_TIMEOUT_S, Connection, address_parts, connect, database_errors, execute
-from conetl.db.statements import load_sql
+from conetl.db.connection import (
+    CONNECT_TIMEOUT_S,
+    Connection,
+    address_parts,
+    connect,
+    database_errors,
+    execute,
+    load_sql,
+)
 from conetl.model.errors import DatabaseError
 
 #: The server cancels statements of the web view that take longer.

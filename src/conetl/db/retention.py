@@ -22,10 +22,9 @@ from uuid import UUID
 import pyarrow as pa
 from pyarrow import csv
 
-from conetl.db.connection import Connection, copied_csv, copy_columns, database_errors, execute, query_columns
+from conetl.db.connection import Connection, copied_csv, copy_columns, database_errors, execute, load_sql, query_columns
 from conetl.db.copy_binary import booleans, constant_uuid, doubles, integers, texts
 from conetl.db.map.map_store import map_transaction
-from conetl.db.statements import load_sql
 from conetl.files.atomic import atomic_files
 from conetl.files.parquet_store import read_table, write_table
 from conetl.model.errors import InputError, MapMismatchError

@@ -8,8 +8,7 @@ from datetime import timedelta
 from typing import NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, execute, transaction
-from conetl.db.statements import load_sql
+from conetl.db.connection import Connection, execute, load_sql, transaction
 from conetl.model.records import Vec3
 
 #: A run that has just committed publishes its changes itself within this time.

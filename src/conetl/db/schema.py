@@ -1,16 +1,28 @@
-"""The schema: migrations, roles, the state of a database, and the Prefect server's own database."""
+"""The schema: migrations, roles, the state of a database, audits of its rows, and the Prefect server's own database."""
 
 from __future__ import annotations
 
 import hashlib
 import re
+import time
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from conetl.db.connection import Connection, address, connect, database_errors, execute, sqlalchemy_url, transaction
-from conetl.db.statements import load_sql, sql_directory
+from conetl.db.connection import (
+    Connection,
+    address,
+    connect,
+    database_errors,
+    execute,
+    load_sql,
+    sql_directory,
+    sqlalchemy_url,
+    statements,
+    transaction,
+)
 from conetl.model.errors import DatabaseError
 
 #: Key of the advisory lock that keeps two migrations apart.
@@ -20,6 +32,7 @@ PREFECT_DATABASE = "prefect"
 #: First migration of the databases of conetl 0.1, which had no release.
 _BEFORE_BASELINE = "0001_schema"
 _checked: set[frozenset[tuple[str, str]]] = set()
+SHOWN_ROWS = 100
 
 
 @dataclass(frozen=True)
@@ -175,3 +188,41 @@ def _may_create_roles(conn: Connection) -> bool:
 
 def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class AuditResult:
+    """What one audit found."""
+
+    name: str
+    purpose: str
+    """The comment of its statement."""
+    row_count: int
+    rows: tuple[dict[str, Any], ...]
+    """The first 100 offending rows; every one has a column `problem`."""
+    seconds: float = 0.0
+    """Duration."""
+
+    @property
+    def passed(self) -> bool:
+        return self.row_count == 0
+
+
+def run_audits(conn: Connection) -> list[AuditResult]:
+    """Run all audits over all maps of the database, on one snapshot; changes nothing."""
+    with transaction(conn, "The audits could not be run"):
+        execute(conn, load_sql("exports.snapshot"))
+        return audits_of_open_transaction(conn)
+
+
+def audits_of_open_transaction(conn: Connection) -> list[AuditResult]:
+    """Run all audits inside the caller's open transaction, its own uncommitted changes included."""
+    return [_run(conn, name, text) for name, text in statements("audits").items()]
+
+
+def _run(conn: Connection, name: str, text: str) -> AuditResult:
+    purpose = text.partition("\n-- Columns:")[0].removeprefix("-- ").replace("\n-- ", " ")
+    start = time.monotonic()
+    rows = execute(conn, text)
+    seconds = time.monotonic() - start
+    return AuditResult(name, purpose, len(rows), tuple(rows[:SHOWN_ROWS]), seconds)

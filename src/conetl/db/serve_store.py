@@ -1,22 +1,26 @@
-"""What the web view reads, one function per statement of sql/serving.sql; rows are dictionaries in the units of its comments."""
+"""What the web view reads, and what people judge changes by; rows are dictionaries in the units of the comments in sql/."""
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Collection, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute
-from conetl.db.statements import load_sql
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Side
 
 Row = dict[str, Any]
 
 
-def read_maps(conn: Connection) -> list[Row]:
-    """All maps, by name."""
-    return _rows(conn, "archive.list_maps")
+def read_rows(conn: Connection, statement: str, **parameters: Any) -> list[Row]:
+    """Rows of a statement of sql/, such as "serving.sightings". Raises DatabaseError."""
+    with database_errors("The map cannot be read"):
+        return execute(conn, load_sql(statement), parameters)
 
 
 class Head(NamedTuple):
@@ -29,17 +33,12 @@ class Head(NamedTuple):
 
 def read_heads(conn: Connection) -> dict[str, Head]:
     """The head of every map."""
-    return {row.pop("map_name"): Head(**row) for row in _rows(conn, "serving.heads")}
-
-
-def read_decisions(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
-    """The decisions that were not withdrawn, newest first."""
-    return _rows(conn, "decisions.active_decisions", map_name=map_name)[::-1][:max_rows]
+    return {row.pop("map_name"): Head(**row) for row in read_rows(conn, "serving.heads")}
 
 
 def read_origin(conn: Connection, map_name: str) -> tuple[float, float, float] | None:
     """Easting, northing, height from which the browser counts, in whole 100 m; None if the map is empty or missing."""
-    rows = _rows(conn, "serving.origin", map_name=map_name)
+    rows = read_rows(conn, "serving.origin", map_name=map_name)
     if not rows:
         return None
     easting, northing, height = (round(rows[0][name], -2) for name in ("easting_m", "northing_m", "height_m"))
@@ -51,12 +50,7 @@ def read_features(
 ) -> list[Row]:
     """Standing features at `valid_at` (None: latest) as known at `known_at` (None: now), by id."""
     instants = {"valid_at": _instant(valid_at), "known_at": _instant(known_at)}
-    return _rows(conn, "serving.features", map_name=map_name, max_rows=max_rows, **instants)
-
-
-def read_changeset_changes(conn: Connection, map_name: str, changeset_no: int) -> list[Row]:
-    """What one changeset did, by feature id."""
-    return _rows(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset_no)
+    return read_rows(conn, "serving.features", map_name=map_name, max_rows=max_rows, **instants)
 
 
 def read_changes_between(
@@ -77,7 +71,7 @@ def read_changes_between(
         "to_known_at": _instant(after[1]),
     }
     distances = {"moved_from_m": moved_from_m, "line_moved_from_m": ReconcileParams().marking_gate_m}
-    return _rows(conn, "serving.changes_between", map_name=map_name, max_rows=max_rows, **distances, **instants)
+    return read_rows(conn, "serving.changes_between", map_name=map_name, max_rows=max_rows, **distances, **instants)
 
 
 def read_feature_history(
@@ -87,54 +81,91 @@ def read_feature_history(
 
     [] if the map has no such feature.
     """
-    return _rows(conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=_instant(known_at))
-
-
-def read_sightings(conn: Connection, map_name: str, feature_id: UUID, max_rows: int) -> list[Row]:
-    """The frame pairs in which a feature was seen, oldest first."""
-    return _rows(conn, "serving.sightings", map_name=map_name, feature_id=feature_id, max_rows=max_rows)
-
-
-def read_sighting_picture(
-    conn: Connection, map_name: str, drive_uuid: UUID, frame_index: int, match_index: int, side: Side
-) -> Row | None:
-    """Path of the image of one side of a stereo match, and the box in it; None if there is no such match."""
-    match = {"drive_uuid": drive_uuid, "frame_index": frame_index, "match_index": match_index, "side": side}
-    rows = _rows(conn, "serving.sighting_image", map_name=map_name, **match)
-    return rows[0] if rows else None
-
-
-def read_trajectory(conn: Connection, map_name: str, drive_uuid: UUID, max_rows: int) -> list[Row]:
-    """Poses of a drive in order of time; [] if the map has no such drive."""
-    return _rows(conn, "serving.trajectory", map_name=map_name, drive_uuid=drive_uuid, max_rows=max_rows)
-
-
-def read_rigs(conn: Connection, map_name: str, drive_uuids: set[UUID]) -> dict[UUID, Any]:
-    """The rig (JSON) of each drive."""
-    rows = _rows(conn, "serving.rigs", map_name=map_name, drive_uuids=list(drive_uuids))
-    return {row["drive_uuid"]: row["rig"] for row in rows}
-
-
-def read_base_tiles(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
-    """The point tiles of a map, coarse ones first."""
-    return _rows(conn, "base_layers.tiles", map_name=map_name, max_rows=max_rows)
+    return read_rows(
+        conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=_instant(known_at)
+    )
 
 
 def read_base_tile(conn: Connection, map_name: str, sha256: str) -> bytes | None:
     """The bytes of one tile, in gzip; None if the map has no such tile."""
-    rows = _rows(conn, "base_layers.tile", map_name=map_name, sha256=sha256)
+    rows = read_rows(conn, "base_layers.tile", map_name=map_name, sha256=sha256)
     return bytes(rows[0]["payload"]) if rows else None
-
-
-def read_base_lines(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
-    """Lines of a map's base layers; `geom` is well-known binary."""
-    return _rows(conn, "base_layers.lines", map_name=map_name, max_rows=max_rows)
-
-
-def _rows(conn: Connection, statement: str, **parameters: Any) -> list[Row]:
-    with database_errors("The map cannot be read"):
-        return execute(conn, load_sql(statement), parameters)
 
 
 def _instant(time: datetime | None) -> str:
     return "infinity" if time is None else time.isoformat()
+
+
+def drives_past(
+    conn: Connection,
+    map_name: str,
+    xy_m: tuple[float, float],
+    *,
+    drive_uuids: Collection[UUID] | None = None,
+    max_rows: int,
+) -> list[Row]:
+    """The drives whose area contains a position (map CRS), the latest first; drive_uuids: only these."""
+    only = None if drive_uuids is None else list(drive_uuids)
+    position = {"easting_m": xy_m[0], "northing_m": xy_m[1]}
+    return read_rows(conn, "judging.drives_past", map_name=map_name, drive_uuids=only, max_rows=max_rows, **position)
+
+
+def observed_frames(conn: Connection, map_name: str, feature_id: UUID) -> dict[UUID, tuple[str, set[int]]]:
+    """Kind of the change and frame indices of the observations of a feature, by drive."""
+    found: dict[UUID, tuple[str, set[int]]] = {}
+    for row in read_rows(conn, "judging.observed_frames", map_name=map_name, feature_id=feature_id):
+        _, frames = found.setdefault(row["drive_uuid"], (row["kind"], set()))
+        if row["frame_index"] is not None:
+            frames.add(row["frame_index"])
+    return found
+
+
+def tracks_near(
+    conn: Connection, drive_uuid: UUID, xy_m: tuple[float, float], radius_m: float, feature_id: UUID
+) -> NDArray[np.float64]:
+    """(M, 3) tracks of a drive around a position, in the drive's map frame, without the one of the feature."""
+    parameters = {
+        "drive_uuid": drive_uuid, "easting_m": xy_m[0], "northing_m": xy_m[1], "radius_m": radius_m, "feature_id": feature_id,
+    }  # fmt: skip
+    with database_errors("The tracks of a drive cannot be read"):
+        rows = list(stream(conn, load_sql("judging.tracks_near"), parameters))
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def track_ranges(
+    conn: Connection, tracks: Sequence[tuple[UUID, int]]
+) -> dict[tuple[UUID, int], tuple[float, float, int]]:
+    """Nearest and farthest distance (m), and number of frame pairs, of tracks (drive, index) whose positions are kept."""
+    if not tracks:
+        return {}
+    parameters = {"drive_uuids": [drive for drive, _ in tracks], "track_indexes": [index for _, index in tracks]}
+    return {
+        (row["drive_uuid"], row["track_index"]): (row["near_m"], row["far_m"], row["frames"])
+        for row in read_rows(conn, "judging.track_ranges", **parameters)
+    }
+
+
+def read_frame_boxes(conn: Connection, drive_uuid: UUID, frame_index: int) -> dict[str, list[Row]]:
+    """The detections of a frame pair, by side."""
+    found: dict[str, list[Row]] = defaultdict(list)
+    for row in read_rows(conn, "judging.frame_boxes", drive_uuid=drive_uuid, frame_index=frame_index):
+        found[row.pop("side")].append(row)
+    return found
+
+
+def review_page(
+    conn: Connection, map_name: str, kind: str, *, first_row: int, max_rows: int, **bounds: float | str
+) -> tuple[int, list[UUID]]:
+    """Number of features of one kind (changes, doubtful) that wait for a person, and the ids of one page."""
+    rows = read_rows(
+        conn, f"judging.review_{kind}", map_name=map_name, first_row=first_row, max_rows=max_rows, **bounds
+    )
+    return int(rows[0]["total"]), [row["feature_id"] for row in rows if row["feature_id"] is not None]
+
+
+def last_changes(conn: Connection, map_name: str, feature_ids: Sequence[UUID]) -> dict[UUID, Row]:
+    """What the last drive that judged each of some features did to it."""
+    rows = (
+        read_rows(conn, "judging.last_changes", map_name=map_name, feature_ids=list(feature_ids)) if feature_ids else []
+    )
+    return {row["feature_id"]: row for row in rows}

@@ -9,9 +9,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, stream
+from conetl.db.connection import Connection, database_errors, load_sql, stream
 from conetl.db.map.rows import version_of
-from conetl.db.statements import load_sql
 from conetl.model.map_records import FeatureVersion
 from conetl.model.work_zone_records import DrivePath, LaneLine
 from conetl.readers.base_layers.lines import bounds_lanes, full_kind

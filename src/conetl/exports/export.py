@@ -10,8 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from conetl.db.connection import Connection, execute, transaction
-from conetl.db.statements import load_sql
+from conetl.db.connection import Connection, execute, load_sql, transaction
 from conetl.exports import FORMATS, Format, writer_of
 from conetl.exports.source import ExportRequest, Source, What, open_source
 from conetl.exports.text_files import iso_utc

@@ -16,9 +16,8 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from pyproj import CRS
 
-from conetl.db.connection import Connection, address, database_errors, execute, query_columns
+from conetl.db.connection import Connection, address, database_errors, execute, load_sql, query_columns
 from conetl.db.map.map_store import require_map
-from conetl.db.statements import load_sql
 from conetl.exports.fields import FIELDS
 from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT
 from conetl.files.atomic import atomic_files

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from pyarrow import csv
 from pyproj import CRS, Transformer
 
-from conetl.db.connection import Connection, copied_csv, database_errors, execute, query_columns
+from conetl.db.connection import Connection, copied_csv, database_errors, execute, load_sql, query_columns
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
-from conetl.db.statements import load_sql
 from conetl.exports import Order
 from conetl.geometry.heights import compound_crs, system_name, to_crs, turns
 from conetl.model.errors import InputError

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from conetl.db.connection import Connection
-from conetl.db.map.hold_store import held_drives
+from conetl.db.map.decision_store import held_drives
 from conetl.db.receipt_store import DriveOnMap, Receipt, drives_on_map, held_locks, latest_receipts, pairs_per_second
 from conetl.files.atomic import atomic_text_file
 from conetl.files.names import printable

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import Connection, connect
+from conetl.db.receipt_store import is_alive
 from conetl.db.schema import migrate_once
-from conetl.db.session_locks import is_alive
 from conetl.pipeline.settings import Settings
 
 

@@ -17,7 +17,7 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db.connection import Connection
-from conetl.db.map.hold_store import hold_events
+from conetl.db.map.decision_store import hold_events
 from conetl.db.map.map_store import find_changeset, list_changesets
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.run_store import (

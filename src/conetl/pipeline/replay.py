@@ -16,12 +16,17 @@ import numpy as np
 
 from conetl.db.connection import Connection
 from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_drive, with_free_id
-from conetl.db.map.decision_store import read_decisions
+from conetl.db.map.decision_store import held_drives, hold_changes, read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
-from conetl.db.map.hold_store import held_drives, hold_changes
 from conetl.db.map.map_store import require_map
-from conetl.db.map.neighbourhood import lock_neighbourhood
-from conetl.db.map.replay_store import read_deltas, read_doubts_around, read_misses, read_standing_around, read_versions
+from conetl.db.map.replay_store import (
+    lock_neighbourhood,
+    read_deltas,
+    read_doubts_around,
+    read_misses,
+    read_standing_around,
+    read_versions,
+)
 from conetl.db.map.results import CommitResult, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping.changes import VisibilityCheck

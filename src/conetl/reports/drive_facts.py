@@ -10,20 +10,19 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, execute, stream
+from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
+from conetl.db.map.decision_store import hold_events, map_checks
 from conetl.db.map.drive_store import load_stored_drive, read_frame_pairs
-from conetl.db.map.hold_store import hold_events, map_checks
 from conetl.db.map.map_store import list_changesets, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
-from conetl.db.serve_store import read_changeset_changes
-from conetl.db.statements import load_sql
+from conetl.db.serve_store import read_rows
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import FramePair, Rig, Track
 from conetl.reports.drive_passes import reasons_of
-from conetl.reports.marking_lines import MarkingChange, change_of_row, changes_of
+from conetl.reports.figures import MarkingChange, change_of_row, changes_of
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
@@ -146,7 +145,9 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         header = execute(conn, load_sql("reports.changeset"), parameters)[0]
         if header["rig"] is None:
             raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
-        evaluated = read_changeset_changes(conn, map_name, changeset.changeset_no)
+        evaluated = read_rows(
+            conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset.changeset_no
+        )
         rejections = execute(conn, load_sql("reports.rejections"), parameters)
         residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
         events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]

@@ -9,7 +9,7 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.db import judging_store as store
+from conetl.db import serve_store as store
 from conetl.db.connection import Connection
 from conetl.db.map.drive_store import read_view
 from conetl.geometry import pose as se3

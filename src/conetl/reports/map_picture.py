@@ -23,7 +23,7 @@ from pyproj import CRS
 
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import list_changesets
-from conetl.db.serve_store import read_base_lines, read_base_tile, read_base_tiles
+from conetl.db.serve_store import read_base_tile, read_rows
 from conetl.db.zone_store import read_paths
 from conetl.exports.kind_marks import (
     BRIGHT_POINT,
@@ -39,8 +39,7 @@ from conetl.model.errors import InputError
 from conetl.model.feature_classes import FEATURE_CLASSES, known_of, noun_of
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
-from conetl.reports.figures import draw_arrow, new_figure, save_figure
-from conetl.reports.marking_lines import changes_of, draw_markings
+from conetl.reports.figures import changes_of, draw_arrow, draw_markings, new_figure, save_figure
 
 Array = NDArray[np.float64]
 Bbox = tuple[float, float, float, float]
@@ -107,7 +106,7 @@ def drive_paths(conn: Connection, map_name: str, valid_at: datetime | None, know
 
 
 def _lane_boundaries(conn: Connection, map_name: str, around: Bbox) -> list[Array]:
-    rows = read_base_lines(conn, map_name, _MAX_LINES)
+    rows = read_rows(conn, "base_layers.lines", map_name=map_name, max_rows=_MAX_LINES)
     shapes = shapely.from_wkb([bytes(row["geom"]) for row in rows])
     return [shapely.get_coordinates(shape) for shape in shapes if shapely.intersects(shape, shapely.box(*around))]
 
@@ -116,7 +115,7 @@ def _points(conn: Connection, map_name: str, around: Bbox) -> tuple[Array, NDArr
     """(N, 2) points and (N,) intensities of the tiles around, coarse ones first, up to _MAX_POINTS."""
     west, south, east, north = around
     points, shades, count = [np.empty((0, 2))], [np.empty(0, np.uint8)], 0
-    for row in read_base_tiles(conn, map_name, _MAX_TILES):
+    for row in read_rows(conn, "base_layers.tiles", map_name=map_name, max_rows=_MAX_TILES):
         x, y = row["origin_m"][:2]
         side = tile_side_m(row["level"])
         if x > east or y > north or x + side < west or y + side < south:

@@ -8,10 +8,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from conetl.db.connection import Connection, database_errors, execute
-from conetl.db.map.hold_store import held_drives, hold_events
+from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.map.decision_store import held_drives, hold_events
 from conetl.db.map.map_store import require_map
-from conetl.db.statements import load_sql
 from conetl.model.errors import InputError
 from conetl.model.health import HeldDrive, HoldEvent, what_to_do
 from conetl.model.map_records import DeltaKind

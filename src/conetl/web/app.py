@@ -18,7 +18,7 @@ from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
 from conetl.reports.camera_images import ImageMissingError
-from conetl.web import basemap, decisions, downloads, frames, images, layers, live, maps, projection, review, search
+from conetl.web import basemap, decisions, downloads, frames, layers, live, maps, projection, search
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.ogc.collections import warm
@@ -71,9 +71,7 @@ def create_app(
     app.state.gazetteer = gazetteer
     app.state.basemap = base_map
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
-    for routes in (
-        maps, projection, search, images, frames, layers, basemap, downloads, decisions, review, live,
-    ):  # fmt: skip
+    for routes in (maps, projection, search, frames, layers, basemap, downloads, decisions, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))

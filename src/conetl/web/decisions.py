@@ -1,29 +1,33 @@
-"""Routes of decisions: those that are in effect, and new ones by holders of the writer token."""
+"""Routes of decisions: what needs a person first, the decisions in effect, and new ones by holders of the writer token."""
 
 from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 from uuid import UUID
 
-from fastapi import APIRouter, Body, HTTPException, Request
+from fastapi import APIRouter, Body, HTTPException, Query, Request
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, StringConstraints
 
-from conetl.db.connection import connect
+from conetl.db.connection import Connection, connect
+from conetl.db.map.decision_store import held_drives
 from conetl.db.reader_pool import ReaderPool
-from conetl.db.serve_store import read_decisions, read_feature_history
+from conetl.db.serve_store import last_changes, read_feature_history, read_rows, review_page
 from conetl.model.errors import ConflictError, InputError
+from conetl.model.health import HeldDrive
+from conetl.model.records import Vec3
 from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_passes import reasons_of
+from conetl.web import judging_models as m
 from conetl.web import rows as to
 from conetl.web.models import ActiveDecisions, Conflict, Decided, Problem
 from conetl.web.parameters import MapName, Reader, cut, origin_of
 from conetl.web.security import WritersRoute
 
-router = APIRouter(tags=["decisions"], prefix="/maps/{map_name}/decisions", route_class=WritersRoute)
+router = APIRouter(prefix="/maps/{map_name}", route_class=WritersRoute)
 _MAX_DECISIONS = 1_000
 #: How long a person waits for an ingest that has locked the map.
 _LOCK_TIMEOUT_S = 15.0
@@ -38,6 +42,18 @@ _ERRORS: dict[int | str, dict[str, Any]] = {
 _LINE = r"^[^\x00-\x1f\x7f]*$"
 Name = Annotated[str, StringConstraints(strip_whitespace=True, min_length=2, max_length=80, pattern=_LINE)]
 Reason = Annotated[str, StringConstraints(strip_whitespace=True, min_length=3, max_length=500, pattern=_LINE)]
+#: Existence probabilities between these are near the threshold of 0.5.
+_LEAST, _MOST = 0.3, 0.7
+#: A move as large as a lane is half wide.
+_MOVED_FROM_M = 1.0
+_MAX_ITEMS = 100
+#: In the order of the queue, the statement of each kind of cones and its bounds.
+_CONES: dict[str, tuple[str, dict[str, float | str]]] = {
+    "removal": ("changes", {"change": "removed", "moved_from_m": _MOVED_FROM_M}),
+    "move": ("changes", {"change": "moved", "moved_from_m": _MOVED_FROM_M}),
+    "doubtful": ("doubtful", {"least": _LEAST, "most": _MOST}),
+}
+assert ("held", *_CONES) == get_args(m.ReviewItem.model_fields["kind"].annotation)
 
 
 class _Request(BaseModel):
@@ -114,11 +130,12 @@ class Writer:
         )
 
 
-@router.get("")
+@router.get("/decisions", tags=["decisions"])
 def decisions(map_name: MapName, conn: Reader, request: Request) -> ActiveDecisions:
     """The decisions in effect, newest first."""
     origin = origin_of(conn, map_name)
-    found, truncated = cut(read_decisions(conn, map_name, _MAX_DECISIONS + 1), _MAX_DECISIONS)
+    rows = read_rows(conn, "decisions.active_decisions", map_name=map_name)
+    found, truncated = cut(rows[::-1], _MAX_DECISIONS)
     return ActiveDecisions(
         origin_m=origin,
         writable=request.app.state.writer is not None,
@@ -127,7 +144,7 @@ def decisions(map_name: MapName, conn: Reader, request: Request) -> ActiveDecisi
     )
 
 
-@router.post("", status_code=201, response_model=Decided, responses=_ERRORS)
+@router.post("/decisions", tags=["decisions"], status_code=201, response_model=Decided, responses=_ERRORS)
 def decide(map_name: MapName, decision: Annotated[DecisionRequest, Body()], request: Request) -> Decided | JSONResponse:
     """Suppress or pin the position of a feature, revert a changeset, or withdraw a decision; the map is updated at once."""
     writer: Writer = request.app.state.writer
@@ -153,3 +170,41 @@ def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -
 def _sentence(error: Exception) -> str:
     text = str(error)
     return text[:1].upper() + text[1:]
+
+
+@router.get("/review", tags=["review"])
+def review(
+    map_name: MapName,
+    conn: Reader,
+    offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
+    limit: Annotated[int, Query(ge=1, le=_MAX_ITEMS)] = 50,
+) -> m.Review:
+    """What waits for a person: drives on hold, removed cones, moves of 1 m or more, cones with an existence probability of 0.3 to
+    0.7. What somebody decided is not in it."""
+    origin = origin_of(conn, map_name)
+    held = held_drives(conn, map_name=map_name)
+    counts = {"held": len(held)}
+    items = [_held(drive) for drive in held[offset : offset + limit]]
+    before = len(held)
+    for kind, (statement, bounds) in _CONES.items():
+        first_row, max_rows = max(offset - before, 0), limit - len(items)
+        counts[kind], ids = review_page(conn, map_name, statement, first_row=first_row, max_rows=max_rows, **bounds)
+        changes = last_changes(conn, map_name, ids)
+        items += _cones(conn, map_name, kind, [changes[one] for one in ids if one in changes], origin)
+        before += counts[kind]
+    return m.Review(origin_m=origin, counts=counts, items=items)
+
+
+def _held(drive: HeldDrive) -> m.ReviewItem:
+    checks = [m.Measured(name=c.name, figures=c.figures, detail=c.detail) for c in drive.checks]
+    return m.ReviewItem(
+        kind="held", changeset_no=drive.changeset_no, changeset_id=drive.changeset_id, drive_id=drive.drive_id, at=drive.since,
+        why=drive.reason, checks=checks, feature_id=None, version=None, xyz_m=None, existence_probability=None,
+    )  # fmt: skip
+
+
+def _cones(conn: Connection, map_name: str, kind: Any, rows: list[dict[str, Any]], origin: Vec3) -> list[m.ReviewItem]:
+    return [
+        to.answer(m.ReviewItem, row, origin, kind=kind, changeset_id=None, at=row["changed_at"], why=why, checks=[])
+        for row, why in zip(rows, reasons_of(conn, map_name, None, rows), strict=True)
+    ]

@@ -1,4 +1,4 @@
-"""Routes of the image viewer: the drives past a feature, one frame pair with boxes and cameras, its whole images."""
+"""Routes of images: drives past a feature, frame pairs with boxes and cameras, images and crops; the QA report of a drive."""
 
 from __future__ import annotations
 
@@ -6,29 +6,41 @@ from typing import Annotated, Any, Literal
 from uuid import UUID
 
 from fastapi import APIRouter, HTTPException, Query, Request, Response
+from fastapi.responses import HTMLResponse
 
-from conetl.db import judging_store as store
+from conetl.db import serve_store as store
 from conetl.db.connection import Connection
+from conetl.db.map.map_store import list_changesets
 from conetl.db.reader_pool import ReaderPool
-from conetl.db.serve_store import read_feature_history
-from conetl.model.errors import ConetlError
+from conetl.model.errors import ConetlError, InputError
 from conetl.model.records import Rig, utc_from_ns
-from conetl.reports.camera_images import Box, frame_jpeg, image_file
+from conetl.reports.camera_images import Box, crop_jpeg, frame_jpeg, image_file
 from conetl.reports.drive_passes import expected_box, passes_of
 from conetl.web import judging_models as m
 from conetl.web import rows as to
-from conetl.web.parameters import Index, MapName, Reader, cut, origin_of
+from conetl.web.parameters import ChangesetNo, Index, MapName, Reader, cut, origin_of
 
-router = APIRouter(tags=["frames"], prefix="/maps/{map_name}")
+router = APIRouter(prefix="/maps/{map_name}")
 _MAX_PASSES = 30
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Of the feature; by default its newest one.")]
+#: The report is one file that contains its styles and images, and runs nothing.
+_REPORT_POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+Context = Annotated[
+    float,
+    Query(
+        ge=1.0, le=100.0, allow_inf_nan=False, description="Width and height of the crop in those of the box; 100 shows all."
+    ),
+]  # fmt: skip
 
 
-@router.get("/features/{feature_id}/passes")
+@router.get("/features/{feature_id}/passes", tags=["frames"])
 def passes(map_name: MapName, feature_id: UUID, conn: Reader, version: Version = None) -> m.Passes:
     """The drives that have the position of a feature in view, with the frame pairs that show it, observed or empty."""
     origin = origin_of(conn, map_name)
-    history = read_feature_history(conn, map_name, feature_id)
+    history = store.read_feature_history(conn, map_name, feature_id)
     states = [row for row in history if version in (None, row["version"])]
     if not states:
         raise HTTPException(404, f"The map {map_name} has no feature {feature_id} of this version.")
@@ -47,7 +59,7 @@ def passes(map_name: MapName, feature_id: UUID, conn: Reader, version: Version =
     )
 
 
-@router.get("/drives/{drive_uuid}/frames/{frame_index}")
+@router.get("/drives/{drive_uuid}/frames/{frame_index}", tags=["frames"])
 def frame(map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader, request: Request) -> m.Frame:
     """The cameras and detections of one frame pair, and whether its images are still there."""
     origin = origin_of(conn, map_name)
@@ -68,6 +80,7 @@ def frame(map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader,
 
 @router.get(
     "/drives/{drive_uuid}/frames/{frame_index}/{side}.jpg",
+    tags=["frames"],
     response_class=Response,
     responses={200: {"content": {"image/jpeg": {}}}},
 )
@@ -84,7 +97,7 @@ def frame_image(
     with pool.reading() as conn:  # released before the image is decoded
         row = _frame(conn, map_name, drive_uuid, frame_index)
         boxes = store.read_frame_boxes(conn, drive_uuid, frame_index)[side]
-        history = [] if feature_id is None else read_feature_history(conn, map_name, feature_id)
+        history = [] if feature_id is None else store.read_feature_history(conn, map_name, feature_id)
     rig, pose = Rig.model_validate(row["rig"]), to.pose_of(row)
     expected = {
         expected_box(_position(state), state["cone_height_m"], pose, rig, side, state["category"]) for state in history
@@ -97,10 +110,10 @@ def frame_image(
 
 
 def _frame(conn: Connection, map_name: str, drive_uuid: UUID, frame_index: int) -> dict[str, Any]:
-    row = store.read_frame(conn, map_name, drive_uuid, frame_index)
-    if row is None:
+    rows = store.read_rows(conn, "judging.frame", map_name=map_name, drive_uuid=drive_uuid, frame_index=frame_index)
+    if not rows:
         raise HTTPException(404, f"The map {map_name} has no frame pair {frame_index} of drive {drive_uuid}.")
-    return row
+    return rows[0]
 
 
 def _position(row: dict[str, Any]) -> tuple[float, float, float]:
@@ -121,3 +134,52 @@ def _is_near(box: Box, rig: Rig) -> bool:
     x, y, w, h = box
     inside = -w < x < rig.left.width_px and -h < y < rig.left.height_px
     return inside and 3 * max(w, h) < rig.left.width_px
+
+
+@router.get(
+    "/drives/{drive_uuid}/pictures/{frame_index}/{match_index}/{side}.jpg",
+    tags=["images"],
+    response_class=Response,
+    responses={200: {"content": {"image/jpeg": {}}}},
+)
+def sighting_image(
+    map_name: MapName,
+    drive_uuid: UUID,
+    frame_index: Index,
+    match_index: Index,
+    side: Literal["left", "right"],
+    request: Request,
+    context: Context = 3.0,
+) -> Response:
+    """JPEG of the surroundings of one detection, with its box; the database alone decides which file is read."""
+    pool: ReaderPool = request.app.state.pool
+    with pool.reading() as conn:  # released before the image is decoded
+        match = {"drive_uuid": drive_uuid, "frame_index": frame_index, "match_index": match_index, "side": side}
+        rows = store.read_rows(conn, "serving.sighting_image", map_name=map_name, **match)
+    if not rows:
+        raise HTTPException(
+            404, f"The map {map_name} has no match {match_index} in frame pair {frame_index} of this drive."
+        )
+    row = rows[0]
+    path = image_file(row["source_path"], row["picture_path"])
+    box = (row["x_px"], row["y_px"], row["w_px"], row["h_px"])
+    data = crop_jpeg(
+        path, Rig.model_validate(row["rig"]), side, box, context=context, whole=request.app.state.whole_images
+    )
+    return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
+
+
+@router.get("/changesets/{changeset_no}/report", tags=["images"], response_class=HTMLResponse)
+def drive_report(map_name: MapName, changeset_no: ChangesetNo, conn: Reader) -> Response:
+    """Counts, changes with images, residuals, rejections, run times and hashes of one drive, made on request."""
+    from conetl.reports.drive_page import drive_page  # here: matplotlib takes half a second to load
+
+    origin_of(conn, map_name)
+    found = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == changeset_no]
+    if not found:
+        raise HTTPException(404, f"The map {map_name} has no changeset {changeset_no}.")
+    try:
+        page = drive_page(conn, found[0], map_name=map_name)
+    except InputError as error:
+        raise HTTPException(404, str(error)) from error
+    return HTMLResponse(page, headers={"Content-Security-Policy": _REPORT_POLICY})

@@ -13,7 +13,7 @@ from fastapi import APIRouter, HTTPException, Path, Request, Response
 from conetl.db.base_store import list_base_sources
 from conetl.db.connection import Connection
 from conetl.db.live_store import read_provisional
-from conetl.db.serve_store import read_base_lines, read_base_tile, read_base_tiles
+from conetl.db.serve_store import read_base_tile, read_rows
 from conetl.model.records import Vec3
 from conetl.web import rows as to
 from conetl.web.models import (
@@ -42,10 +42,10 @@ def base_layers(map_name: MapName, conn: Reader, request: Request, response: Res
     origin = origin_of(conn, map_name)
     if unchanged := _unchanged(conn, map_name, origin, request, response):
         return unchanged
-    layers: dict[tuple[str, str], list[int]] = {}
+    layers: dict[tuple[str, Any], list[int]] = {}
     for source in list_base_sources(conn, map_name):
-        layers.setdefault((source.layer_name, source.kind), []).append(source.kept_count)
-    rows, truncated = cut(read_base_tiles(conn, map_name, _MAX_TILES + 1), _MAX_TILES)
+        layers.setdefault((source["layer_name"], source["kind"]), []).append(source["kept_count"])
+    rows, truncated = cut(read_rows(conn, "base_layers.tiles", map_name=map_name, max_rows=_MAX_TILES + 1), _MAX_TILES)
     return BaseLayers(
         origin_m=origin,
         layers=[
@@ -69,7 +69,7 @@ def base_lines(map_name: MapName, conn: Reader, request: Request, response: Resp
     origin = origin_of(conn, map_name)
     if unchanged := _unchanged(conn, map_name, origin, request, response):
         return unchanged
-    rows, truncated = cut(read_base_lines(conn, map_name, _MAX_LINES + 1), _MAX_LINES)
+    rows, truncated = cut(read_rows(conn, "base_layers.lines", map_name=map_name, max_rows=_MAX_LINES + 1), _MAX_LINES)
     shapes = shapely.from_wkb([bytes(row["geom"]) for row in rows])
     lines = [
         BaseLine(
@@ -114,7 +114,7 @@ def provisional(map_name: MapName, conn: Reader) -> ProvisionalFeatures:
 
 def _unchanged(conn: Connection, map_name: str, origin: Vec3, request: Request, response: Response) -> Response | None:
     """304 if the browser has this state of the base layers; else None, and the answer gets its ETag."""
-    sources = "".join(f"{source.source_id} " for source in list_base_sources(conn, map_name))
+    sources = "".join(f"{source['source_id']} " for source in list_base_sources(conn, map_name))
     # Weak: the compressing middleware may send other bytes of the same content.
     tag = f'W/"{hashlib.sha256(f"{origin} {sources}".encode()).hexdigest()}"'
     if request.headers.get("if-none-match") == tag:

@@ -9,6 +9,7 @@ from uuid import UUID
 from fastapi import APIRouter, HTTPException, Query, Request, Response
 
 from conetl.db import serve_store as store
+from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import find_map, list_changesets
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Rig, Vec3, utc_from_ns
@@ -30,7 +31,7 @@ def maps(request: Request, conn: Reader) -> m.Maps:
     """All maps of the database."""
     state = request.app.state
     return m.Maps(
-        maps=[m.MapItem(**{name: row[name] for name in m.MapItem.model_fields}) for row in store.read_maps(conn)],
+        maps=[m.MapItem(**{name: row[name] for name in m.MapItem.model_fields}) for row in list_maps(conn)],
         chosen=state.map_name,
         basemap=state.basemap.item if state.basemap else None,
     )
@@ -67,7 +68,8 @@ def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at
 def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader) -> m.Changes:
     """The decision of one changeset about every feature that its drive could see."""
     origin = origin_of(conn, map_name)
-    return _changes(store.read_changeset_changes(conn, map_name, changeset_no), origin, truncated=False)
+    rows = store.read_rows(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset_no)
+    return _changes(rows, origin, truncated=False)
 
 
 @router.get(f"{_MAP}/changes")
@@ -105,9 +107,11 @@ def feature_history(map_name: MapName, feature_id: UUID, conn: Reader, known_at:
 def sightings(map_name: MapName, feature_id: UUID, conn: Reader) -> m.Sightings:
     """The frame pairs in which one feature was observed, with boxes and camera."""
     origin = origin_of(conn, map_name)
-    found, truncated = cut(store.read_sightings(conn, map_name, feature_id, _MAX_SIGHTINGS + 1), _MAX_SIGHTINGS)
-    rigs = store.read_rigs(conn, map_name, {row["drive_uuid"] for row in found})
-    cameras = {drive_uuid: Rig.model_validate(rig) for drive_uuid, rig in rigs.items()}
+    feature = {"map_name": map_name, "feature_id": feature_id, "max_rows": _MAX_SIGHTINGS + 1}
+    found, truncated = cut(store.read_rows(conn, "serving.sightings", **feature), _MAX_SIGHTINGS)
+    drives = list({row["drive_uuid"] for row in found})
+    rigs = store.read_rows(conn, "serving.rigs", map_name=map_name, drive_uuids=drives)
+    cameras = {row["drive_uuid"]: Rig.model_validate(row["rig"]) for row in rigs}
     return m.Sightings(
         feature_id=feature_id,
         origin_m=origin,
@@ -120,7 +124,8 @@ def sightings(map_name: MapName, feature_id: UUID, conn: Reader) -> m.Sightings:
 def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader) -> m.Trajectory:
     """The path of the left camera of one drive; empty for an imported map."""
     origin = origin_of(conn, map_name)
-    rows, truncated = cut(store.read_trajectory(conn, map_name, drive_uuid, _MAX_TRAJECTORY + 1), _MAX_TRAJECTORY)
+    drive = {"map_name": map_name, "drive_uuid": drive_uuid, "max_rows": _MAX_TRAJECTORY + 1}
+    rows, truncated = cut(store.read_rows(conn, "serving.trajectory", **drive), _MAX_TRAJECTORY)
     drive_ids = [row["drive_id"] for row in rows[:1]] or [
         c.drive_id for c in list_changesets(conn, map_name=map_name) if c.drive_uuid == drive_uuid
     ]

@@ -13,8 +13,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from conetl.cli.app import _COMMANDS, _GROUPS, app
-from conetl.cli.examples import EXAMPLES
+from conetl.cli.app import _COMMANDS, _GROUPS, EXAMPLES, app
 from conetl.cli.map.exchange import _format_by_name
 from conetl.model.errors import InputError
 

@@ -119,15 +119,15 @@ def print_imported(item: ImportedFile) -> None:
 _COLUMNS: Columns = {
     "layer": "layer_name",
     "kind": "kind",
-    "file": lambda s: Path(s.source_path).name,
+    "file": lambda s: Path(s["source_path"]).name,
     "CRS": "source_crs",
-    "kept": lambda s: f"{s.kept_count:,}",
-    "read": lambda s: f"{s.read_count:,}",
-    "rejected": lambda s: f"{s.refused_count:,}",
-    "extent m": lambda s: f"{s.east_m - s.west_m:.0f} x {s.north_m - s.south_m:.0f}",
-    "MB": lambda s: f"{s.bytes / 1e6:.1f}" if s.kind == "points" else "",
+    "kept": lambda s: f"{s['kept_count']:,}",
+    "read": lambda s: f"{s['read_count']:,}",
+    "rejected": lambda s: f"{s['refused_count']:,}",
+    "extent m": lambda s: f"{s['east_m'] - s['west_m']:.0f} x {s['north_m'] - s['south_m']:.0f}",
+    "MB": lambda s: f"{s['bytes'] / 1e6:.1f}" if s["kind"] == "points" else "",
     "heights": "heights",
-    "imported (UTC)": lambda s: f"{s.imported_at:%Y-%m-%d %H:%M}",
+    "imported (UTC)": lambda s: f"{s['imported_at']:%Y-%m-%d %H:%M}",
 }
 
 

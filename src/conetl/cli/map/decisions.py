@@ -22,8 +22,7 @@ from conetl.cli.console import (
 )
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
-from conetl.db.map.decision_store import list_decisions
-from conetl.db.map.hold_store import held_drives
+from conetl.db.map.decision_store import held_drives, list_decisions
 from conetl.db.map.map_store import list_changesets
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.map_records import FeatureVersion

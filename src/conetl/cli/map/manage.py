@@ -20,12 +20,12 @@ from conetl.pipeline.settings import Settings, checked_map_name, read_settings
 
 _MAPS: Columns = {
     "map": "map_name",
-    "CRS": lambda m: f"EPSG:{m.srid}",
-    "heights": lambda m: system_name(m.vertical_srid),
+    "CRS": lambda m: f"EPSG:{m['srid']}",
+    "heights": lambda m: system_name(m["vertical_srid"]),
     "features": "feature_count",
     "changesets": "changeset_count",
     "base layers": "layer_count",
-    "last change (UTC)": lambda m: m.last_committed_at and f"{m.last_committed_at:%Y-%m-%d %H:%M}",
+    "last change (UTC)": lambda m: m["last_committed_at"] and f"{m['last_committed_at']:%Y-%m-%d %H:%M}",
 }
 
 MapArgument = Annotated[str, typer.Argument(metavar="NAME", help="Name of the map.")]
@@ -103,10 +103,8 @@ def delete(
     if path.exists():
         raise InputError(f"{path}: exists already, choose another file with --dump")
     with open_map(name) as (conn, _):
-        size = next(one for one in list_maps(conn) if one.map_name == name)
-        text = (
-            f"map {name} with {counted(size.feature_count, 'feature')} and {counted(size.changeset_count, 'changeset')}"
-        )
+        size = next(one for one in list_maps(conn) if one["map_name"] == name)
+        text = f"map {name} with {counted(size['feature_count'], 'feature')} and {counted(size['changeset_count'], 'changeset')}"
         if not yes:
             if as_json or not sys.stdin.isatty():
                 raise InputError(f"nothing was deleted: add --yes to delete the {text} (a dump is kept)")
@@ -129,11 +127,11 @@ def restore(
     settings = read_settings()
     with open_maps(settings) as conn:
         info = restore_map(conn, file, None if name is None else checked_map_name(name))
-        size = next(one for one in list_maps(conn) if one.map_name == info.map_name)
-    text = (
-        f"Map {info.map_name}: {counted(size.feature_count, 'feature')}, {counted(size.changeset_count, 'changeset')}."
+        size = next(one for one in list_maps(conn) if one["map_name"] == info.map_name)
+    text = f"Map {info.map_name}: {counted(size['feature_count'], 'feature')}, {counted(size['changeset_count'], 'changeset')}."
+    answer(
+        as_json, {"map": info.map_name, "features": size["feature_count"], "changesets": size["changeset_count"]}, text
     )
-    answer(as_json, {"map": info.map_name, "features": size.feature_count, "changesets": size.changeset_count}, text)
 
 
 def _dump_path(settings: Settings) -> Path:

@@ -25,8 +25,7 @@ from conetl.cli.console import (
     say,
 )
 from conetl.cli.database import open_map
-from conetl.db.map.decision_store import read_decisions
-from conetl.db.map.hold_store import hold_events
+from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, FeatureLogEntry
 from conetl.model.errors import InputError
@@ -104,9 +103,9 @@ def show(
         print_json({"map": summary, "features": features})
     elif summary is not None:
         when = f" as of {as_of}" if as_of else ""
-        changesets = counted(summary.changeset_count, "changeset")
+        changesets = counted(summary["changeset_count"], "changeset")
         classes = Counter(version.feature.category for version in versions)
-        say(f"Map {summary.map_name}, EPSG:{summary.srid}: {counted_by_class(classes)}{when}, {changesets}.")
+        say(f"Map {info.map_name}, EPSG:{info.srid}: {counted_by_class(classes)}{when}, {changesets}.")
         points, lines = ([v for v in versions if (v.feature.marking is not None) is one] for one in (False, True))
         print_records("", class_if_mixed(_FEATURES, {v.feature.category for v in points}), points)
         print_records("", _LINES, lines)

@@ -8,18 +8,26 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from pydantic import BaseModel, Field
 
-from conetl.db.connection import Connection, copy_in, copy_out, database_errors, execute, execute_count, transaction
+from conetl.db.connection import (
+    Connection,
+    copy_in,
+    copy_out,
+    database_errors,
+    execute,
+    execute_count,
+    load_sql,
+    transaction,
+)
 from conetl.db.map.map_store import find_map, map_lock, map_transaction, require_map
 from conetl.db.map.results import MapInfo
 from conetl.db.receipt_store import drives_under_way
 from conetl.db.schema import applied_migrations
-from conetl.db.statements import load_sql
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import MAX_JSON_BYTES, first_message
 from conetl.model.errors import InputError
@@ -50,26 +58,10 @@ class _Manifest(BaseModel):
     rows: dict[str, int]
 
 
-@dataclass(frozen=True)
-class ListedMap:
-    """One map and its size."""
-
-    map_name: str
-    srid: int
-    vertical_srid: int | None
-    created_at: datetime
-    feature_count: int
-    """Of cones that stand now."""
-    changeset_count: int
-    layer_count: int
-    """Of base layers."""
-    last_committed_at: datetime | None
-
-
-def list_maps(conn: Connection) -> list[ListedMap]:
-    """All maps of the database, by name."""
+def list_maps(conn: Connection) -> list[dict[str, Any]]:
+    """All maps of the database, by name: columns of `archive.list_maps`."""
     with database_errors("The maps of the database cannot be read"):
-        return [ListedMap(**row) for row in execute(conn, load_sql("archive.list_maps"))]
+        return execute(conn, load_sql("archive.list_maps"))
 
 
 def rename_map(conn: Connection, map_name: str, new_name: str) -> None:

@@ -23,16 +23,23 @@ from itertools import chain
 from typing import Any, TypeVar
 from uuid import NAMESPACE_URL, UUID, uuid5
 
-from conetl.db.connection import Connection, CopyBlock, copy_block, copy_columns, encoded_block, execute, execute_count
+from conetl.db.connection import (
+    Connection,
+    CopyBlock,
+    copy_block,
+    copy_columns,
+    encoded_block,
+    execute,
+    execute_count,
+    load_sql,
+)
 from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
-from conetl.db.map.hold_store import write_holds
+from conetl.db.map.decision_store import write_holds
 from conetl.db.map.map_store import find_changeset, map_for, system_time
-from conetl.db.map.neighbourhood import take_turn
-from conetl.db.map.replay_store import write_replay
+from conetl.db.map.replay_store import take_turn, write_replay
 from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
-from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.errors import MapMismatchError
 from conetl.model.health import HealthCheck

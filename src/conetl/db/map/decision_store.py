@@ -1,14 +1,15 @@
-"""Decisions of people about a map. Append-only: a decision is withdrawn by another one."""
+"""Decisions of people about a map, append-only: one is withdrawn by another one; and drives on hold until a person decides."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from uuid import UUID, uuid4
 
-from conetl.db.connection import Connection, database_errors, execute
-from conetl.db.copy_binary import clean_text
+from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.map.results import Decidable, MapInfo, StoredDecision
-from conetl.db.statements import load_sql
+from conetl.model.health import HealthCheck, HeldDrive, HoldChange, HoldEvent, hold_reason
 from conetl.model.map_records import Classification, Decisions, Location
 
 
@@ -77,3 +78,88 @@ def insert_decision(
     }
     execute(conn, load_sql("decisions.insert_decision"), parameters)
     return decision_id
+
+
+def write_holds(
+    conn: Connection, checks: Mapping[UUID, Sequence[HealthCheck]], committed_at: datetime, *, by_map: bool
+) -> None:
+    """Begin and end holds of drives. checks: by changeset, those that hold it (none: it counts); by_map: as the comparison with
+    the map decided, and not the recording alone. Does not commit."""
+    if checks:
+        reasons = [hold_reason(found) for found in checks.values()]
+        parameters = {
+            "changeset_ids": list(checks),
+            "reasons": [reason and clean_text(reason) for reason in reasons],
+            "committed_at": committed_at,
+        }
+        written = [json_text([check.model_dump(mode="json") for check in found]) for found in checks.values()]
+        execute(conn, load_sql("holds.end_holds"), parameters)
+        execute(conn, load_sql("holds.begin_holds"), parameters | {"by_map": by_map, "checks": written})
+
+
+def held_drives(conn: Connection, *, map_name: str) -> list[HeldDrive]:
+    """The drives of a map that are on hold, the one that waits longest first."""
+    with database_errors(f"The drives on hold on map {map_name} cannot be read"):
+        return [HeldDrive(**row) for row in execute(conn, load_sql("holds.held_drives"), {"map_name": map_name})]
+
+
+def hold_changes(
+    conn: Connection,
+    before: Sequence[HeldDrive],
+    *,
+    map_name: str,
+    by: UUID | None = None,
+    among: Collection[UUID] = (),
+) -> tuple[HoldChange, ...]:
+    """Which drives went on hold since `before` was read, and which are on hold no longer.
+
+    by: the changeset of a drive that did it, and not others that were merged beside it; among: changesets that it affects.
+    """
+    held = {drive.changeset_id: drive for drive in held_drives(conn, map_name=map_name)}
+    was = {drive.changeset_id: drive for drive in before}
+    changed_ids = was.keys() ^ held.keys()
+    if not changed_ids:
+        return ()
+    with database_errors(f"The drives on hold on map {map_name} cannot be read"):
+        if by is not None:
+            replaced = execute(conn, load_sql("holds.earlier_deliveries"), {"changeset_id": by})
+            changed_ids &= {*among, *(row["changeset_id"] for row in replaced)}
+        states = dict.fromkeys(changed_ids & held.keys(), "on hold")
+        gone = {"changeset_ids": list(changed_ids & was.keys())}
+        states |= {row["changeset_id"]: row["state"] for row in execute(conn, load_sql("holds.unheld_states"), gone)}
+    changed = [(was | held)[drive] for drive in states]
+    return tuple(
+        HoldChange.model_validate(
+            {
+                "drive_id": drive.drive_id,
+                "changeset_no": drive.changeset_no,
+                "changeset_id": drive.changeset_id,
+                "state": states[drive.changeset_id],
+                "reason": drive.reason,
+            }
+        )
+        for drive in sorted(changed, key=lambda drive: drive.changeset_no)
+    )
+
+
+def hold_events(
+    conn: Connection, *, map_name: str, since: datetime | None = None, until: datetime | None = None
+) -> list[HoldEvent]:
+    """What happened in [since, until) to drives that are or were on hold, in order."""
+    parameters = {"map_name": map_name, "since": since, "until": until}
+    with database_errors(f"The drives on hold on map {map_name} cannot be read"):
+        return [HoldEvent(**row) for row in execute(conn, load_sql("holds.hold_events"), parameters)]
+
+
+def replaced_by_delivery(conn: Connection, changeset_id: UUID) -> int | None:
+    """Number of the later delivery of the recording that takes a changeset's place; None where none does."""
+    with database_errors("The deliveries of the drive cannot be read"):
+        rows = execute(conn, load_sql("holds.replaced_by"), {"changeset_id": changeset_id})
+    return rows[0]["changeset_no"] if rows else None
+
+
+def map_checks(conn: Connection, changeset_id: UUID) -> tuple[HealthCheck, ...]:
+    """The checks by which the map holds a drive, also one that is reverted or replaced; none where it agrees."""
+    with database_errors("The drives on hold cannot be read"):
+        rows = execute(conn, load_sql("holds.map_checks"), {"changeset_id": changeset_id})
+    return tuple(HealthCheck(**check) for row in rows for check in row["checks"])

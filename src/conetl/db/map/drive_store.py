@@ -12,11 +12,10 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, execute, stream
+from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
 from conetl.db.map.import_store import read_statements
 from conetl.db.map.marking_rows import covariances, marking_of
 from conetl.db.map.rows import jacobian_from_wire
-from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import DriveOrder, ImportedFeature

@@ -8,7 +8,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, stream, transaction
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
 from conetl.db.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
 from conetl.db.map import rows as map_rows
 from conetl.db.map.commit import committed_result, insert_changeset
@@ -16,7 +16,6 @@ from conetl.db.map.map_store import map_for, require_map, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
 from conetl.db.map.rows import feature_of
-from conetl.db.statements import load_sql
 from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap
 from conetl.model.params import ReconcileParams
 from conetl.model.records import utc_from_ns

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from difflib import get_close_matches
+from typing import Any
 from uuid import UUID
 
 from conetl.db.connection import (
@@ -15,13 +16,13 @@ from conetl.db.connection import (
     database_errors,
     execute,
     execute_count,
+    load_sql,
     stream,
     transaction,
 )
 from conetl.db.copy_binary import clean_text
-from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, FeatureLogEntry, MapInfo, MapSummary
+from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, FeatureLogEntry, MapInfo
 from conetl.db.map.rows import feature_of
-from conetl.db.statements import load_sql
 from conetl.model.errors import InputError, MapMismatchError
 from conetl.model.map_records import DeltaKind, MapFeature
 
@@ -155,11 +156,11 @@ def find_features(conn: Connection, beginning: str, *, map_name: str = "default"
         return [row["feature_id"] for row in execute(conn, load_sql("map.find_features"), parameters)]
 
 
-def map_summary(conn: Connection, map_name: str = "default") -> MapSummary | None:
-    """The map in figures, None without such a map."""
+def map_summary(conn: Connection, map_name: str = "default") -> dict[str, Any] | None:
+    """The map in figures, columns of `map.summary`; None without such a map."""
     with database_errors(f"The map {map_name} cannot be read"):
         rows = execute(conn, load_sql("map.summary"), {"map_name": map_name})
-    return MapSummary(**rows[0]) if rows else None
+    return rows[0] if rows else None
 
 
 def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime | None = None) -> MapInfo:

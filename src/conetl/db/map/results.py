@@ -239,21 +239,3 @@ class Decidable:
     changeset_id: UUID | None
     active: bool
     """False for a decision that was withdrawn."""
-
-
-@dataclass(frozen=True)
-class MapSummary:
-    """One map in figures."""
-
-    map_name: str
-    srid: int
-    feature_count: int
-    removed_count: int
-    version_count: int
-    changeset_count: int
-    last_committed_at: datetime | None
-    last_captured_to_ns: int | None
-    west_m: float | None
-    south_m: float | None
-    east_m: float | None
-    north_m: float | None

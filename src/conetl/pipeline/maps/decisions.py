@@ -14,9 +14,16 @@ from typing import NamedTuple
 from uuid import UUID
 
 from conetl.db.connection import LOCK_TIMEOUT_S, Connection
-from conetl.db.map.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
+from conetl.db.map.decision_store import (
+    find_decisions,
+    held_drives,
+    hold_changes,
+    insert_decision,
+    list_decisions,
+    read_decisions,
+    replaced_by_delivery,
+)
 from conetl.db.map.drive_store import load_stored_drive
-from conetl.db.map.hold_store import held_drives, hold_changes, replaced_by_delivery
 from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
 from conetl.db.map.replay_store import (
     affected_drives,
