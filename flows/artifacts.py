@@ -21,7 +21,7 @@ from prefect.artifacts import (
 from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
-from conetl.db.run_store import RemovedCone, StepTime
+from conetl.db.receipt_store import RemovedCone, StepTime
 from conetl.files.names import as_markdown
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import ChangeLine, IngestReport

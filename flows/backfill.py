@@ -30,22 +30,9 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.ingest import new_receipt
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
+from flows import dispatch
 from flows.artifacts import send_events
 from flows.batch_artifacts import BatchBoard, open_board, show_progress, show_summary
-from flows.dispatch import (
-    BACKFILL_QUEUE,
-    WORKERS_GONE_S,
-    DriveRun,
-    Where,
-    abandon,
-    launch,
-    mark_crashed,
-    missing_workers,
-    online_workers,
-    over,
-    resolve_where,
-    was_cancelled,
-)
 from flows.runs import MapName, MapSrid, alive, settings_for
 
 _log = logging.getLogger(__name__)
@@ -69,7 +56,7 @@ class Standing:
     parallel: int
     where: Literal["workers", "here"]
     started: float
-    running: list[DriveRun]
+    running: list[dispatch.DriveRun]
     ended: list[Receipt]
     pairs_done: int = 0
     held: list[HeldDrive] = field(default_factory=list)
@@ -122,7 +109,7 @@ def backfill(
     map_srid: MapSrid = None,
     params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
     recheck: Annotated[bool, Field(description="Compare drives that are on the map by their content as well.")] = False,
-    where: Annotated[Where, Field(description="Where drives are worked on.")] = "auto",
+    where: Annotated[dispatch.Where, Field(description="Where drives are worked on.")] = "auto",
 ) -> State[Any]:
     """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues."""
     settings = settings_for(map_name)
@@ -136,7 +123,8 @@ def backfill(
         if not plan.todo:  # started for what was pending
             return Completed(name="NothingNew", message=f"nothing new: {len(plan.lines)} drives are done")
         return run_batch(
-            database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where, queue=BACKFILL_QUEUE
+            database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where,
+            queue=dispatch.BACKFILL_QUEUE,
         )  # fmt: skip
 
 
@@ -148,19 +136,19 @@ def run_batch(
     *,
     map_srid: int | None,
     max_parallel: int | None,
-    where: Where,
+    where: dispatch.Where,
     queue: str | None = None,
 ) -> State[Any]:
     """Execute a plan inside a flow run. The state says how many drives failed; the receipts say which and why.
 
     queue: in which its drives wait for workers; None: that of the deployment `ingest-drive`.
     """
-    place = resolve_where(where)
-    parallel = max_parallel or (max(1, online_workers()) if place == "workers" else 1)
+    place = dispatch.resolve_where(where)
+    parallel = max_parallel or (max(1, dispatch.online_workers()) if place == "workers" else 1)
     write_plan(plan, parallel, settings.home / "plans")
     standing = Standing(plan, parallel, place, time.monotonic(), [], [])
     board = open_board(standing)
-    look_at_s = standing.started + WORKERS_GONE_S  # whether workers are there
+    look_at_s = standing.started + dispatch.WORKERS_GONE_S  # whether workers are there
     with database.connection() as conn:
         held_before = {drive.changeset_id for drive in held_drives(conn, map_name=settings.map_name)}
         known_events = set(hold_events(conn, map_name=settings.map_name))
@@ -174,7 +162,9 @@ def run_batch(
                     with database.connection() as conn:
                         standing.ended.append(_refused(conn, line, plan, settings))
                     continue
-                standing.running.append(launch(line, number, settings, params, map_srid, place, parallel, queue))
+                standing.running.append(
+                    dispatch.launch(line, number, settings, params, map_srid, place, parallel, queue)
+                )
                 _tell(standing, board)
             with database.connection() as conn:
                 landed = _landed(conn, standing.running, plan, settings)
@@ -187,15 +177,15 @@ def run_batch(
                 standing.pairs_done += run.line.header.frame_pairs
                 _tell(standing, board)
             if place == "workers" and standing.running and not standing.note and time.monotonic() >= look_at_s:
-                look_at_s = time.monotonic() + WORKERS_GONE_S / 6
-                if note := missing_workers():
+                look_at_s = time.monotonic() + dispatch.WORKERS_GONE_S / 6
+                if note := dispatch.missing_workers():
                     standing.note = note
                     _log.warning(note)
                     _tell(standing, board)
             if standing.running:
                 time.sleep(_POLL_S)
     finally:
-        abandon(standing.running)
+        dispatch.abandon(standing.running)
     with database.connection() as conn:
         own = {receipt.changeset_id for receipt in standing.ended}
         held = held_drives(conn, map_name=settings.map_name)
@@ -208,13 +198,13 @@ def run_batch(
 
 
 def _landed(
-    conn: Connection, running: list[DriveRun], plan: Plan, settings: Settings
-) -> list[tuple[DriveRun, Receipt, bool]]:
+    conn: Connection, running: list[dispatch.DriveRun], plan: Plan, settings: Settings
+) -> list[tuple[dispatch.DriveRun, Receipt, bool]]:
     """Runs that ended, with their receipts, and whether another try may help."""
     # Read first: what ended before this has its receipt by now.
-    ends_of_processes = {run.attempt_id: over(run) for run in running}
+    ends_of_processes = {run.attempt_id: dispatch.over(run) for run in running}
     ends = attempt_ends(conn, [run.attempt_id for run in running])
-    landed: list[tuple[DriveRun, Receipt, bool]] = []
+    landed: list[tuple[dispatch.DriveRun, Receipt, bool]] = []
     latest = latest_receipts(conn, map_name=settings.map_name, headers=[f.line.header.header_sha256 for f in running])
     for run in running:
         if run.attempt_id in ends:
@@ -228,14 +218,14 @@ def _landed(
             # It began. Whether it lives is shown by its lock, not by Prefect's state.
             crashed = end_crashed(conn, begun, reason or "its process is gone", settings.receipts_folder)
             if crashed is not None:
-                mark_crashed(run.flow_run_id, crashed.reason)
-                landed.append((run, crashed, not was_cancelled(run)))
+                dispatch.mark_crashed(run.flow_run_id, crashed.reason)
+                landed.append((run, crashed, not dispatch.was_cancelled(run)))
         elif reason is not None:  # it could not be started, or a person cancelled it
             never = new_receipt(run.line.header, settings, plan.analysis.sha256, run.attempt_id, str(run.flow_run_id))
             lost = replace(never, state="crashed", reason=reason)
             write_receipt(conn, lost, settings.receipts_folder)
-            mark_crashed(run.flow_run_id, reason)
-            landed.append((run, lost, not was_cancelled(run)))
+            dispatch.mark_crashed(run.flow_run_id, reason)
+            landed.append((run, lost, not dispatch.was_cancelled(run)))
     return landed
 
 

@@ -10,13 +10,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
 from prefect.client.orchestration import SyncPrefectClient, get_client
-from prefect.client.schemas.filters import (
-    FlowFilter,
-    FlowFilterName,
-    FlowRunFilter,
-    FlowRunFilterState,
-    FlowRunFilterStateType,
-)
+from prefect.client.schemas import filters
 from prefect.client.schemas.objects import FlowRun, StateType
 from prefect.runtime import flow_run
 from prefect.states import Crashed, Scheduled
@@ -79,8 +73,10 @@ def recover(database: MapDatabase) -> list[FlowRun]:
     states = [StateType.RUNNING, StateType.PENDING, StateType.CANCELLING]
     with client() as api, database.connection() as conn:
         runs = api.read_flow_runs(
-            flow_filter=FlowFilter(name=FlowFilterName(any_=list(FLOWS))),
-            flow_run_filter=FlowRunFilter(state=FlowRunFilterState(type=FlowRunFilterStateType(any_=states))),
+            flow_filter=filters.FlowFilter(name=filters.FlowFilterName(any_=list(FLOWS))),
+            flow_run_filter=filters.FlowRunFilter(
+                state=filters.FlowRunFilterState(type=filters.FlowRunFilterStateType(any_=states))
+            ),
         )
         held = held_locks(conn, [run_lock(str(run.id)) for run in runs])
         dead = [run for run in runs if run_lock(str(run.id)) not in held and _is_overdue(run)]

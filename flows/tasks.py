@@ -14,7 +14,7 @@ from prefect.futures import PrefectFuture
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 from prefect.utilities.annotations import opaque
 
-from conetl.db.run_store import StepTime
+from conetl.db.receipt_store import StepTime
 from conetl.model.errors import InputError, is_of_storage
 from conetl.pipeline import analysis, commit, detect, ingest, markings, odometry
 from conetl.pipeline.executor import StepClock

@@ -20,8 +20,7 @@ from conetl.cli.app import app
 from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.map.results import CommittedChangeset
-from conetl.db.receipt_store import Receipt, write_receipt
-from conetl.db.run_store import StepTime, write_run_steps
+from conetl.db.receipt_store import Receipt, StepTime, write_receipt, write_run_steps
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams

@@ -22,7 +22,7 @@ import pytest
 from conetl.cli.ingest import print_report
 from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets
-from conetl.db.run_store import is_published, pending_changesets
+from conetl.db.receipt_store import is_published, pending_changesets
 from conetl.model.errors import CalibrationError, StorageError
 from conetl.model.health import CALIBRATION, HealthCheck, HoldChange, Verdict
 from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError

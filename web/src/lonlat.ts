@@ -1,4 +1,4 @@
-// Between offsets from the map's origin and WGS 84, by the server's polynomials (src/conetl/web/projection.py).
+// Between offsets from the map's origin and WGS 84, by the server's polynomials (src/conetl/web/search.py).
 import { api, type Projection } from "./api";
 
 export type Pair = [number, number];

@@ -54,7 +54,7 @@ _GROUPS = {
             "show": "map.show:show",
             "log": "map.show:log",
             "diff": "map.compare:diff",
-            "picture": "map.image:picture",
+            "picture": "map.compare:picture",
             "export": "map.exchange:export",
             "import": "map.exchange:import_",
             "list": "map.manage:list_",

@@ -11,28 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from conetl.cli.console import (
-    CategoryOption,
-    Columns,
-    JsonOption,
-    MapOption,
-    MapSridOption,
-    ParamsOption,
-    counted,
-    err,
-    parse_instant,
-    parse_time,
-    print_held,
-    print_hold_events,
-    print_json,
-    print_records,
-    print_table,
-    say,
-    spinner,
-)
+from conetl.cli import console as ui
 from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
-from conetl.db.run_store import QUIET, pending_changesets
+from conetl.db.receipt_store import QUIET, pending_changesets
 from conetl.files.names import minutes
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, EXIT_SERVICE_MISSING
 from conetl.pipeline.settings import prefect_environment, read_settings
@@ -56,11 +38,11 @@ def backfill(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and exit.")] = False,
     recheck: Annotated[bool, typer.Option(help="Compare the content of drives that are on the map already.")] = False,
     here: Annotated[bool, typer.Option("--here", help="Run in this process even if workers are running.")] = False,
-    params: ParamsOption = None,
-    category: CategoryOption = None,
-    map_srid: MapSridOption = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    params: ui.ParamsOption = None,
+    category: ui.CategoryOption = None,
+    map_srid: ui.MapSridOption = None,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Add all drives below a folder that are not on the map yet, one run per drive.
 
@@ -72,22 +54,22 @@ def backfill(
     os.environ.update(prefect_environment(settings.home))
     from conetl.pipeline.backfill_plan import plan_as_dict, plan_drives
 
-    begin, end = parse_time(since), parse_instant(until)
-    with open_maps(settings) as conn, spinner("Planning"):
+    begin, end = ui.parse_time(since), ui.parse_instant(until)
+    with open_maps(settings) as conn, ui.spinner("Planning"):
         plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
         pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
     if not as_json:
         _print_plan(plan, max_parallel or 1)
     if dry_run or not (plan.todo or pending):
         if as_json:
-            print_json({"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
+            ui.print_json({"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
         return
     ended: list[Receipt] = []
     held: list[HeldDrive] = []
     events: list[HoldEvent] = []
     noted: set[str] = set()
     with ExitStack() as running:
-        with spinner("Starting Prefect"):
+        with ui.spinner("Starting Prefect"):
             from flows import backfill as flow
             from flows.server import prefect_server
 
@@ -101,7 +83,7 @@ def backfill(
             bar.update(task, completed=percent(standing), description=sentence(standing))
             if standing.note and standing.note not in noted:
                 noted.add(standing.note)
-                err.print(f"conetl: {standing.note}", markup=False, soft_wrap=True)
+                ui.err.print(f"conetl: {standing.note}", markup=False, soft_wrap=True)
             held[:], events[:] = standing.held, standing.hold_events
             for receipt in standing.ended[len(ended) :]:
                 ended.append(receipt)
@@ -119,7 +101,7 @@ def backfill(
     failed = [receipt for receipt in ended if not receipt.done]
     if as_json:
         drives = [_receipt_as_dict(receipt) for receipt in ended]
-        print_json(
+        ui.print_json(
             {"held": held, "hold_events": events, "plan": plan_as_dict(plan, max_parallel or 1), "drives": drives}
         )
     else:
@@ -129,16 +111,16 @@ def backfill(
 
 def _print_summary(map_name: str, ended: list[Receipt], held: list[HeldDrive], events: list[HoldEvent]) -> None:
     """What became of the drives of a batch, those on hold first."""
-    say()
-    print_held(held)
-    print_hold_events(events)
+    ui.say()
+    ui.print_held(held)
+    ui.print_hold_events(events)
     waiting = {drive.changeset_id for drive in held}
     done = [receipt for receipt in ended if receipt.done and receipt.changeset_id not in waiting]
     failed = sum(not receipt.done for receipt in ended)
     on_hold = f"on hold: {len(held)}; " if held else ""
-    say(f"On map {map_name}: {counted(len(done), 'drive')}; {on_hold}failed: {failed}.")
+    ui.say(f"On map {map_name}: {ui.counted(len(done), 'drive')}; {on_hold}failed: {failed}.")
     if failed:
-        say("Run the same command again to retry the failed drives.")
+        ui.say("Run the same command again to retry the failed drives.")
 
 
 def _exit_code(ended: list[Receipt], failed: list[Receipt], held: list[HeldDrive]) -> int:
@@ -154,7 +136,7 @@ def _bar() -> Progress:
         TextColumn("{task.description}"),
         TimeElapsedColumn(),
     )
-    return Progress(*columns, console=err, disable=not err.is_terminal, transient=True, redirect_stdout=False)
+    return Progress(*columns, console=ui.err, disable=not ui.err.is_terminal, transient=True, redirect_stdout=False)
 
 
 _ACTIONS = {"ingest": "ingest", "wait": "wait", "skip": "-", "refuse": "not usable"}
@@ -165,29 +147,30 @@ def _print_plan(plan: Plan, parallel: int) -> None:
 
     span = " to ".join(f"{t:%Y-%m-%d %H:%M}" if t else "..." for t in (plan.since, plan.until))
     recorded = f", recorded {span}" if plan.since or plan.until else ""
-    say(
-        f"{counted(len(plan.lines), 'drive')} below {plan.root}{recorded}; map {plan.map_name}; planned in {plan.seconds:.1f} s."
-    )
+    drives = ui.counted(len(plan.lines), "drive")
+    ui.say(f"{drives} below {plan.root}{recorded}; map {plan.map_name}; planned in {plan.seconds:.1f} s.")
     if not plan.lines:
         return
-    print_table("", ("plan", "drives"), reasons(plan))
+    ui.print_table("", ("plan", "drives"), reasons(plan))
     how_long = ""
     if plan.count("ingest"):
         estimate = plan.estimate_s(parallel)
         how_long = ": time unknown until the first drive is done"
         if estimate is not None:
             how_long = f": about {minutes(estimate)}, {parallel} at a time, from the times of earlier drives"
-    say(f"{counted(plan.count('ingest'), 'drive')} with {counted(plan.frame_pairs, 'frame pair')} to ingest{how_long}.")
-    columns: Columns = {
+    ui.say(
+        f"{ui.counted(plan.count('ingest'), 'drive')} with {ui.counted(plan.frame_pairs, 'frame pair')} to ingest{how_long}."
+    )
+    columns: ui.Columns = {
         "drive": lambda line: line.header.drive_id[:60],
         "recorded (UTC)": lambda line: _minute(line.header.captured_from),
         "plan": lambda line: _ACTIONS[line.action],
         "why": lambda line: line.why[:110],
         "pairs": lambda line: line.header.frame_pairs,
     }
-    print_records("", columns, plan.lines[:_SHOWN], numbers_from=4)
+    ui.print_records("", columns, plan.lines[:_SHOWN], numbers_from=4)
     if len(plan.lines) > _SHOWN:
-        say(f"... and {len(plan.lines) - _SHOWN} more; --dry-run --json lists all.")
+        ui.say(f"... and {len(plan.lines) - _SHOWN} more; --dry-run --json lists all.")
 
 
 def _minute(time: datetime | None) -> str:
@@ -196,14 +179,14 @@ def _minute(time: datetime | None) -> str:
 
 def _print_receipt(receipt: Receipt) -> None:
     if not receipt.done:
-        say(f"{receipt.drive_id}: {receipt.state}: {receipt.reason}")
+        ui.say(f"{receipt.drive_id}: {receipt.state}: {receipt.reason}")
         return
     if receipt.state == "held":
-        say(receipt.reason)
+        ui.say(receipt.reason)
         return
     took = f" in {receipt.seconds:.1f} s" if receipt.seconds else ""
     reason = f"; {receipt.reason}" if receipt.reason else ""
-    say(f"{receipt.drive_id}: {'on' if receipt.state == 'committed' else 'already on'} the map{took}{reason}")
+    ui.say(f"{receipt.drive_id}: {'on' if receipt.state == 'committed' else 'already on'} the map{took}{reason}")
 
 
 def _receipt_as_dict(receipt: Receipt) -> dict[str, Any]:

@@ -20,8 +20,7 @@ from conetl.db.map.results import MapInfo
 from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune_drives, restore_drives
 from conetl.db.schema import database_status, run_audits
 from conetl.db.schema import migrate as apply_migrations
-from conetl.files.atomic import sweep
-from conetl.files.expiry import old_images, old_publications, old_results, remove, size_bytes
+from conetl.files.atomic import old_images, old_publications, old_results, remove, size_bytes, sweep
 from conetl.model.errors import ConetlError, InputError
 from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings

@@ -13,26 +13,7 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
-from conetl.cli.console import (
-    CategoryOption,
-    Columns,
-    JsonOption,
-    MapOption,
-    MapSridOption,
-    ParamsOption,
-    class_if_mixed,
-    complain,
-    counted,
-    note_unmeasured,
-    out,
-    print_checks,
-    print_json,
-    print_records,
-    print_table,
-    progress_bar,
-    say,
-    spinner,
-)
+from conetl.cli import console as ui
 from conetl.files.atomic import sweep
 from conetl.files.documents import first_message
 from conetl.files.home import make_home
@@ -54,15 +35,15 @@ _log = logging.getLogger(__name__)
 
 def ingest(
     drives: Annotated[list[Path], typer.Argument(help="Drive folders, in any order.")],
-    params: ParamsOption = None,
-    category: CategoryOption = None,
-    map_srid: MapSridOption = None,
+    params: ui.ParamsOption = None,
+    category: ui.CategoryOption = None,
+    map_srid: ui.MapSridOption = None,
     refine: Annotated[bool, typer.Option(help="Refine the recorded poses by visual odometry where possible.")] = True,
     self_calibrate: Annotated[
         bool, typer.Option(help="Correct the calibration if the images of the drive contradict it; requires --refine.")
     ] = True,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Detect the cones of stereo drives, or other objects, and merge them into the map, one changeset per drive.
 
@@ -77,7 +58,7 @@ def ingest(
         show=(lambda _: None) if as_json else print_report,
     )
     if as_json:
-        print_json(reports)
+        ui.print_json(reports)
     raise typer.Exit(exit_code)
 
 
@@ -103,16 +84,16 @@ def ingest_drives(
     problems = [problem for header in headers if (problem := _problem_of(header))]
     if len(problems) == len(drives):
         for problem in problems:
-            complain(problem)
+            ui.complain(problem)
         return [], EXIT_BAD_INPUT
     require_room(settings)
     sweep((settings.results_folder, settings.exports_folder))
-    note_unmeasured(read_model_card(settings.model_path))
+    ui.note_unmeasured(read_model_card(settings.model_path))
     os.environ.update(prefect_environment(settings.home))
     reports: list[IngestReport] = []
     exit_code = EXIT_DONE
     with ExitStack() as running:
-        with spinner("Starting Prefect"):
+        with ui.spinner("Starting Prefect"):
             # Prefect reads its environment when it is imported, which takes two seconds: not at the top of the file.
             from conetl.pipeline.database import MapDatabase
             from conetl.pipeline.ingest import as_known
@@ -125,7 +106,7 @@ def ingest_drives(
             _log.info("drive %s", header.path)
             complaints: list[ConetlError | str] = []
             try:
-                with progress_bar(header.drive_id, "images") as update:
+                with ui.progress_bar(header.drive_id, "images") as update:
                     report = ingest_by_command(
                         header, settings, params, map_srid=map_srid, database=database, progress=update
                     )
@@ -135,7 +116,7 @@ def ingest_drives(
                 failure = as_known(raised)
                 if not isinstance(failure, ConetlError):
                     raise
-                complain(failure)
+                ui.complain(failure)
                 if isinstance(failure, ServiceError):
                     return reports, failure.exit_code
                 exit_code = EXIT_BAD_INPUT
@@ -144,7 +125,7 @@ def ingest_drives(
             show(report)
             complaints += report.remarks
             for complaint in complaints:
-                complain(complaint)
+                ui.complain(complaint)
                 exit_code = max(exit_code, EXIT_NEEDS_ATTENTION)
     return reports, exit_code
 
@@ -199,7 +180,7 @@ def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool
 
 #: Kinds of change that are listed even if there are none.
 _USUAL = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED)
-_CHANGES: Columns = {
+_CHANGES: ui.Columns = {
     "change": "kind",
     "feature": "feature_id",
     "class": "category",
@@ -228,29 +209,29 @@ def print_report(report: IngestReport) -> None:
             state = ", but on hold (see `conetl drive held`)"
         else:
             state = ", but not counted: it was reverted (see `conetl map decisions`) or analysed again since"
-        out.print(f"{drive}: no changes, {known}{state}.")
+        ui.out.print(f"{drive}: no changes, {known}{state}.")
         return
     changed = counts if report.on_hold is None else "on hold, the map is as it was"
     categories = {change.category for change in report.changes}
     objects = "objects" if categories - {CONE} else "cones"
-    out.print(
+    ui.out.print(
         f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} {objects}."
     )
     if lines:
-        out.print(f"{counted(report.markings, 'lane marking')}; stretches of them: {lines}.")
+        ui.out.print(f"{ui.counted(report.markings, 'lane marking')}; stretches of them: {lines}.")
     if report.trajectory:
-        out.print(f"Trajectory: {report.trajectory}.")
+        ui.out.print(f"Trajectory: {report.trajectory}.")
     told = {check.name for check in report.health if check.verdict is not Verdict.PASS}
     if report.calibration and CALIBRATION not in told:
-        out.print(f"Calibration: {report.calibration}.")
-    print_checks(report.health)
+        ui.out.print(f"Calibration: {report.calibration}.")
+    ui.print_checks(report.health)
     if report.replayed_drives:
-        later = counted(report.replayed_drives, "later drive")
-        out.print(f"{later} over the same roads compared with the map again.")
+        later = ui.counted(report.replayed_drives, "later drive")
+        ui.out.print(f"{later} over the same roads compared with the map again.")
     for change in report.hold_changes:
-        say(change.sentence)
-    print_records("", class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
+        ui.say(change.sentence)
+    ui.print_records("", ui.class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
     rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]
-    print_table("Quarantined", ("reason", "records"), rows)
-    out.print()
+    ui.print_table("Quarantined", ("reason", "records"), rows)
+    ui.out.print()

@@ -31,19 +31,8 @@ from conetl.pipeline.settings import (
     prefect_server_environment,
     read_settings,
 )
+from conetl.services import processes
 from conetl.services.prefect_api import answers, is_healthy, require_access, server_command
-from conetl.services.processes import (
-    Service,
-    is_running,
-    log_tail,
-    read_services,
-    require_free_port,
-    services_lock,
-    start_service,
-    stop_service,
-    wait_healthy,
-    write_services,
-)
 
 _TIMEOUT_S = 180
 _log = logging.getLogger(__name__)
@@ -77,12 +66,12 @@ def up(
     home = settings.home.resolve()
     if group:
         share_home(home, group)
-    with services_lock(home), spinner("Starting") as show:
-        services = {name: s for name, s in read_services(home).items() if is_running(s)}
+    with processes.services_lock(home), spinner("Starting") as show:
+        services = {name: s for name, s in processes.read_services(home).items() if processes.is_running(s)}
         if "prefect" not in services:
-            require_free_port(host, port, "Prefect", "--port")
+            processes.require_free_port(host, port, "Prefect", "--port")
         if "view" not in services:
-            require_free_port("127.0.0.1", view_port, "the web view", "--view-port")
+            processes.require_free_port("127.0.0.1", view_port, "the web view", "--view-port")
         show("Starting PostGIS")
         url = database_url(settings)
         with closing(connect(url)) as conn:
@@ -106,7 +95,7 @@ def up(
 def _start_services(
     settings: Settings,
     home: Path,
-    services: dict[str, Service],
+    services: dict[str, processes.Service],
     url: str,
     workers: int,
     server: tuple[str, int],
@@ -124,9 +113,11 @@ def _start_services(
     def ensure(name: str, command: list[str], where: str | None, **more: str) -> None:
         if name not in services:
             show(f"Starting {name}")
-            services[name] = start_service(name, command, home=home, environment={**environment, **more}, address=where)
+            services[name] = processes.start_service(
+                name, command, home=home, environment={**environment, **more}, address=where
+            )
             _log.info("started %s, process %s", name, services[name].pid)
-            write_services(home, services)
+            processes.write_services(home, services)
 
     # Starting is mostly importing on one core: independent services start at the same time.
     ensure(
@@ -144,7 +135,7 @@ def _start_services(
     from flows import register
     from flows.runs import recover
 
-    wait_healthy(services["prefect"], lambda: is_healthy(f"{address}/api"), _TIMEOUT_S)
+    processes.wait_healthy(services["prefect"], lambda: is_healthy(f"{address}/api"), _TIMEOUT_S)
     require_access(f"{address}/api", login, SERVER_AUTH)
     register.ensure_pool()
     names = {name: f"{name} {socket.gethostname()}" for name in ("desk", *(f"drives-{n + 1}" for n in range(workers)))}
@@ -159,10 +150,10 @@ def _start_services(
     with MapDatabase(settings) as database:
         recovered = [str(run.id) for run in recover(database)]
     show("Waiting for all services")
-    wait_healthy(services["view"], lambda: answers(view), _TIMEOUT_S)
+    processes.wait_healthy(services["view"], lambda: answers(view), _TIMEOUT_S)
     for name, worker in names.items():
         since = datetime.fromisoformat(services[name].started_at)
-        wait_healthy(services[name], partial(register.worker_is_online, worker, since), _TIMEOUT_S)
+        processes.wait_healthy(services[name], partial(register.worker_is_online, worker, since), _TIMEOUT_S)
     return {"deployments_registered": registered, "runs_recovered": recovered}
 
 
@@ -177,8 +168,8 @@ def down(as_json: JsonOption = False) -> None:
     home = settings.home.resolve()
     stopped: list[str] = []
     if home.is_dir():
-        with services_lock(home), spinner("Stopping"):
-            services = read_services(home)
+        with processes.services_lock(home), spinner("Stopping"):
+            services = processes.read_services(home)
             if not settings.database_url and (cluster := cluster_status(home)).host is not None:
                 # Their processes are not visible here; forgetting them would leave them running for ever.
                 raise ServiceError(
@@ -187,8 +178,8 @@ def down(as_json: JsonOption = False) -> None:
                 )
             # Workers first: they report their end to Prefect.
             order = sorted(services, key=lambda name: {"prefect": 2, "view": 1}.get(name, 0))
-            stopped = [name for name in order if stop_service(services[name])]
-            write_services(home, {})
+            stopped = [name for name in order if processes.stop_service(services[name])]
+            processes.write_services(home, {})
             if not settings.database_url and cluster_down(home):
                 stopped.append("postgis")
     text = f"Stopped: {', '.join(stopped)}." if stopped else "No services were running."
@@ -233,14 +224,14 @@ def _status(settings: Settings) -> dict[str, Any]:
         pid = cluster.pid if cluster.state == "running" else None
         facts: dict[str, Any] = {"pid": pid, "since": None, "log": None, "log_tail": None}
         rows.append({"name": "postgis", "state": cluster.state, "address": address, **facts})
-    services = read_services(home)
+    services = processes.read_services(home)
     for service in services.values():
-        state = "running" if is_running(service) else "not seen from here" if elsewhere else "ended"
+        state = "running" if processes.is_running(service) else "not seen from here" if elsewhere else "ended"
         health = f"{service.address}/api/health" if service.name == "prefect" else str(service.address)
         if state == "running" and service.address and not answers(health):
             state = "not answering"
         facts = {"pid": service.pid if state in ("running", "not answering") else None, "since": service.started_at}
-        tail = log_tail(service) if state in ("ended", "not answering") else None
+        tail = processes.log_tail(service) if state in ("ended", "not answering") else None
         facts |= {"log": service.log, "log_tail": tail}
         rows.append({"name": service.name, "state": state, "address": service.address, **facts})
     running = bool(services) and all(row["state"] == "running" for row in rows)

@@ -10,18 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from conetl.cli.console import (
-    Columns,
-    JsonOption,
-    MapOption,
-    ParamsOption,
-    counted,
-    err,
-    print_json,
-    print_records,
-    print_table,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
 from conetl.db.live_store import read_provisional
@@ -54,9 +43,9 @@ def watch(
     poll: Annotated[
         bool, typer.Option("--poll", help="Poll the file system: for NFS and SMB, which do not report changes.")
     ] = False,
-    params: ParamsOption = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    params: ui.ParamsOption = None,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Show the cones of a drive as provisional features while it is recorded, until its folder contains COMPLETE.
 
@@ -80,23 +69,23 @@ def watch(
             "left, right and trajectory.csv of a plain folder; `conetl inspect` shows what is missing"
         )
     if as_json:
-        print_json(report_as_dict(report))
+        ui.print_json(report_as_dict(report))
         return
-    say(
-        f"{report.drive_id or drive}: {counted(len(report.pairs), 'frame pair')}, {len(report.standing)} provisional cones on "
+    ui.say(
+        f"{report.drive_id or drive}: {ui.counted(len(report.pairs), 'frame pair')}, {len(report.standing)} provisional cones on "
         f"map {report.map_name}; stopped: {report.ended_by}."
     )
     if report.refused or report.left_out:
         reasons = [f"{count} {reason.replace('_', ' ')}" for reason, count in sorted(report.refused.items())]
         reasons += [f"{report.left_out} incomplete or too old"] if report.left_out else []
-        say(f"Not used: {', '.join(reasons)}. `conetl ingest` reads them again.")
+        ui.say(f"Not used: {', '.join(reasons)}. `conetl ingest` reads them again.")
     rows = [(name, *(f"{1000 * s:.0f}" for s in seconds)) for name, seconds in latency(report.pairs).items()]
-    print_table("Latency of frame pairs recorded during the watch, ms", ("", "p50", "p95", "max"), rows)
+    ui.print_table("Latency of frame pairs recorded during the watch, ms", ("", "p50", "p95", "max"), rows)
     if report.drive_id:
-        say(f"Next: conetl ingest {drive}")
+        ui.say(f"Next: conetl ingest {drive}")
 
 
-_PROVISIONAL: Columns = {
+_PROVISIONAL: ui.Columns = {
     "drive": "drive_id",
     "no": "feature_index",
     "easting m": "easting_m",
@@ -116,11 +105,11 @@ def show_provisional(settings: Settings, *, as_json: bool) -> None:
     with open_maps(settings) as conn:
         found = read_provisional(conn, map_name=settings.map_name)
     if as_json:
-        print_json({"map": settings.map_name, "provisional_features": found})
+        ui.print_json({"map": settings.map_name, "provisional_features": found})
     elif found:
-        print_records("", _PROVISIONAL, found)
+        ui.print_records("", _PROVISIONAL, found)
     else:
-        say(f"The map {settings.map_name} has no provisional cones: `conetl watch DRIVE` adds them.")
+        ui.say(f"The map {settings.map_name} has no provisional cones: `conetl watch DRIVE` adds them.")
 
 
 def latency(pairs: list[PairTime]) -> dict[str, tuple[float, float, float]]:
@@ -157,14 +146,14 @@ def report_as_dict(report: WatchReport) -> dict[str, Any]:
 
 def _print_ready(report: WatchReport) -> None:
     if not report.pairs:
-        err.print("Watching.")
+        ui.err.print("Watching.")
 
 
 def _print_progress(report: WatchReport) -> None:
     """A line every few pairs; on a terminal it is overwritten."""
     _print_ready(report)
     count = len(report.pairs)
-    if count == 0 or (not err.is_terminal and count % _PRINT_EVERY):
+    if count == 0 or (not ui.err.is_terminal and count % _PRINT_EVERY):
         return
     figures = latency(report.pairs[-100:])
     shown = ""
@@ -172,4 +161,4 @@ def _print_progress(report: WatchReport) -> None:
         middle, high, _ = figures[_PARTS[0]]
         shown = f", {_PARTS[0]} p50 {1000 * middle:.0f} ms, p95 {1000 * high:.0f} ms"
     line = f"frame pair {report.pairs[-1].frame_index}: {len(report.standing)} cones{shown}"
-    err.print(line, end="\r" if err.is_terminal else "\n", markup=False)
+    ui.err.print(line, end="\r" if ui.err.is_terminal else "\n", markup=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 from uuid import UUID, uuid4
@@ -14,13 +14,16 @@ import shapely
 from numpy.typing import NDArray
 
 from conetl.db import copy_binary as binary
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, transaction
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
 from conetl.db.copy_binary import Column
+from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import MapGround, ground_under
-from conetl.readers.base_layers.lines import Line
+from conetl.readers.base_layers.lines import Line, bounds_lanes, full_kind
 from conetl.readers.base_layers.point_tiles import Tile
 
 Kind = Literal["points", "lines"]
+#: Distance around the cones of a work zone for lane lines, more than the width of a road.
+_LANE_REACH_M = 60.0
 _MAX_POSES = 20_000
 _MAX_FEET = 5_000
 _TILES_AT_ONCE = 200
@@ -169,3 +172,30 @@ def _batches(items: Iterable[Any], size: int) -> Iterator[list[Any]]:
     iterator = iter(items)
     while batch := list(itertools.islice(iterator, size)):
         yield batch
+
+
+def read_lanes_near(
+    conn: Connection, places_m: Sequence[NDArray[np.float64]], *, map_name: str
+) -> tuple[list[list[LaneLine]], list[str]]:
+    """Lane lines of the map's base layers near each set of positions, and the names of these layers.
+
+    places_m: (N, 2) each, in the map's CRS. Near: inside their box, widened by `_LANE_REACH_M`.
+    """
+    found: list[list[LaneLine]] = [[] for _ in places_m]
+    layers: set[str] = set()
+    low = [places.min(axis=0) - _LANE_REACH_M for places in places_m]
+    high = [places.max(axis=0) + _LANE_REACH_M for places in places_m]
+    parameters = {
+        "map_name": map_name,
+        "west_m": [float(corner[0]) for corner in low],
+        "south_m": [float(corner[1]) for corner in low],
+        "east_m": [float(corner[0]) for corner in high],
+        "north_m": [float(corner[1]) for corner in high],
+    }
+    with database_errors(f"The base layers of map {map_name} cannot be read"):
+        for box, layer, kind, attributes, wkb in stream(conn, load_sql("base_layers.lines_near"), parameters):
+            if bounds_lanes(kind, attributes):
+                line = shapely.get_coordinates(shapely.from_wkb(bytes(wkb)))
+                found[box].append(LaneLine(line, full_kind(kind, attributes)))
+                layers.add(layer)
+    return found, sorted(layers)

@@ -1,4 +1,4 @@
-"""Write a file, or several that belong together, completely or not at all.
+"""Write a file, or several that belong together, completely or not at all; and remove old ones.
 
 Until it is complete it has the name `.<name>.<host>.<pid>.<random>.tmp` beside its own: host and process number distinguish the
 files of a killed process, which `sweep` removes, from those that another process is writing.
@@ -10,16 +10,19 @@ import os
 import re
 import shutil
 import socket
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import TextIO
 from uuid import uuid4
 
 from conetl.files.names import cut_to_bytes
-from conetl.model.errors import cannot_write
+from conetl.model.errors import InputError, cannot_write
 
 _NAME = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<pid>[0-9]+)\.[0-9a-f]{32}\.tmp$")
+#: Name of the link to the newest publication.
+LATEST = "latest"
 
 
 @contextmanager
@@ -98,3 +101,49 @@ def sweep(folders: Iterable[Path]) -> list[Path]:
 
 def _host() -> str:
     return re.sub(r"[^A-Za-z0-9-]", "-", socket.gethostname()) or "host"
+
+
+def old_results(folder: Path, before: datetime) -> list[Path]:
+    """Intermediate results written before a time; they can be computed again from the drives."""
+    return _older(folder.glob("*.parquet"), before)
+
+
+def old_images(folder: Path, before: datetime) -> list[Path]:
+    """Images unpacked from bags and not used since a time; they are unpacked again when needed."""
+    return _older((path for path in folder.glob("*/*") if path.is_file()), before)
+
+
+def old_publications(folder: Path, before: datetime) -> list[Path]:
+    """Folders of publications finished before a time, without the newest."""
+    newest = (folder / LATEST).resolve()
+    finished = _older(folder.glob("*/publication.json"), before)
+    return [path.parent for path in finished if not path.parent.is_symlink() and path.parent.resolve() != newest]
+
+
+def size_bytes(paths: Sequence[Path]) -> int:
+    """Size of files, and of all files in folders; 0 for missing ones."""
+    files = (file for path in paths for file in (path.rglob("*") if path.is_dir() else (path,)))
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def remove(paths: Sequence[Path]) -> int:
+    """Delete files and folders, skipping missing ones; the number of bytes freed. Raises InputError."""
+    freed = 0
+    for path in paths:
+        size = size_bytes([path])
+        try:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise InputError(f"{path} cannot be removed ({error.strerror})") from error
+        freed += size
+    return freed
+
+
+def _older(paths: Iterable[Path], before: datetime) -> list[Path]:
+    limit_s = before.timestamp()
+    return sorted(path for path in paths if path.stat().st_mtime < limit_s)

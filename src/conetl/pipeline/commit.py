@@ -21,7 +21,7 @@ from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.decision_store import held_drives
 from conetl.db.map.map_store import drive_transaction, find_changeset
 from conetl.db.map.results import CommittedChangeset, RunInfo
-from conetl.db.run_store import PendingChangeset
+from conetl.db.receipt_store import PendingChangeset
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.health import AGREES, hold_reason, holding

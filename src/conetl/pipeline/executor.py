@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from typing import Any, Protocol
 
-from conetl.db.run_store import StepTime
+from conetl.db.receipt_store import StepTime
 
 #: Called with the number of images and motions that are done, and of all of them.
 Progress = Callable[[int, int], None]

@@ -14,8 +14,7 @@ from uuid import UUID
 import httpx
 
 from conetl.db.map.map_store import find_map
-from conetl.db.receipt_store import Receipt, write_receipt
-from conetl.db.run_store import StepTime
+from conetl.db.receipt_store import Receipt, StepTime, write_receipt
 from conetl.files.home import make_home
 from conetl.files.storage import forget_all
 from conetl.model.errors import ConetlError, ServiceError, is_of_storage, may_pass, storage_failed

@@ -21,8 +21,7 @@ from conetl.db.map.map_store import find_map
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest
-from conetl.files.atomic import aside, sweep
-from conetl.files.expiry import LATEST
+from conetl.files.atomic import LATEST, aside, sweep
 from conetl.model.errors import InputError
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings

@@ -20,7 +20,7 @@ from conetl.db.connection import Connection
 from conetl.db.map.decision_store import hold_events
 from conetl.db.map.map_store import find_changeset, list_changesets
 from conetl.db.map.results import CommittedChangeset
-from conetl.db.run_store import (
+from conetl.db.receipt_store import (
     QUIET,
     RemovedCone,
     StepTime,

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import list_changesets
+from conetl.db.map.map_store import list_changesets, read_paths
 from conetl.db.serve_store import read_base_tile, read_rows
-from conetl.db.zone_store import read_paths
 from conetl.exports.kind_marks import (
     BRIGHT_POINT,
     CLASS_MARKERS,

@@ -15,10 +15,9 @@ from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
-from conetl.model.errors import DatabaseError, StorageError
+from conetl.model.errors import DatabaseError, InputError, StorageError
 from conetl.perception.images import ImageFileError
-from conetl.reports.camera_images import ImageMissingError
-from conetl.web import basemap, decisions, downloads, frames, layers, live, maps, projection, search
+from conetl.web import basemap, decisions, downloads, frames, layers, live, maps, search
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.ogc.collections import warm
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 STATIC = Path(__file__).parent / "static"
 #: Names by which a browser on this machine may call; any other belongs to a page elsewhere that rebound its name to this machine.
 LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
-_STATUS = {DatabaseError: 503, StorageError: 503, ImageMissingError: 404, ImageFileError: 404}
+_STATUS = {DatabaseError: 503, StorageError: 503, InputError: 404, ImageFileError: 404}
 
 
 def create_app(
@@ -71,7 +70,7 @@ def create_app(
     app.state.gazetteer = gazetteer
     app.state.basemap = base_map
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
-    for routes in (maps, projection, search, frames, layers, basemap, downloads, decisions, live):
+    for routes in (maps, search, frames, layers, basemap, downloads, decisions, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))

@@ -12,7 +12,7 @@ from conetl.db import serve_store as store
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import list_changesets
 from conetl.db.reader_pool import ReaderPool
-from conetl.model.errors import ConetlError, InputError
+from conetl.model.errors import ConetlError
 from conetl.model.records import Rig, utc_from_ns
 from conetl.reports.camera_images import Box, crop_jpeg, frame_jpeg, image_file
 from conetl.reports.drive_passes import expected_box, passes_of
@@ -178,8 +178,5 @@ def drive_report(map_name: MapName, changeset_no: ChangesetNo, conn: Reader) -> 
     found = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == changeset_no]
     if not found:
         raise HTTPException(404, f"The map {map_name} has no changeset {changeset_no}.")
-    try:
-        page = drive_page(conn, found[0], map_name=map_name)
-    except InputError as error:
-        raise HTTPException(404, str(error)) from error
+    page = drive_page(conn, found[0], map_name=map_name)
     return HTMLResponse(page, headers={"Content-Security-Policy": _REPORT_POLICY})

@@ -15,16 +15,8 @@ from conetl.db.connection import Connection
 from conetl.db.live_store import read_provisional
 from conetl.db.serve_store import read_base_tile, read_rows
 from conetl.model.records import Vec3
+from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.models import (
-    BaseLayer,
-    BaseLayers,
-    BaseLine,
-    BaseLines,
-    BaseTile,
-    ProvisionalFeature,
-    ProvisionalFeatures,
-)
 from conetl.web.parameters import MAX_FEATURES, MapName, Reader, cut, origin_of
 
 router = APIRouter(tags=["layers"], prefix="/maps/{map_name}")
@@ -36,8 +28,8 @@ _UNCHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not modifie
 Sha256 = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the tile's bytes.")]
 
 
-@router.get("/base", responses=_UNCHANGED, response_model=BaseLayers)
-def base_layers(map_name: MapName, conn: Reader, request: Request, response: Response) -> BaseLayers | Response:
+@router.get("/base", responses=_UNCHANGED, response_model=m.BaseLayers)
+def base_layers(map_name: MapName, conn: Reader, request: Request, response: Response) -> m.BaseLayers | Response:
     """The base layers of a map and their tiles of points, coarse ones first."""
     origin = origin_of(conn, map_name)
     if unchanged := _unchanged(conn, map_name, origin, request, response):
@@ -46,14 +38,14 @@ def base_layers(map_name: MapName, conn: Reader, request: Request, response: Res
     for source in list_base_sources(conn, map_name):
         layers.setdefault((source["layer_name"], source["kind"]), []).append(source["kept_count"])
     rows, truncated = cut(read_rows(conn, "base_layers.tiles", map_name=map_name, max_rows=_MAX_TILES + 1), _MAX_TILES)
-    return BaseLayers(
+    return m.BaseLayers(
         origin_m=origin,
         layers=[
-            BaseLayer(layer_name=name, kind=kind, files=len(counts), count=sum(counts))
+            m.BaseLayer(layer_name=name, kind=kind, files=len(counts), count=sum(counts))
             for (name, kind), counts in layers.items()
         ],
         tiles=[
-            BaseTile(
+            m.BaseTile(
                 level=row["level"], points=row["points"], origin_m=to.offset(row["origin_m"], origin),
                 scale_m=tuple(row["scale_m"]), high_m=row["high_m"] - origin[2], sha256=row["sha256"],
             )
@@ -63,8 +55,8 @@ def base_layers(map_name: MapName, conn: Reader, request: Request, response: Res
     )  # fmt: skip
 
 
-@router.get("/base/lines", responses=_UNCHANGED, response_model=BaseLines)
-def base_lines(map_name: MapName, conn: Reader, request: Request, response: Response) -> BaseLines | Response:
+@router.get("/base/lines", responses=_UNCHANGED, response_model=m.BaseLines)
+def base_lines(map_name: MapName, conn: Reader, request: Request, response: Response) -> m.BaseLines | Response:
     """The lines of all base layers."""
     origin = origin_of(conn, map_name)
     if unchanged := _unchanged(conn, map_name, origin, request, response):
@@ -72,14 +64,14 @@ def base_lines(map_name: MapName, conn: Reader, request: Request, response: Resp
     rows, truncated = cut(read_rows(conn, "base_layers.lines", map_name=map_name, max_rows=_MAX_LINES + 1), _MAX_LINES)
     shapes = shapely.from_wkb([bytes(row["geom"]) for row in rows])
     lines = [
-        BaseLine(
+        m.BaseLine(
             kind=row["kind"],
             subtype=row["subtype"],
             xyz_m=np.round(shapely.get_coordinates(shape, include_z=True) - origin, _DECIMALS).ravel().tolist(),
         )
         for row, shape in zip(rows, shapes, strict=True)
     ]
-    return BaseLines(origin_m=origin, lines=lines, truncated=truncated)
+    return m.BaseLines(origin_m=origin, lines=lines, truncated=truncated)
 
 
 @router.get(
@@ -104,12 +96,12 @@ def base_tile(map_name: MapName, sha256: Sha256, conn: Reader, request: Request)
 
 
 @router.get("/provisional")
-def provisional(map_name: MapName, conn: Reader) -> ProvisionalFeatures:
+def provisional(map_name: MapName, conn: Reader) -> m.ProvisionalFeatures:
     """Cones of drives that are being recorded; the ingest of a drive replaces its own."""
     origin = origin_of(conn, map_name)
     rows, truncated = cut(read_provisional(conn, map_name=map_name), MAX_FEATURES)
-    features = [to.answer(ProvisionalFeature, row, origin, is_watched=row["ended_at"] is None) for row in rows]
-    return ProvisionalFeatures(origin_m=origin, features=features, truncated=truncated)
+    features = [to.answer(m.ProvisionalFeature, row, origin, is_watched=row["ended_at"] is None) for row in rows]
+    return m.ProvisionalFeatures(origin_m=origin, features=features, truncated=truncated)
 
 
 def _unchanged(conn: Connection, map_name: str, origin: Vec3, request: Request, response: Response) -> Response | None:

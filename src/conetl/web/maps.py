@@ -10,7 +10,7 @@ from fastapi import APIRouter, HTTPException, Query, Request, Response
 
 from conetl.db import serve_store as store
 from conetl.db.map.archive import list_maps
-from conetl.db.map.map_store import find_map, list_changesets
+from conetl.db.map.map_store import list_changesets, require_map
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Rig, Vec3, utc_from_ns
 from conetl.reports.drive_passes import reasons_of
@@ -41,11 +41,9 @@ def maps(request: Request, conn: Reader) -> m.Maps:
 def timeline(map_name: MapName, conn: Reader) -> m.Timeline:
     """All changesets of a map, oldest first."""
     origin = origin_of(conn, map_name)
-    info = find_map(conn, map_name)
-    if info is None:
-        raise HTTPException(404, f"There is no map {map_name}.")
+    srid = require_map(conn, map_name).srid
     items = [to.timeline_item(c) for c in reversed(list_changesets(conn, map_name=map_name))]
-    return m.Timeline(map_name=map_name, srid=info.srid, origin_m=origin, changesets=items)
+    return m.Timeline(map_name=map_name, srid=srid, origin_m=origin, changesets=items)
 
 
 @router.get(f"{_MAP}/features", response_model=m.Features)

@@ -6,7 +6,7 @@ import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from conetl.files.expiry import LATEST, old_images, old_publications, old_results, remove, size_bytes
+from conetl.files.atomic import LATEST, old_images, old_publications, old_results, remove, size_bytes
 from conetl.readers.drives.bag_messages import unpack
 
 NOW = datetime.now(UTC)

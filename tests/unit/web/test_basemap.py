@@ -12,7 +12,7 @@ import pytest
 from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.model.errors import InputError, StorageError
 from conetl.web.basemap import base_map, tile_id
-from conetl.web.projection import RADIUS_M, fit_projection
+from conetl.web.search import RADIUS_M, fit_projection
 from tests.pmtiles_file import write_pmtiles
 
 

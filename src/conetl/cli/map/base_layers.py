@@ -8,19 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from conetl.cli.console import (
-    Columns,
-    JsonOption,
-    MapOption,
-    answer,
-    complain,
-    counted,
-    note,
-    print_json,
-    print_records,
-    progress_bar,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.base_store import drop_base_layer, list_base_sources, read_map_ground
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_NEEDS_ATTENTION, InputError
@@ -57,8 +45,8 @@ def import_files(
             "--height-offset", min=-10_000, max=10_000, help="Add this to heights, in metres, e.g. the geoid's."
         ),
     ] = 0.0,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Import files as base layers. An unchanged file changes nothing; a changed file replaces its earlier version."""
     done: list[ImportedFile] = []
@@ -69,14 +57,14 @@ def import_files(
                 map_name, path, kind=kind, crs=crs, layer=layer, voxel_m=voxel, height_offset_m=height_offset
             )
         except InputError as error:
-            complain(error)
+            ui.complain(error)
             failed = True
         else:
             done.append(imported)
             if not as_json:
                 print_imported(imported)
     if as_json:
-        print_json(done)
+        ui.print_json(done)
     if failed:
         raise typer.Exit(EXIT_BAD_INPUT)
     if any(item.refused > _MAX_REFUSED_SHARE * item.read for item in done):
@@ -96,7 +84,7 @@ def import_one(
     if not _LAYER_NAME.fullmatch(name):
         raise InputError(f"--layer {name!r}: a name has 1 to 60 letters, digits, spaces, dots, dashes or underscores")
     unit = "scans" if path.is_dir() else "points"
-    with open_map(map_name) as (conn, info), progress_bar(path.name, unit) as update:
+    with open_map(map_name) as (conn, info), ui.progress_bar(path.name, unit) as update:
         ground = read_map_ground(conn, info.map_name, info.srid)
         return import_file(FileImport(conn, path, ground, info.map_name, name, crs, voxel_m, height_offset_m, update))
 
@@ -104,19 +92,19 @@ def import_one(
 def print_imported(item: ImportedFile) -> None:
     """The result for one file."""
     for warning in item.warnings:
-        note(warning)
+        ui.note(warning)
     if item.unchanged:
-        say(f"{item.file}: already in layer {item.layer}, nothing changed")
+        ui.say(f"{item.file}: already in layer {item.layer}, nothing changed")
         return
     of = f" of {item.read:,}" if item.read != item.kept else ""
-    say(f"{item.file} -> layer {item.layer}: {item.kept:,}{of} {item.kind}")
+    ui.say(f"{item.file} -> layer {item.layer}: {item.kept:,}{of} {item.kind}")
     for refusal in item.refusals[:_SHOWN_REFUSALS]:
-        say(f"  not used: {refusal}")
+        ui.say(f"  not used: {refusal}")
     if len(item.refusals) > _SHOWN_REFUSALS:
-        say(f"  not used: {len(item.refusals) - _SHOWN_REFUSALS} more")
+        ui.say(f"  not used: {len(item.refusals) - _SHOWN_REFUSALS} more")
 
 
-_COLUMNS: Columns = {
+_COLUMNS: ui.Columns = {
     "layer": "layer_name",
     "kind": "kind",
     "file": lambda s: Path(s["source_path"]).name,
@@ -131,22 +119,22 @@ _COLUMNS: Columns = {
 }
 
 
-def list_layers(map_name: MapOption = None, as_json: JsonOption = False) -> None:
+def list_layers(map_name: ui.MapOption = None, as_json: ui.JsonOption = False) -> None:
     """List the base layers of the map and their files."""
     with open_map(map_name) as (conn, info):
         found = list_base_sources(conn, info.map_name)
     if as_json:
-        print_json(found)
+        ui.print_json(found)
     elif found:
-        print_records("", _COLUMNS, found, numbers_from=4)
+        ui.print_records("", _COLUMNS, found, numbers_from=4)
     else:
-        say(f"The map {info.map_name} has no base layers: `conetl base import FILE` adds one.")
+        ui.say(f"The map {info.map_name} has no base layers: `conetl base import FILE` adds one.")
 
 
 def drop(
     layer: Annotated[str, typer.Argument(help="Name of the layer.")],
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Remove a base layer with all its files; cones and their history are kept."""
     with open_map(map_name) as (conn, info):
@@ -154,7 +142,7 @@ def drop(
     if not dropped:
         raise InputError(f"the map {info.map_name} has no base layer {layer}: `conetl base list` lists them")
     facts = {"layer": layer, "files": len(dropped)}
-    answer(as_json, facts, f"Removed layer {layer} with {counted(len(dropped), 'file')}.")
+    ui.answer(as_json, facts, f"Removed layer {layer} with {ui.counted(len(dropped), 'file')}.")
 
 
 def _name_of(path: Path) -> str:

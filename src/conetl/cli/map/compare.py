@@ -1,7 +1,8 @@
-"""`conetl map diff` and `conetl map check-points`: two states of the map, and the map against surveyed points."""
+"""`conetl map diff`, `picture` and `check-points`: states of the map, as lists and plans, and against surveyed points."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from datetime import datetime
@@ -11,19 +12,9 @@ from uuid import UUID
 
 import numpy as np
 import typer
+from pyproj import Transformer
 
-from conetl.cli.console import (
-    Columns,
-    JsonOption,
-    MapOption,
-    class_if_mixed,
-    counted,
-    parse_instant,
-    print_json,
-    print_records,
-    print_table,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import feature_log, list_changesets, read_features_as_of
@@ -31,8 +22,10 @@ from conetl.evaluation.check_points import CheckedMap, check_map
 from conetl.exports.geojson import ChangeOrigin, export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
+from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
 from conetl.model.map_records import FeatureChange, MapFeature
 from conetl.readers.surveyed_points import read_surveyed_points
+from conetl.reports.map_picture import SUFFIXES, Bbox, draw_map_picture, plan_extent, read_plan_content
 
 _AXES = ("east", "north", "up", "horizontal", "3D")
 
@@ -44,8 +37,8 @@ def diff(
     picture: Annotated[
         Path | None, typer.Option("--picture", "--image", help="PNG to write: both states, changes in colour.")
     ] = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Show the differences between two states of the map."""
     with open_map(map_name) as (conn, info):
@@ -70,20 +63,20 @@ def diff(
             untouched_label="no difference",
         )
     if as_json:
-        print_json(changes)
+        ui.print_json(changes)
         return
     lines = [change for change in changes if change.is_of_line]
-    say(_counts(points) or ("No differences." if not lines else "No differences of cones."))
+    ui.say(_counts(points) or ("No differences." if not lines else "No differences of cones."))
     if lines:
-        say(f"Lane markings: {_counts(lines)}")
-    columns = class_if_mixed(_COLUMNS, {change.state_after.category for change in changes})
-    print_records("", columns, changes, numbers_from=2)
+        ui.say(f"Lane markings: {_counts(lines)}")
+    columns = ui.class_if_mixed(_COLUMNS, {change.state_after.category for change in changes})
+    ui.print_records("", columns, changes, numbers_from=2)
     if output is not None:
-        say(f"{len(points)} changes -> {output}")
+        ui.say(f"{len(points)} changes -> {output}")
         if lines:
-            say("Lane markings are not in this file: `conetl map export --what changes` writes them.")
+            ui.say("Lane markings are not in this file: `conetl map export --what changes` writes them.")
     if picture is not None:
-        say(f"image -> {picture}")
+        ui.say(f"image -> {picture}")
 
 
 def _origins(
@@ -112,7 +105,7 @@ def _counts(changes: Sequence[FeatureChange]) -> str:
     return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
 
 
-_COLUMNS: Columns = {
+_COLUMNS: ui.Columns = {
     "change": lambda change: str(change.kind),
     "feature": "feature_id",
     "class": "state_after.category",
@@ -139,7 +132,7 @@ def instants_of(conn: Connection, map_name: str, name: str) -> tuple[datetime | 
         if not changesets:
             raise InputError(f"the map {map_name} has no changeset {name}: `conetl map log` lists them")
         return None, changesets[0].committed_at
-    return parse_instant(name), None
+    return ui.parse_instant(name), None
 
 
 def check_points(
@@ -161,19 +154,19 @@ def check_points(
         float, typer.Option(min=0.01, help="A cone stands on a point if it is at most this far away.")
     ] = 0.75,
     as_of: Annotated[str | None, typer.Option("--as-of", help="State of the road at this time.")] = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Compare the map with surveyed check points: residuals, RMSE, and whether the stated sigmas are true.
 
     The points change nothing on the map. Exit code 1 if no point has a cone, or the residuals contradict the stated sigmas.
     """
     with open_map(map_name) as (conn, info):
-        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=info.map_name))
+        versions = list(read_features_as_of(conn, ui.parse_instant(as_of), map_name=info.map_name))
     points = read_surveyed_points(file, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
     checked = check_map(points, [version.feature for version in versions], within_m=within_m)
     if as_json:
-        print_json(_values(checked, info.srid))
+        ui.print_json(_values(checked, info.srid))
     else:
         _print(checked, info.map_name, info.srid)
     raise typer.Exit(EXIT_NEEDS_ATTENTION if checked.contradicts or checked.rmse_m is None else EXIT_DONE)
@@ -210,18 +203,127 @@ def _print(checked: CheckedMap, name: str, srid: int) -> None:
         else (r.point.name, "no cone", "", "", "", "")
         for r in checked.residuals
     ]
-    say(f"Map {name}, EPSG:{srid}, minus check points:")
-    print_table("", ("point", "feature", "east m", "north m", "up m", "3D m"), rows, numbers_from=2)
+    ui.say(f"Map {name}, EPSG:{srid}, minus check points:")
+    ui.print_table("", ("point", "feature", "east m", "north m", "up m", "3D m"), rows, numbers_from=2)
     used = sum(r.feature is not None for r in checked.residuals)
     if checked.rmse_m is None or checked.mean_m is None:
-        say(
+        ui.say(
             "No cone of the map stands on a check point: is the CRS the right one (--crs), or the height system (--heights)?"
         )
         return
-    say(f"{used} of {counted(len(checked.residuals), 'point')} with a cone. RMSE: "
+    ui.say(f"{used} of {ui.counted(len(checked.residuals), 'point')} with a cone. RMSE: "
         + ", ".join(f"{axis} {value:.3f}" for axis, value in zip(_AXES, checked.rmse_m, strict=True)) + " m.")  # fmt: skip
-    say(
+    ui.say(
         "Mean: " + ", ".join(f"{axis} {value:+.3f}" for axis, value in zip(_AXES, checked.mean_m, strict=False)) + " m."
     )
     agrees = "contradict" if checked.contradicts else "agree with"
-    say(f"The residuals {agrees} the stated sigmas (NEES {checked.nees:.2f} per axis, 1 is expected).")
+    ui.say(f"The residuals {agrees} the stated sigmas (NEES {checked.nees:.2f} per axis, 1 is expected).")
+
+
+def picture(
+    output: Annotated[Path, typer.Argument(metavar="OUT", help=f"File to write: {', '.join(SUFFIXES)}.")],
+    at: Annotated[
+        str | None, typer.Option("--at", help="State of the road at this time, e.g. 2026-03-02; default: latest.")
+    ] = None,
+    known_at: Annotated[
+        str | None, typer.Option("--known-at", help="Database state at this time; default: now.")
+    ] = None,
+    changes: Annotated[
+        tuple[str, str] | None,
+        typer.Option("--changes", metavar="A B", help="Show the changes between two changeset numbers or two times."),
+    ] = None,
+    bbox: Annotated[
+        str | None,
+        typer.Option("--bbox", help="west,south,east,north in the map's CRS or in degrees; default: the whole map."),
+    ] = None,
+    size: Annotated[str | None, typer.Option("--size", help="Width x height in millimetres, e.g. 240x160.")] = None,
+    title: Annotated[str | None, typer.Option("--title", help="Title; default: the name of the map.")] = None,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
+) -> None:
+    """Draw a plan of the map for a report: cones, lane markings, base layers, drive paths, scale bar, legend, CRS and date."""
+    if output.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
+    if changes is not None and (at is not None or known_at is not None):
+        raise InputError("--changes names both states: leave --at and --known-at out")
+    valid_at, known = ui.parse_instant(at), ui.parse_instant(known_at)
+    size_mm = _size(size)
+    with open_map(map_name) as (conn, info):
+        name = info.map_name
+        if changes is None:
+            versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name, lines=True)
+            standing, differing = [version.feature for version in versions], None
+        else:
+            standing = state_of(conn, name, changes[1])
+            valid_at, known = instants_of(conn, name, changes[1])
+            differing = map_diff.diff(state_of(conn, name, changes[0]), standing)
+        extent = plan_extent(standing, differing) if bbox is None else _bbox(bbox, info.srid)
+        content = read_plan_content(
+            conn, name, info.srid, extent, standing, differing, valid_at=valid_at, known_at=known
+        )
+    classes = Counter(feature.category for feature in standing)
+    painted = classes.pop(LANE_MARKING, 0)
+    if title is None:
+        drawn = [*standing, *(change.old for change in differing or () if change.old is not None)]
+        title = f"Traffic cones, map {name}" if {one.category for one in drawn} <= {CONE} else f"Map {name}"
+        title += f": changes from {changes[0]} to {changes[1]}" if changes else ""
+    footer = _footer(valid_at, known, changes, info.last_committed_at)
+    done = draw_map_picture(output, content, extent, size_mm=size_mm, title=title, footer=footer)
+    lines, points = len(content.lines_m), len(content.points_m)
+    facts: dict[str, object] = {
+        "picture": str(done),
+        "objects_by_class": Counter(feature.category for feature in standing),
+    }
+    facts |= {
+        "changes": None if differing is None else len(differing),
+        "lines": lines,
+        "points": points,
+        "bbox": extent,
+    }
+    shown = f"{ui.counted_by_class(classes)}, " + (f"{ui.counted(painted, noun_of(LANE_MARKING))}, " if painted else "")
+    ui.answer(as_json, facts, f"{shown}{lines} lane boundaries, {points} points -> {done}")
+
+
+def _footer(
+    valid_at: datetime | None, known: datetime | None, changes: tuple[str, str] | None, last: datetime | None
+) -> str:
+    """Which state of the map is drawn."""
+    if changes:
+        parts = [f"{changes[0]} compared with {changes[1]}"]
+    else:
+        parts = [f"on the road at {valid_at:%Y-%m-%d %H:%M} UTC" if valid_at else "latest state"]
+    if known:
+        parts.append(f"database state at {known:%Y-%m-%d %H:%M} UTC")
+    elif last:
+        parts.append(f"last change of the database {last:%Y-%m-%d %H:%M} UTC")
+    return " · ".join([*parts, "grid north · conetl"])
+
+
+def _size(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        width, height = (float(part) for part in text.lower().split("x"))
+    except ValueError:
+        width = height = math.nan
+    if not (60 <= width <= 1200 and 60 <= height <= 1200):
+        raise InputError(f"--size {text}: expected width x height in millimetres, 60 to 1200 each, like 240x160")
+    return width, height
+
+
+def _bbox(text: str, srid: int) -> Bbox:
+    """In the map's CRS; numbers in the range of degrees are longitudes and latitudes. Raises InputError."""
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--bbox {text}: expected west,south,east,north") from None
+    if not all(map(math.isfinite, (west, south, east, north))) or west >= east or south >= north:
+        raise InputError(f"--bbox {text}: west must be less than east and south less than north")
+    if abs(west) <= 180 and abs(east) <= 180 and abs(south) <= 90 and abs(north) <= 90:
+        to_map = Transformer.from_crs(4326, srid, always_xy=True)
+        west, south, east, north = to_map.transform_bounds(west, south, east, north)
+        if not all(map(math.isfinite, (west, south, east, north))):
+            raise InputError(f"--bbox {text}: this area does not exist in the map's CRS, EPSG:{srid}")
+    if max(east - west, north - south) > 100_000:
+        raise InputError(f"--bbox {text}: at most 100 km can be drawn")
+    return west, south, east, north

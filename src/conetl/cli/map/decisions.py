@@ -9,17 +9,7 @@ from uuid import UUID
 
 import typer
 
-from conetl.cli.console import (
-    Columns,
-    JsonOption,
-    MapOption,
-    complain,
-    counted,
-    print_held,
-    print_json,
-    print_records,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import held_drives, list_decisions
@@ -42,8 +32,8 @@ def suppress(
     radius: Radius = 1.0,
     note: Note = "",
     by: By = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Mark a feature as a false positive: no cone is added here, whatever drives detect."""
     _decide_place("suppress", feature, radius, note, by, map_name, as_json)
@@ -54,8 +44,8 @@ def pin(
     radius: Radius = 1.0,
     note: Note = "",
     by: By = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Fix a cone: drives may confirm it, but neither move nor remove it."""
     _decide_place("pin", feature, radius, note, by, map_name, as_json)
@@ -67,8 +57,8 @@ def classify(
     radius: Radius = 1.0,
     note: Note = "",
     by: By = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Correct the class of an object: what drives detect here as its present class is another one."""
     _decide_place("classify", feature, radius, note, by, map_name, as_json, category)
@@ -80,8 +70,8 @@ def revert(
     ],
     note: Note = "",
     by: By = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Undo a changeset (its drive no longer counts) or a decision. Nothing is lost: revert the revert to restore it."""
     from conetl.pipeline.maps import decisions
@@ -98,8 +88,8 @@ def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> N
     """What other drives changed after a reverted changeset. numbers: of changesets."""
     if not decided.conflicts:
         return
-    say("Other drives changed these features as well; their changes are kept:")
-    columns: Columns = {
+    ui.say("Other drives changed these features as well; their changes are kept:")
+    columns: ui.Columns = {
         "feature": "feature_id",
         "change undone": lambda conflict: str(conflict.kind),
         "before": lambda conflict: _state_text(conflict.was, "absent"),
@@ -107,17 +97,17 @@ def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> N
         "now": lambda conflict: _state_text(conflict.is_now, "absent"),
         "by changeset": lambda conflict: conflict.is_now and numbers.get(conflict.is_now.changeset_id),
     }
-    print_records("", columns, decided.conflicts, numbers_from=5)
+    ui.print_records("", columns, decided.conflicts, numbers_from=5)
 
 
-def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
+def decisions(map_name: ui.MapOption = None, as_json: ui.JsonOption = False) -> None:
     """List the decisions in force."""
     with open_map(map_name) as (conn, info):
         found = list_decisions(conn, map_name=info.map_name)
     if as_json:
-        print_json(found)
+        ui.print_json(found)
         return
-    columns: Columns = {
+    columns: ui.Columns = {
         "decision": "decision_id",
         "kind": "kind",
         "about": lambda decision: decision.feature_id or decision.changeset_id,
@@ -129,30 +119,30 @@ def decisions(map_name: MapOption = None, as_json: JsonOption = False) -> None:
         "by": "decided_by",
         "note": "note",
     }
-    print_records("", columns, found, numbers_from=4)
+    ui.print_records("", columns, found, numbers_from=4)
     if not found:
-        say("No decisions.")
+        ui.say("No decisions.")
 
 
-def held(map_name: MapOption = None, as_json: JsonOption = False) -> None:
+def held(map_name: ui.MapOption = None, as_json: ui.JsonOption = False) -> None:
     """List the drives on hold, and why."""
     with open_map(map_name) as (conn, info):
         found = held_drives(conn, map_name=info.map_name)
         known = {one.changeset_id: one for one in list_changesets(conn, map_name=info.map_name)}
     if as_json:
-        print_json([vars(known[one.changeset_id]) | one.model_dump(mode="json") for one in found])
+        ui.print_json([vars(known[one.changeset_id]) | one.model_dump(mode="json") for one in found])
         return
-    print_held(found)
+    ui.print_held(found)
     if not found:
-        say("No drive is on hold.")
+        ui.say("No drive is on hold.")
 
 
 def accept(
     drive: Annotated[str, typer.Argument(help="Drive on hold: its id, or the number of its changeset.")],
     note: Note = "",
     by: By = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Let a drive on hold count as it is: it is compared with the map, and so are later drives over the same roads."""
     from conetl.pipeline.maps.decisions import accept_drive
@@ -194,21 +184,21 @@ def finish(conn: Connection, decided: DecisionOutcome, map_name: str, as_json: b
     """Print what a decision did, and write the QA reports of the drives again whose state it changed. Exits with 1 where a report
     cannot be written: the decision is made."""
     if as_json:
-        print_json(decided._asdict() | {"conflicts": [conflict._asdict() for conflict in decided.conflicts]})
+        ui.print_json(decided._asdict() | {"conflicts": [conflict._asdict() for conflict in decided.conflicts]})
     else:
-        say(
+        ui.say(
             f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): {decided.versions_written} feature versions written, "
-            f"{counted(decided.replayed, 'drive')} compared with the map again."
+            f"{ui.counted(decided.replayed, 'drive')} compared with the map again."
         )
         if decided.replaced_by is not None:
-            say(f"The drive does not count: a later delivery of it does (changeset {decided.replaced_by}).")
+            ui.say(f"The drive does not count: a later delivery of it does (changeset {decided.replaced_by}).")
         for change in decided.hold_changes:
-            say(change.sentence)
+            ui.say(change.sentence)
     from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load
 
     problem = publish_decision(conn, decided, read_settings(map_name))
     if problem is not None:
-        complain(problem)
+        ui.complain(problem)
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 

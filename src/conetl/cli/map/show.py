@@ -11,19 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import (
-    Columns,
-    JsonOption,
-    MapOption,
-    cell,
-    class_if_mixed,
-    counted,
-    counted_by_class,
-    parse_instant,
-    print_json,
-    print_records,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
@@ -36,7 +24,7 @@ from conetl.model.markings import Marking
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.settings import read_settings
 
-_FEATURES: Columns = {
+_FEATURES: ui.Columns = {
     "feature": lambda v: v.feature.feature_id,
     "class": lambda v: v.feature.category,
     "version": lambda v: v.feature.version,
@@ -51,7 +39,7 @@ _FEATURES: Columns = {
     "missed": lambda v: v.missed_count or "",
     "first seen (UTC)": lambda v: f"{utc_from_ns(v.feature.first_seen_ns):%Y-%m-%d %H:%M}",
 }
-_LINES: Columns = {
+_LINES: ui.Columns = {
     **{heading: read for heading, read in _FEATURES.items() if heading not in ("class", "cone m", "missed")},
     "length m": lambda v: f"{_length_m(v.feature.marking):.1f}",
     "width m": lambda v: f"{v.feature.marking.width_m:.2f}",
@@ -75,8 +63,8 @@ def show(
     category: Annotated[
         list[str] | None, typer.Option(help="Only objects of this class, such as drum; may be repeated.")
     ] = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """List the cones and other objects on the map."""
     if provisional:
@@ -88,7 +76,7 @@ def show(
         return
     with open_map(map_name) as (conn, info):
         summary = map_summary(conn, info.map_name)
-        versions = list(read_features_as_of(conn, parse_instant(as_of), map_name=info.map_name, lines=True))
+        versions = list(read_features_as_of(conn, ui.parse_instant(as_of), map_name=info.map_name, lines=True))
     if category and "all" not in category:
         there = {version.feature.category for version in versions}
         if unknown := set(category) - there - set(FEATURE_CLASSES):
@@ -100,23 +88,23 @@ def show(
             v.feature.model_dump(mode="json") | {"seen_count": v.seen_count, "missed_count": v.missed_count}
             for v in versions
         ]
-        print_json({"map": summary, "features": features})
+        ui.print_json({"map": summary, "features": features})
     elif summary is not None:
         when = f" as of {as_of}" if as_of else ""
-        changesets = counted(summary["changeset_count"], "changeset")
+        changesets = ui.counted(summary["changeset_count"], "changeset")
         classes = Counter(version.feature.category for version in versions)
-        say(f"Map {info.map_name}, EPSG:{info.srid}: {counted_by_class(classes)}{when}, {changesets}.")
+        ui.say(f"Map {info.map_name}, EPSG:{info.srid}: {ui.counted_by_class(classes)}{when}, {changesets}.")
         points, lines = ([v for v in versions if (v.feature.marking is not None) is one] for one in (False, True))
-        print_records("", class_if_mixed(_FEATURES, {v.feature.category for v in points}), points)
-        print_records("", _LINES, lines)
+        ui.print_records("", ui.class_if_mixed(_FEATURES, {v.feature.category for v in points}), points)
+        ui.print_records("", _LINES, lines)
 
 
 def log(
     feature: Annotated[
         str | None, typer.Argument(help="Id of a feature, or its first characters; default: the changesets of the map.")
     ] = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Show the history of the map, or of one feature."""
     from conetl.reports.drive_passes import reasons_of  # OpenCV takes a while to load
@@ -136,25 +124,29 @@ def log(
             classified = read_decisions(conn, map_name=name).classified
             reasons = reasons_of(conn, name, found[0], [vars(entry) for entry in entries])
     if as_json and feature is None:
-        print_json([vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets])
+        ui.print_json(
+            [vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets]
+        )
     elif as_json:
-        print_json([vars(entry) | {"why": reason} for entry, reason in zip(entries, reasons, strict=True)])
+        ui.print_json([vars(entry) | {"why": reason} for entry, reason in zip(entries, reasons, strict=True)])
     elif feature is None:
         # Newest first; what happened at the instant of a commit comes after it.
         rows: list[CommittedChangeset | HoldEvent] = [*reversed(changesets), *events]
         rows.sort(key=lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at)
         markings = any(one.line_counts for one in changesets)
         columns = {heading: read for heading, read in _LOG.items() if markings or heading != "lane markings"}
-        print_records("", columns, rows[::-1], numbers_from=3)
+        ui.print_records("", columns, rows[::-1], numbers_from=3)
     else:
-        print_records("", class_if_mixed(_HISTORY, {entry.category for entry in entries}), entries, numbers_from=3)
+        ui.print_records(
+            "", ui.class_if_mixed(_HISTORY, {entry.category for entry in entries}), entries, numbers_from=3
+        )
         for entry, reason in zip(entries, reasons, strict=True):
             if entry.believed_until is None:
-                say(reason)
+                ui.say(reason)
         for one in classified:
             if any(entry.believed_until is None and _is_about(one, entry) for entry in entries):
                 classes = f"{noun_of(one.category)} instead of {noun_of(one.found_as)}"
-                say(f"Class by a person's decision: {classes}, see `conetl map decisions`.")
+                ui.say(f"Class by a person's decision: {classes}, see `conetl map decisions`.")
 
 
 def _is_about(decision: Classification, entry: FeatureLogEntry) -> bool:
@@ -183,7 +175,7 @@ def _frames(entry: FeatureLogEntry) -> str:
     return ", ".join(f"{count} {word}" for count, word in parts if count)
 
 
-_CHANGESETS: Columns = {
+_CHANGESETS: ui.Columns = {
     "no": "changeset_no",
     "drive": "drive_id",
     "committed (UTC)": "committed_at",
@@ -204,14 +196,14 @@ def _of_changeset(read: str | Callable[[Any], object]) -> Callable[[Any], object
     return lambda row: None if isinstance(row, HoldEvent) else reader(row)
 
 
-_LOG: Columns = {
+_LOG: ui.Columns = {
     **{heading: _of_changeset(read) for heading, read in _CHANGESETS.items()},
     "no": "changeset_no",
     "drive": "drive_id",
     "committed (UTC)": lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at,
     "": lambda row: row.sentence if isinstance(row, HoldEvent) else _state_of(row),
 }
-_HISTORY: Columns = {
+_HISTORY: ui.Columns = {
     "change": "kind",
     "class": "category",
     "drive": "drive_id",
@@ -224,6 +216,6 @@ _HISTORY: Columns = {
     "probability": "existence_probability",
     "observations": "observation_count",
     "shift m": "shift_m",
-    "with": lambda e: "suppressed" if e.suppressed else cell(e.other_feature_id),
+    "with": lambda e: "suppressed" if e.suppressed else ui.cell(e.other_feature_id),
     "superseded (UTC)": "believed_until",
 }

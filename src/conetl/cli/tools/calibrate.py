@@ -15,17 +15,8 @@ from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, CalibrationError, InputError
 from conetl.model.records import SIDES
 from conetl.model.rejections import RejectionReason
+from conetl.perception.boards import images as board_images
 from conetl.perception.boards.boards import Board, parse_board
-from conetl.perception.boards.images import (
-    BoardImages,
-    ImagePair,
-    find_boards,
-    pairs_by_pattern,
-    pairs_even_odd,
-    pairs_in_folders,
-    rejection,
-    start_values,
-)
 from conetl.perception.boards.videos import find_videos, open_videos, pairs_in_videos
 from conetl.perception.images import ImageFileError
 from conetl.perception.video import Layout
@@ -108,11 +99,11 @@ def calibrate(
             done += 1
             update(done, total)
 
-        images = find_boards(pairs, drawn, on_image=count_image)
+        images = board_images.find_boards(pairs, drawn, on_image=count_image)
     _check_found(images, drawn)
     try:
         result = calibrate_stereo(
-            drawn.points_m(), images.views, start_values(drawn.points_m(), images.views, images.sizes),
+            drawn.points_m(), images.views, board_images.start_values(drawn.points_m(), images.views, images.sizes),
             models=tuple(model for model in MODELS if lens in ("auto", model)),
             board_shapes=tuple(shape for shape in _SHAPES if board_shape in ("auto", shape)),
         )  # fmt: skip
@@ -122,7 +113,8 @@ def calibrate(
     name = rig_id or f"rig-{hashlib.sha256(repr(result.bundle).encode()).hexdigest()[:8]}"
     rig = rig_of(result, name, scale_sigma_relative=1e-3 * square_sigma_mm / drawn.size_m)
     misfits = [
-        rejection(pairs[r.pair_index], r.side, RejectionReason.BOARD_MISFIT, r.detail) for r in result.rejected_views
+        board_images.rejection(pairs[r.pair_index], r.side, RejectionReason.BOARD_MISFIT, r.detail)
+        for r in result.rejected_views
     ]
     # A video also shows how the board is brought and taken away.
     empty = _without_board(images) if videos else frozenset()
@@ -154,7 +146,7 @@ def _videos(sources: list[Path], layout: Layout | None) -> list[Path]:
     return found
 
 
-def _pairs_of_videos(videos: list[Path], layout: Layout | None, offset_s: float | None) -> list[ImagePair]:
+def _pairs_of_videos(videos: list[Path], layout: Layout | None, offset_s: float | None) -> list[board_images.ImagePair]:
     opened = open_videos(videos, layout)
     with progress_bar("choose frames", "frames") as update:
         try:
@@ -165,20 +157,20 @@ def _pairs_of_videos(videos: list[Path], layout: Layout | None, offset_s: float 
     return pairs
 
 
-def _without_board(images: BoardImages) -> frozenset[str]:
+def _without_board(images: board_images.BoardImages) -> frozenset[str]:
     """Names of the pairs of which neither image shows the board."""
     counted = Counter(r.payload["pair"] for r in images.rejections if r.reason is RejectionReason.BOARD_NOT_FOUND)
     return frozenset(str(name) for name, count in counted.items() if count == len(SIDES))
 
 
-def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) -> list[ImagePair]:
+def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) -> list[board_images.ImagePair]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
     if (left is None) != (right is None):
         raise InputError("--left-pattern and --right-pattern require each other")
     if left is not None and right is not None:
-        return pairs_by_pattern(folder, left, right)
-    return pairs_even_odd(folder) if pairing == "even-odd" else pairs_in_folders(folder)
+        return board_images.pairs_by_pattern(folder, left, right)
+    return board_images.pairs_even_odd(folder) if pairing == "even-odd" else board_images.pairs_in_folders(folder)
 
 
 def _sensor(text: str) -> tuple[float, float]:
@@ -191,7 +183,7 @@ def _sensor(text: str) -> tuple[float, float]:
     return width, height
 
 
-def _check_found(images: BoardImages, board: Board) -> None:
+def _check_found(images: board_images.BoardImages, board: Board) -> None:
     """Raise CalibrationError if no image shows the board, with the most frequent reason."""
     if images.views:
         return

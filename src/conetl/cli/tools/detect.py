@@ -10,17 +10,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from conetl.cli.console import (
-    Columns,
-    JsonOption,
-    answer,
-    complain,
-    counted,
-    print_json,
-    print_records,
-    progress_bar,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.files.atomic import atomic_text_file
 from conetl.model.detector_evidence import calibrated_probability
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
@@ -43,7 +33,7 @@ _FIELDS = (
     "ground_distance_m", "cone_height_m", "ground_distance_sigma_m", "xyz_m", "centre_xyz_m", "centre_height_m",
     "residual_rms_px", "score",
 )  # fmt: skip
-_COLUMNS: Columns = {
+_COLUMNS: ui.Columns = {
     "object": lambda item: item[0],
     "category": lambda item: item[1].category,
     "ground distance m": lambda item: item[1].ground_distance_m,
@@ -67,7 +57,7 @@ def detect(
     category: Annotated[
         list[str] | None, typer.Option(help="Only this category, such as traffic_cone; may be repeated.")
     ] = None,
-    as_json: JsonOption = False,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Detect cones, and what else the model knows, in images and write their boxes as JSON.
 
@@ -84,14 +74,14 @@ def detect(
     usable = 0
     refused: list[str] = []
     # Opened first, so that a path that cannot be written fails before the detection.
-    with atomic_text_file(output) as file, progress_bar("detect", "images") as update:
+    with atomic_text_file(output) as file, ui.progress_bar("detect", "images") as update:
         for number, path in enumerate(paths):
             update(number, len(paths))
             try:
                 image = read_upright_image(path)
             except ImageFileError as error:
                 refused.append(str(path))
-                complain(InputError(str(error)))
+                ui.complain(InputError(str(error)))
                 continue
             boxes = detect_image(detector, image, score_threshold=score, single_image=True, categories=category or None)
             found += [_entry(path, box, detector.card) for box in boxes]
@@ -109,11 +99,11 @@ def detect(
         "of_map_score": usable,
         "written": str(output),
     }
-    read = counted(len(paths) - len(refused), "image")
-    text = f"{counted(len(found), 'detection')} in {read}, {usable} of score {USED_SCORE} and more -> {output}"
-    answer(as_json, facts, text)
+    read = ui.counted(len(paths) - len(refused), "image")
+    text = f"{ui.counted(len(found), 'detection')} in {read}, {usable} of score {USED_SCORE} and more -> {output}"
+    ui.answer(as_json, facts, text)
     if draw is not None and not as_json:
-        say(f"annotated images -> {draw}")
+        ui.say(f"annotated images -> {draw}")
     if refused:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
@@ -166,7 +156,7 @@ def locate(
         Path,
         typer.Option(help="rig.yaml, or a calibration of KITTI, OpenCV, Kalibr, ROS or MATLAB, or a folder with one."),
     ],
-    as_json: JsonOption = False,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Compute ground distance and height of each cone, and of what else the model knows, in one stereo pair.
 
@@ -185,7 +175,7 @@ def locate(
             {"category": c.category, "ground_distance_m": c.ground_distance_m, "height_m": c.cone_height_m}
             for c in found.misfits
         ]
-        print_json(
+        ui.print_json(
             {
                 "cones": [_row(cone) for cone in found.cones],
                 "objects": [{"category": one.category, **_row(one)} for one in found.objects],
@@ -197,22 +187,22 @@ def locate(
         return
     count_left, count_right = map(len, found.detections)
     located = [*found.cones, *found.objects]
-    cones = f", {counted(len(found.cones), 'cone')} among them" if found.objects else ""
-    say(f"{counted(count_left, 'object')} detected left, {count_right} right, {len(located)} located{cones}.")
+    cones = f", {ui.counted(len(found.cones), 'cone')} among them" if found.objects else ""
+    ui.say(f"{ui.counted(count_left, 'object')} detected left, {count_right} right, {len(located)} located{cones}.")
     if any(found.unmatched.values()):
-        say(
+        ui.say(
             f"Boxes without a match in the other image: {found.unmatched['left']} left, {found.unmatched['right']} right."
         )
         if not found.matches:
-            say("Are the images swapped, or rectified already, or does the calibration belong to another rig?")
-    print_records("", _COLUMNS, enumerate(located, 1))
+            ui.say("Are the images swapped, or rectified already, or does the calibration belong to another rig?")
+    ui.print_records("", _COLUMNS, enumerate(located, 1))
     for misfit in found.misfits:
         name = misfit.category.replace("_", " ")
-        say(
+        ui.say(
             f"not used: {name} {misfit.cone_height_m:.2f} m high at {misfit.ground_distance_m:.1f} m: implausible height"
         )
     for rejection in found.rejections:
-        say(f"not used: {rejection.record.removesuffix(' of frame pair 0')}: {rejection.detail}")
+        ui.say(f"not used: {rejection.record.removesuffix(' of frame pair 0')}: {rejection.detail}")
 
 
 def _row(one: CameraPosition) -> dict[str, Any]:

@@ -9,17 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from conetl.cli.console import (
-    CategoryOption,
-    JsonOption,
-    ParamsOption,
-    note_unmeasured,
-    out,
-    print_json,
-    print_table,
-    progress_bar,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.cli.ingest import read_params
 from conetl.evaluation.drive_evaluation import (
     DriveEvaluation,
@@ -64,12 +54,12 @@ def evaluate(
             "exports/evaluate/<drive>.",
         ),
     ] = None,
-    params: ParamsOption = None,
-    category: CategoryOption = None,
+    params: ui.ParamsOption = None,
+    category: ui.CategoryOption = None,
     within_m: Annotated[
         float, typer.Option(min=0.1, help="Ignore surveyed cones farther than this from the drive path.")
     ] = 20.0,
-    as_json: JsonOption = False,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Compare the cones of drives with surveyed truth: the paper's Table 3, errors over range, and whether sigmas hold.
 
@@ -111,16 +101,16 @@ def evaluate(
         )
     if len(done) == 1:
         if as_json:
-            print_json(answers[0])
+            ui.print_json(answers[0])
         return
     together = pool(done)
     page = write_pooled_page(folder, together)
     if as_json:
-        print_json({"drives": answers, "pooled": together.as_dict(), "files": [str(page)]})
+        ui.print_json({"drives": answers, "pooled": together.as_dict(), "files": [str(page)]})
         return
-    out.print(f"[bold]{len(done)} drives together[/]")
+    ui.out.print(f"[bold]{len(done)} drives together[/]")
     _print_tables(together.tables())
-    say(f"\n{page}: all drives on one page")
+    ui.say(f"\n{page}: all drives on one page")
 
 
 def _truths_of(
@@ -158,8 +148,8 @@ def analyse_folder(
     if not folder.is_dir():
         raise InputError(f"no such drive folder: {folder}")
     drive, rejections = read_drive(folder, map_srid=map_srid, images_folder=settings.images_folder.resolve())
-    note_unmeasured(read_model_card(settings.model_path))
-    with progress_bar(drive.drive_id, "images") as update:
+    ui.note_unmeasured(read_model_card(settings.model_path))
+    with ui.progress_bar(drive.drive_id, "images") as update:
         return analyse(drive, params, rejections=rejections, settings=settings, progress=update)
 
 
@@ -190,17 +180,19 @@ def _summary(results: AnalysedDrive, evaluation: DriveEvaluation, within_m: floa
 
 
 def _print(truth: Path, evaluation: DriveEvaluation, summary: Sequence[str], page: Path) -> None:
-    out.print(f"[bold]{evaluation.drive_id}[/] against {truth}")
+    ui.out.print(f"[bold]{evaluation.drive_id}[/] against {truth}")
     _print_tables(evaluation.tables())
-    say("\n" + "\n".join(summary))
-    say(f"\n{page}: everything on one page\n")
+    ui.say("\n" + "\n".join(summary))
+    ui.say(f"\n{page}: everything on one page\n")
 
 
 def _print_tables(tables: Sequence[Section]) -> None:
     for table in tables:
-        say()
-        print_table(table.heading, table.columns, table.rows, numbers_from=2 if table.columns is TABLE_3_COLUMNS else 1)
-        say(table.note)
+        ui.say()
+        ui.print_table(
+            table.heading, table.columns, table.rows, numbers_from=2 if table.columns is TABLE_3_COLUMNS else 1
+        )
+        ui.say(table.note)
 
 
 def lidar_check(
@@ -208,10 +200,10 @@ def lidar_check(
     self_calibrate: Annotated[
         bool, typer.Option(help="First correct the calibration if the images of the drive contradict it.")
     ] = True,
-    as_json: JsonOption = False,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Compare stereo ranges of cones with the drive's own LiDAR, with and without the calibration error that the scene shows."""
-    with progress_bar("LiDAR check", "scans") as update:
+    with ui.progress_bar("LiDAR check", "scans") as update:
         check = lidar_residuals(
             drive,
             model_path=read_settings().model_path,
@@ -225,7 +217,7 @@ def lidar_check(
             "coefficients_px": scene.coefficients.tolist(), "range_offset_m": scene.range_offset_m,
             "sample_count": scene.sample_count, "scatter_px": scene.scatter_px,
         }  # fmt: skip
-        print_json(
+        ui.print_json(
             {
                 "scan_count": check.scan_count,
                 "calibration": check.calibration,
@@ -237,17 +229,17 @@ def lidar_check(
             }
         )
         return
-    say(f"{check.scan_count} scans, {len(check.residuals)} refined matches with LiDAR points.")
-    say(f"Calibration: {check.calibration}.")
-    print_table("Stereo minus LiDAR", _COLUMNS, [_cells(band) for band in bands])
+    ui.say(f"{check.scan_count} scans, {len(check.residuals)} refined matches with LiDAR points.")
+    ui.say(f"Calibration: {check.calibration}.")
+    ui.print_table("Stereo minus LiDAR", _COLUMNS, [_cells(band) for band in bands])
     if scene is not None:
-        say(
+        ui.say(
             f"Scene without cones ({scene.sample_count} windows): {scene.range_offset_m:+.3f} m beyond LiDAR, disparities "
             f"{float(scene.coefficients[0]):+.2f} px off in the centre."
         )
-        print_table("Without the calibration error of the scene", _COLUMNS, [_cells(band) for band in corrected])
+        ui.print_table("Without the calibration error of the scene", _COLUMNS, [_cells(band) for band in corrected])
     for problem in check.problems:
-        say(f"not used: {problem}")
+        ui.say(f"not used: {problem}")
 
 
 def _cells(band: ResidualBand) -> tuple[Any, ...]:

@@ -10,6 +10,8 @@ from difflib import get_close_matches
 from typing import Any
 from uuid import UUID
 
+import numpy as np
+
 from conetl.db.connection import (
     LOCK_TIMEOUT_S,
     Connection,
@@ -22,11 +24,13 @@ from conetl.db.connection import (
 )
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, FeatureLogEntry, MapInfo
-from conetl.db.map.rows import feature_of
+from conetl.db.map.rows import feature_of, version_of
 from conetl.model.errors import InputError, MapMismatchError
-from conetl.model.map_records import DeltaKind, MapFeature
+from conetl.model.map_records import DeltaKind, FeatureVersion, MapFeature
+from conetl.model.work_zone_records import DrivePath
 
 _log = logging.getLogger(__name__)
+_PATH_TOLERANCE_M = 0.05
 Bbox = tuple[float, float, float, float]
 """west, south, east, north in metres of the map's CRS."""
 
@@ -207,3 +211,24 @@ def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) ->
     clock = {"now": now, "map_id": info.map_id}
     instant: datetime = execute(conn, load_sql("commit.system_time"), clock)[0]["committed_at"]
     return instant
+
+
+def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
+    """Every current version that began until then (None: all), by feature; [] without such a map."""
+    parameters = {"map_name": map_name, "feature_id": None, "valid_until": until.isoformat() if until else "infinity"}
+    with database_errors(f"The history of map {map_name} cannot be read"):
+        return [version_of(row) for row in stream(conn, load_sql("map.current_versions"), parameters)]
+
+
+def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[DrivePath]:
+    """The paths of the active drives that began until then (None: all), by time."""
+    parameters = {
+        "map_name": map_name,
+        "valid_until": until.isoformat() if until else "infinity",
+        "tolerance_m": _PATH_TOLERANCE_M,
+    }
+    with database_errors(f"The drives of map {map_name} cannot be read"):
+        return [
+            DrivePath(row[0], row[1], np.stack([np.array(row[2]), np.array(row[3])], axis=1))
+            for row in stream(conn, load_sql("drives.paths_of_map"), parameters)
+        ]

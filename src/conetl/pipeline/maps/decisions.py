@@ -14,25 +14,11 @@ from typing import NamedTuple
 from uuid import UUID
 
 from conetl.db.connection import LOCK_TIMEOUT_S, Connection
-from conetl.db.map.decision_store import (
-    find_decisions,
-    held_drives,
-    hold_changes,
-    insert_decision,
-    list_decisions,
-    read_decisions,
-    replaced_by_delivery,
-)
+from conetl.db.map import decision_store as store
+from conetl.db.map import replay_store as replays
+from conetl.db.map.decision_store import hold_changes
 from conetl.db.map.drive_store import load_stored_drive
 from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
-from conetl.db.map.replay_store import (
-    affected_drives,
-    drives_at,
-    other_deliveries,
-    read_open_version,
-    superseded_drives,
-    write_replay,
-)
 from conetl.db.map.results import CommittedChangeset, Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
@@ -113,7 +99,7 @@ def decide_place(
         raise InputError(f"radius {radius_m:g} m: expected more than 0 and at most {MAX_RADIUS_M:g} m")
     with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
         state = _feature(conn, map_name, feature)
-        before = read_decisions(conn, map_name=map_name)
+        before = store.read_decisions(conn, map_name=map_name)
         decided: Mapping[str, Sequence[Location]] = {
             SUPPRESS: before.suppressed, PIN: before.pinned, CLASSIFY: before.classified
         }  # fmt: skip
@@ -147,7 +133,7 @@ def revert(
     with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
         target = _target(conn, map_name, what)
         if target.kind == "changeset":
-            for known in list_decisions(conn, map_name=map_name):
+            for known in store.list_decisions(conn, map_name=map_name):
                 if known.changeset_id == target.id and known.kind == REVERT:
                     raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
@@ -155,7 +141,7 @@ def revert(
             raise ConflictError(f"decision {target.id} is not in force any more: make it again instead")
         else:
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
-        decision = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
+        decision = next((d for d in store.list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
         decide = partial(at.insert, kind, changeset_id=changeset_id, withdraws=withdraws)
         conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
@@ -196,7 +182,7 @@ def accept_drive(
         known = held[0]
         content_sha256 = load_stored_drive(conn, known.drive_uuid).content_sha256
         captured_ns = known.captured_from_ns, known.captured_to_ns
-        others = other_deliveries(conn, known.drive_id, captured_ns, content_sha256, map_name=map_name)
+        others = replays.other_deliveries(conn, known.drive_id, captured_ns, content_sha256, map_name=map_name)
         if others:
             raise ConflictError(
                 f"another delivery of drive {known.drive_id} is on the map already (changeset {others[-1]}); the two would count "
@@ -228,8 +214,8 @@ def _deciding(
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         info = require_map(conn, map_name)
         decided_at = system_time(conn, info)
-        insert = partial(insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by)
-        yield _Deciding(info, decided_at, insert, held_drives(conn, map_name=map_name))
+        insert = partial(store.insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by)
+        yield _Deciding(info, decided_at, insert, store.held_drives(conn, map_name=map_name))
 
 
 def _not_held(conn: Connection, known: CommittedChangeset) -> str:
@@ -237,7 +223,7 @@ def _not_held(conn: Connection, known: CommittedChangeset) -> str:
     number = known.changeset_no
     if known.counts:
         return f"changeset {number} counts already"
-    later = replaced_by_delivery(conn, known.changeset_id)
+    later = store.replaced_by_delivery(conn, known.changeset_id)
     if later is None:
         return f"changeset {number} was reverted, see `conetl map decisions`"
     return (
@@ -258,7 +244,7 @@ def _outcome(
 ) -> DecisionOutcome:
     """What a decision did, read before it is committed. changeset_id: of the drive that it is about."""
     changes = hold_changes(conn, at.held_before, map_name=at.info.map_name)
-    replaced_by = None if changeset_id is None else replaced_by_delivery(conn, changeset_id)
+    replaced_by = None if changeset_id is None else store.replaced_by_delivery(conn, changeset_id)
     return DecisionOutcome(
         decision_id, kind, at.decided_at, written, replayed, conflicts, changes, changeset_id, replaced_by
     )
@@ -266,13 +252,13 @@ def _outcome(
 
 def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:
     """Compute the consequences of a decision about a position; versions written, drives compared again."""
-    around = drives_at(conn, info.map_name, place)
+    around = replays.drives_at(conn, info.map_name, place)
     # Suppression hides detections and changes nothing that drives are compared with; a pin and a class do.
-    again = affected_drives(conn, around) if kind in (PIN, CLASSIFY) else []
+    again = replays.affected_drives(conn, around) if kind in (PIN, CLASSIFY) else []
     aside = [ref.drive_uuid for ref in again]
-    decisions = read_decisions(conn, map_name=info.map_name)
+    decisions = store.read_decisions(conn, map_name=info.map_name)
     _, replay = replay_of(conn, aside, again, decisions, around=around)
-    return write_replay(conn, info, replay, decided_at), len(again)
+    return replays.write_replay(conn, info, replay, decided_at), len(again)
 
 
 def _judge_drive(
@@ -284,13 +270,18 @@ def _judge_drive(
     changeset_id: UUID | None,
 ) -> tuple[UUID, int, int, tuple[RevertConflict, ...]]:
     """Write the decision that a drive starts or ceases to count, and compute what changes by it."""
-    counted_before = superseded_drives(conn, drive_uuid)
+    counted_before = replays.superseded_drives(conn, drive_uuid)
     decision_id = decide()
-    seeds = list(dict.fromkeys([drive_uuid, *counted_before, *superseded_drives(conn, drive_uuid)]))
-    again = affected_drives(conn, seeds)
+    seeds = list(dict.fromkeys([drive_uuid, *counted_before, *replays.superseded_drives(conn, drive_uuid)]))
+    again = replays.affected_drives(conn, seeds)
     aside = list(dict.fromkeys([*seeds, *(ref.drive_uuid for ref in again)]))
-    _, replay = replay_of(conn, aside, again, read_decisions(conn, map_name=info.map_name))
-    return decision_id, write_replay(conn, info, replay, decided_at), len(again), _conflicts(replay, changeset_id)
+    _, replay = replay_of(conn, aside, again, store.read_decisions(conn, map_name=info.map_name))
+    return (
+        decision_id,
+        replays.write_replay(conn, info, replay, decided_at),
+        len(again),
+        _conflicts(replay, changeset_id),
+    )
 
 
 def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflict, ...]:
@@ -323,16 +314,16 @@ def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:
         raise InputError(f"there is no feature {beginning} on the map {map_name}: `conetl map show` lists them")
     if len(found) > 1:
         raise InputError(f"{beginning} is the beginning of several features' ids: give more of it")
-    version = read_open_version(conn, map_name, found[0])
+    version = replays.read_open_version(conn, map_name, found[0])
     if version is None:
         raise InputError(f"feature {found[0]} was on the map once, and was removed since: see `conetl map log`")
     return version.feature
 
 
 def _target(conn: Connection, map_name: str, beginning: str) -> Decidable:
-    found = find_decisions(conn, beginning, map_name=map_name)
+    found = store.find_decisions(conn, beginning, map_name=map_name)
     if not found:
-        for known in list_decisions(conn, map_name=map_name):
+        for known in store.list_decisions(conn, map_name=map_name):
             if known.kind == HOLD and len(beginning) >= 4 and str(known.decision_id).startswith(beginning.lower()):
                 raise InputError(
                     f"{beginning} is a hold, not a decision: `conetl drive held` and `conetl drive accept` are for it"

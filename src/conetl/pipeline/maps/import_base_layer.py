@@ -11,16 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from conetl.db.base_store import (
-    BaseCounts,
-    BaseFile,
-    Kind,
-    find_base_file,
-    read_ingested_poses,
-    write_lines,
-    write_points,
-)
+from conetl.db import base_store as store
 from conetl.db.connection import Connection
+from conetl.files.documents import named
+from conetl.files.parquet_store import file_sha256
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
@@ -31,15 +25,7 @@ from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import LINE_READERS
 from conetl.readers.base_layers.lines import Line, LineFile
 from conetl.readers.base_layers.point_tiles import Cloud, Spilled, read_cells, spill, tiles_of, top_level
-from conetl.readers.drives import read_drive
-from conetl.readers.drives.velodyne import (
-    ScanFileError,
-    left_SE3_velo,
-    list_scans,
-    points_at_exposure,
-    read_scan,
-    scan_period_s,
-)
+from conetl.readers.drives import read_drive, velodyne
 from conetl.readers.rigs import IMU_TO_VELO
 
 POINT_SUFFIXES = (".las", ".laz")
@@ -53,7 +39,7 @@ class ImportedFile:
 
     file: str
     layer: str
-    kind: Kind
+    kind: store.Kind
     kept: int
     read: int = 0
     refused: int = 0
@@ -77,15 +63,15 @@ class FileImport(NamedTuple):
     progress: Callable[[int, int], None]
     """Called with (done, total) points or scans."""
 
-    def base_file(self, kind: Kind, sha256: str, crs: str, heights: Any = "file") -> BaseFile:
+    def base_file(self, kind: store.Kind, sha256: str, crs: str, heights: Any = "file") -> store.BaseFile:
         params: dict[str, Any] = {"crs": self.crs, "height_offset_m": self.height_offset_m}
         if kind == "points":
             params["voxel_m"] = self.voxel_m
         source = str(self.path.resolve())
-        return BaseFile(self.map_name, self.layer_name, kind, source, sha256, params, crs, heights)
+        return store.BaseFile(self.map_name, self.layer_name, kind, source, sha256, params, crs, heights)
 
 
-def kind_of(path: Path) -> Kind:
+def kind_of(path: Path) -> store.Kind:
     """The kind of a file or folder, by its name. Raises InputError."""
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in POINT_SUFFIXES:
@@ -112,7 +98,7 @@ def _import_las(job: FileImport) -> ImportedFile:
     count, stated = read_las_header(path)
     layer, warnings = geo.resolve_crs(path, stated, job.crs, ground)
     file = job.base_file("points", _sha256(path), layer.name)
-    if (kept := find_base_file(job.conn, file)) is not None:
+    if (kept := store.find_base_file(job.conn, file)) is not None:
         return _unchanged(file, kept)
 
     def on_map() -> Iterator[Cloud]:
@@ -131,7 +117,7 @@ def _import_drive(job: FileImport) -> ImportedFile:
     path = job.path
     if job.crs:
         raise InputError(f"{path}: a drive's LiDAR is georeferenced by the drive's poses; --crs does not apply")
-    scans = list_scans(path)
+    scans = velodyne.list_scans(path)
     if not scans:
         raise InputError(
             f"{path}: no LiDAR in this folder; expected a drive with velodyne_points/data/0000000000.bin and so on"
@@ -140,21 +126,21 @@ def _import_drive(job: FileImport) -> ImportedFile:
     if not folders:
         raise InputError(f"{path}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
     drive, _ = read_drive(path, map_srid=job.ground.srid)
-    poses = read_ingested_poses(job.conn, job.map_name, drive.content_sha256)
+    poses = store.read_ingested_poses(job.conn, job.map_name, drive.content_sha256)
     content = hashlib.sha256(drive.content_sha256.encode())
     for pose in poses.values():
         content.update(pose.tobytes())
     for scan in scans.values():
         content.update(bytes.fromhex(_sha256(scan)))
     file = job.base_file("points", content.hexdigest(), f"EPSG:{job.ground.srid}")
-    if (kept := find_base_file(job.conn, file)) is not None:
+    if (kept := store.find_base_file(job.conn, file)) is not None:
         return _unchanged(file, kept)
     advice = "Ingest it first to use its refined poses"
     warnings = [] if poses else [f"{path.name}: is not on the map: georeferenced by its logged poses. {advice}"]
     refusals: list[str] = []
     read = [0]
     pairs = {pair.frame_index: _with_pose(pair, poses.get(pair.frame_index)) for pair in drive.frame_pairs}
-    clouds = _drive_clouds(job, drive, pairs, scans, left_SE3_velo(drive.rig, folders[0]), refusals, read)
+    clouds = _drive_clouds(job, drive, pairs, scans, velodyne.left_SE3_velo(drive.rig, folders[0]), refusals, read)
     done = _write_cloud(job, file, clouds, warnings, read)
     done.refusals += refusals
     return done
@@ -174,7 +160,7 @@ def _drive_clouds(
     read: list[int],
 ) -> Iterator[Cloud]:  # fmt: skip
     """One cloud per scan, on the map. velo: (4, 4) left_SE3_velo. read[0] counts the points."""
-    period_s = scan_period_s(job.path)
+    period_s = velodyne.scan_period_s(job.path)
     for done, (number, path) in enumerate(scans.items(), 1):
         job.progress(done, len(scans))
         pair = pairs.get(number)
@@ -182,18 +168,18 @@ def _drive_clouds(
             refusals.append(f"scan {path.name}: there is no usable frame pair {number}")
             continue
         try:
-            scan = read_scan(path)
-        except ScanFileError as error:
+            scan = velodyne.read_scan(path)
+        except velodyne.ScanFileError as error:
             refusals.append(str(error))
             continue
         read[0] += len(scan)
-        points = points_at_exposure(scan[:, :3].astype(np.float64), pair, pairs, drive.rig, velo, period_s)
+        points = velodyne.points_at_exposure(scan[:, :3].astype(np.float64), pair, pairs, drive.rig, velo, period_s)
         shade = np.clip(np.rint(scan[:, 3] * 255.0), 0, 255).astype(np.uint8)
         yield Cloud(se3.apply(se3.compose(map_SE3_left(pair.pose, drive.rig), velo), points), shade)
 
 
 def _write_cloud(
-    job: FileImport, file: BaseFile, clouds: Iterator[Cloud], warnings: list[str], read: list[int]
+    job: FileImport, file: store.BaseFile, clouds: Iterator[Cloud], warnings: list[str], read: list[int]
 ) -> ImportedFile:
     """Write the tiles. read[0]: number of points before thinning, known when all clouds were read."""
     voxel_m = job.voxel_m
@@ -205,8 +191,8 @@ def _write_cloud(
         warnings += geo.check_near(label, low, high, job.ground)
         warnings += geo.check_heights(label, _some_points(folder, spilled), job.ground)
         tiles = tiles_of(read_cells(folder, spilled.cells), top_level(float((high - low).max())), voxel_m)
-        counts = BaseCounts(read[0], spilled.refused, *spilled.low_m, *spilled.high_m)
-        kept = write_points(job.conn, file, counts, tiles)
+        counts = store.BaseCounts(read[0], spilled.refused, *spilled.low_m, *spilled.high_m)
+        kept = store.write_points(job.conn, file, counts, tiles)
     refusals = [f"{spilled.refused:,} points have no coordinates in the map's CRS"] if spilled.refused else []
     return _imported(file, kept, counts, warnings, refusals)
 
@@ -230,7 +216,7 @@ def _import_lines(job: FileImport) -> ImportedFile:
             f"{path}: its lines have no heights, and map {job.map_name} has no drive for them: ingest one first"
         )
     file = job.base_file("lines", _sha256(path), layer.name, "drives" if any(flat) else "file")
-    if (kept := find_base_file(job.conn, file)) is not None:
+    if (kept := store.find_base_file(job.conn, file)) is not None:
         return _unchanged(file, kept)
     refused = list(found.refused)
     lines = _lines_on_map(job, found, layer, refused)
@@ -241,8 +227,8 @@ def _import_lines(job: FileImport) -> ImportedFile:
     warnings += geo.check_near(path.name, low, high, ground)
     if not all(flat):
         warnings += geo.check_heights(path.name, vertices, ground)
-    counts = BaseCounts(len(lines) + len(refused), len(refused), *low.tolist(), *high.tolist())
-    written = write_lines(job.conn, file, counts, lines, ground.srid)
+    counts = store.BaseCounts(len(lines) + len(refused), len(refused), *low.tolist(), *high.tolist())
+    written = store.write_lines(job.conn, file, counts, lines, ground.srid)
     return _imported(file, written, counts, warnings, refused)
 
 
@@ -263,7 +249,7 @@ def _lines_on_map(job: FileImport, found: LineFile, layer: LayerCrs, refused: li
 
 
 def _imported(
-    file: BaseFile, kept: int | None, counts: BaseCounts, warnings: list[str], refusals: list[str]
+    file: store.BaseFile, kept: int | None, counts: store.BaseCounts, warnings: list[str], refusals: list[str]
 ) -> ImportedFile:
     """kept: None where another import of the file was faster."""
     if kept is None:
@@ -274,13 +260,10 @@ def _imported(
     )
 
 
-def _unchanged(file: BaseFile, kept: int) -> ImportedFile:
+def _unchanged(file: store.BaseFile, kept: int) -> ImportedFile:
     return ImportedFile(file.source_path, file.layer_name, file.kind, kept, unchanged=True)
 
 
 def _sha256(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    with named(path):
+        return file_sha256(path)

@@ -15,16 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from conetl.db.connection import Connection
+from conetl.db.map import import_store as store
 from conetl.db.map.decision_store import read_decisions
-from conetl.db.map.import_store import (
-    IMPORT_INFLUENCE_M,
-    StatedVersion,
-    commit_import,
-    known_ids,
-    place_import,
-    read_statements,
-    versions_of_ids,
-)
 from conetl.db.map.map_store import find_changeset, find_map, map_for, map_transaction, read_current_features
 from conetl.db.map.replay_store import affected_drives, superseded_drives
 from conetl.db.map.results import MapInfo, RunInfo
@@ -88,14 +80,14 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
         )
         imported = _with_ids_of_map(imported, info.id_name)
         _refuse_taken_ids(conn, imported, params, map_name)
-        drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
+        drive_uuid = store.place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = DriveEvidence(
             key=(imported.stated_at_ns, imported.content_sha256, key),
             changeset_id=changeset.changeset_id,
             founding_key=founding_key(info.id_name, imported.content_sha256),
             tracks=(),
             path_m=np.array([statement.feature.xyz_m[:2] for statement in imported.statements]),
-            influence_m=IMPORT_INFLUENCE_M,
+            influence_m=store.IMPORT_INFLUENCE_M,
             check_visibility=lambda feature, offset_m, others_m: None,
             params=params.reconcile,
             imported=imported.statements,
@@ -117,16 +109,16 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
                 "sha256": imported.content_sha256,
             },
         )
-        commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run)
+        store.commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run)
     counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
     return ImportResult(changeset.changeset_id, True, counts, len(later), len(own), same_place)
 
 
 def _own_rows(conn: Connection, info: MapInfo, statements: Sequence[ImportedFeature]) -> set[int]:
     """Indices of the rows that this map exported: what one of its versions says, by its number or with the same evidence."""
-    known = versions_of_ids(conn, info, [s.stated_id for s in statements if s.stated_id is not None])
+    known = store.versions_of_ids(conn, info, [s.stated_id for s in statements if s.stated_id is not None])
 
-    def is_own(statement: ImportedFeature, version: StatedVersion) -> bool:
+    def is_own(statement: ImportedFeature, version: store.StatedVersion) -> bool:
         feature = statement.feature
         same_evidence = (
             feature.observation_count == version.observation_count
@@ -166,7 +158,7 @@ def _keys(imported: ImportedMap, params: ImportParams) -> tuple[str, str]:
 
 def _states_the_same_places(conn: Connection, drive_uuid: UUID, imported: ImportedMap) -> bool:
     """Whether an earlier import of a file put its cones where this one does, to a millimetre."""
-    before_m, now_m = _places_m(read_statements(conn, drive_uuid)), _places_m(imported.statements)
+    before_m, now_m = _places_m(store.read_statements(conn, drive_uuid)), _places_m(imported.statements)
     return before_m.shape == now_m.shape and bool((np.abs(before_m - now_m) < 1e-3).all())
 
 
@@ -191,7 +183,7 @@ def _with_ids_of_map(imported: ImportedMap, id_name: str) -> ImportedMap:
 def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
     """An id names one feature in the whole database; on this map it may come again where that feature is."""
     features = [statement.feature for statement in imported.statements]
-    taken = known_ids(conn, [feature.feature_id for feature in features])
+    taken = store.known_ids(conn, [feature.feature_id for feature in features])
     for index, feature in enumerate(features):
         known = taken.get(feature.feature_id)
         if known is None:

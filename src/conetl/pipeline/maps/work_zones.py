@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from conetl.db.base_store import read_lanes_near
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import require_map
-from conetl.db.zone_store import read_lanes_near, read_paths, read_versions
+from conetl.db.map.map_store import read_paths, read_versions, require_map
 from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import FeatureVersion, MapFeature
