@@ -87,7 +87,9 @@ def _start(home: Path) -> Service:
 
 
 def _start_once(home: Path) -> Service:
-    port = _free_port()
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
     address = f"http://127.0.0.1:{port}"
     disabled = {f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in _NOT_NEEDED}
     environment = {**disabled, **os.environ, **prefect_server_environment(home, address)}
@@ -113,9 +115,3 @@ def _settings_for(home: Path, url: str) -> contextlib.AbstractContextManager[obj
     return temporary_settings(
         updates={PREFECT_API_URL: url, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_API_AUTH_STRING: login}
     )
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -91,7 +91,11 @@ order by x.feature_id;
 -- name: feature_log
 -- What happened to one feature, in the order of the drives on the road; superseded deltas included.
 -- Parameters: feature_id.
--- Columns: as FeatureLogEntry; position and values are those after the change, of a removed feature the last ones.
+-- Columns: changeset_no, changeset_id, drive_id, map_name, kind, changed_at; committed_at and believed_until (its system
+-- period; null: current); old_version, new_version, track_index, shift_m; category, position and values after the change, of a
+-- removed feature the last ones, existence_probability also where the drive changed nothing; other_feature_id (of a split the
+-- common origin, of a merger the feature that is left); evidence; drive_kind (drive or import); sigma_m (along the major axis of
+-- the horizontal error ellipse).
 select
     c.changeset_no, c.changeset_id, d.drive_id, m.map_name, x.kind, x.changed_at, lower(x.system_period) as committed_at,
     upper(x.system_period) as believed_until, x.old_version, x.new_version,

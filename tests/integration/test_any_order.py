@@ -386,7 +386,7 @@ def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn,
         assert (then.seen_count, then.missed_count) == (1, 0)
         assert version.feature.existence_probability < then.feature.existence_probability
         assert version.feature.version == then.feature.version
-        kinds = [entry.kind for entry in feature_log(conn, feature_id)]
+        kinds = [entry["kind"] for entry in feature_log(conn, feature_id)]
         assert kinds == [DeltaKind.ADDED, DeltaKind.MISSED, DeltaKind.MISSED]
     assert failed_audits(conn) == []
     in_order = valid_time_map(conn)

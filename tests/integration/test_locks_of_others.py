@@ -9,7 +9,7 @@ from contextlib import closing
 import psycopg2
 import pytest
 
-from conetl.db import connection, lock_watch
+from conetl.db import connection
 from conetl.db.connection import connect, database_errors, execute
 from conetl.db.map.map_store import find_map
 from conetl.model.errors import DatabaseError
@@ -18,7 +18,7 @@ from conetl.model.errors import DatabaseError
 def test_a_foreign_lock_is_named_and_waited_for_within_limits(
     database_url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(lock_watch, "REPORT_AFTER_S", 0.5)
+    monkeypatch.setattr(connection, "REPORT_AFTER_S", 0.5)
     options = connection.SESSION_OPTIONS.replace("lock_timeout=600000", "lock_timeout=4000")
     assert options != connection.SESSION_OPTIONS
     monkeypatch.setattr(connection, "SESSION_OPTIONS", options)

@@ -56,7 +56,7 @@ def test_first_drive_makes_the_map(conn, samples):
     assert find_changeset(conn, "1" * 64) == result.changeset
     assert list_changesets(conn) == [result.changeset]
     [entry] = feature_log(conn, feature.feature_id)
-    assert (entry.kind, entry.new_version, entry.height_m) == ("added", 1, 114.5)
+    assert (entry["kind"], entry["new_version"], entry["height_m"]) == ("added", 1, 114.5)
 
 
 def test_raw_records_come_back_as_they_were(conn, samples):
@@ -137,13 +137,13 @@ def test_confirmed_moved_removed_and_the_map_of_every_day(conn, samples):
     assert standing(conn, known_at=start) == []
 
     log = feature_log(conn, v1.feature_id)
-    assert [(e.kind, e.old_version, e.new_version) for e in log] == [
+    assert [(e["kind"], e["old_version"], e["new_version"]) for e in log] == [
         ("added", None, 1),
         ("confirmed", 1, 2),
         ("moved", 2, 3),
         ("removed", 3, 4),
     ]
-    assert log[2].shift_m == pytest.approx(1.48, abs=0.001)
+    assert log[2]["shift_m"] == pytest.approx(1.48, abs=0.001)
     assert map_summary(conn)["removed_count"] == 1
 
 
@@ -165,7 +165,7 @@ def test_a_feature_keeps_its_cell_wherever_it_is_moved(conn, samples):
         "(select array_agg(distinct cell) from delta) as deltas",
     )
     assert found == {"cell": found["own"], "own": found["own"], "versions": [found["own"]], "deltas": [found["own"]]}
-    assert [entry.kind for entry in feature_log(conn, first.feature_id)] == ["added", "moved", "moved", "removed"]
+    assert [entry["kind"] for entry in feature_log(conn, first.feature_id)] == ["added", "moved", "moved", "removed"]
     assert list(read_features_as_of(conn)) == []
 
 
@@ -175,7 +175,10 @@ def test_a_confirmation_that_changes_nothing_makes_no_version(conn, samples):
     result = samples.commit(conn, samples.changed("confirmed", feature, samples.START_NS + samples.DAY_NS), key="2")
     assert (result.versions_written, result.changeset.confirmed_count) == (0, 1)
     assert read_current_features(conn) == [feature]
-    assert [(e.kind, e.new_version) for e in feature_log(conn, feature.feature_id)] == [("added", 1), ("confirmed", 1)]
+    assert [(e["kind"], e["new_version"]) for e in feature_log(conn, feature.feature_id)] == [
+        ("added", 1),
+        ("confirmed", 1),
+    ]
     assert execute(conn, "select count(*) as n from feature_version") == [{"n": 1}]
 
 

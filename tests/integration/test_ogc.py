@@ -25,7 +25,7 @@ from conetl.geometry.geodesy import to_geodetic
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_place, revert
 from conetl.web.app import create_app
-from conetl.web.ogc.collections import Instants, features_of, warm
+from conetl.web.ogc.collections import Instants, collection_of, warm
 from tests import ogc_schemas as standard
 from tests.integration.drives_of_days import merge, survey
 from tests.integration.test_exports import OFFSCREEN, PYTHON, has_qgis
@@ -419,7 +419,7 @@ def test_a_new_session_has_planned_its_first_page(module_database_url, features)
             [served] = await MapDirectory().maps(conn, "default")
             before = await conn.fetchval(count_pages)
             box = (8.0, 48.0, 8.43, 49.5)
-            page = await features_of(served, Instants()).page(conn, box=box, limit=10)
+            page = await collection_of("features", served, Instants()).page(conn, box=box, limit=10)
             after = await conn.fetchval(count_pages)
         await pool.close()
         return before, after, page.returned

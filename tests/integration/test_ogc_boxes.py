@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from conetl.db.connection import connect, execute, execute_count
 from conetl.db.ogc_store import MapDirectory, part_of_map, rows_near, rows_within
 from conetl.geometry.geodesy import to_geodetic, to_map
-from conetl.web.ogc.collections import Instants, features_of
+from conetl.web.ogc.collections import Instants, collection_of
 
 FEATURE_COUNT = 300
 #: Of each map: its CRS, and around where (lon, lat) its cones lie how far (degrees).
@@ -115,7 +115,7 @@ class Maps:
         share, version_count = WAYS[way]
         served = replace(self.served[name], share=share, version_count=version_count)
         asked = {"box": box, "limit": limit, "offset": offset} | asked
-        return self.run(features_of(served, Instants()).page(self.reader, **asked))
+        return self.run(collection_of("features", served, Instants()).page(self.reader, **asked))
 
 
 @pytest.fixture(scope="module")

@@ -87,7 +87,7 @@ def status(as_json: JsonOption = False) -> None:
         print_json({"cluster": cluster, "database": database})
         return
     values = {f"cluster {name}": value for name, value in asdict(cluster).items()} if cluster else {}
-    values |= asdict(database) if database else {}
+    values |= database or {}
     rows = [(name.replace("_", " "), _text(value)) for name, value in values.items()]
     print_table("", ("property", "value"), rows, numbers_from=2)
 

@@ -1,10 +1,14 @@
-"""Connections to PostGIS: named statements, errors, transactions, COPY. The only module that imports psycopg2."""
+"""Connections to PostGIS: named statements, errors, transactions, COPY, locks. The only module that imports psycopg2."""
 
 from __future__ import annotations
 
+import logging
+import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from functools import cache
@@ -20,7 +24,6 @@ import psycopg2.extensions
 import psycopg2.extras
 
 from conetl.db.copy_binary import Column, encode
-from conetl.db.lock_watch import LockWatch
 from conetl.model.errors import DatabaseError, InputError
 
 Connection: TypeAlias = psycopg2.extensions.connection
@@ -49,6 +52,9 @@ COPY_CHUNK_BYTES = 1 << 20
 CopyBlock: TypeAlias = tuple[str, BytesIO]
 """A COPY statement and the rows that are ready to be sent."""
 _NAME = re.compile(r"^-- name: (\w+)\n", re.MULTILINE)
+REPORT_AFTER_S = 5.0
+REPORT_EVERY_S = 60.0
+_log = logging.getLogger(__name__)
 
 
 def sqlalchemy_url(url: str, database: str | None = None) -> str:
@@ -111,11 +117,6 @@ def _blockers(conn: Connection) -> list[str]:
         f"{row['state']} since {row['since']:%Y-%m-%d %H:%M:%S} UTC: {' '.join(row['statement'].split())[:80]})"
         for row in rows
     ]
-
-
-#: Of open connections; they themselves know theirs without its password.
-_addresses: WeakKeyDictionary[Connection, str] = WeakKeyDictionary()
-_watch = LockWatch(_is_busy, _blockers)
 
 
 @contextmanager
@@ -290,3 +291,51 @@ def load_sql(name: str) -> str:
         raise DatabaseError(
             f"{sql_directory() / topic}.sql has no statement {statement}: install conetl again."
         ) from None
+
+
+class LockWatch:
+    """Who holds the lock that a statement of this process waits for: reported after 5 s, then once a minute.
+
+    PostgreSQL says nothing to a session that waits. A thread looks at this process's connections, which costs the server nothing,
+    and asks it, in a session of its own, about one that has been busy for long.
+    """
+
+    def __init__(self, is_busy: Callable[[Any], bool], blockers: Callable[[Any], list[str]]) -> None:
+        self._is_busy = is_busy
+        self._blockers = blockers
+        self._report_at: WeakKeyDictionary[Any, float] = WeakKeyDictionary()
+        self._thread: threading.Thread | None = None
+        self.holders: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
+        """Who was last seen to block a connection."""
+
+    def add(self, conn: Any) -> None:
+        """Watch a connection as long as it exists."""
+        self._report_at[conn] = math.inf
+        if self._thread is None or not self._thread.is_alive():  # a forked process has this object, but no thread
+            self._thread = threading.Thread(target=self._watch, name="lock watch", daemon=True)
+            self._thread.start()
+
+    def _watch(self) -> None:
+        while True:
+            time.sleep(REPORT_AFTER_S / 5)
+            for conn in list(self._report_at):
+                self._look(conn, time.monotonic())
+            conn = None
+
+    def _look(self, conn: Any, now: float) -> None:
+        due = self._report_at.get(conn, math.inf)
+        if conn.closed or not self._is_busy(conn):
+            self._report_at[conn] = math.inf
+        elif due == math.inf:
+            self._report_at[conn] = now + REPORT_AFTER_S
+        elif now >= due:
+            holders = self._blockers(conn)
+            self._report_at[conn] = now + (REPORT_EVERY_S if holders else REPORT_AFTER_S)
+            if holders:
+                self.holders[conn] = "; ".join(holders)
+                _log.warning("waiting for a lock in the database that is held by %s", self.holders[conn])
+
+
+#: Of open connections; they themselves know theirs without its password.
+_addresses: WeakKeyDictionary[Connection, str] = WeakKeyDictionary()
+_watch = LockWatch(_is_busy, _blockers)

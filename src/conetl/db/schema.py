@@ -35,29 +35,6 @@ _checked: set[frozenset[tuple[str, str]]] = set()
 SHOWN_ROWS = 100
 
 
-@dataclass(frozen=True)
-class DatabaseStatus:
-    """What a database holds and whether this conetl can work with it."""
-
-    database: str
-    user: str
-    postgres_version: str
-    postgis_version: str | None
-    applied_migrations: tuple[str, ...]
-    pending_migrations: tuple[str, ...]
-    missing_roles: tuple[str, ...]
-    """Of conetl_reader and conetl_writer those that do not exist or have no rights here; `migrate` makes them where ..."""
-    may_create_roles: bool
-    """... the connected user may create roles; otherwise a superuser has to run `migrate` once."""
-    size_bytes: int
-    maps: tuple[tuple[str, int], ...]
-    """Name and SRID."""
-
-    @property
-    def ready(self) -> bool:
-        return bool(self.applied_migrations) and not self.pending_migrations
-
-
 def migrate_once(conn: Connection) -> None:
     """`migrate`, but only the first time that this process calls it for the same database."""
     database = frozenset(address(conn).items())
@@ -101,25 +78,29 @@ def applied_migrations(conn: Connection) -> list[str]:
     return sorted(_applied(conn))
 
 
-def database_status(conn: Connection) -> DatabaseStatus:
-    """What the database holds; changes nothing."""
+def database_status(conn: Connection) -> dict[str, Any]:
+    """What the database holds and whether this conetl can work with it; changes nothing.
+
+    missing_roles: of conetl_reader and conetl_writer those that do not exist or have no rights here. `migrate` makes them where
+    may_create_roles; otherwise a superuser has to run it once. maps: (name, SRID) of each.
+    """
     with transaction(conn, "The state of the database cannot be read"):
         facts = execute(conn, load_sql("schema.status"))[0]
         applied = _applied(conn) if facts["has_schema"] else {}
         maps = execute(conn, load_sql("map.maps")) if facts["has_map"] else []
         wanted = _migration_files(sql_directory() / "migrations")
-        return DatabaseStatus(
-            database=facts["database"],
-            user=facts["username"],
-            postgres_version=facts["postgres_version"],
-            postgis_version=facts["postgis_version"],
-            applied_migrations=tuple(sorted(applied)),
-            pending_migrations=tuple(name for name in wanted if name not in applied),
-            missing_roles=_missing_roles(conn) if facts["has_map"] else ROLES,
-            may_create_roles=_may_create_roles(conn),
-            size_bytes=facts["size_bytes"],
-            maps=tuple((row["map_name"], row["srid"]) for row in maps),
-        )
+        return {
+            "database": facts["database"],
+            "user": facts["username"],
+            "postgres_version": facts["postgres_version"],
+            "postgis_version": facts["postgis_version"],
+            "applied_migrations": tuple(sorted(applied)),
+            "pending_migrations": tuple(name for name in wanted if name not in applied),
+            "missing_roles": _missing_roles(conn) if facts["has_map"] else ROLES,
+            "may_create_roles": _may_create_roles(conn),
+            "size_bytes": facts["size_bytes"],
+            "maps": tuple((row["map_name"], row["srid"]) for row in maps),
+        }
 
 
 def prefect_database(url: str) -> str:

@@ -12,7 +12,6 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
 
-from conetl.db.connection import Connection
 from conetl.db.map.map_store import find_map
 from conetl.db.reader_pool import ReaderPool
 from conetl.exports import FORMATS
@@ -55,6 +54,7 @@ def download(
     """
     from conetl.exports.export import export_map  # here: Arrow takes a second to load
     from conetl.exports.source import ExportRequest, What
+    from conetl.pipeline.maps.work_zones import export_wzdx
 
     for instant in (valid_at, known_at, from_valid_at):
         if instant is not None and not 1 < instant.year < 9999:
@@ -68,7 +68,13 @@ def download(
             if find_map(conn, map_name) is None:
                 raise HTTPException(404, f"There is no map {map_name}.")
             if file_format == "wzdx":
-                _write_work_zones(conn, path, map_name, valid_at, publisher, road_name)
+                publisher, road_name = (publisher or "").strip(), (road_name or "").strip()
+                if not (publisher and road_name):
+                    raise InputError("A WZDx feed requires the publisher and the name of the road.")
+                export_wzdx(
+                    conn, path, devices=False, map_name=map_name, as_of=valid_at, feed=None, publisher=publisher,
+                    road_names=[road_name], lanes=None,
+                )  # fmt: skip
             else:
                 asked = ExportRequest(map_name, believed_at=known_at, as_of=valid_at, box_m=_corners(box))
                 if from_valid_at is not None:
@@ -98,25 +104,6 @@ def _corners(box: str | None) -> tuple[float, float, float, float] | None:
     if west > east or south > north:
         raise HTTPException(422, f"box={box}: expected west, south, east, north, each in the map's CRS.")
     return west, south, east, north
-
-
-def _write_work_zones(
-    conn: Connection,
-    path: FilePath,
-    map_name: str,
-    as_of: datetime | None,
-    publisher: str | None,
-    road_name: str | None,
-) -> None:
-    from conetl.pipeline.maps.work_zones import export_wzdx
-
-    publisher, road_name = (publisher or "").strip(), (road_name or "").strip()
-    if not (publisher and road_name):
-        raise InputError("A WZDx feed requires the publisher and the name of the road.")
-    export_wzdx(
-        conn, path, devices=False, map_name=map_name, as_of=as_of, feed=None, publisher=publisher, road_names=[road_name],
-        lanes=None,
-    )  # fmt: skip
 
 
 def _file_name(map_name: str, file_format: str, until: datetime | None, since: datetime | None) -> str:

@@ -1,17 +1,20 @@
-"""Parameters that the routes share, each with its bounds; FastAPI answers 422 to invalid ones."""
+"""Parameters of the routes, each with its bounds: FastAPI answers 422 to invalid ones, the OGC API 400."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from typing import Annotated, TypeVar
+from uuid import UUID
 
 from fastapi import Depends, HTTPException, Path, Query, Request
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
 from conetl.db.connection import Connection
+from conetl.db.ogc_store import Degrees
 from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import read_origin
 from conetl.model.records import Vec3
@@ -19,6 +22,9 @@ from conetl.model.records import Vec3
 #: Largest number of features of one answer, which says whether there are more.
 MAX_FEATURES = 100_000
 T = TypeVar("T")
+#: Both ends of a temporal filter; None: open.
+Interval = tuple[datetime | None, datetime | None]
+_OPEN = ("", "..")
 
 
 def cut(rows: list[T], most: int) -> tuple[list[T], bool]:
@@ -64,3 +70,81 @@ def origin_of(conn: Connection, map_name: str) -> Vec3:
     if origin is None:
         raise HTTPException(404, f"There is no map {map_name}, or it is empty: fill it with `conetl ingest DRIVE`.")
     return origin
+
+
+class BadParameterError(Exception):
+    """An invalid parameter; answered 400, as the standard requires."""
+
+
+_DATETIME: TypeAdapter[datetime] = TypeAdapter(Annotated[datetime, BeforeValidator(dated)])
+
+
+def parse_instant(text: str) -> datetime:
+    """An instant; UTC where it names no zone. Raises BadParameterError."""
+    try:
+        time = _DATETIME.validate_python(text)
+    except ValidationError as error:
+        raise BadParameterError(f"{text!r} is not an instant such as 2026-03-02T12:00:00Z.") from error
+    if time.year < 2:
+        raise BadParameterError(f"{text!r} is earlier than the year 2.")
+    return time if time.tzinfo else time.replace(tzinfo=UTC)
+
+
+def parse_interval(text: str) -> Interval:
+    """An instant (both ends are equal) or an interval a/b, a/.. or ../b. Raises BadParameterError."""
+    parts = text.split("/")
+    if len(parts) > 2 or (len(parts) == 1 and parts[0] in _OPEN) or set(parts) <= set(_OPEN):
+        raise BadParameterError(f"datetime={text!r} should be an instant, or an interval a/b, a/.. or ../b.")
+    ends = [None if part in _OPEN else parse_instant(part) for part in parts]
+    start, end = ends[0], ends[-1]
+    if start is not None and end is not None and start > end:
+        raise BadParameterError(f"datetime={text!r} begins after its end.")
+    return start, end
+
+
+def parse_box(text: str) -> Degrees:
+    """West, south, east, north in degrees; heights of a box with six numbers are ignored. Raises BadParameterError."""
+    try:
+        numbers = [float(number) for number in text.split(",")]
+    except ValueError as error:
+        raise BadParameterError(
+            f"bbox={text!r} should be four comma-separated numbers: west,south,east,north."
+        ) from error
+    if len(numbers) not in (4, 6) or not all(map(math.isfinite, numbers)):
+        raise BadParameterError(f"bbox={text!r} should be four finite numbers: west,south,east,north.")
+    west, south, east, north = numbers if len(numbers) == 4 else (numbers[0], numbers[1], numbers[3], numbers[4])
+    if max(abs(west), abs(east)) > 180 or max(abs(south), abs(north)) > 90 or south > north:
+        raise BadParameterError(f"bbox={text!r} exceeds -180,-90,180,90, or its south is north of its north.")
+    return west, south, east, north
+
+
+def check_value(name: str, kind: str, text: str) -> None:
+    """Raise BadParameterError unless the text is a value of a property of this PostgreSQL type."""
+    if kind not in _VALUES:
+        return
+    read, wanted = _VALUES[kind]
+    try:
+        if not text.isascii() or "_" in text:  # Python reads these as numbers, PostgreSQL does not
+            raise ValueError
+        read(text)
+    except (ValueError, BadParameterError) as error:
+        raise BadParameterError(f"{name}={text!r} should be {wanted}.") from error
+
+
+def _integer(text: str) -> None:
+    if not -(2**31) <= int(text) < 2**31:
+        raise ValueError
+
+
+def _uuid(text: str) -> None:
+    UUID(text)
+    if len(text) not in (32, 36):  # Python also reads urn:uuid:...
+        raise ValueError
+
+
+_VALUES: dict[str, tuple[Callable[[str], object], str]] = {
+    "integer": (_integer, "a whole number from -2147483648 to 2147483647"),
+    "float8": (float, "a number"),
+    "uuid": (_uuid, "the id of a cone, a UUID"),
+    "timestamptz": (parse_instant, "an instant such as 2026-03-02T12:00:00Z"),
+}

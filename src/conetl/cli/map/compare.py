@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 from uuid import UUID
 
 import numpy as np
@@ -17,15 +17,15 @@ from pyproj import Transformer
 from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import feature_log, list_changesets, read_features_as_of
-from conetl.evaluation.check_points import CheckedMap, check_map
+from conetl.db.map.map_store import Bbox, feature_log, list_changesets, read_features_as_of
 from conetl.exports.geojson import ChangeOrigin, export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
 from conetl.model.map_records import FeatureChange, MapFeature
-from conetl.readers.surveyed_points import read_surveyed_points
-from conetl.reports.map_picture import SUFFIXES, Bbox, draw_map_picture, plan_extent, read_plan_content
+
+if TYPE_CHECKING:  # what draws and checks takes half a second to load
+    from conetl.evaluation.check_points import CheckedMap
 
 _AXES = ("east", "north", "up", "horizontal", "3D")
 
@@ -89,13 +89,13 @@ def _origins(
         entries = [
             entry
             for entry in feature_log(conn, change.feature_id)
-            if (valid_at is None or entry.changed_at <= valid_at)
-            and (known_at is None or entry.committed_at <= known_at)
-            and (entry.believed_until is None or (known_at is not None and entry.believed_until > known_at))
+            if (valid_at is None or entry["changed_at"] <= valid_at)
+            and (known_at is None or entry["committed_at"] <= known_at)
+            and (entry["believed_until"] is None or (known_at is not None and entry["believed_until"] > known_at))
         ]
         if entries:
-            last = max(entries, key=lambda entry: entry.changed_at)
-            found[change.feature_id] = ChangeOrigin(last.changed_at, last.drive_id, last.changeset_no)
+            last = max(entries, key=lambda entry: entry["changed_at"])
+            found[change.feature_id] = ChangeOrigin(last["changed_at"], last["drive_id"], last["changeset_no"])
     return found
 
 
@@ -161,6 +161,9 @@ def check_points(
 
     The points change nothing on the map. Exit code 1 if no point has a cone, or the residuals contradict the stated sigmas.
     """
+    from conetl.evaluation.check_points import check_map
+    from conetl.readers.surveyed_points import read_surveyed_points
+
     with open_map(map_name) as (conn, info):
         versions = list(read_features_as_of(conn, ui.parse_instant(as_of), map_name=info.map_name))
     points = read_surveyed_points(file, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
@@ -221,7 +224,7 @@ def _print(checked: CheckedMap, name: str, srid: int) -> None:
 
 
 def picture(
-    output: Annotated[Path, typer.Argument(metavar="OUT", help=f"File to write: {', '.join(SUFFIXES)}.")],
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .png, .svg, .pdf.")],
     at: Annotated[
         str | None, typer.Option("--at", help="State of the road at this time, e.g. 2026-03-02; default: latest.")
     ] = None,
@@ -242,6 +245,8 @@ def picture(
     as_json: ui.JsonOption = False,
 ) -> None:
     """Draw a plan of the map for a report: cones, lane markings, base layers, drive paths, scale bar, legend, CRS and date."""
+    from conetl.reports.map_picture import SUFFIXES, draw_map_picture, plan_extent, read_plan_content
+
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
     if changes is not None and (at is not None or known_at is not None):

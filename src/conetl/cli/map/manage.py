@@ -16,7 +16,7 @@ from conetl.db.map.archive import delete_map, list_maps, rename_map, restore_map
 from conetl.db.map.map_store import find_map, insert_map
 from conetl.geometry.heights import map_crs, system_name
 from conetl.model.errors import InputError
-from conetl.pipeline.settings import Settings, checked_map_name, read_settings
+from conetl.pipeline.settings import checked_map_name, read_settings
 
 _MAPS: Columns = {
     "map": "map_name",
@@ -99,7 +99,7 @@ def delete(
     Drive folders and reports are not touched.
     """
     settings = read_settings(name)
-    path = dump or _dump_path(settings)
+    path = dump or settings.home / "dumps" / f"{settings.map_name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip"
     if path.exists():
         raise InputError(f"{path}: exists already, choose another file with --dump")
     with open_map(name) as (conn, _):
@@ -132,7 +132,3 @@ def restore(
     answer(
         as_json, {"map": info.map_name, "features": size["feature_count"], "changesets": size["changeset_count"]}, text
     )
-
-
-def _dump_path(settings: Settings) -> Path:
-    return settings.home / "dumps" / f"{settings.map_name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from math import dist
 from operator import attrgetter
@@ -15,7 +15,7 @@ from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
-from conetl.db.map.results import CommittedChangeset, FeatureLogEntry
+from conetl.db.map.results import CommittedChangeset
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
 from conetl.model.health import HoldEvent
@@ -122,13 +122,13 @@ def log(
                 raise InputError(f"{feature!r} is ambiguous: give more characters of the id")
             entries = feature_log(conn, found[0])
             classified = read_decisions(conn, map_name=name).classified
-            reasons = reasons_of(conn, name, found[0], [vars(entry) for entry in entries])
+            reasons = reasons_of(conn, name, found[0], entries)
     if as_json and feature is None:
         ui.print_json(
             [vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets]
         )
     elif as_json:
-        ui.print_json([vars(entry) | {"why": reason} for entry, reason in zip(entries, reasons, strict=True)])
+        ui.print_json([entry | {"why": reason} for entry, reason in zip(entries, reasons, strict=True)])
     elif feature is None:
         # Newest first; what happened at the instant of a commit comes after it.
         rows: list[CommittedChangeset | HoldEvent] = [*reversed(changesets), *events]
@@ -138,21 +138,21 @@ def log(
         ui.print_records("", columns, rows[::-1], numbers_from=3)
     else:
         ui.print_records(
-            "", ui.class_if_mixed(_HISTORY, {entry.category for entry in entries}), entries, numbers_from=3
+            "", ui.class_if_mixed(_HISTORY, {entry["category"] for entry in entries}), entries, numbers_from=3
         )
         for entry, reason in zip(entries, reasons, strict=True):
-            if entry.believed_until is None:
+            if entry["believed_until"] is None:
                 ui.say(reason)
         for one in classified:
-            if any(entry.believed_until is None and _is_about(one, entry) for entry in entries):
+            if any(entry["believed_until"] is None and _is_about(one, entry) for entry in entries):
                 classes = f"{noun_of(one.category)} instead of {noun_of(one.found_as)}"
                 ui.say(f"Class by a person's decision: {classes}, see `conetl map decisions`.")
 
 
-def _is_about(decision: Classification, entry: FeatureLogEntry) -> bool:
+def _is_about(decision: Classification, entry: Mapping[str, Any]) -> bool:
     """Whether the decision gives the feature its class."""
-    apart_m = dist((entry.easting_m, entry.northing_m), decision.xy_m)
-    return entry.category == decision.category and apart_m <= decision.radius_m
+    apart_m = dist((entry["easting_m"], entry["northing_m"]), decision.xy_m)
+    return entry["category"] == decision.category and apart_m <= decision.radius_m
 
 
 def _others(changeset: CommittedChangeset) -> str:
@@ -169,9 +169,9 @@ def _state_of(changeset: CommittedChangeset) -> str:
     return "" if changeset.counts else "on hold" if changeset.hold else "does not count"
 
 
-def _frames(entry: FeatureLogEntry) -> str:
+def _frames(entry: Mapping[str, Any]) -> str:
     """In how many frame pairs a drive saw the feature, and in how many it did not although visible."""
-    parts = ((entry.frames_seen, "seen"), (entry.frames_empty, "empty"))
+    parts = ((entry["frames_seen"], "seen"), (entry["frames_empty"], "empty"))
     return ", ".join(f"{count} {word}" for count, word in parts if count)
 
 
@@ -208,7 +208,7 @@ _HISTORY: ui.Columns = {
     "class": "category",
     "drive": "drive_id",
     "on the road since (UTC)": "changed_at",
-    "log odds": lambda e: None if e.log_likelihood_ratio is None else f"{e.log_likelihood_ratio:+.1f}",
+    "log odds": lambda e: None if e["log_likelihood_ratio"] is None else f"{e['log_likelihood_ratio']:+.1f}",
     "frame pairs": _frames,
     "easting m": "easting_m",
     "northing m": "northing_m",
@@ -216,6 +216,6 @@ _HISTORY: ui.Columns = {
     "probability": "existence_probability",
     "observations": "observation_count",
     "shift m": "shift_m",
-    "with": lambda e: "suppressed" if e.suppressed else ui.cell(e.other_feature_id),
+    "with": lambda e: "suppressed" if e["suppressed"] else ui.cell(e["other_feature_id"]),
     "superseded (UTC)": "believed_until",
 }

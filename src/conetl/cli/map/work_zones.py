@@ -128,7 +128,12 @@ def _print_zone(zone: WorkZone, findings: list[Finding], lane_lines_from: str | 
     source = {"lanes": f"lane lines ({lane_lines_from})", "drives": "the drive paths", "cones": "the cones alone"}
     length = layout.stations_m[-1] - layout.stations_m[0]
     counts = {level: sum(finding.level is level for finding in findings) for level in Level}
-    result = ", ".join(_counted(count, level) for level, count in counts.items() if count) or "no findings"
+    named = (
+        f"{count} {level}" if level is Level.CANNOT_TELL else counted(count, level)
+        for level, count in counts.items()
+        if count
+    )
+    result = ", ".join(named) or "no findings"
     cones = f"{counted(len(layout.cones), 'cone')} over {length:.1f} m"
     say(f"\nWork zone {str(zone.history.zone_id)[:8]}: {cones}, offsets from {source[layout.axis_source]}: {result}")
     columns: Columns = {
@@ -144,7 +149,3 @@ def _print_zone(zone: WorkZone, findings: list[Finding], lane_lines_from: str | 
     print_records("", columns, enumerate(findings, 1), numbers_from=3)
     for number, finding in enumerate(findings, 1):
         say(f"{number}  {finding.text}")
-
-
-def _counted(count: int, level: Level) -> str:
-    return f"{count} {level}" if level is Level.CANNOT_TELL else counted(count, level)

@@ -21,7 +21,6 @@ from conetl.perception.boards.videos import find_videos, open_videos, pairs_in_v
 from conetl.perception.images import ImageFileError
 from conetl.perception.video import Layout
 from conetl.readers.rigs.rig_yaml import write_rig_yaml
-from conetl.reports.calibration_report import calibration_as_dict, write_calibration_report
 
 #: Exit code 1 if a larger share of the images was rejected.
 MAX_REJECTED_SHARE = 0.25
@@ -86,6 +85,9 @@ def calibrate(
     Lens model and board shape are selected by information criterion. The standard deviations include errors that are correlated
     within a pair. Exit code 1 if more than a quarter of the images were rejected; rig.yaml is written anyway.
     """
+    # here: matplotlib takes half a second to load
+    from conetl.reports.inspection_images import calibration_as_dict, write_calibration_report
+
     drawn = parse_board(board)
     sensor = None if sensor_mm is None else _sensor(sensor_mm)
     folder, videos = sources[0], _videos(sources, layout)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -19,12 +19,11 @@ from conetl.model.params import DetectionParams, IngestParams
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_upright_image
 from conetl.perception.model_card import ModelCard
-from conetl.pipeline.one_pair import locate_pair
 from conetl.pipeline.settings import read_settings
-from conetl.readers.drives.pairs import first_size
-from conetl.readers.rigs import read_rig_for_images
 from conetl.reports.camera_images import write_annotated_image
-from conetl.tracking.positions import CameraPosition
+
+if TYPE_CHECKING:
+    from conetl.tracking.positions import CameraPosition
 
 #: Boxes of this score and more are used for the map.
 USED_SCORE = DetectionParams().score_threshold
@@ -162,6 +161,10 @@ def locate(
 
     It needs neither trajectory nor map. Of signs and boards, distance and height are those of the plate.
     """
+    from conetl.pipeline.one_pair import locate_pair  # here: `detect` needs none of it, and it takes a while to load
+    from conetl.readers.drives.pairs import first_size
+    from conetl.readers.rigs import read_rig_for_images
+
     rig = read_rig_for_images(calibration, first_size([left]))
     settings = read_settings()
     detector = load_detector(settings.model_path, providers=settings.onnx_providers)

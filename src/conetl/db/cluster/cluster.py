@@ -252,7 +252,7 @@ def _running_pid(location: ClusterLocation) -> int | None:
     killed server stays as a zombie. A running server's working folder is its data folder.
     """
     try:
-        pid = int((location.data / "postmaster.pid").read_text().split("\n", 1)[0])
+        pid = int(location.pid_file.read_text().split("\n", 1)[0])
     except (OSError, ValueError):
         return None
     return pid if working_folder(location, pid) == os.path.realpath(location.data) else None
@@ -261,7 +261,7 @@ def _running_pid(location: ClusterLocation) -> int | None:
 def _remove_stale_files(location: ClusterLocation) -> None:
     """Remove files that PostgreSQL would trust if any process had their number."""
     if _running_pid(location) is None:
-        (location.data / "postmaster.pid").unlink(missing_ok=True)
+        location.pid_file.unlink(missing_ok=True)
         _socket_file(location).with_name(f"{_socket_file(location).name}.lock").unlink(missing_ok=True)
 
 

@@ -42,6 +42,10 @@ class ClusterLocation:
         return self.directory / "data"
 
     @property
+    def pid_file(self) -> Path:
+        return self.data / "postmaster.pid"
+
+    @property
     def data_major(self) -> int | None:
         """Major version of the PostgreSQL that created the data; None without data."""
         try:

@@ -58,7 +58,7 @@ def require_no_server_elsewhere(location: ClusterLocation, *, to_stop: bool = Fa
     )
     raise DatabaseError(
         f"The private PostGIS cluster in {location.directory} is used by another machine or container (host {host}): {remedy} If "
-        f"that server is known to be dead, remove {_pid_file(location)}."
+        f"that server is known to be dead, remove {location.pid_file}."
     )
 
 
@@ -67,7 +67,7 @@ def host_elsewhere(location: ClusterLocation) -> str | None:
 
     Call if no local process is the server.
     """
-    if not _pid_file(location).exists():
+    if not location.pid_file.exists():
         return None
     started = _read_host(location)
     return None if started is None or _is_gone(location, started, this_host()) else started.host
@@ -77,7 +77,7 @@ def host_elsewhere(location: ClusterLocation) -> str | None:
 def lock_for_server(location: ClusterLocation) -> Iterator[int]:
     """A file for the server to inherit, and to keep while any of its processes runs. Records the server's host."""
     _write_host(location, this_host())
-    handle = os.open(_lock_file(location), os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+    handle = os.open(location.directory / LOCK_NAME, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         # Shared: processes of a server that was killed may hold it for another moment.
         fcntl.flock(handle, fcntl.LOCK_SH)
@@ -102,7 +102,7 @@ def _is_gone(location: ClusterLocation, started: ServerHost, here: ServerHost) -
 def _is_locked(location: ClusterLocation) -> bool:
     """Whether any process holds the lock; True if that cannot be determined."""
     try:
-        handle = os.open(_lock_file(location), os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        handle = os.open(location.directory / LOCK_NAME, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     except FileNotFoundError:
         return False
     except OSError:
@@ -138,11 +138,3 @@ def _write_host(location: ClusterLocation, host: ServerHost) -> None:
         raise DatabaseError(
             f"{location.directory / HOST_NAME} could not be written (as user {location.user.pw_name}): {done.stdout.strip()}"
         )
-
-
-def _pid_file(location: ClusterLocation) -> Path:
-    return location.data / "postmaster.pid"
-
-
-def _lock_file(location: ClusterLocation) -> Path:
-    return location.directory / LOCK_NAME

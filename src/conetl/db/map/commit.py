@@ -39,7 +39,7 @@ from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
 from conetl.db.map.map_store import find_changeset, map_for, system_time
 from conetl.db.map.replay_store import take_turn, write_replay
-from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
+from conetl.db.map.results import CommitResult, MapInfo, Replay, RunInfo
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.errors import MapMismatchError
 from conetl.model.health import HealthCheck
@@ -54,6 +54,10 @@ ANALYSE_FROM_VERSIONS = 10_000
 #: Records per block, and blocks that wait at most: about 100 MB of positions, which are the longest rows.
 BLOCK_RECORDS = 25_000
 BLOCKS_AHEAD = 12
+_COUNTED = {
+    "detection": "detections", "match": "matches", "position": "positions", "track": "tracks", "marking": "markings",
+    "rejection": "rejections",
+}  # fmt: skip
 #: `drives.insert_drive` makes the area larger by more than this.
 _PATH_STEP_M = 3.0
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
@@ -156,16 +160,7 @@ def commit_changeset(
             copy_block(conn, block)
     take_turn(conn, map_name)  # what follows keeps other drives of the map waiting
     committed_at = system_time(conn, info, now)
-    counts = RecordCounts(
-        frame_pair_count=len(drive.frame_pairs),
-        detection_count=len(records.detections),
-        match_count=len(records.matches),
-        position_count=len(records.positions),
-        track_count=len(records.tracks),
-        marking_count=len(records.markings),
-        rejection_count=len(records.rejections),
-    )
-    insert_changeset(conn, info, placed, changeset, counts, run, committed_at)
+    insert_changeset(conn, info, placed, changeset, records, run, committed_at)
     copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
     if replay is None:
@@ -181,11 +176,11 @@ def insert_changeset(
     info: MapInfo,
     drive_uuid: UUID,
     changeset: Changeset,
-    counts: RecordCounts,
+    records: DriveRecords | None,
     run: RunInfo | None,
     committed_at: datetime,
 ) -> None:
-    """Write a changeset's own row, and the run that it came from; not its deltas."""
+    """Write a changeset's own row, and the run that it came from; not its deltas. records: of a drive; None of an import."""
     if run is not None:
         facts = None if run.facts is None else json_text(dict(run.facts))
         kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
@@ -205,7 +200,8 @@ def insert_changeset(
         "committed_at": committed_at,
         **{f"{kind.value}_count": kinds[kind] for kind in DeltaKind},
         "line_counts": json_text({kind.value: count for kind, count in sorted(line_kinds.items())}),
-        **counts._asdict(),
+        "frame_pair_count": len(records.drive.frame_pairs) if records else 0,
+        **{f"{name}_count": len(getattr(records, some, ())) for name, some in _COUNTED.items()},
     }
     execute(conn, load_sql("commit.insert_changeset"), parameters)
 

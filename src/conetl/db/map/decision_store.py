@@ -129,14 +129,10 @@ def hold_changes(
         states |= {row["changeset_id"]: row["state"] for row in execute(conn, load_sql("holds.unheld_states"), gone)}
     changed = [(was | held)[drive] for drive in states]
     return tuple(
-        HoldChange.model_validate(
-            {
-                "drive_id": drive.drive_id,
-                "changeset_no": drive.changeset_no,
-                "changeset_id": drive.changeset_id,
-                "state": states[drive.changeset_id],
-                "reason": drive.reason,
-            }
+        HoldChange(
+            **drive.model_dump(include={"drive_id", "changeset_no", "changeset_id"}),
+            state=states[drive.changeset_id],
+            reason=drive.reason,
         )
         for drive in sorted(changed, key=lambda drive: drive.changeset_no)
     )

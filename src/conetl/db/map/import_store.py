@@ -14,7 +14,7 @@ from conetl.db.map import rows as map_rows
 from conetl.db.map.commit import committed_result, insert_changeset
 from conetl.db.map.map_store import map_for, require_map, system_time
 from conetl.db.map.replay_store import write_replay
-from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
+from conetl.db.map.results import CommitResult, MapInfo, Replay, RunInfo
 from conetl.db.map.rows import feature_of
 from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap
 from conetl.model.params import ReconcileParams
@@ -111,7 +111,7 @@ def commit_import(
     """Write an import's statements and changeset, inside the caller's `map_transaction`. drive_uuid: of `place_import`."""
     info = map_for(conn, map_name, imported.srid, imported.name)
     committed_at = system_time(conn, info)
-    insert_changeset(conn, info, drive_uuid, changeset, RecordCounts(), run, committed_at)
+    insert_changeset(conn, info, drive_uuid, changeset, None, run, committed_at)
     copy_columns(conn, "conetl.statement", _statement_columns(drive_uuid, info.srid, imported.statements))
     versions_written = write_replay(conn, info, replay, committed_at)
     if versions_written:

@@ -23,7 +23,7 @@ from conetl.db.connection import (
     transaction,
 )
 from conetl.db.copy_binary import clean_text
-from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, FeatureLogEntry, MapInfo
+from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, MapInfo
 from conetl.db.map.rows import feature_of, version_of
 from conetl.model.errors import InputError, MapMismatchError
 from conetl.model.map_records import DeltaKind, FeatureVersion, MapFeature
@@ -146,11 +146,11 @@ def list_changesets(
         return [CommittedChangeset(**row) for row in execute(conn, load_sql("history.changesets"), parameters)]
 
 
-def feature_log(conn: Connection, feature_id: UUID) -> list[FeatureLogEntry]:
-    """Everything that happened to a feature, oldest first; [] without such a feature."""
+def feature_log(conn: Connection, feature_id: UUID) -> list[dict[str, Any]]:
+    """Everything that happened to a feature, oldest first, columns of `history.feature_log`; [] without such a feature."""
     with database_errors(f"The history of feature {feature_id} cannot be read"):
         rows = execute(conn, load_sql("history.feature_log"), {"feature_id": feature_id})
-    return [FeatureLogEntry(**row | {"kind": DeltaKind(row["kind"])}) for row in rows]
+    return [row | {"kind": DeltaKind(row["kind"])} for row in rows]
 
 
 def find_features(conn: Connection, beginning: str, *, map_name: str = "default", max_rows: int = 2) -> list[UUID]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import Any
 from uuid import UUID
 
 from conetl.model.health import HealthCheck
@@ -26,18 +26,6 @@ class MapInfo:
     last_committed_at: datetime | None
     counts: bool
     """False while all its drives are on hold or reverted."""
-
-
-class RecordCounts(NamedTuple):
-    """Numbers of records of a drive; an imported map has none."""
-
-    frame_pair_count: int = 0
-    detection_count: int = 0
-    match_count: int = 0
-    position_count: int = 0
-    track_count: int = 0
-    marking_count: int = 0
-    rejection_count: int = 0
 
 
 @dataclass(frozen=True)
@@ -116,48 +104,6 @@ class FeatureAtInstant:
     """Drives that observed it, until that instant."""
     missed_count: int
     """Drives to which it was visible and that did not observe it."""
-
-
-@dataclass(frozen=True)
-class FeatureLogEntry:
-    """One delta of one feature; the values are those after it (of a removed feature, the last ones).
-
-    A drive may have several: the current one, and those that were replaced when a drive arrived late or was reverted.
-    """
-
-    changeset_no: int
-    changeset_id: UUID
-    drive_id: str
-    map_name: str
-    kind: DeltaKind
-    changed_at: datetime
-    committed_at: datetime
-    """Start of its system period."""
-    believed_until: datetime | None
-    """End of its system period; None if it is current."""
-    old_version: int | None
-    new_version: int
-    track_index: int | None
-    shift_m: float | None
-    category: str
-    easting_m: float
-    northing_m: float
-    height_m: float
-    cone_height_m: float
-    existence_probability: float
-    """After this drive, also if it changed nothing."""
-    observation_count: int
-    suppressed: bool
-    other_feature_id: UUID | None
-    """Of a split, the common origin; of a merger, the feature that is left."""
-    log_likelihood_ratio: float | None
-    frames_seen: int | None
-    frames_empty: int | None
-    drive_uuid: UUID
-    drive_kind: str
-    """drive or import."""
-    sigma_m: float
-    """Along the major axis of the horizontal error ellipse."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from conetl.model.errors import DatabaseError
 from conetl.web.models import Problem
 from conetl.web.ogc import parameters as p
 from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS, MARKING_COLUMNS, AsOfCollection, Page, as_ewkt
-from conetl.web.ogc.values import BadParameterError, Interval
+from conetl.web.parameters import BadParameterError, Interval
 
 TITLE = "conetl: maps of traffic cones"
 DESCRIPTION = (

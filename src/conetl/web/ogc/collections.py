@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -20,7 +20,7 @@ from conetl.db import ogc_store as store
 from conetl.db.ogc_store import Degrees, ServedMap
 from conetl.exports.fields import FIELDS
 from conetl.model.params import ReconcileParams
-from conetl.web.ogc.values import BadParameterError, Interval, check_value
+from conetl.web.parameters import BadParameterError, Interval, check_value
 
 SCHEMA = "conetl_ogc"
 MAX_ZOOM = 24
@@ -93,6 +93,29 @@ _FEATURE_PARAMETERS = {"map_name": "text", "from_at": "timestamptz", "to_at": "t
 _CHANGE_PARAMETERS = {
     "map_name": "text", "from_at": "timestamptz", "known_from": "timestamptz", "to_at": "timestamptz", "known_to": "timestamptz",
     "moved_from_m": "float8",
+}  # fmt: skip
+
+
+#: Name of a collection of each map -> title, description, properties, parameters of its SQL function, type of geometry.
+COLLECTIONS = {
+    "features": (
+        "Cones",
+        "Traffic cones at the instant `at` on the road, in the state of the database at `known_at`; by default the latest.",
+        FEATURE_COLUMNS, _FEATURE_PARAMETERS, "Point",
+    ),
+    "lane_markings": (
+        "Lane markings",
+        "Stretches of lane markings at the instant `at` on the road, in the state of the database at `known_at`; by default the "
+        "latest.",
+        MARKING_COLUMNS, _FEATURE_PARAMETERS, "LineString",
+    ),
+    "changes": (
+        "Changes",
+        "Traffic cones that were added, moved, removed or confirmed between the instants `from` and `to` on the road; "
+        "without `from`, all that stand at `to` are added. Positions and versions are those after the change, of removed ones "
+        "those before it.",
+        CHANGE_COLUMNS, _CHANGE_PARAMETERS, "Point",
+    ),
 }  # fmt: skip
 
 
@@ -256,44 +279,16 @@ class AsOfCollection(PgCollection):
         }
 
 
-def features_of(served: ServedMap, instants: Instants) -> AsOfCollection:
-    """The map as of an instant on the road and a state of the database."""
-    return _collection(
-        "features", served, instants, FEATURE_COLUMNS, _FEATURE_PARAMETERS, f"Cones of the map {served.map_name}",
-        "Traffic cones at the instant `at` on the road, in the state of the database at `known_at`; by default the latest.",
-    )  # fmt: skip
-
-
-def lane_markings_of(served: ServedMap, instants: Instants) -> AsOfCollection:
-    """The lane markings as of an instant on the road and a state of the database."""
-    return _collection(
-        "lane_markings", served, instants, MARKING_COLUMNS, _FEATURE_PARAMETERS, f"Lane markings of the map {served.map_name}",
-        "Stretches of lane markings at the instant `at` on the road, in the state of the database at `known_at`; by default the "
-        "latest.", geometry="LineString",
-    )  # fmt: skip
-
-
-def changes_of(served: ServedMap, instants: Instants) -> AsOfCollection:
-    """The differences between two instants of the map."""
-    return _collection(
-        "changes", served, instants, CHANGE_COLUMNS, _CHANGE_PARAMETERS, f"Changes of the map {served.map_name}",
-        "Traffic cones that were added, moved, removed or confirmed between the instants `from` and `to` on the road; "
-        "without `from`, all that stand at `to` are added. Positions and versions are those after the change, of removed ones "
-        "those before it.",
-    )  # fmt: skip
-
-
-def _collection(
-    name: str, served: ServedMap, instants: Instants, columns: Sequence[str], parameters: Mapping[str, str],
-    title: str, description: str, geometry: str = "Point",
-) -> AsOfCollection:  # fmt: skip
+def collection_of(name: str, served: ServedMap, instants: Instants) -> AsOfCollection:
+    """A collection of a map; name: of `COLLECTIONS`."""
+    title, description, columns, parameters, geometry = COLLECTIONS[name]
     place = Column(name="geom", type="geometry", geometry_type=geometry, srid=4326, bounds=list(served.extent))
-    listed = [_column(name) for name in columns]
+    listed = [_column(column) for column in columns]
     types = dict(parameters) | dict.fromkeys(_BOX, "float8")  # tipg leaves out those without a value
     return AsOfCollection(
-        type="Function", id=f"{served.map_name}.{name}", table=name, schema=SCHEMA, title=title, description=description,
-        table_columns=[*listed, place], properties=[*listed, place], id_column=listed[0], geometry_column=place,
-        parameters=[Parameter(name=key, type=kind, default="") for key, kind in types.items()],
+        type="Function", id=f"{served.map_name}.{name}", table=name, schema=SCHEMA, title=f"{title} of the map {served.map_name}",
+        description=description, table_columns=[*listed, place], properties=[*listed, place], id_column=listed[0],
+        geometry_column=place, parameters=[Parameter(name=key, type=kind, default="") for key, kind in types.items()],
         served=served, instants=instants,
     )  # fmt: skip
 
@@ -309,7 +304,7 @@ async def warm(conn: asyncpg.Connection) -> None:
     await store.warm_session(conn)
     never = datetime.min.replace(tzinfo=UTC)
     nowhere = ServedMap("", 0, 0, never, (0.0, 0.0, 0.0, 0.0), never)
-    await features_of(nowhere, Instants()).page(conn, box=(90.0, 45.0, 90.0, 45.0), limit=1)
+    await collection_of("features", nowhere, Instants()).page(conn, box=(90.0, 45.0, 90.0, 45.0), limit=1)
 
 
 def as_ewkt(geometry: dict[str, Any]) -> str:

@@ -12,16 +12,14 @@ from tipg.resources.enums import MediaType
 
 from conetl.db.ogc_store import Degrees, MapDirectory, ServedMap
 from conetl.db.reader_pool import AsyncReaderPool
-from conetl.web.ogc.collections import AsOfCollection, Instants, changes_of, features_of, lane_markings_of
-from conetl.web.ogc.values import BadParameterError, Interval, parse_box, parse_interval
-from conetl.web.parameters import Instant
+from conetl.web.ogc.collections import COLLECTIONS, AsOfCollection, Instants, collection_of
+from conetl.web.parameters import BadParameterError, Instant, Interval, parse_box, parse_interval
 
 #: Items or collections of one page; a larger limit is not an error, but returns no more.
 MAX_LIMIT = 10_000
 #: No map has more items.
 MAX_OFFSET = 2**31
 ItemForm = Annotated[Literal["geojson", "json", "csv", "geojsonseq", "ndjson"], Query(description="Format.")]
-_KINDS = {"features": features_of, "lane_markings": lane_markings_of, "changes": changes_of}
 
 
 # All dependencies are coroutines: FastAPI runs plain functions in a thread each.
@@ -68,12 +66,12 @@ async def one_collection(
 ) -> AsOfCollection:
     """The collection of a path. Raises NotFound."""
     map_name, _, kind = collectionId.rpartition(".")
-    found = await _maps(request, map_name) if kind in _KINDS and map_name.isprintable() else []
+    found = await _maps(request, map_name) if kind in COLLECTIONS and map_name.isprintable() else []
     if not found:
         raise NotFound(f"There is no collection {collectionId}: /collections lists them.")
     latest = found[0].last_committed_at  # all queries of a request see one state
     pinned = replace(instants, known_at=instants.known_at or latest, known_end=instants.known_end or latest)
-    return _KINDS[kind](found[0], pinned)
+    return collection_of(kind, found[0], pinned)
 
 
 async def all_collections(
@@ -89,7 +87,7 @@ async def all_collections(
     end = None if datetime is None else parse_interval(datetime)[1]
     found = [m for m in await _maps(request) if _meets(m, box) and (end is None or end >= m.since)]
     found.sort(key=lambda m: (m.map_name != request.app.state.map_name, m.map_name))
-    listed = [make(m, instants) for m in found for make in _KINDS.values()]
+    listed = [collection_of(kind, m, instants) for m in found for kind in COLLECTIONS]
     page = listed[offset : offset + limit]
     following = offset + len(page)
     return CollectionList(
