@@ -12,15 +12,8 @@ from urllib.parse import quote, urlencode
 
 import asyncpg
 
-from conetl.db.connection import (
-    CONNECT_TIMEOUT_S,
-    Connection,
-    address_parts,
-    connect,
-    database_errors,
-    execute,
-    load_sql,
-)
+from conetl.db import connection as db
+from conetl.db.connection import Connection
 from conetl.model.errors import DatabaseError
 
 #: The server cancels statements of the web view that take longer.
@@ -90,9 +83,9 @@ class ReaderPool:
     def listener(self) -> Connection:
         """One more connection, which receives notifications of changes; the caller closes it. Raises DatabaseError."""
         conn = open_reader(self._url)
-        with database_errors("The connection could not listen for changes"):
+        with db.database_errors("The connection could not listen for changes"):
             conn.autocommit = True
-            execute(conn, load_sql("schema.listen"))
+            db.execute(conn, db.load_sql("schema.listen"))
         return conn
 
     def close(self) -> None:
@@ -104,7 +97,7 @@ class ReaderPool:
 def wait_for_news(conn: Connection, timeout_s: float) -> bool:
     """Wait for a notification of a change; False if none came in time. Raises DatabaseError if the connection was lost."""
     _has_input(conn, timeout_s)
-    with database_errors("The connection to the database was lost"):
+    with db.database_errors("The connection to the database was lost"):
         conn.poll()
     notified = bool(conn.notifies)
     conn.notifies.clear()
@@ -119,10 +112,10 @@ def _has_input(conn: Connection, timeout_s: float) -> bool:
 
 def open_reader(url: str, timeout: str = STATEMENT_TIMEOUT) -> Connection:
     """A connection whose transactions only read, as role conetl_reader if the user is a member of it. Raises DatabaseError."""
-    conn = connect(url)
-    with database_errors("The connection could not be made read-only"):
+    conn = db.connect(url)
+    with db.database_errors("The connection could not be made read-only"):
         conn.autocommit = True
-        execute(conn, load_sql("schema.reader_session"), {"timeout": timeout})
+        db.execute(conn, db.load_sql("schema.reader_session"), {"timeout": timeout})
         conn.autocommit = False
     return conn
 
@@ -170,14 +163,14 @@ class AsyncReaderPool:
     async def _opened(self) -> asyncpg.Pool:
         async with self._opening:
             if self._pool is None:
-                parts = address_parts(self._url)
+                parts = db.address_parts(self._url)
                 query = urlencode({name: parts[name] for name in _KEYWORDS if name in parts})
                 self._pool = await asyncpg.create_pool(
                     f"postgresql:///{quote(parts.get('dbname', ''), safe='')}?{query}",
                     min_size=MAX_CONNECTIONS,
                     max_size=MAX_CONNECTIONS,
                     max_inactive_connection_lifetime=0,
-                    timeout=CONNECT_TIMEOUT_S,
+                    timeout=db.CONNECT_TIMEOUT_S,
                     init=self._prepare,
                     reset=_keep,
                     server_settings=_SESSION,
@@ -185,8 +178,8 @@ class AsyncReaderPool:
             return self._pool
 
     async def _prepare(self, conn: asyncpg.Connection) -> None:
-        await conn.execute(load_sql("schema.search_path"))
-        await conn.fetch(load_sql("schema.reader_session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
+        await conn.execute(db.load_sql("schema.search_path"))
+        await conn.fetch(db.load_sql("schema.reader_session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
         for name in ("json", "jsonb"):
             await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")
         if self._warm is not None:

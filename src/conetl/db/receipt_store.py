@@ -1,4 +1,5 @@
-"""Receipts: the outcome of every drive that was handed over, in the database and, for people, as files; and the locks of work.
+"""Receipts: the outcome of every drive that was handed over, in the database and, for people, as files; locks of the work; and
+what follows the commit of a run: the durations of its steps, and the publication of its changeset.
 
 The locks are PostgreSQL's session locks: the server frees them when their process ends, on any machine and for any reason, so a
 crash is detected and not guessed from a clock. (A pooler in transaction mode would break them.) `holding` keeps them in a session

@@ -11,18 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from conetl.db.connection import (
-    Connection,
-    address,
-    connect,
-    database_errors,
-    execute,
-    load_sql,
-    sql_directory,
-    sqlalchemy_url,
-    statements,
-    transaction,
-)
+from conetl.db import connection as db
+from conetl.db.connection import Connection
 from conetl.model.errors import DatabaseError
 
 #: Key of the advisory lock that keeps two migrations apart.
@@ -37,7 +27,7 @@ SHOWN_ROWS = 100
 
 def migrate_once(conn: Connection) -> None:
     """`migrate`, but only the first time that this process calls it for the same database."""
-    database = frozenset(address(conn).items())
+    database = frozenset(db.address(conn).items())
     if database not in _checked:
         migrate(conn)
         _checked.add(database)
@@ -50,26 +40,26 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     conetl or older than its baseline, PostGIS is missing or cannot be created. Two calls at once wait for each other; if nothing
     is to be done, nothing is locked or written, so users without rights on the schema may call it too.
     """
-    wanted = _migration_files(directory or sql_directory() / "migrations")
-    with transaction(conn, "The state of the database cannot be read"):
-        if execute(conn, load_sql("schema.status"))[0]["has_schema"]:
+    wanted = _migration_files(directory or db.sql_directory() / "migrations")
+    with db.transaction(conn, "The state of the database cannot be read"):
+        if db.execute(conn, db.load_sql("schema.status"))[0]["has_schema"]:
             applied = _applied(conn)
             _check_history(applied, wanted)
             if not wanted.keys() - applied.keys() and (not _missing_roles(conn) or not _may_create_roles(conn)):
                 return []
     done: list[str] = []
-    with transaction(conn, "The database could not be migrated, and is as it was before"):
-        execute(conn, "select pg_advisory_xact_lock(%(key)s)", {"key": MIGRATION_LOCK})
-        execute(conn, load_sql("schema.schema_migration"))
+    with db.transaction(conn, "The database could not be migrated, and is as it was before"):
+        db.execute(conn, "select pg_advisory_xact_lock(%(key)s)", {"key": MIGRATION_LOCK})
+        db.execute(conn, db.load_sql("schema.schema_migration"))
         applied = _applied(conn)
         _check_history(applied, wanted)
         for name in [name for name in wanted if name not in applied]:
             _require_extensions(conn, name)
-            execute(conn, wanted[name])
-            execute(conn, load_sql("schema.insert_migration"), {"name": name, "sha256": _sha256(wanted[name])})
+            db.execute(conn, wanted[name])
+            db.execute(conn, db.load_sql("schema.insert_migration"), {"name": name, "sha256": _sha256(wanted[name])})
             done.append(name)
         if _may_create_roles(conn):
-            execute(conn, load_sql("schema.roles"))
+            db.execute(conn, db.load_sql("schema.roles"))
     return done
 
 
@@ -84,11 +74,11 @@ def database_status(conn: Connection) -> dict[str, Any]:
     missing_roles: of conetl_reader and conetl_writer those that do not exist or have no rights here. `migrate` makes them where
     may_create_roles; otherwise a superuser has to run it once. maps: (name, SRID) of each.
     """
-    with transaction(conn, "The state of the database cannot be read"):
-        facts = execute(conn, load_sql("schema.status"))[0]
+    with db.transaction(conn, "The state of the database cannot be read"):
+        facts = db.execute(conn, db.load_sql("schema.status"))[0]
         applied = _applied(conn) if facts["has_schema"] else {}
-        maps = execute(conn, load_sql("map.maps")) if facts["has_map"] else []
-        wanted = _migration_files(sql_directory() / "migrations")
+        maps = db.execute(conn, db.load_sql("map.maps")) if facts["has_map"] else []
+        wanted = _migration_files(db.sql_directory() / "migrations")
         return {
             "database": facts["database"],
             "user": facts["username"],
@@ -106,16 +96,16 @@ def database_status(conn: Connection) -> dict[str, Any]:
 def prefect_database(url: str) -> str:
     """Create the Prefect server's database on the server of `url` if it is missing; its address in SQLAlchemy's form."""
     with (
-        closing(connect(url)) as conn,
-        database_errors(
+        closing(db.connect(url)) as conn,
+        db.database_errors(
             f"The database {PREFECT_DATABASE} for the Prefect server cannot be created: create it manually, or name one in "
             "CONETL_PREFECT_DATABASE_URL"
         ),
     ):
         conn.autocommit = True
-        if not execute(conn, load_sql("schema.database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
-            execute(conn, load_sql("schema.create_prefect_database"))
-    return sqlalchemy_url(url, PREFECT_DATABASE)
+        if not db.execute(conn, db.load_sql("schema.database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
+            db.execute(conn, db.load_sql("schema.create_prefect_database"))
+    return db.sqlalchemy_url(url, PREFECT_DATABASE)
 
 
 def _migration_files(directory: Path) -> dict[str, str]:
@@ -127,7 +117,7 @@ def _migration_files(directory: Path) -> dict[str, str]:
 
 
 def _applied(conn: Connection) -> dict[str, str]:
-    return {row["name"]: row["sha256"] for row in execute(conn, load_sql("schema.applied_migrations"))}
+    return {row["name"]: row["sha256"] for row in db.execute(conn, db.load_sql("schema.applied_migrations"))}
 
 
 def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> None:
@@ -150,7 +140,7 @@ def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> Non
 
 def _require_extensions(conn: Connection, migration: str) -> None:
     """Name the missing extension, where PostgreSQL would only name a control file."""
-    missing = [row["name"] for row in execute(conn, load_sql("schema.missing_extensions"))]
+    missing = [row["name"] for row in db.execute(conn, db.load_sql("schema.missing_extensions"))]
     if missing:
         raise DatabaseError(
             f"migration {migration} requires the extension(s) {', '.join(missing)}, which this server does not offer: install "
@@ -159,12 +149,12 @@ def _require_extensions(conn: Connection, migration: str) -> None:
 
 
 def _missing_roles(conn: Connection) -> tuple[str, ...]:
-    ready = {row["rolname"] for row in execute(conn, load_sql("schema.ready_roles"), {"names": list(ROLES)})}
+    ready = {row["rolname"] for row in db.execute(conn, db.load_sql("schema.ready_roles"), {"names": list(ROLES)})}
     return tuple(name for name in ROLES if name not in ready)
 
 
 def _may_create_roles(conn: Connection) -> bool:
-    return bool(execute(conn, load_sql("schema.may_create_roles"))[0]["may_create_roles"])
+    return bool(db.execute(conn, db.load_sql("schema.may_create_roles"))[0]["may_create_roles"])
 
 
 def _sha256(text: str) -> str:
@@ -191,19 +181,19 @@ class AuditResult:
 
 def run_audits(conn: Connection) -> list[AuditResult]:
     """Run all audits over all maps of the database, on one snapshot; changes nothing."""
-    with transaction(conn, "The audits could not be run"):
-        execute(conn, load_sql("exports.snapshot"))
+    with db.transaction(conn, "The audits could not be run"):
+        db.execute(conn, db.load_sql("exports.snapshot"))
         return audits_of_open_transaction(conn)
 
 
 def audits_of_open_transaction(conn: Connection) -> list[AuditResult]:
     """Run all audits inside the caller's open transaction, its own uncommitted changes included."""
-    return [_run(conn, name, text) for name, text in statements("audits").items()]
+    return [_run(conn, name, text) for name, text in db.statements("audits").items()]
 
 
 def _run(conn: Connection, name: str, text: str) -> AuditResult:
     purpose = text.partition("\n-- Columns:")[0].removeprefix("-- ").replace("\n-- ", " ")
     start = time.monotonic()
-    rows = execute(conn, text)
+    rows = db.execute(conn, text)
     seconds = time.monotonic() - start
     return AuditResult(name, purpose, len(rows), tuple(rows[:SHOWN_ROWS]), seconds)

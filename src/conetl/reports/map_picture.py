@@ -24,16 +24,7 @@ from pyproj import CRS
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import list_changesets, read_paths
 from conetl.db.serve_store import read_base_tile, read_rows
-from conetl.exports.kind_marks import (
-    BRIGHT_POINT,
-    CLASS_MARKERS,
-    DARK_POINT,
-    DRIVE_PATH,
-    KIND_MARKS,
-    LANE,
-    STANDING,
-    KindMark,
-)
+from conetl.exports import kind_marks as marks
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import FEATURE_CLASSES, known_of, noun_of
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
@@ -184,7 +175,9 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     if handles:
         figure.legend(handles=handles, loc="outside right upper", fontsize=8.5, frameon=False, handletextpad=0.6)
     crs = CRS.from_epsg(content.srid)
-    figure.supxlabel(f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=DRIVE_PATH)
+    figure.supxlabel(
+        f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=marks.DRIVE_PATH
+    )
     return figure
 
 
@@ -192,19 +185,21 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
     """Draw points, lane boundaries and paths; their lines of the legend."""
     handles: list[Line2D] = []
     for path in content.paths_m:
-        axes.plot(path[:, 0], path[:, 1], color=DRIVE_PATH, linewidth=1.1, zorder=3)
+        axes.plot(path[:, 0], path[:, 1], color=marks.DRIVE_PATH, linewidth=1.1, zorder=3)
         if len(path) > 1:
             before, tip = path[len(path) // 2 - 1], path[len(path) // 2]
             # Only the head: annotations are not clipped at the frame, and a segment may come from far outside of it.
             start = tip - (tip - before) / max(float(np.linalg.norm(tip - before)), 1e-9) * 1e-3
-            draw_arrow(axes, start, tip, DRIVE_PATH, "-|>", linewidth=1.1, shrinkA=0, shrinkB=0)
+            draw_arrow(axes, start, tip, marks.DRIVE_PATH, "-|>", linewidth=1.1, shrinkA=0, shrinkB=0)
     if content.paths_m:
-        handles.append(Line2D([], [], color=DRIVE_PATH, linewidth=1.3, label="drive path"))
+        handles.append(Line2D([], [], color=marks.DRIVE_PATH, linewidth=1.3, label="drive path"))
     if content.lines_m:
-        axes.add_collection(LineCollection(list(content.lines_m), colors=LANE, linewidths=0.9, zorder=2), autolim=False)
-        handles.append(Line2D([], [], color=LANE, linewidth=1.1, label="lane boundary"))
+        axes.add_collection(
+            LineCollection(list(content.lines_m), colors=marks.LANE, linewidths=0.9, zorder=2), autolim=False
+        )
+        handles.append(Line2D([], [], color=marks.LANE, linewidth=1.1, label="lane boundary"))
     if len(content.points_m):
-        colours = LinearSegmentedColormap.from_list("points", [DARK_POINT, BRIGHT_POINT])
+        colours = LinearSegmentedColormap.from_list("points", [marks.DARK_POINT, marks.BRIGHT_POINT])
         shades = content.shades / 255
         axes.scatter(
             content.points_m[:, 0],
@@ -215,7 +210,7 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
             zorder=1,
             rasterized=True,
         )
-        handles.append(Line2D([], [], color=DARK_POINT, marker=".", linestyle="", label="LiDAR point"))
+        handles.append(Line2D([], [], color=marks.DARK_POINT, marker=".", linestyle="", label="LiDAR point"))
     return handles
 
 
@@ -239,15 +234,15 @@ def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     changes = [change for change in content.changes or () if not change.is_of_line]
     changed = {change.feature_id for change in content.changes or ()}
     rest = [feature for feature in content.standing if feature.feature_id not in changed and feature.marking is None]
-    label = "unchanged" if content.changes is not None else STANDING.label
+    label = "unchanged" if content.changes is not None else marks.STANDING.label
     present = {feature.category for feature in rest}
     classes = [*sorted(present - set(FEATURE_CLASSES)), *reversed(known_of(present))]  # the legend begins with the last
     handles = []
     for one in classes:
         name = label if len(classes) == 1 else f"{noun_of(one)}, {label}"
-        style = STANDING._replace(marker=CLASS_MARKERS.get(one, STANDING.marker), label=name)
+        style = marks.STANDING._replace(marker=marks.CLASS_MARKERS.get(one, marks.STANDING.marker), label=name)
         handles.append(_mark(axes, [feature for feature in rest if feature.category == one], style, box, 4))
-    for level, (kind, style) in enumerate(KIND_MARKS.items(), 5):
+    for level, (kind, style) in enumerate(marks.KIND_MARKS.items(), 5):
         these = [change for change in changes if change.kind == kind]
         handles.append(_mark(axes, [c.state_after for c in these], style, box, level))
         if kind is DeltaKind.MOVED:
@@ -255,7 +250,7 @@ def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     return [handle for handle in reversed(handles) if handle is not None]
 
 
-def _mark(axes: Axes, cones: Sequence[MapFeature], style: KindMark, box: Bbox, level: int) -> Line2D | None:
+def _mark(axes: Axes, cones: Sequence[MapFeature], style: marks.KindMark, box: Bbox, level: int) -> Line2D | None:
     """Draw the markers of one kind; its line of the legend counts those inside the picture."""
     positions = np.array([cone.xyz_m[:2] for cone in cones]).reshape(-1, 2)
     inside = positions[_inside(positions, box)]
@@ -298,7 +293,7 @@ def _frame(axes: Axes) -> None:
         axis.set_major_formatter(
             FuncFormatter(lambda value, _, side=side: f"{value:,.0f} {side}".replace(",", "\u2009"))
         )
-    axes.tick_params(labelsize=7, colors=DRIVE_PATH, length=3)
+    axes.tick_params(labelsize=7, colors=marks.DRIVE_PATH, length=3)
     for label in axes.get_yticklabels():
         label.set(rotation=90, va="center")
     axes.grid(color="#e3e7eb", linewidth=0.6)

@@ -27,16 +27,8 @@ from typing import Literal
 from urllib.parse import quote
 from uuid import uuid4
 
-from conetl.db.cluster.location import (
-    ClusterLocation,
-    cluster_lock,
-    find_location,
-    forget_location,
-    make_location,
-    make_socket_directory,
-    run_as,
-    working_folder,
-)
+from conetl.db.cluster import location as places
+from conetl.db.cluster.location import ClusterLocation, run_as
 from conetl.db.cluster.owner import host_elsewhere, lock_for_server, require_no_server_elsewhere
 from conetl.db.cluster.postgres_install import OWN_DATABASE_HINT, PostgresInstall, choose_install, find_installs
 from conetl.model.errors import DatabaseError
@@ -105,8 +97,8 @@ def cluster_up(home: Path) -> str:
     Idempotent and safe against a second call at the same time. Raises `DatabaseError` if PostGIS is not installed, the cluster
     belongs to another user or is used by another machine or container, or the server does not start (with the end of its log).
     """
-    with cluster_lock(home):
-        location = find_location(home) or make_location(home)
+    with places.cluster_lock(home):
+        location = places.find_location(home) or places.make_location(home)
         if not _is_answering(location):
             install = choose_install(find_installs(), data_major=location.data_major)
             if location.data_major is None:
@@ -122,8 +114,8 @@ def cluster_down(home: Path) -> bool:
     """
     if not home.is_dir():
         return False
-    with cluster_lock(home):
-        location = find_location(home)
+    with places.cluster_lock(home):
+        location = places.find_location(home)
         if location is None:
             return False
         if _running_pid(location) is None:
@@ -135,7 +127,7 @@ def cluster_down(home: Path) -> bool:
 
 def cluster_status(home: Path) -> ClusterStatus:
     """State of the cluster; changes nothing and requires no PostgreSQL."""
-    location = find_location(home) if home.is_dir() else None
+    location = places.find_location(home) if home.is_dir() else None
     if location is None or location.data_major is None:
         return ClusterStatus("absent", None, None, None, None, None, None, None, None)
     pid = _running_pid(location)
@@ -157,8 +149,8 @@ def cluster_remove(home: Path) -> bool:
     """Stop the private cluster of `home` and DELETE its data; True if there was one."""
     if not home.is_dir():
         return False
-    with cluster_lock(home):
-        location = find_location(home)
+    with places.cluster_lock(home):
+        location = places.find_location(home)
         if location is None:
             return False
         if _running_pid(location) is not None:
@@ -166,7 +158,7 @@ def cluster_remove(home: Path) -> bool:
         require_no_server_elsewhere(location)
         shutil.rmtree(location.socket_directory, ignore_errors=True)
         shutil.rmtree(location.directory)
-        forget_location(home)
+        places.forget_location(home)
         return True
 
 
@@ -204,7 +196,7 @@ def _start(location: ClusterLocation, install: PostgresInstall) -> None:
             return
         _stop(location)
     require_no_server_elsewhere(location)
-    make_socket_directory(location)
+    places.make_socket_directory(location)
     _remove_stale_files(location)
     _sweep(location)
     settings = SERVER_SETTINGS | {
@@ -255,7 +247,7 @@ def _running_pid(location: ClusterLocation) -> int | None:
         pid = int(location.pid_file.read_text().split("\n", 1)[0])
     except (OSError, ValueError):
         return None
-    return pid if working_folder(location, pid) == os.path.realpath(location.data) else None
+    return pid if places.working_folder(location, pid) == os.path.realpath(location.data) else None
 
 
 def _remove_stale_files(location: ClusterLocation) -> None:

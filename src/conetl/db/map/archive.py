@@ -14,16 +14,8 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
-from conetl.db.connection import (
-    Connection,
-    copy_in,
-    copy_out,
-    database_errors,
-    execute,
-    execute_count,
-    load_sql,
-    transaction,
-)
+from conetl.db import connection as db
+from conetl.db.connection import Connection
 from conetl.db.map.map_store import find_map, map_lock, map_transaction, require_map
 from conetl.db.map.results import MapInfo
 from conetl.db.receipt_store import drives_under_way
@@ -60,8 +52,8 @@ class _Manifest(BaseModel):
 
 def list_maps(conn: Connection) -> list[dict[str, Any]]:
     """All maps of the database, by name: columns of `archive.list_maps`."""
-    with database_errors("The maps of the database cannot be read"):
-        return execute(conn, load_sql("archive.list_maps"))
+    with db.database_errors("The maps of the database cannot be read"):
+        return db.execute(conn, db.load_sql("archive.list_maps"))
 
 
 def rename_map(conn: Connection, map_name: str, new_name: str) -> None:
@@ -75,7 +67,7 @@ def rename_map(conn: Connection, map_name: str, new_name: str) -> None:
         info = require_map(conn, map_name)
         _require_free_name(conn, new_name)
         names = {"map_id": info.map_id, "map_name": map_name, "new_name": new_name}
-        execute(conn, load_sql("archive.rename_map"), names)
+        db.execute(conn, db.load_sql("archive.rename_map"), names)
 
 
 def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
@@ -89,11 +81,11 @@ def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
         info = require_map(conn, map_name)
         rows = _write_dump(conn, info, dump)
         key = {"map_id": info.map_id, "map_name": map_name}
-        runs = [row["run_id"] for row in execute(conn, load_sql("archive.run_ids"), key)]
-        for table in reversed(execute(conn, load_sql("archive.tables"), {})):
+        runs = [row["run_id"] for row in db.execute(conn, db.load_sql("archive.run_ids"), key)]
+        for table in reversed(db.execute(conn, db.load_sql("archive.tables"), {})):
             if table["table_name"] not in ("run", "run_step"):  # which are known by the changesets
-                execute(conn, f"delete from conetl.{table['table_name']} where {table['condition']}", key)
-        execute(conn, load_sql("archive.delete_map_row"), key | {"run_ids": runs})
+                db.execute(conn, f"delete from conetl.{table['table_name']} where {table['condition']}", key)
+        db.execute(conn, db.load_sql("archive.delete_map_row"), key | {"run_ids": runs})
     return rows
 
 
@@ -129,16 +121,16 @@ def restore_map(conn: Connection, dump: Path, map_name: str | None = None) -> Ma
 
 def _write_dump(conn: Connection, info: MapInfo, dump: Path) -> dict[str, int]:
     key = {"map_id": info.map_id, "map_name": info.map_name}
-    row = execute(conn, load_sql("archive.map_row"), key)[0]
+    row = db.execute(conn, db.load_sql("archive.map_row"), key)[0]
     rows: dict[str, int] = {}
-    tables = execute(conn, load_sql("archive.tables"), {})
+    tables = db.execute(conn, db.load_sql("archive.tables"), {})
     dump.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     with atomic_files(dump) as [path], zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for table in tables:
             sorting = f" order by {table['sorting']}" if table["sorting"] else ""
             query = f"select {table['columns']} from conetl.{table['table_name']} where {table['condition']}{sorting}"
             with file.open(table["table_name"], "w", force_zip64=True) as sink:
-                rows[table["table_name"]] = copy_out(conn, query, key, sink)
+                rows[table["table_name"]] = db.copy_out(conn, query, key, sink)
         manifest = {
             "format": _FORMAT,
             "written_at": datetime.now(UTC).isoformat(),
@@ -153,8 +145,8 @@ def _write_dump(conn: Connection, info: MapInfo, dump: Path) -> dict[str, int]:
 
 
 def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: _Manifest, map_name: str) -> MapInfo:
-    with transaction(conn, "The schema of the database cannot be read"):
-        schema, tables = applied_migrations(conn), execute(conn, load_sql("archive.tables"), {})
+    with db.transaction(conn, "The schema of the database cannot be read"):
+        schema, tables = applied_migrations(conn), db.execute(conn, db.load_sql("archive.tables"), {})
     if manifest.schema_ != schema or manifest.columns != {t["table_name"]: t["columns"] for t in tables}:
         raise InputError(
             f"{dump}: was written with the database schema {manifest.schema_[-1]:.80}, this one has {schema[-1]}: restore it "
@@ -163,31 +155,35 @@ def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: _Man
     with map_transaction(conn, map_name):
         _require_free_name(conn, map_name)
         row = manifest.map.model_dump()
-        for other in execute(conn, load_sql("archive.same_ids"), {"id_name": row["id_name"]}):
+        for other in db.execute(conn, db.load_sql("archive.same_ids"), {"id_name": row["id_name"]}):
             raise InputError(
                 f"{dump}: its features have the same ids as those of the map {other['map_name']}: restore it into another "
                 f"database, or delete that map first (`conetl map delete {other['map_name']}`)"
             )
         id_name = None if row["id_name"] == map_name else row["id_name"]
-        made = execute(conn, load_sql("archive.restore_map_row"), row | {"map_name": map_name, "id_name": id_name})[0]
+        made = db.execute(
+            conn, db.load_sql("archive.restore_map_row"), row | {"map_name": map_name, "id_name": id_name}
+        )[0]
         key = {"map_id": made["map_id"], "map_name": map_name}
         for table in tables:
             name, columns, own = table["table_name"], table["columns"], table["map_column"]
-            execute(conn, f"create temporary table stage on commit drop as select {columns} from conetl.{name} limit 0")
+            db.execute(
+                conn, f"create temporary table stage on commit drop as select {columns} from conetl.{name} limit 0"
+            )
             with file.open(name) as source:
-                copy_in(conn, f"stage ({columns})", source, str(dump))
+                db.copy_in(conn, f"stage ({columns})", source, str(dump))
             owner = ("", "") if own is None else (f"{own}, ", f"%({own})s, ")
             copied = f"insert into conetl.{name} ({owner[0]}{columns}) select {owner[1]}{columns} from stage"
-            if execute_count(conn, copied, key) != manifest.rows[name]:
+            if db.execute_count(conn, copied, key) != manifest.rows[name]:
                 raise InputError(f"{dump}: the table {name} is incomplete; nothing was restored")
-            execute(conn, "drop table stage")
+            db.execute(conn, "drop table stage")
         for table in tables:
             belonging = f"select count(*) as n from conetl.{table['table_name']} where {table['condition']}"
-            if execute(conn, belonging, key)[0]["n"] != manifest.rows[table["table_name"]]:
+            if db.execute(conn, belonging, key)[0]["n"] != manifest.rows[table["table_name"]]:
                 raise InputError(f"{dump}: rows of {table['table_name']} belong to another map; nothing was restored")
         info = require_map(conn, map_name)
-    with transaction(conn, "The planner's figures could not be renewed"):
-        execute(conn, "analyze conetl.feature, conetl.feature_version, conetl.delta")
+    with db.transaction(conn, "The planner's figures could not be renewed"):
+        db.execute(conn, "analyze conetl.feature, conetl.feature_version, conetl.delta")
     return info
 
 

@@ -23,16 +23,8 @@ from itertools import chain
 from typing import Any, TypeVar
 from uuid import NAMESPACE_URL, UUID, uuid5
 
-from conetl.db.connection import (
-    Connection,
-    CopyBlock,
-    copy_block,
-    copy_columns,
-    encoded_block,
-    execute,
-    execute_count,
-    load_sql,
-)
+from conetl.db import connection as db
+from conetl.db.connection import Connection
 from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
@@ -85,7 +77,7 @@ def place_drive(
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
     elsewhere = {"drive_uuid": drive_uuid, "map_id": info.map_id}
-    if execute(conn, load_sql("drives.belongs_elsewhere"), elsewhere)[0][
+    if db.execute(conn, db.load_sql("drives.belongs_elsewhere"), elsewhere)[0][
         "elsewhere"
     ]:  # a map of this name was set aside
         drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{info.map_id}/{idempotency_key}")
@@ -108,13 +100,13 @@ def place_drive(
         "absence_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
         "path_wkt": path_wkt(drive),
     }
-    execute(conn, load_sql("drives.insert_drive"), parameters)
+    db.execute(conn, db.load_sql("drives.insert_drive"), parameters)
     return drive_uuid
 
 
 def with_free_id(conn: Connection, changeset: Changeset, drive_uuid: UUID) -> Changeset:
     """A new changeset, with another id where its own is that of the same drive on a map of this name that was set aside."""
-    if execute(conn, load_sql("commit.changeset_exists"), {"changeset_id": changeset.changeset_id})[0]["found"]:
+    if db.execute(conn, db.load_sql("commit.changeset_exists"), {"changeset_id": changeset.changeset_id})[0]["found"]:
         return changeset.model_copy(update={"changeset_id": uuid5(drive_uuid, str(changeset.changeset_id))})
     return changeset
 
@@ -157,11 +149,11 @@ def commit_changeset(
         if replay is None:
             _stage_deltas(conn, info, placed, changeset, suppressed)
         for block in blocks:
-            copy_block(conn, block)
+            db.copy_block(conn, block)
     take_turn(conn, map_name)  # what follows keeps other drives of the map waiting
     committed_at = system_time(conn, info, now)
     insert_changeset(conn, info, placed, changeset, records, run, committed_at)
-    copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
+    db.copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
     if replay is None:
         versions_written = _merge_deltas(conn, info, changeset, committed_at)
@@ -184,7 +176,7 @@ def insert_changeset(
     if run is not None:
         facts = None if run.facts is None else json_text(dict(run.facts))
         kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
-        execute(conn, load_sql("commit.insert_run"), vars(run) | kept)
+        db.execute(conn, db.load_sql("commit.insert_run"), vars(run) | kept)
     kinds, line_kinds = (
         Counter(delta.kind for delta in changeset.deltas if delta.is_of_line is of_line) for of_line in (False, True)
     )
@@ -203,7 +195,7 @@ def insert_changeset(
         "frame_pair_count": len(records.drive.frame_pairs) if records else 0,
         **{f"{name}_count": len(getattr(records, some, ())) for name, some in _COUNTED.items()},
     }
-    execute(conn, load_sql("commit.insert_changeset"), parameters)
+    db.execute(conn, db.load_sql("commit.insert_changeset"), parameters)
 
 
 def committed_result(conn: Connection, changeset: Changeset, versions_written: int, *, map_name: str) -> CommitResult:
@@ -286,7 +278,7 @@ def path_wkt(drive: Drive) -> str:
     return "LINESTRING(" + ", ".join(f"{x!r} {y!r}" for x, y, _ in points) + ")"
 
 
-def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iterator[CopyBlock]:
+def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iterator[db.CopyBlock]:
     columns = map_rows
     return chain(
         _blocks("conetl.frame_pair", records.drive.frame_pairs, partial(columns.frame_pair_columns, drive_uuid, srid)),
@@ -301,22 +293,22 @@ def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iter
 
 def _blocks(
     table: str, records: Sequence[R], columns_of: Callable[[Sequence[R]], map_rows.Columns]
-) -> Iterator[CopyBlock]:
+) -> Iterator[db.CopyBlock]:
     for start in range(0, len(records), BLOCK_RECORDS):
-        yield encoded_block(table, columns_of(records[start : start + BLOCK_RECORDS]))
+        yield db.encoded_block(table, columns_of(records[start : start + BLOCK_RECORDS]))
 
 
 def _stage_deltas(
     conn: Connection, info: MapInfo, drive_uuid: UUID, changeset: Changeset, suppressed: Collection[UUID]
 ) -> None:
     """All deltas, and the versions that they start from, into tables of the transaction's own. Raises MapMismatchError."""
-    execute(conn, load_sql("commit.create_delta_stage"))
-    copy_columns(conn, "delta_stage", map_rows.delta_columns(info.srid, changeset.deltas, suppressed))
-    execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
-    execute(conn, load_sql("commit.create_open_version"), {"drive_uuid": drive_uuid})
-    execute(conn, "analyze open_version")
-    execute(conn, load_sql("commit.add_open_versions"))
-    conflicts = execute(conn, load_sql("commit.delta_conflicts"), {"map_id": info.map_id})
+    db.execute(conn, db.load_sql("commit.create_delta_stage"))
+    db.copy_columns(conn, "delta_stage", map_rows.delta_columns(info.srid, changeset.deltas, suppressed))
+    db.execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
+    db.execute(conn, db.load_sql("commit.create_open_version"), {"drive_uuid": drive_uuid})
+    db.execute(conn, "analyze open_version")
+    db.execute(conn, db.load_sql("commit.add_open_versions"))
+    conflicts = db.execute(conn, db.load_sql("commit.delta_conflicts"), {"map_id": info.map_id})
     if conflicts:
         raise MapMismatchError(_conflict_text(info.map_name, conflicts[0]))
 
@@ -329,17 +321,17 @@ def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committ
         "changeset_id": changeset.changeset_id,
         "committed_at": committed_at,
     }
-    execute(conn, load_sql("commit.insert_features"), parameters)
-    execute(conn, load_sql("commit.close_versions"), parameters)
-    execute(conn, load_sql("commit.insert_ended_versions"), parameters)
-    versions = execute_count(conn, load_sql("commit.insert_versions"), parameters)
-    execute(conn, load_sql("commit.insert_deltas"), parameters)
-    execute(conn, "drop table delta_stage, open_version")
+    db.execute(conn, db.load_sql("commit.insert_features"), parameters)
+    db.execute(conn, db.load_sql("commit.close_versions"), parameters)
+    db.execute(conn, db.load_sql("commit.insert_ended_versions"), parameters)
+    versions = db.execute_count(conn, db.load_sql("commit.insert_versions"), parameters)
+    db.execute(conn, db.load_sql("commit.insert_deltas"), parameters)
+    db.execute(conn, "drop table delta_stage, open_version")
     if (
         versions >= ANALYSE_FROM_VERSIONS
-        and execute(conn, load_sql("commit.has_outgrown"), {"versions": versions})[0]["outgrown"]
+        and db.execute(conn, db.load_sql("commit.has_outgrown"), {"versions": versions})[0]["outgrown"]
     ):
-        execute(conn, "analyze conetl.feature, conetl.feature_version")
+        db.execute(conn, "analyze conetl.feature, conetl.feature_version")
     return versions
 
 

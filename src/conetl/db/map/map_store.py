@@ -12,16 +12,8 @@ from uuid import UUID
 
 import numpy as np
 
-from conetl.db.connection import (
-    LOCK_TIMEOUT_S,
-    Connection,
-    database_errors,
-    execute,
-    execute_count,
-    load_sql,
-    stream,
-    transaction,
-)
+from conetl.db import connection as db
+from conetl.db.connection import Connection
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, MapInfo
 from conetl.db.map.rows import feature_of, version_of
@@ -37,7 +29,7 @@ Bbox = tuple[float, float, float, float]
 
 @contextmanager
 def map_transaction(
-    conn: Connection, map_name: str = "default", *, lock_timeout_s: float = LOCK_TIMEOUT_S
+    conn: Connection, map_name: str = "default", *, lock_timeout_s: float = db.LOCK_TIMEOUT_S
 ) -> Iterator[None]:
     """One transaction under the map's lock: committed at the end of the block, rolled back on any error.
 
@@ -51,23 +43,23 @@ def map_transaction(
 
 @contextmanager
 def drive_transaction(
-    conn: Connection, map_name: str = "default", *, lock_timeout_s: float = LOCK_TIMEOUT_S
+    conn: Connection, map_name: str = "default", *, lock_timeout_s: float = db.LOCK_TIMEOUT_S
 ) -> Iterator[None]:
     """As `map_transaction`, but without a lock: for one drive, which takes its own ones (`lock_neighbourhood`)."""
-    with transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
-        execute(conn, load_sql("commit.set_lock_timeout"), {"timeout": f"{lock_timeout_s * 1000:.0f}ms"})
+    with db.transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
+        db.execute(conn, db.load_sql("commit.set_lock_timeout"), {"timeout": f"{lock_timeout_s * 1000:.0f}ms"})
         yield
 
 
 def map_lock(conn: Connection, map_name: str = "default", *, shared: bool = False) -> None:
     """Take the map's lock until the end of the open transaction. shared: together with others who share it."""
-    execute(conn, load_sql("commit.share_map" if shared else "commit.lock_map"), {"map_name": map_name})
+    db.execute(conn, db.load_sql("commit.share_map" if shared else "commit.lock_map"), {"map_name": map_name})
 
 
 def find_map(conn: Connection, map_name: str = "default") -> MapInfo | None:
     """The map, None before anything was committed to it."""
-    with database_errors(f"The map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("map.find_map"), {"map_name": map_name})
+    with db.database_errors(f"The map {map_name} cannot be read"):
+        rows = db.execute(conn, db.load_sql("map.find_map"), {"map_name": map_name})
     return MapInfo(**rows[0]) if rows else None
 
 
@@ -92,8 +84,8 @@ def require_map(conn: Connection, map_name: str) -> MapInfo:
 
 def map_names(conn: Connection) -> list[str]:
     """Names of all maps, in alphabetical order."""
-    with database_errors("The maps of the database cannot be read"):
-        return [row["map_name"] for row in execute(conn, load_sql("map.maps"))]
+    with db.database_errors("The maps of the database cannot be read"):
+        return [row["map_name"] for row in db.execute(conn, db.load_sql("map.maps"))]
 
 
 def read_current_features(conn: Connection, *, map_name: str = "default", lines: bool = False) -> list[MapFeature]:
@@ -126,8 +118,8 @@ def read_features_as_of(
         "valid_at": valid_at.isoformat() if valid_at else "infinity",
         "known_at": known_at.isoformat() if known_at else "infinity",
     }  # fmt: skip
-    with database_errors(f"The features of map {map_name} cannot be read"):
-        for row in stream(conn, load_sql("map.features_as_of"), parameters):
+    with db.database_errors(f"The features of map {map_name} cannot be read"):
+        for row in db.stream(conn, db.load_sql("map.features_as_of"), parameters):
             yield FeatureAtInstant(feature_of(row), *row[30:35])
 
 
@@ -142,28 +134,28 @@ def list_changesets(
 ) -> list[CommittedChangeset]:
     """Changesets of a map, newest first; or the one of an idempotency key."""
     parameters = {"map_name": map_name, "idempotency_key": idempotency_key}
-    with database_errors(f"The changesets of map {map_name} cannot be read"):
-        return [CommittedChangeset(**row) for row in execute(conn, load_sql("history.changesets"), parameters)]
+    with db.database_errors(f"The changesets of map {map_name} cannot be read"):
+        return [CommittedChangeset(**row) for row in db.execute(conn, db.load_sql("history.changesets"), parameters)]
 
 
 def feature_log(conn: Connection, feature_id: UUID) -> list[dict[str, Any]]:
     """Everything that happened to a feature, oldest first, columns of `history.feature_log`; [] without such a feature."""
-    with database_errors(f"The history of feature {feature_id} cannot be read"):
-        rows = execute(conn, load_sql("history.feature_log"), {"feature_id": feature_id})
+    with db.database_errors(f"The history of feature {feature_id} cannot be read"):
+        rows = db.execute(conn, db.load_sql("history.feature_log"), {"feature_id": feature_id})
     return [row | {"kind": DeltaKind(row["kind"])} for row in rows]
 
 
 def find_features(conn: Connection, beginning: str, *, map_name: str = "default", max_rows: int = 2) -> list[UUID]:
     """Ids that begin with `beginning`, of standing and removed features; two show that it is ambiguous."""
     parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower(), "max_rows": max_rows}
-    with database_errors(f"The map {map_name} cannot be read"):
-        return [row["feature_id"] for row in execute(conn, load_sql("map.find_features"), parameters)]
+    with db.database_errors(f"The map {map_name} cannot be read"):
+        return [row["feature_id"] for row in db.execute(conn, db.load_sql("map.find_features"), parameters)]
 
 
 def map_summary(conn: Connection, map_name: str = "default") -> dict[str, Any] | None:
     """The map in figures, columns of `map.summary`; None without such a map."""
-    with database_errors(f"The map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("map.summary"), {"map_name": map_name})
+    with db.database_errors(f"The map {map_name} cannot be read"):
+        rows = db.execute(conn, db.load_sql("map.summary"), {"map_name": map_name})
     return rows[0] if rows else None
 
 
@@ -175,7 +167,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
     info = find_map(conn, map_name)
     if info is not None and info.srid != srid and not info.counts:
         new_name = f"{map_name[:20]}-held-{info.srid}-{info.map_id}"
-        execute_count(conn, load_sql("map.set_aside"), {"map_id": info.map_id, "new_name": new_name})
+        db.execute_count(conn, db.load_sql("map.set_aside"), {"map_id": info.map_id, "new_name": new_name})
         _log.warning("No drive of map %s counts: it is called %s from now on", map_name, new_name)
         info = None
     if info is None:
@@ -199,7 +191,7 @@ def insert_map(
         "vertical_srid": vertical_srid,
         "created_at": now or datetime.now(UTC),
     }
-    execute(conn, load_sql("map.insert_map"), created)
+    db.execute(conn, db.load_sql("map.insert_map"), created)
     return find_map(conn, map_name)
 
 
@@ -209,15 +201,15 @@ def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) ->
     Under the map's lock, or in turn (`take_turn`).
     """
     clock = {"now": now, "map_id": info.map_id}
-    instant: datetime = execute(conn, load_sql("commit.system_time"), clock)[0]["committed_at"]
+    instant: datetime = db.execute(conn, db.load_sql("commit.system_time"), clock)[0]["committed_at"]
     return instant
 
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
     """Every current version that began until then (None: all), by feature; [] without such a map."""
     parameters = {"map_name": map_name, "feature_id": None, "valid_until": until.isoformat() if until else "infinity"}
-    with database_errors(f"The history of map {map_name} cannot be read"):
-        return [version_of(row) for row in stream(conn, load_sql("map.current_versions"), parameters)]
+    with db.database_errors(f"The history of map {map_name} cannot be read"):
+        return [version_of(row) for row in db.stream(conn, db.load_sql("map.current_versions"), parameters)]
 
 
 def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[DrivePath]:
@@ -227,8 +219,8 @@ def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None
         "valid_until": until.isoformat() if until else "infinity",
         "tolerance_m": _PATH_TOLERANCE_M,
     }
-    with database_errors(f"The drives of map {map_name} cannot be read"):
+    with db.database_errors(f"The drives of map {map_name} cannot be read"):
         return [
             DrivePath(row[0], row[1], np.stack([np.array(row[2]), np.array(row[3])], axis=1))
-            for row in stream(conn, load_sql("drives.paths_of_map"), parameters)
+            for row in db.stream(conn, db.load_sql("drives.paths_of_map"), parameters)
         ]
