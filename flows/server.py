@@ -26,8 +26,7 @@ from pydantic import SecretStr
 from conetl.files.home import make_home
 from conetl.model.errors import ServiceError
 from conetl.pipeline.settings import SERVER_AUTH, prefect_login, prefect_server_environment
-from conetl.services.prefect_api import is_healthy, require_access, server_command
-from conetl.services.processes import Service, is_running, read_services, start_service, stop_service, wait_healthy
+from conetl.services import processes
 
 _START_TIMEOUT_S = 180
 #: Services that a server of one command does not need: schedules, late and paused runs, automations.
@@ -43,18 +42,18 @@ def prefect_server(home: Path) -> Iterator[str]:
     """
     configured = os.environ.get("PREFECT_API_URL")
     if configured:
-        if not is_healthy(configured):
+        if not processes.is_healthy(configured):
             raise ServiceError(
                 f"no Prefect server answers at PREFECT_API_URL, {configured}. Start it, or unset PREFECT_API_URL to let conetl "
                 "start one for this command. Nothing was written."
             )
         given = PREFECT_API_AUTH_STRING.value()
         login = given.get_secret_value() if isinstance(given, SecretStr) else given
-        require_access(configured, login, PREFECT_API_AUTH_STRING.name)
+        processes.require_access(configured, login, PREFECT_API_AUTH_STRING.name)
         yield configured
         return
-    own = read_services(home).get("prefect")
-    if own is not None and own.address and is_running(own) and is_healthy(f"{own.address}/api"):
+    own = processes.read_services(home).get("prefect")
+    if own is not None and own.address and processes.is_running(own) and processes.is_healthy(f"{own.address}/api"):
         with _settings_for(home, f"{own.address}/api"):
             yield f"{own.address}/api"
         return
@@ -68,10 +67,10 @@ def prefect_server(home: Path) -> Iterator[str]:
                 APILogWorker.drain_all(timeout=_DRAIN_TIMEOUT_S)
                 EventsWorker.drain_all(timeout=_DRAIN_TIMEOUT_S)
     finally:
-        stop_service(server)
+        processes.stop_service(server)
 
 
-def _start(home: Path) -> Service:
+def _start(home: Path) -> processes.Service:
     """Start a server and wait until it answers; try again once if it fails. Raises ServiceError.
 
     One at a time per home: while it starts, a server creates the tables of a SQLite file that all of them share, and gives up if
@@ -86,21 +85,21 @@ def _start(home: Path) -> Service:
             return _start_once(home)
 
 
-def _start_once(home: Path) -> Service:
+def _start_once(home: Path) -> processes.Service:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])
     address = f"http://127.0.0.1:{port}"
     disabled = {f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in _NOT_NEEDED}
     environment = {**disabled, **os.environ, **prefect_server_environment(home, address)}
-    server = start_service(
-        "prefect-command", server_command("127.0.0.1", port), home=home, environment=environment, address=address,
+    server = processes.start_service(
+        "prefect-command", processes.server_command("127.0.0.1", port), home=home, environment=environment, address=address,
         die_with_parent=True,
     )  # fmt: skip
     try:
-        wait_healthy(server, lambda: is_healthy(f"{address}/api"), _START_TIMEOUT_S)
+        processes.wait_healthy(server, lambda: processes.is_healthy(f"{address}/api"), _START_TIMEOUT_S)
     except BaseException:
-        stop_service(server)
+        processes.stop_service(server)
         raise
     return server
 
@@ -111,7 +110,7 @@ def _settings_for(home: Path, url: str) -> contextlib.AbstractContextManager[obj
     No heartbeats: every flow would wait a second for their thread, and locks in the database show which runs are alive.
     """
     login = prefect_login(home)
-    require_access(url, login, SERVER_AUTH)
+    processes.require_access(url, login, SERVER_AUTH)
     return temporary_settings(
         updates={PREFECT_API_URL: url, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_API_AUTH_STRING: login}
     )

@@ -57,8 +57,8 @@ def no_other_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def use(servers: Servers, monkeypatch: pytest.MonkeyPatch) -> Servers:
-    monkeypatch.setattr(server, "server_command", servers.command)
-    monkeypatch.setattr(server, "is_healthy", servers.is_healthy)
+    monkeypatch.setattr(server.processes, "server_command", servers.command)
+    monkeypatch.setattr(server.processes, "is_healthy", servers.is_healthy)
     return servers
 
 

@@ -55,7 +55,7 @@ def main() -> None:
             complain(usage_text(error))
         sys.exit(EXIT_BAD_INPUT)
     except Exception as error:
-        from conetl.services.prefect_api import unavailable  # here: only now needed
+        from conetl.services.processes import unavailable  # here: only now needed
 
         if lost := unavailable(error):
             complain(lost)

@@ -32,7 +32,6 @@ from conetl.pipeline.settings import (
     read_settings,
 )
 from conetl.services import processes
-from conetl.services.prefect_api import answers, is_healthy, require_access, server_command
 
 _TIMEOUT_S = 180
 _log = logging.getLogger(__name__)
@@ -107,7 +106,7 @@ def _start_services(
     login = prefect_login(home)
     address = str(services["prefect"].address) if "prefect" in services else _address(*server)
     view = str(services["view"].address) if "view" in services else f"http://127.0.0.1:{view_port}"
-    require_access(f"{address}/api", login, SERVER_AUTH)
+    processes.require_access(f"{address}/api", login, SERVER_AUTH)
     environment = {**os.environ, **_environment(settings, home, f"{address}/api", login, view, workers)}
 
     def ensure(name: str, command: list[str], where: str | None, **more: str) -> None:
@@ -122,7 +121,7 @@ def _start_services(
     # Starting is mostly importing on one core: independent services start at the same time.
     ensure(
         "prefect",
-        server_command(*server),
+        processes.server_command(*server),
         address,
         PREFECT_SERVER_DATABASE_CONNECTION_URL=_prefect_url(settings, url),
         **prefect_server_environment(home, address),
@@ -135,8 +134,8 @@ def _start_services(
     from flows import register
     from flows.runs import recover
 
-    processes.wait_healthy(services["prefect"], lambda: is_healthy(f"{address}/api"), _TIMEOUT_S)
-    require_access(f"{address}/api", login, SERVER_AUTH)
+    processes.wait_healthy(services["prefect"], lambda: processes.is_healthy(f"{address}/api"), _TIMEOUT_S)
+    processes.require_access(f"{address}/api", login, SERVER_AUTH)
     register.ensure_pool()
     names = {name: f"{name} {socket.gethostname()}" for name in ("desk", *(f"drives-{n + 1}" for n in range(workers)))}
     for name, worker in names.items():
@@ -150,7 +149,7 @@ def _start_services(
     with MapDatabase(settings) as database:
         recovered = [str(run.id) for run in recover(database)]
     show("Waiting for all services")
-    processes.wait_healthy(services["view"], lambda: answers(view), _TIMEOUT_S)
+    processes.wait_healthy(services["view"], lambda: processes.answers(view), _TIMEOUT_S)
     for name, worker in names.items():
         since = datetime.fromisoformat(services[name].started_at)
         processes.wait_healthy(services[name], partial(register.worker_is_online, worker, since), _TIMEOUT_S)
@@ -228,7 +227,7 @@ def _status(settings: Settings) -> dict[str, Any]:
     for service in services.values():
         state = "running" if processes.is_running(service) else "not seen from here" if elsewhere else "ended"
         health = f"{service.address}/api/health" if service.name == "prefect" else str(service.address)
-        if state == "running" and service.address and not answers(health):
+        if state == "running" and service.address and not processes.answers(health):
             state = "not answering"
         facts = {"pid": service.pid if state in ("running", "not answering") else None, "since": service.started_at}
         tail = processes.log_tail(service) if state in ("ended", "not answering") else None

@@ -27,7 +27,7 @@ from conetl.files.home import (
 )
 from conetl.model.errors import DatabaseError, InputError, ServiceError
 from conetl.pipeline.settings import Settings, prefect_login
-from conetl.services.prefect_api import require_access, unavailable
+from conetl.services.processes import require_access, unavailable
 
 SECRET = "desk:wide-open"
 VARIABLE = "PREFECT_SERVER_API_AUTH_STRING"
