@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from benchmarks.harness import arguments_of, print_rows, write_json
-from conetl.geometry.joint_fit import fit_point, image_constants
+from conetl.geometry.intersection import fit_point, image_constants
 from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.params import IngestParams, TrajectoryParams

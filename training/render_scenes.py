@@ -20,9 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from classes import CLASSES
 
-from conetl.simulation.classed_parts import CLASSED_KINDS, true_shape
 from conetl.simulation.meshes import Mesh
-from conetl.simulation.parts import cone_parts
+from conetl.simulation.parts import CLASSED_KINDS, cone_parts, true_shape
 from conetl.simulation.scenario import Colour, Cone, Road, RoadMarking, RoadObject, World, street_markings
 from conetl.simulation.scene import (
     BUILDERS,

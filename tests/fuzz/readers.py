@@ -31,9 +31,9 @@ from conetl.model.records import Camera, Rig
 from conetl.model.rejections import Rejection
 from conetl.perception.images import ImageFileError, check_image_ends, read_image, read_upright_image
 from conetl.perception.model_card import read_model_card, shipped_model_path
-from conetl.readers.base_layers.lanelet2 import read_lanelet2
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_file
+from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
 from conetl.readers.drives import bag_messages, read_drive
 from conetl.readers.drives.header import read_header

@@ -24,7 +24,7 @@ from pyproj import Transformer
 from conetl.db.connection import execute
 from conetl.db.map.import_store import set_licence
 from conetl.db.map.map_store import read_features_as_of
-from conetl.exports import FORMATS, geojson
+from conetl.exports import FORMATS, text_files
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest, What
 from conetl.model.errors import InputError
@@ -307,7 +307,7 @@ def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
     maps = {f"default.{suffix}{more}" for suffix in ("geojson", "parquet") for more in ("", ".manifest.json")}
     assert {p.name for p in latest.iterdir()} == maps | {"publication.json", "report.html"}
     assert [m["rows"] for m in manifests] == [manifests[0]["rows"]] * 2
-    monkeypatch.setattr(geojson, "write_features", lambda source, path: 1 / 0)
+    monkeypatch.setattr(text_files, "write_features", lambda source, path: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_publication(settings, ["geoparquet", "geojson"], tmp_path)
     with pytest.raises(InputError, match="kml"):

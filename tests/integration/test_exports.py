@@ -19,11 +19,10 @@ from pyproj import Transformer
 from conetl.db.connection import address, execute
 from conetl.db.map.map_store import read_current_features
 from conetl.exports.export import export_map
-from conetl.exports.geojson import export_geojson
 from conetl.exports.kind_marks import KIND_MARKS, PAINT
 from conetl.exports.qgis_project import _iso, write_qgis_project
 from conetl.exports.source import ExportRequest, What
-from conetl.exports.text_files import iso_utc
+from conetl.exports.text_files import export_geojson, iso_utc
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import utc_from_ns

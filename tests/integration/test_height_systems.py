@@ -17,7 +17,7 @@ from conetl.db.connection import execute, load_sql, query_columns
 from conetl.db.map.map_store import read_current_features
 from conetl.exports import FORMATS
 from conetl.exports.fields import FIELDS, as_markdown
-from conetl.geometry import heights
+from conetl.geometry import geodesy
 from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
@@ -40,11 +40,11 @@ def grid(tmp_path, monkeypatch):
     )
     (tmp_path / "egm96_15.gtx").write_bytes(struct.pack(">4d2i", -90, -180, 1, 1, 181, 361) + slope.tobytes())
     before = pyproj.datadir.get_data_dir()
-    heights._transformer.cache_clear()
+    geodesy._height_transformer.cache_clear()
     pyproj.datadir.append_data_dir(str(tmp_path))
     yield
     pyproj.datadir.set_data_dir(before)
-    heights._transformer.cache_clear()
+    geodesy._height_transformer.cache_clear()
 
 
 def test_a_missing_grid_is_named(conetl, mapped, tmp_path):

@@ -11,8 +11,7 @@ import numpy as np
 from conetl.geometry.linear_reference import locate, stations
 from conetl.model.map_records import MapFeature
 from conetl.model.work_zone_records import DrivePath, LaneLine, ZoneHistory
-from conetl.workzones.layout_check import allowed_spacing_m, taper_ratio
-from conetl.workzones.standards import layout_rules
+from conetl.workzones.layout_check import allowed_spacing_m, layout_rules, taper_ratio
 from tests import records
 
 Fault = Literal["none", "missing", "spacing", "in lane", "short taper"]

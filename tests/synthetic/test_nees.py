@@ -14,7 +14,7 @@ from conetl.evaluation.accuracy import drive_consistency, position_errors, track
 from conetl.evaluation.truth import TruthCone, compare_with_truth
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Consistency, Nees
-from conetl.geometry.joint_fit import fit_point, pair_jacobian
+from conetl.geometry.intersection import fit_point, pair_jacobian
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.params import PositionParams, TrajectoryParams
 from conetl.model.records import Track

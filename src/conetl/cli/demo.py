@@ -22,7 +22,7 @@ from conetl.evaluation.truth import (
     read_truth_cones,
     table_3_rows,
 )
-from conetl.exports.geojson import export_geojson
+from conetl.exports.text_files import export_geojson
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams

@@ -1,4 +1,8 @@
-"""Surveyed cones (truth.csv), and cones of a map or a drive compared with them: the paper's Table 3."""
+"""Surveyed cones (truth.csv) compared with cones of a map or a drive: the paper's Table 3; and surveyed check points against the
+cones of a map: residuals and RMSE of each axis (ASPRS Positional Accuracy Standards, 2023).
+
+Check points take part in nothing: they only judge the map.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +10,20 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Literal, TypeVar
+from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2
 
 from conetl.files.documents import first_message
+from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import MapFeature
-from conetl.model.records import Positive, Record, Track, Vec3
+from conetl.model.records import Positive, Record, SurveyedPoint, Track, Vec3
 
 Floats = NDArray[np.float64]
 #: Features of the map, or tracks of one drive.
@@ -25,6 +31,8 @@ Found = TypeVar("Found", bound=MapFeature | Track)
 _FORBIDDEN = 1e6
 _GATE_M = 0.75
 TABLE_3_COLUMNS = ("cone", "", "easting", "northing", "height", "range", "cone height", "3D error")
+#: Probability below which residuals contradict the stated sigmas.
+_CONTRADICTS = 1e-3
 
 
 class TruthCone(Record):
@@ -196,3 +204,54 @@ def line_as_dict(line: TruthLine[Found]) -> dict[str, object]:
 
 def _range(xyz_m: Vec3, path_m: Floats) -> float:
     return float(np.linalg.norm(path_m[:, :2] - np.array(xyz_m[:2]), axis=1).min())
+
+
+class PointResidual(NamedTuple):
+    """A check point and the cone that stands on it, None where the map has none."""
+
+    point: SurveyedPoint
+    feature: MapFeature | None
+    difference_m: Floats | None
+    """(3,) map minus point: east, north, up."""
+
+
+class CheckedMap(NamedTuple):
+    """The residuals of all points, and what they say together."""
+
+    residuals: list[PointResidual]
+    rmse_m: Floats | None
+    """(5,) of east, north, up, horizontal, 3D; None without a point on a cone."""
+    mean_m: Floats | None
+    """(3,) of east, north, up: a systematic part, such as that of another datum."""
+    nees: float | None
+    """Mean squared residual in stated sigmas of map and point, per axis: 1 where they are true."""
+    contradicts: bool
+    """Whether that is improbable (below 0.1 %) with the stated sigmas. Residuals of one drive are correlated: no proof."""
+
+
+def check_map(points: Sequence[SurveyedPoint], features: Sequence[MapFeature], *, within_m: float = 0.75) -> CheckedMap:
+    """Residuals of a map at check points. A cone stands on a point if it is nearest to it, and at most within_m away in 3D."""
+    truth = np.array([point.xyz_m for point in points]).reshape(-1, 3)
+    found = np.array([feature.xyz_m for feature in features]).reshape(-1, 3)
+    pairs = paired(truth, found, within_m)
+    residuals = [
+        PointResidual(point, features[pairs[i]], found[pairs[i]] - truth[i])
+        if i in pairs
+        else PointResidual(point, None, None)
+        for i, point in enumerate(points)
+    ]
+    if not pairs:
+        return CheckedMap(residuals, None, None, None, contradicts=False)
+    d = np.array([r.difference_m for r in residuals if r.difference_m is not None])
+    squares = (d**2).mean(axis=0)
+    rmse = np.sqrt([*squares, squares[0] + squares[1], squares.sum()])
+    total = sum(
+        float(
+            r.difference_m
+            @ np.linalg.solve(cov_matrix(r.feature.cov_m2) + np.diag(np.square(r.point.sigma_m)), r.difference_m)
+        )
+        for r in residuals
+        if r.feature is not None and r.difference_m is not None
+    )
+    contradicts = bool(chi2.sf(total, 3 * len(d)) < _CONTRADICTS)
+    return CheckedMap(residuals, rmse, d.mean(axis=0), total / (3 * len(d)), contradicts=contradicts)

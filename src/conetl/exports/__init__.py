@@ -40,7 +40,7 @@ class Format:
 
 #: Writers are imported on first use, because GDAL, Arrow and MCAP are slow to load.
 FORMATS = {
-    "geojson": Format(".geojson", Order.BY_ID, "geojson:write_features", geographic=True),
+    "geojson": Format(".geojson", Order.BY_ID, "text_files:write_features", geographic=True),
     "csv": Format(".csv", Order.BY_ID, "text_files:write_csv", one_geometry=True),
     "geoparquet": Format(".parquet", Order.SPATIAL, "table_files:write_geoparquet", one_geometry=True),
     "gpkg": Format(".gpkg", Order.BY_ID, "table_files:write_geopackage"),

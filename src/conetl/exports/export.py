@@ -16,7 +16,7 @@ from conetl.exports.source import ExportRequest, Source, What, open_source
 from conetl.exports.text_files import iso_utc
 from conetl.files.atomic import atomic_files
 from conetl.files.parquet_store import file_sha256
-from conetl.geometry.heights import system_name
+from conetl.geometry.geodesy import system_name
 from conetl.model.errors import InputError
 
 MANIFEST_VERSION = 1

@@ -22,7 +22,7 @@ from conetl.db.connection import Connection, copied_csv, database_errors, execut
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.exports import Order
-from conetl.geometry.heights import compound_crs, system_name, to_crs, turns
+from conetl.geometry.geodesy import compound_crs, system_name, to_crs, turns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
 from conetl.model.params import ReconcileParams

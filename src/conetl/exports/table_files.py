@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pyogrio.errors import DataLayerError, DataSourceError, FieldError
 
 from conetl.exports.source import POSITION_NAMES, Source
-from conetl.geometry.heights import to_crs
+from conetl.geometry.geodesy import to_crs
 from conetl.model.errors import InputError
 
 GEOMETRY = "geometry"

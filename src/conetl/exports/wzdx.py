@@ -22,7 +22,7 @@ from pyproj import Geod
 from referencing import Registry
 from referencing.jsonschema import DRAFT7
 
-from conetl.exports.geojson import coordinates
+from conetl.exports.text_files import coordinates
 from conetl.files.atomic import atomic_text_file
 from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import InputError

@@ -30,7 +30,7 @@ from conetl.db.receipt_store import (
     removed_by_changeset,
     write_run_steps,
 )
-from conetl.exports.geojson import export_geojson
+from conetl.exports.text_files import export_geojson
 from conetl.files.home import make_home
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import ConetlError

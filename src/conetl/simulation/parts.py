@@ -1,4 +1,8 @@
-"""Cones and road objects as coloured meshes in the road frame. Sizes follow the usual articles of German road works."""
+"""Cones and road objects as coloured meshes in the road frame, and the truth of those that have a class of
+`model/feature_classes.py`. Sizes follow the usual articles of German road works.
+
+Plates face -x of their own frame: a drive along +x sees the front of an object that is not turned.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +15,27 @@ from numpy.typing import NDArray
 
 from conetl.simulation import meshes, textures
 from conetl.simulation.meshes import Mesh
-from conetl.simulation.scenario import Colour, Cone, RoadObject
+from conetl.simulation.scenario import ORANGE, Colour, Cone, RoadObject
 from conetl.simulation.textures import Image
 
 Array = NDArray[np.float64]
+_GREY = (0.50, 0.51, 0.52)
+_RUBBER = (0.10, 0.10, 0.10)
+_WHITE = (0.92, 0.92, 0.90)
+#: Height of a plate as a share of its width, 1 unless given.
+_BOARD_SHARE = {"arrow_board": 0.5, "rectangle": 1.25}
+#: Classes of kinds that stand on the road, and of plates.
+_STANDING = {
+    "drum": "drum",
+    "tubular_marker": "tubular_marker",
+    "vertical_panel": "vertical_panel",
+    "type_3": "barricade",
+}
+_PLATES = {
+    "diamond": "work_zone_sign", "work_triangle": "work_zone_sign", "arrow_board": "arrow_board", "speed_disc": "traffic_sign",
+    "mandatory_disc": "traffic_sign", "warning_triangle": "traffic_sign", "rectangle": "traffic_sign",
+}  # fmt: skip
+CLASSED_KINDS = frozenset({*_STANDING, *_PLATES})
 
 
 class Part(NamedTuple):
@@ -75,9 +96,13 @@ def cone_parts(cone: Cone, seed: int) -> list[Part]:
     ]
 
 
-def at_object(item: RoadObject, mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
-    """The mesh in the road frame, from that of the object, there at (x, y, z)."""
-    return meshes.placed(mesh, motion(item.x_m, item.y_m, 0.0, item.yaw_rad) @ motion(x, y, z))
+def _part(
+    item: RoadObject, mesh: Mesh, surface: Colour | Image, roughness: float | None = None,
+    x: float = 0.0, y: float = 0.0, z: float = 0.0,
+) -> Part:  # fmt: skip
+    """A mesh at (x, y, z) of the object's frame as a part in the road frame."""
+    stand = motion(item.x_m, item.y_m, 0.0, item.yaw_rad) @ motion(x, y, z)
+    return Part(meshes.placed(mesh, stand), surface, roughness)
 
 
 def _bollard(item: RoadObject, seed: int) -> list[Part]:
@@ -86,8 +111,8 @@ def _bollard(item: RoadObject, seed: int) -> list[Part]:
     body = meshes.lathe([0.055, 0.055, 0.0], [0.0, h, h + 0.01], 24)
     foot = meshes.lathe([0.17, 0.14, 0.0], [0.0, 0.05, 0.06], 24)
     return [
-        Part(at_object(item, body), textures.striped((red, white, red, white, red), seed)),
-        Part(at_object(item, foot), (0.1, 0.1, 0.1)),
+        _part(item, body, textures.striped((red, white, red, white, red), seed)),
+        _part(item, foot, (0.1, 0.1, 0.1)),
     ]
 
 
@@ -97,8 +122,8 @@ def _barrier_post(item: RoadObject, seed: int) -> list[Part]:
     board = meshes.box([0.03, 0.25, item.height_m - 0.15], 0.15)
     foot = meshes.box([0.8, 0.4, 0.12])
     return [
-        Part(at_object(item, board), textures.striped((red, white) * 3, seed)),
-        Part(at_object(item, foot), textures.mottled(seed, (0.16, 0.16, 0.16), 0.2, size=64)),
+        _part(item, board, textures.striped((red, white) * 3, seed)),
+        _part(item, foot, textures.mottled(seed, (0.16, 0.16, 0.16), 0.2, size=64)),
     ]
 
 
@@ -109,45 +134,35 @@ def _drum(item: RoadObject, seed: int) -> list[Part]:
     body = meshes.lathe([0.29 * h, 0.24 * h, 0.22 * h, 0.08 * h, 0.0], [0.04, 0.85 * h, 0.97 * h, h, h], 28)
     ring = meshes.lathe([0.38 * h, 0.36 * h, 0.0], [0.0, 0.06, 0.07], 24)
     bands = (item.colour, white, item.colour, white, item.colour)
-    return [Part(at_object(item, body), textures.striped(bands, seed)), Part(at_object(item, ring), (0.1, 0.1, 0.1))]
+    return [_part(item, body, textures.striped(bands, seed)), _part(item, ring, (0.1, 0.1, 0.1))]
 
 
 def _post(item: RoadObject, seed: int) -> list[Part]:
-    return [
-        Part(
-            at_object(item, meshes.lathe([0.038, 0.038, 0.0], [0.0, item.height_m, item.height_m], 20)),
-            item.colour,
-            0.3,
-        )
-    ]
+    return [_part(item, meshes.lathe([0.038, 0.038, 0.0], [0.0, item.height_m, item.height_m], 20), item.colour, 0.3)]
 
 
 def _round_sign(item: RoadObject, seed: int) -> list[Part]:
     turn = np.linspace(0, 2 * np.pi, 36, endpoint=False)
     disc = meshes.prism(np.column_stack([0.3 * np.cos(turn), item.height_m - 0.3 + 0.3 * np.sin(turn)]), 0.02)
-    return [*_post(item, seed), Part(at_object(item, disc, x=-0.05), textures.round_sign(seed))]
+    return [*_post(item, seed), _part(item, disc, textures.round_sign(seed), x=-0.05)]
 
 
 def _triangle_sign(item: RoadObject, seed: int) -> list[Part]:
     parts = _post(item, seed)
     for scale, colour, x in ((1.0, (0.8, 0.07, 0.08), -0.05), (0.66, (0.93, 0.93, 0.9), -0.065)):
         outline = np.array([[0.45, -0.26], [0.0, 0.52], [-0.45, -0.26]]) * scale
-        parts.append(
-            Part(at_object(item, meshes.prism(outline + np.array([0.0, item.height_m - 0.5]), 0.015), x=x), colour)
-        )
+        parts.append(_part(item, meshes.prism(outline + np.array([0.0, item.height_m - 0.5]), 0.015), colour, x=x))
     bar = meshes.box([0.012, 0.06, 0.26], item.height_m - 0.62)
-    return [*parts, Part(at_object(item, bar, x=-0.08), (0.05, 0.05, 0.05))]
+    return [*parts, _part(item, bar, (0.05, 0.05, 0.05), x=-0.08)]
 
 
 def _bin(item: RoadObject, seed: int) -> list[Part]:
-    body, lid = (
-        meshes.box([0.5, 0.52, item.height_m - 0.12], 0.06),
-        meshes.box([0.56, 0.58, 0.07], item.height_m - 0.07),
-    )
+    body = meshes.box([0.5, 0.52, item.height_m - 0.12], 0.06)
+    lid = meshes.box([0.56, 0.58, 0.07], item.height_m - 0.07)
     dark = tuple(0.7 * c for c in item.colour)
     return [
-        Part(at_object(item, body), textures.mottled(seed, item.colour, 0.1, size=128)),
-        Part(at_object(item, lid), (dark[0], dark[1], dark[2])),
+        _part(item, body, textures.mottled(seed, item.colour, 0.1, size=128)),
+        _part(item, lid, (dark[0], dark[1], dark[2])),
     ]
 
 
@@ -157,7 +172,7 @@ def _hydrant(item: RoadObject, seed: int) -> list[Part]:
         [0.13, 0.13, 0.09, 0.09, 0.13, 0.12, 0.05, 0.0], np.array([0, 0.06, 0.1, 0.7, 0.72, 0.84, 0.98, 1]) * h
     )
     arm = meshes.placed(meshes.box([0.09, 0.34, 0.09]), motion(0.0, 0.0, 0.55 * h))
-    return [Part(at_object(item, body), item.colour, 0.3), Part(at_object(item, arm), item.colour, 0.3)]
+    return [_part(item, body, item.colour, 0.3), _part(item, arm, item.colour, 0.3)]
 
 
 def _van(item: RoadObject, seed: int) -> list[Part]:
@@ -170,37 +185,27 @@ def _van(item: RoadObject, seed: int) -> list[Part]:
     side = meshes.placed(meshes.prism(outline @ np.array([[-1.0, 0.0], [0.0, 1.0]]), width), turn)
     skin = textures.mottled(seed, item.colour, 0.03, size=256)
     # The hull between the two sides: one thin box per edge of the outline.
-    parts = [Part(at_object(item, meshes.placed(side, motion(0, 0, 0, math.pi))), skin, 0.15)]
+    parts = [_part(item, meshes.placed(side, motion(0, 0, 0, math.pi)), skin, 0.15)]
     for (x0, z0), (x1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         run = math.hypot(x1 - x0, z1 - z0)
         lean = math.atan2(z1 - z0, x1 - x0)
         c, s = math.cos(lean), math.sin(lean)
         place = np.array([[c, 0, -s, (x0 + x1) / 2], [0, 1, 0, 0], [s, 0, c, (z0 + z1) / 2], [0, 0, 0, 1.0]])
-        windscreen = x0 == nose - 0.55
-        parts.append(
-            Part(
-                at_object(item, meshes.placed(meshes.box([run, width + 0.004, 0.03], -0.015), place)),
-                glass if windscreen else skin, 0.1 if windscreen else 0.15,
-            )
-        )  # fmt: skip
+        surface, roughness = (glass, 0.1) if x0 == nose - 0.55 else (skin, 0.15)
+        panel = meshes.box([run, width + 0.004, 0.03], -0.015)
+        parts.append(_part(item, meshes.placed(panel, place), surface, roughness))
     for y in (-width / 2 - 0.012, width / 2 + 0.012):
-        parts.append(Part(at_object(item, meshes.box([0.8, 0.02, 0.5], 1.2), x=nose - 1.55, y=y), glass, 0.1))
-        parts.append(Part(at_object(item, meshes.box([length - 0.2, 0.015, 0.12], 0.75), y=y), (0.85, 0.85, 0.85)))
+        parts.append(_part(item, meshes.box([0.8, 0.02, 0.5], 1.2), glass, 0.1, x=nose - 1.55, y=y))
+        parts.append(_part(item, meshes.box([length - 0.2, 0.015, 0.12], 0.75), (0.85, 0.85, 0.85), y=y))
         wheel = meshes.lathe([0.0, 0.2, 0.33, 0.33, 0.2, 0.0], [0.0, 0.0, 0.02, 0.2, 0.22, 0.22], 28)
         lying = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0.33], [0, 0, 0, 1.0]])
         for x in (-0.31 * length, 0.31 * length):
-            parts.append(
-                Part(at_object(item, meshes.placed(wheel, lying), x=x, y=y - 0.11 - math.copysign(0.06, y)), black)
-            )
+            parts.append(_part(item, meshes.placed(wheel, lying), black, x=x, y=y - 0.11 - math.copysign(0.06, y)))
     for y in (-0.48, 0.48):
-        parts.append(Part(at_object(item, meshes.box([0.02, 0.7, 0.55], 1.25), x=-nose - 0.03, y=y), glass, 0.1))
-        parts.append(
-            Part(at_object(item, meshes.box([0.03, 0.14, 0.35], 0.75), x=-nose - 0.03, y=1.8 * y), (0.6, 0.04, 0.03))
-        )
-        parts.append(
-            Part(at_object(item, meshes.box([0.03, 0.3, 0.18], 0.75), x=nose + 0.02, y=1.4 * y), (0.9, 0.9, 0.85))
-        )
-    parts.append(Part(at_object(item, meshes.box([0.02, 0.52, 0.11], 0.55), x=-nose - 0.03), (0.9, 0.9, 0.88)))
+        parts.append(_part(item, meshes.box([0.02, 0.7, 0.55], 1.25), glass, 0.1, x=-nose - 0.03, y=y))
+        parts.append(_part(item, meshes.box([0.03, 0.14, 0.35], 0.75), (0.6, 0.04, 0.03), x=-nose - 0.03, y=1.8 * y))
+        parts.append(_part(item, meshes.box([0.03, 0.3, 0.18], 0.75), (0.9, 0.9, 0.85), x=nose + 0.02, y=1.4 * y))
+    parts.append(_part(item, meshes.box([0.02, 0.52, 0.11], 0.55), (0.9, 0.9, 0.88), x=-nose - 0.03))
     return parts
 
 
@@ -215,12 +220,9 @@ def _worker(item: RoadObject, seed: int) -> list[Part]:
         ([0.27, 0.47, 0.06], 1.2, 0.0, silver), ([0.13, 0.12, 0.6], 0.82, -0.3, item.colour),
         ([0.13, 0.12, 0.6], 0.82, 0.3, item.colour), ([0.2, 0.17, 0.24], 1.47, 0.0, (0.75, 0.55, 0.45)),
     ]  # fmt: skip
-    parts = [
-        Part(at_object(item, meshes.box(np.array(size) * k, base * k), y=y * k), colour)
-        for size, base, y, colour in pieces
-    ]
+    parts = [_part(item, meshes.box(np.array(size) * k, base * k), colour, y=y * k) for size, base, y, colour in pieces]
     helmet = meshes.lathe(np.array([0.14, 0.14, 0.1, 0.0]) * k, np.array([1.66, 1.7, 1.78, 1.81]) * k, 20)
-    return [*parts, Part(at_object(item, helmet), (0.9, 0.75, 0.1) if seed % 3 else (0.92, 0.92, 0.9), 0.2)]
+    return [*parts, _part(item, helmet, (0.9, 0.75, 0.1) if seed % 3 else (0.92, 0.92, 0.9), 0.2)]
 
 
 def _house(item: RoadObject, seed: int) -> list[Part]:
@@ -228,8 +230,8 @@ def _house(item: RoadObject, seed: int) -> list[Part]:
     front = meshes.box([item.length_m, 6.0, item.height_m])
     roof = meshes.box([item.length_m + 0.6, 6.8, 0.35], item.height_m)
     return [
-        Part(at_object(item, front), wall),
-        Part(at_object(item, roof), textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256)),
+        _part(item, front, wall),
+        _part(item, roof, textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256)),
     ]
 
 
@@ -241,9 +243,7 @@ def _hedge(item: RoadObject, seed: int) -> list[Part]:
     parts = []
     for x in np.linspace(-item.length_m / 2, item.length_m / 2, count):
         size = [2.6, rng.uniform(0.8, 1.1), item.height_m * rng.uniform(0.88, 1.08)]
-        parts.append(
-            Part(at_object(item, meshes.placed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), x=x), skin)
-        )
+        parts.append(_part(item, meshes.placed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), skin, x=x))
     return parts
 
 
@@ -252,18 +252,96 @@ def _tree(item: RoadObject, seed: int) -> list[Part]:
     h = item.height_m
     trunk = meshes.lathe([0.22, 0.14, 0.1], [0.0, 0.5 * h, 0.7 * h], 16)
     leaves = textures.mottled(seed, item.colour, 0.45, size=256, grain_px=2.0)
-    parts = [Part(at_object(item, trunk), textures.mottled(seed, (0.32, 0.25, 0.18), 0.3, size=128))]
+    parts = [_part(item, trunk, textures.mottled(seed, (0.32, 0.25, 0.18), 0.3, size=128))]
     angle = np.linspace(0.0, np.pi, 9)
     for _ in range(7):
         r = 0.2 * h * rng.uniform(0.7, 1.1)
         ball = meshes.lathe(r * np.sin(angle), -r * np.cos(angle), 14)
         x, y = rng.normal(0.0, 0.13 * h, 2)
-        parts.append(Part(at_object(item, ball, x=x, y=y, z=h * rng.uniform(0.58, 0.88)), leaves))
+        parts.append(_part(item, ball, leaves, x=x, y=y, z=h * rng.uniform(0.58, 0.88)))
     return parts
 
 
+class TrueShape(NamedTuple):
+    """What truth.csv states of an object: its class, the lower end of what is located above the ground, and its height."""
+
+    category: str
+    foot_m: float
+    height_m: float
+
+
+def true_shape(item: RoadObject) -> TrueShape:
+    """Of signs and boards the plate alone. Raises KeyError for kinds without a class."""
+    if item.kind in _STANDING:
+        return TrueShape(_STANDING[item.kind], 0.0, item.height_m)
+    plate = _plate_height_m(item)
+    return TrueShape(_PLATES[item.kind], item.height_m - plate, plate)
+
+
+def _tubular_marker(item: RoadObject, seed: int) -> list[Part]:
+    h, colour = item.height_m, item.colour
+    radius = 0.045 + 0.01 * (seed % 3)
+    tube = meshes.lathe([radius, radius, 0.9 * radius, 0.0], [0.03, 0.8 * h, h, h], 24)
+    base = meshes.lathe([0.19, 0.16, 0.0], [0.0, 0.05, 0.06], 24)
+    bands = (colour, colour, colour, colour, _WHITE, colour, _WHITE, colour)  # from the foot up
+    return [_part(item, tube, textures.striped(bands, seed)), _part(item, base, _RUBBER)]
+
+
+def _vertical_panel(item: RoadObject, seed: int) -> list[Part]:
+    """A striped board on a rubber base."""
+    board_m = 0.8 * item.height_m
+    board = meshes.box([0.03, item.length_m, board_m], item.height_m - board_m)
+    mast = meshes.box([0.04, 0.07, item.height_m - board_m], 0.05)
+    face = textures.stripes(seed, item.colour, item.length_m / board_m, bool(seed % 2))
+    return [
+        _part(item, board, face),
+        _part(item, mast, _RUBBER),
+        _part(item, meshes.box([0.45, 0.42, 0.08]), _RUBBER),
+    ]
+
+
+def _type_3_barricade(item: RoadObject, seed: int) -> list[Part]:
+    """Three striped boards on two posts with feet (MUTCD 2023, chapter 6K: type 3)."""
+    h, width = item.height_m, item.length_m
+    face = textures.stripes(seed, item.colour, width / 0.2, bool(seed % 2))
+    parts = [_part(item, meshes.box([0.03, width, 0.2], h * z), face) for z in (0.3, 0.57)]
+    parts.append(_part(item, meshes.box([0.03, width, 0.2], h - 0.2), face))
+    for y in (-0.38 * width, 0.38 * width):
+        parts.append(_part(item, meshes.box([0.05, 0.05, h - 0.02]), _WHITE, x=0.045, y=y))
+        parts.append(_part(item, meshes.box([0.9, 0.06, 0.05]), _GREY, y=y))
+    return parts
+
+
+def _plate(item: RoadObject, seed: int) -> list[Part]:
+    """A sign on one post, or a temporary one or an arrow board on its stand; grey from behind."""
+    high = _plate_height_m(item)
+    low = item.height_m - high
+    outline, face = textures.FACES[item.kind]
+    plate = meshes.prism(outline * [item.length_m, high] + [0.0, low], 0.012)
+    parts = [
+        # The front alone: triangles of the side towards -x. The first row of a texture is the lowest.
+        _part(item, plate._replace(triangles=plate.triangles[: len(plate.triangles) // 2]), face(seed)[::-1]),
+        _part(item, plate, _GREY, x=0.02),
+    ]
+    if item.kind == "arrow_board":
+        parts += [_part(item, meshes.box([0.08, 0.08, low + 0.5 * high], 0.3), _GREY, x=0.08, y=y) for y in (-0.6, 0.6)]
+        parts.append(_part(item, meshes.box([1.6, 1.5, 0.35], 0.35), ORANGE, x=0.5))
+        wheel = meshes.box([0.6, 0.18, 0.6])
+        return parts + [_part(item, wheel, _RUBBER, x=0.5, y=y) for y in (-0.85, 0.85)]
+    if true_shape(item).category == "work_zone_sign":
+        parts += [_part(item, meshes.box([0.04, 0.9, 0.05], 0.02), _GREY, x=x) for x in (-0.25, 0.06, 0.35)]
+        parts.append(_part(item, meshes.box([0.7, 0.05, 0.05], 0.02), _GREY, x=0.05))
+    mast = meshes.lathe([0.03, 0.03, 0.0], [0.0, low + 0.8 * high, low + 0.8 * high], 16)
+    return [*parts, _part(item, mast, _GREY, 0.3, x=0.06)]
+
+
+def _plate_height_m(item: RoadObject) -> float:
+    return float(np.round(item.length_m * _BOARD_SHARE.get(item.kind, 1.0), 3))
+
+
 BUILDERS: dict[str, Callable[[RoadObject, int], list[Part]]] = {
-    "bollard": _bollard, "barrier_post": _barrier_post, "post": _post, "round_sign": _round_sign,
-    "triangle_sign": _triangle_sign, "bin": _bin, "hydrant": _hydrant, "van": _van, "worker": _worker,
-    "drum": _drum, "house": _house, "hedge": _hedge, "tree": _tree,
+    "tubular_marker": _tubular_marker, "vertical_panel": _vertical_panel, "type_3": _type_3_barricade,
+    **dict.fromkeys(_PLATES, _plate), "bollard": _bollard, "barrier_post": _barrier_post, "post": _post,
+    "round_sign": _round_sign, "triangle_sign": _triangle_sign, "bin": _bin, "hydrant": _hydrant, "van": _van,
+    "worker": _worker, "drum": _drum, "house": _house, "hedge": _hedge, "tree": _tree,
 }  # fmt: skip

@@ -49,7 +49,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class RoadObject:
-    """Any other object on or beside the road; `kind` is a key of `scene.BUILDERS`."""
+    """Any other object on or beside the road; `kind` is a key of `parts.BUILDERS`."""
 
     kind: str
     x_m: float

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError
-from conetl.simulation import classed_parts, meshes, parts, textures
-from conetl.simulation.parts import Part, cone_parts, motion
+from conetl.simulation import meshes, textures
+from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
 from conetl.simulation.scenario import PAINT_HEIGHT_M, World, painted_lines
 
 Array = NDArray[np.float64]
@@ -25,8 +25,6 @@ FULL_WELL_ELECTRONS = 9000.0
 READ_NOISE_ELECTRONS = 6.0
 BLUR_SIGMA_PX = 0.45
 """Of lens and pixel together."""
-
-BUILDERS = parts.BUILDERS | classed_parts.BUILDERS
 
 
 @dataclass(frozen=True)

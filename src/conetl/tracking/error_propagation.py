@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
-from conetl.geometry.jacobians import pose_jacobian
+from conetl.geometry.camera import pose_jacobian
 from conetl.geometry.motion.chain_solver import cross_covariance, joint_covariance
 from conetl.geometry.motion.pose_graph import POSE, motion_jacobians
 from conetl.geometry.small_arrays import cross_matrix
@@ -154,7 +154,7 @@ def common_cov(
 ) -> Floats:
     """Covariance (3, 3) m^2 that pose and calibration add to the joint fit of the positions of one cone.
 
-    shares: (F, 3, 3) of `joint_fit.fit_point`, in the order of `group`: derivatives of the joint point by that of one pair. The
+    shares: (F, 3, 3) of `fit_point`, in the order of `group`: derivatives of the joint point by that of one pair. The
     calibration's error is constant. Errors of logged poses are Gauss-Markov processes (`log`); those of refined poses (None)
     are constant while the cone is visible. Each frame has its own sigmas and lever from body to cone.
     """

@@ -17,8 +17,8 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.covariance import calibration_cov
+from conetl.geometry.camera import add_pose_covariance
 from conetl.geometry.intersection import IntersectionStatus, intersect
-from conetl.geometry.jacobians import add_pose_covariance
 from conetl.geometry.packing import cov3, vec3
 from conetl.model.params import PositionParams
 from conetl.model.records import (

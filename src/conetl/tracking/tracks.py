@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import jacobian_of
-from conetl.geometry.joint_fit import fit_point, image_constants
+from conetl.geometry.intersection import fit_point, image_constants
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, evidence_of

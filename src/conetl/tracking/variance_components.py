@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.joint_fit import image_constants, pair_jacobian
+from conetl.geometry.intersection import image_constants, pair_jacobian
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.records import Pose, Rig, StereoMatch, Track
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov

@@ -1,23 +1,27 @@
 """Check of a work zone's layout against rules, with uncertainty: spacing, missing cones, taper lengths, cones in the open lane.
 
-`standards.layout_rules` gives the rules with their sources. Stations and offsets are those of the zone's axis, in the
-direction of travel. A gap across the end of a taper is measured by both limits: the used shares of the allowed spacing in taper
-and tangent add up.
+The rules of published standards, with the source of each number, are in `rules/*.yaml`. Stations and offsets are those of the
+zone's axis, in the direction of travel. A gap across the end of a taper is measured by both limits: the used shares of the
+allowed spacing in taper and tangent add up.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
+from conetl.files.yaml_model import read_yaml_model
 from conetl.geometry.linear_reference import Floats, locate, spacing_beside
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
-from conetl.workzones.lane_bands import lanes_at
+from conetl.workzones.road_lines import lanes_at
 
 FOOT_M = 0.3048
 MILE_KM = 1.609344
@@ -26,6 +30,9 @@ NO_NORM_IN_LANE = "no standard: distance from the row"
 NO_NORM = "no standard: own rules"
 #: Tolerance of a taper's ends at lane lines.
 _ON_LANE_LINE_M = 0.6
+_FOLDER = Path(__file__).with_name("rules")
+STANDARDS = tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
+DEFAULT = "mutcd_2023"
 
 
 def taper_ratio(speed_kmh: float, rules: LayoutParams) -> float:
@@ -297,3 +304,43 @@ def _in_lane(check: _Check) -> Iterator[Finding]:
             station_m=station,
             xy_m=((float(x_m), float(y_m)),),
         )
+
+
+class CitedRule(BaseModel):
+    """One number of a standard."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    value: float
+    source: str
+    """Section or table."""
+    text: str
+
+
+class Standard(BaseModel):
+    """One standard: its numbers by the names of `LayoutParams`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    standard: str
+    """Name and edition."""
+    rules: dict[str, CitedRule]
+    not_covered: tuple[str, ...] = ()
+
+
+@cache
+def read_standard(name: str) -> Standard:
+    """One of `STANDARDS`."""
+    return read_yaml_model(_FOLDER / f"{name}.yaml", Standard, "standard")
+
+
+def layout_rules(name: str = DEFAULT, own: LayoutParams | None = None) -> LayoutParams:
+    """The rules of a standard, with the values of `own` that were set; those have no source but what `own.sources` states."""
+    standard = read_standard(name)
+    values: dict[str, object] = {key: rule.value for key, rule in standard.rules.items()}
+    sources = {key: f"{standard.standard}, {rule.source}" for key, rule in standard.rules.items()}
+    if own is not None:
+        set_here = own.model_dump(include=own.model_fields_set - {"sources"})
+        values |= set_here
+        sources = {key: text for key, text in sources.items() if key not in set_here} | own.sources
+    return LayoutParams.model_validate(values | {"sources": sources})

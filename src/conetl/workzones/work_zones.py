@@ -20,7 +20,7 @@ from conetl.geometry.linear_reference import Floats, spacing_beside
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, ZoneHistory
-from conetl.workzones.road_axes import Indices, axes_of, passes_beside
+from conetl.workzones.road_lines import Indices, axes_of, passes_beside
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/work_zone")
 #: A car needs this width between cones; so wide a gap separates two zones.

@@ -21,8 +21,7 @@ from conetl.model.work_zone_records import (
     ZoneLayout,
 )
 from conetl.workzones.cone_rows import find_rows
-from conetl.workzones.lane_bands import closed_lanes, lane_bands
-from conetl.workzones.road_axes import axes_of, passes_beside
+from conetl.workzones.road_lines import axes_of, closed_lanes, lane_bands, passes_beside
 
 #: Lane lines are searched this far beside the cones, and before the first and behind the last one.
 _LANE_REACH_M = 15.0

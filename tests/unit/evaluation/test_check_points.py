@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from conetl.evaluation.check_points import check_map
+from conetl.evaluation.truth import check_map
 from conetl.model.errors import InputError
 from conetl.readers.surveyed_points import read_surveyed_points
 from tests import records

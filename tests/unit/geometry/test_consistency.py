@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conetl.geometry.camera import add_pose_covariance, pose_jacobian
 from conetl.geometry.consistency import Nees, ce90_m, consistency, le90_m, point_nees
-from conetl.geometry.jacobians import add_pose_covariance, pose_jacobian
 
 
 def random_drive(seed: int, points: int = 9, common: int = 4) -> tuple[np.ndarray, ...]:

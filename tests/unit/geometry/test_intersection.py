@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from conetl.geometry import pose as se3
+from conetl.geometry.camera import add_pose_covariance
 from conetl.geometry.intersection import IntersectionResult, IntersectionStatus, intersect
-from conetl.geometry.jacobians import add_pose_covariance
 
 Array = NDArray[np.float64]
 K = np.array([721.5, 720.0, 609.6, 172.9])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry.joint_fit import JointFit, fit_point, image_constants, pair_jacobian
+from conetl.geometry.intersection import JointFit, fit_point, image_constants, pair_jacobian
 from tests.synthetic.world import ORIGIN_M, camera_poses, make_path, make_rig
 
 RIG = make_rig()

@@ -16,9 +16,9 @@ from pyproj import CRS
 from conetl.model.errors import InputError
 from conetl.readers.base_layers import georeferencing as geo
 from conetl.readers.base_layers.georeferencing import axes_seem_swapped, layer_crs, outside_area, parse_crs, to_map
-from conetl.readers.base_layers.lanelet2 import read_lanelet2
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import read_vector_file
+from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
 from conetl.readers.base_layers.point_tiles import Cloud, read_cells, spill
 

@@ -17,11 +17,10 @@ from conetl.geometry.rig import body_SE3_camera, map_SE3_camera
 from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
 from conetl.simulation import trajectory
-from conetl.simulation.classed_parts import true_shape
-from conetl.simulation.rig import simulated_rig
+from conetl.simulation.parts import true_shape
 from conetl.simulation.scenario import Cone, Road, RoadObject, World, scenario_pass
 from conetl.simulation.scene import PinholeCamera, build_scene, develop, exposure_gain, render
-from conetl.simulation.simulate import simulate_drive
+from conetl.simulation.simulate import simulate_drive, simulated_rig
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
 

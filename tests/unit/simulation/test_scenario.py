@@ -9,8 +9,8 @@ import pytest
 
 from conetl.model.errors import InputError
 from conetl.simulation import trajectory
-from conetl.simulation.rig import simulated_rig
 from conetl.simulation.scenario import Cone, scenario_pass
+from conetl.simulation.simulate import simulated_rig
 
 
 def test_all_cones_are_added_then_one_moved_one_removed_two_added_then_all_confirmed() -> None:

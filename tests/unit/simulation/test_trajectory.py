@@ -18,8 +18,8 @@ from conetl.readers.rigs import read_rig
 from conetl.readers.trajectories.oxts import parse_oxts
 from conetl.readers.trajectories.times import parse_timestamp
 from conetl.simulation import simulate, trajectory
-from conetl.simulation.rig import CAMERA_HEIGHT_M, simulated_rig
 from conetl.simulation.scenario import scenario_pass
+from conetl.simulation.simulate import CAMERA_HEIGHT_M, simulated_rig
 
 
 def _drive(pass_number: int) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.consistency import Nees
-from conetl.geometry.joint_fit import fit_point, image_constants, pair_jacobian
+from conetl.geometry.intersection import fit_point, image_constants, pair_jacobian
 from conetl.geometry.motion.chain_solver import cross_covariance
 from conetl.geometry.packing import cov_matrix
 from conetl.model.params import TrajectoryParams

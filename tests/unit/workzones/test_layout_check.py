@@ -11,8 +11,16 @@ from hypothesis import strategies as st
 
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, Level, Rule
-from conetl.workzones.layout_check import FOOT_M, MILE_KM, allowed_spacing_m, check_layout, taper_ratio
-from conetl.workzones.standards import STANDARDS, layout_rules, read_standard
+from conetl.workzones.layout_check import (
+    FOOT_M,
+    MILE_KM,
+    STANDARDS,
+    allowed_spacing_m,
+    check_layout,
+    layout_rules,
+    read_standard,
+    taper_ratio,
+)
 from conetl.workzones.zone_layout import describe, layout_of
 from tests.synthetic.tapers import LANE_M, Closure, closure, cone, zone_of
 

@@ -18,14 +18,14 @@ from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import Bbox, feature_log, list_changesets, read_features_as_of
-from conetl.exports.geojson import ChangeOrigin, export_diff_geojson
+from conetl.exports.text_files import ChangeOrigin, export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
 from conetl.model.map_records import FeatureChange, MapFeature
 
 if TYPE_CHECKING:  # what draws and checks takes half a second to load
-    from conetl.evaluation.check_points import CheckedMap
+    from conetl.evaluation.truth import CheckedMap
 
 _AXES = ("east", "north", "up", "horizontal", "3D")
 
@@ -161,7 +161,7 @@ def check_points(
 
     The points change nothing on the map. Exit code 1 if no point has a cone, or the residuals contradict the stated sigmas.
     """
-    from conetl.evaluation.check_points import check_map
+    from conetl.evaluation.truth import check_map
     from conetl.readers.surveyed_points import read_surveyed_points
 
     with open_map(map_name) as (conn, info):

@@ -21,8 +21,7 @@ from conetl.exports.export import export_map
 from conetl.exports.qgis_project import write_qgis_project
 from conetl.exports.source import ExportRequest, What
 from conetl.files.documents import first_message
-from conetl.geometry.geodesy import check_map_srid
-from conetl.geometry.heights import map_crs
+from conetl.geometry.geodesy import check_map_srid, map_crs
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LANE_MARKING, noun_of
 from conetl.model.params import ImportParams

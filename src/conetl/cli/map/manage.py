@@ -14,7 +14,7 @@ from conetl.cli.database import open_map, open_maps
 from conetl.db.connection import transaction
 from conetl.db.map.archive import delete_map, list_maps, rename_map, restore_map
 from conetl.db.map.map_store import find_map, insert_map
-from conetl.geometry.heights import map_crs, system_name
+from conetl.geometry.geodesy import map_crs, system_name
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import checked_map_name, read_settings
 

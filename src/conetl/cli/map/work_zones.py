@@ -11,14 +11,20 @@ from pydantic import BaseModel, ConfigDict
 
 from conetl.cli.console import Columns, JsonOption, MapOption, counted, parse_instant, print_json, print_records, say
 from conetl.cli.database import open_map
-from conetl.exports.geojson import export_layout_geojson, finding_as_dict
+from conetl.exports.text_files import export_layout_geojson, finding_as_dict
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import InputError
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import Finding, Level, WorkZone
 from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
-from conetl.workzones.layout_check import allowed_spacing_m, check_layout
-from conetl.workzones.standards import DEFAULT, STANDARDS, layout_rules, read_standard
+from conetl.workzones.layout_check import (
+    DEFAULT,
+    STANDARDS,
+    allowed_spacing_m,
+    check_layout,
+    layout_rules,
+    read_standard,
+)
 
 FeedOption = Annotated[
     Path | None, typer.Option("--feed", help="WZDx: YAML file with publisher, road_names, contact, licence ...")

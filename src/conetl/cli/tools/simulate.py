@@ -40,7 +40,7 @@ def simulate(
     from conetl.simulation.simulate import simulate_drive
 
     if base:
-        from conetl.simulation.base_layers import simulate_base_layers
+        from conetl.simulation.truth_files import simulate_base_layers
 
         files = [str(path) for path in simulate_base_layers(folder, seed=seed)]
         answer(as_json, {"base_layers": files}, f"{' '.join(files)}: try `conetl base import {' '.join(files)}`")

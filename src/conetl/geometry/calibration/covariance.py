@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry import rig as rigs
-from conetl.geometry.jacobians import project_with_jacobian
+from conetl.geometry.camera import project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.records import CalibrationCovariance, Rig, SharedErrorJacobian, SharedErrors
 

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
-from conetl.geometry.camera import project
-from conetl.geometry.jacobians import project_with_jacobian
+from conetl.geometry.camera import project, project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.records import LENS_COEFFICIENTS, SIDES, Camera, Lens, LensModel, Side
 

@@ -18,7 +18,6 @@ from pyproj.exceptions import CRSError
 from conetl.files.documents import MAX_SHOWN, shown
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import LaneLine
-from conetl.readers.base_layers.lanelet2 import read_lanelet2
 from conetl.readers.base_layers.lines import (
     LANELET2_BOUNDARIES,
     MAX_LINES,
@@ -27,6 +26,7 @@ from conetl.readers.base_layers.lines import (
     add_line,
     bounds_lanes,
     full_kind,
+    read_lanelet2,
 )
 from conetl.readers.base_layers.opendrive import read_opendrive
 

@@ -1,17 +1,31 @@
-"""Lines of a file, the result of every reader of lane boundaries."""
+"""Lines of a file, the result of every reader of lane boundaries, and the reader of Lanelet2 maps (OSM XML).
+
+Lanelet2: the ways that bound lanelets, and other markings and barriers along roads (Poggenhans et al., *Lanelet2*, ITSC 2018,
+and its documentation, LinestringTagging). Nodes are WGS 84.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from conetl.model.errors import InputError
+
 MAX_LINES = 500_000
 #: Lanelet2 line strings that bound lanes or the road; others (stop lines, signs, walls) do not.
 LANELET2_BOUNDARIES = frozenset({"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "virtual"})
+#: Ways of these types are lane boundaries even without a lanelet.
+BOUNDARIES = frozenset(
+    {"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "wall", "fence", "virtual", "bike_marking",
+     "pedestrian_marking"}
+)  # fmt: skip
 
 
 class Line(NamedTuple):
@@ -54,3 +68,73 @@ def bounds_lanes(kind: str, attributes: Mapping[str, Any]) -> bool:
 def full_kind(kind: str, attributes: Mapping[str, Any]) -> str:
     """`type/subtype` where a line has these attributes, for example `line_thin/dashed`."""
     return "/".join(str(attributes[name]) for name in ("type", "subtype") if attributes.get(name)) or kind
+
+
+class _Osm(NamedTuple):
+    nodes: dict[str, tuple[float, float, float]]
+    """Longitude, latitude, height (NaN without) by id."""
+    ways: dict[str, tuple[list[str], dict[str, str]]]
+    """Node ids and tags by id."""
+    bounding: set[str]
+    """Ways that bound a lanelet."""
+    refused: list[str]
+    local_count: int
+    """Nodes with local coordinates."""
+
+
+def read_lanelet2(path: Path) -> LineFile:
+    """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
+    try:
+        osm = _read(path)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: is not OSM XML ({error}); expected a Lanelet2 map") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if osm.local_count and all(lon == 0 and lat == 0 for lon, lat, _ in osm.nodes.values()):
+        raise InputError(
+            f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"
+        )
+    lines: list[Line] = []
+    for identity, (references, tags) in osm.ways.items():
+        if identity not in osm.bounding and tags.get("type") not in BOUNDARIES:
+            continue
+        missing = [r for r in references if r not in osm.nodes]
+        if missing:
+            osm.refused.append(f"way {identity}: its node {missing[0]} is missing")
+            continue
+        attributes = {**tags, "way": identity, "bounds_a_lanelet": identity in osm.bounding}
+        xyz = np.array([osm.nodes[r] for r in references], np.float64).reshape(-1, 3)
+        add_line(Line(tags.get("type", "unknown"), xyz, attributes), f"way {identity}", lines, osm.refused)
+    if not lines:
+        wanted = ", ".join(sorted(BOUNDARIES))
+        raise InputError(
+            f"{path}: there are no lane boundaries; expected ways that lanelets refer to, or of type {wanted}"
+        )
+    return LineFile(lines, CRS.from_epsg(4326), osm.refused)
+
+
+def _read(path: Path) -> _Osm:
+    osm, local = _Osm({}, {}, set(), [], 0), 0
+    for _, item in ElementTree.iterparse(path, events=("end",)):
+        identity = item.get("id", "")
+        if item.tag == "node":
+            tags = _tags(item)
+            local += "local_x" in tags
+            try:
+                height = float(tags["ele"]) if "ele" in tags else math.nan
+                osm.nodes[identity] = (float(item.get("lon", "")), float(item.get("lat", "")), height)
+            except ValueError:
+                osm.refused.append(f"node {identity}: longitude, latitude or height is not a number")
+        elif item.tag == "way":
+            osm.ways[identity] = ([n.get("ref", "") for n in item.iter("nd")], _tags(item))
+        elif item.tag == "relation":
+            if _tags(item).get("type") == "lanelet":
+                osm.bounding.update(m.get("ref", "") for m in item.iter("member") if m.get("role") in ("left", "right"))
+        else:
+            continue  # a part of one of these, read with it
+        item.clear()
+    return osm._replace(local_count=local)
+
+
+def _tags(item: ElementTree.Element) -> dict[str, str]:
+    return {tag.get("k", ""): tag.get("v", "") for tag in item.iter("tag")}

@@ -19,8 +19,7 @@ from pyproj.exceptions import CRSError
 
 from conetl.files.documents import expectation, key_of, shown
 from conetl.files.parquet_store import file_sha256
-from conetl.geometry.geodesy import utm_srid
-from conetl.geometry.heights import to_ellipsoidal
+from conetl.geometry.geodesy import to_ellipsoidal, utm_srid
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams

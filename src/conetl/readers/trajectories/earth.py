@@ -18,7 +18,7 @@ from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-
 from pyproj.exceptions import CRSError, ProjError
 
 from conetl.files.documents import shown
-from conetl.geometry import heights
+from conetl.geometry import geodesy
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Floats, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -74,7 +74,7 @@ def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
     source, target = (crs.to_3d() for crs in known.values())
     lat, lon = (float(value) for value in start[:2])
     try:
-        group = heights.operations(source, target, heights.around(lon, lat))
+        group = geodesy.operations(source, target, geodesy.around(lon, lat))
     except (ProjError, CRSError, ValueError) as error:
         raise DriveFolderError(f"drive.yaml: trajectory.frame, map_frame: {shown(str(error))}") from error
     if not group.transformers or not group.best_available:
@@ -190,12 +190,12 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
         lon, lat = Transformer.from_crs(
             flat, CRS(4979) if flat.is_geocentric else flat.geodetic_crs, always_xy=True
         ).transform(x, y, start[2])[:2]
-        group = heights.operations(source, CRS(4979), heights.around(lon, lat))
+        group = geodesy.operations(source, CRS(4979), geodesy.around(lon, lat))
     except (ProjError, CRSError, ValueError) as error:
         raise DriveFolderError(
             f"{path}: no transformation from {shown(source.name)} to WGS 84: {shown(str(error))}"
         ) from error
-    missing = heights.missing_grids(group)
+    missing = geodesy.missing_grids(group)
     if not group.transformers or (missing and not group.best_available):
         raise DriveFolderError(_missing(path, source.name, missing))
     return [group.transformers[0], *after], _accuracy_m(group.transformers[0])
