@@ -15,6 +15,7 @@ from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Rig
 from conetl.readers.drives.drive_yaml import Streams
 from conetl.readers.drives.poses import rotation_of
+from conetl.readers.rigs.common import Node
 from conetl.readers.rigs.ros import rig_of_camera_infos
 
 Array = NDArray[np.float64]
@@ -123,8 +124,8 @@ def rig_of_infos(topics: Topics, infos: Mapping[str, Any], source: Path) -> Rig:
                 f"{source}: there is no CameraInfo for the {side} camera {image}; name it in drive.yaml (streams.{side}_info) "
                 "or put a rig.yaml beside the bag"
             )
-        found.append((Path(f"{source}:{info}"), _camera_info(infos[info], rectified=is_rectified_topic(image))))
-    return rig_of_camera_infos(*found[0], *found[1])
+        found.append(Node(Path(f"{source}:{info}"), _camera_info(infos[info], rectified=is_rectified_topic(image))))
+    return rig_of_camera_infos(*found)
 
 
 def is_rectified_topic(topic: str) -> bool:

@@ -40,7 +40,7 @@ from conetl.readers.drives.pairs import (
 )
 from conetl.readers.drives.poses import Samples, at, placed, to_pose
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import calibration_errors, motion_at, pinhole_camera, stereo_rig
+from conetl.readers.rigs.common import Node, calibration_errors, pinhole_camera, stereo_rig
 from conetl.readers.trajectories import read_trajectory
 
 Array = NDArray[np.float64]
@@ -160,11 +160,11 @@ def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Ri
     poses: list[Array] = []
     for name in _camera_names(settings).values():
         path = _stream_folder(root, name) / SENSOR_YAML
-        sensor = read_yaml(path)
+        sensor = Node(path, read_yaml(path))
         content.add(f"{name}/{SENSOR_YAML}", path.read_bytes())
-        cameras.append(pinhole_camera(path, sensor, "", "distortion_coefficients", _LENSES))
-        poses.append(motion_at(path, sensor, "T_BS"))
-    rig = stereo_rig(path, "T_BS", "euroc", cameras[0], cameras[1], se3.compose(se3.invert(poses[1]), poses[0]))
+        cameras.append(pinhole_camera(sensor, "distortion_coefficients", _LENSES))
+        poses.append(sensor.at("T_BS").motion())
+    rig = stereo_rig(sensor.at("T_BS"), "euroc", cameras[0], cameras[1], se3.compose(se3.invert(poses[1]), poses[0]))
     return rig_on_body(rig, poses[0], settings, path)
 
 
@@ -194,7 +194,7 @@ def _trajectory(source: Source, sensor_R_body: Array) -> tuple[int, Samples]:
     if sensor_path.is_file():
         content.add(sensor_path.relative_to(root).as_posix(), sensor_path.read_bytes())
         with calibration_errors():
-            B_SE3_S = motion_at(sensor_path, read_yaml(sensor_path), "T_BS")
+            B_SE3_S = Node(sensor_path, read_yaml(sensor_path)).at("T_BS").motion()
     name = path.relative_to(root).as_posix()
     content.add(name, path.read_bytes())
     recorded = read_trajectory(path, settings.trajectory.model_copy(update={"format": "euroc"}))

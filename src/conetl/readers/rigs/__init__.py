@@ -17,15 +17,13 @@ from conetl.files.documents import read_json, read_limited, read_yaml
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
 from conetl.readers.rigs.common import Pair, Size, calibration_errors, read_xml, rectified_rig
-from conetl.readers.rigs.kalibr import read_kalibr_rig, write_kalibr_rig
+from conetl.readers.rigs.devices import read_oak_rig, read_zed_rig
 from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 from conetl.readers.rigs.matlab import read_matlab_rig, structure, write_matlab_rig
 from conetl.readers.rigs.metashape import looks_like_metashape, read_metashape_rig
-from conetl.readers.rigs.oak import read_oak_rig
 from conetl.readers.rigs.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
 from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
-from conetl.readers.rigs.ros import read_ros_rig, write_ros_rig
-from conetl.readers.rigs.zed import read_zed_rig
+from conetl.readers.rigs.ros import read_kalibr_rig, read_ros_rig, write_kalibr_rig, write_ros_rig
 
 __all__ = [
     "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "read_kitti_rig", "read_rig",

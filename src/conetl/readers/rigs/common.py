@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -35,11 +35,6 @@ LENGTH_UNITS: Mapping[str, float] = {
 _SKEW_SHARE = 1e-6
 
 
-def bad(path: Path, key: str, text: str) -> CalibrationError:
-    """The error for one key of one file."""
-    return CalibrationError(f"{path}: '{key}' {text}")
-
-
 @contextmanager
 def calibration_errors() -> Iterator[None]:
     """Errors of reading documents as CalibrationError; also a decorator of the functions that read calibrations."""
@@ -65,49 +60,93 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
         yaml.safe_dump(dict(content), file, default_flow_style=None, sort_keys=False, width=200)
 
 
-def entry(path: Path, content: Any, key: str, where: str = "") -> Any:
-    """Value of a required key; where: the keys above it, for messages. Raises CalibrationError."""
-    if not isinstance(content, Mapping) or content.get(key) is None:
-        found = shown([*content]) if isinstance(content, Mapping) else shown(content)
-        raise bad(path, f"{where}{key}", f"is missing; found {found or 'nothing'}")
-    return content[key]
+class Node(NamedTuple):
+    """A value of a calibration file with its key. Methods raise CalibrationErrors that name both."""
 
+    path: Path
+    value: Any
+    key: str = ""
+    """With the keys above it."""
 
-def numbers_at(path: Path, content: Any, key: str, shape: tuple[int, ...] | None = None, where: str = "") -> Array:
-    """The `numbers` of a required `entry`."""
-    return numbers(path, f"{where}{key}", entry(path, content, key, where), shape)
+    def bad(self, text: str) -> CalibrationError:
+        """The error for this value."""
+        return CalibrationError(f"{self.path}: '{self.key}' {text}")
 
+    def get(self, key: str) -> Node:
+        """The value of a key, None where there is none."""
+        value = self.value.get(key) if isinstance(self.value, Mapping) else None
+        return Node(self.path, value, f"{self.key}.{key}" if self.key else key)
 
-def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = None) -> Array:
-    """Finite numbers of the given shape (or any flat count), from lists or from {rows, cols, data}. Raises CalibrationError."""
-    if isinstance(value, Mapping):
-        rows, cols = value.get("rows"), value.get("cols")
-        data = numbers(path, key, value.get("data", []))
-        if not (type(rows) is type(cols) is int and rows > 0 and rows * cols == data.size):  # True is an int, too
-            raise bad(path, key, f"has {shown(rows)} rows and {shown(cols)} columns, but {data.size} numbers")
-        value = data.reshape(rows, cols)
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise bad(path, key, f"must be numbers, found {shown(value)}") from None
-    if shape is None:
-        array = array.reshape(-1)
-    elif array.size == np.prod(shape) and 1 in (*shape, *array.shape, array.ndim):
-        array = array.reshape(shape)  # a row for a column, or a flat list for a matrix
-    if shape is not None and array.shape != shape:
-        wanted = " x ".join(map(str, shape))
-        raise bad(path, key, f"must be {wanted} numbers, found {' x '.join(map(str, array.shape)) or 'one'}")
-    if not np.isfinite(array).all():
-        raise bad(path, key, "must be finite numbers, found NaN or infinity")
-    return array
+    def at(self, key: str) -> Node:
+        """The value of a required key."""
+        inner = self.get(key)
+        if inner.value is None:
+            found = shown([*self.value]) if isinstance(self.value, Mapping) else shown(self.value)
+            raise inner.bad(f"is missing; found {found or 'nothing'}")
+        return inner
 
+    def both(self, first: str, second: str) -> Node:
+        """The values of two required keys."""
+        one = self.at(first)
+        return Node(self.path, [one.value, self.at(second).value], f"{one.key}, {second}")
 
-def size_of_images(path: Path, key: str, value: Any) -> Size:
-    """Width and height in pixels. Raises CalibrationError."""
-    size = numbers(path, key, value, (2,))
-    if not np.all((size >= 1) & (size <= MAX_IMAGE_PIXELS) & (size == np.round(size))):
-        raise bad(path, key, f"must be whole numbers of pixels, found {size[0]:g} x {size[1]:g}")
-    return int(size[0]), int(size[1])
+    def number(self) -> float:
+        """One finite number."""
+        return float(self.numbers((1,))[0])
+
+    def numbers(self, shape: tuple[int, ...] | None = None) -> Array:
+        """Finite numbers of the given shape (or any flat count), from lists or from {rows, cols, data}."""
+        value = self.value
+        if isinstance(value, Mapping):
+            rows, cols = value.get("rows"), value.get("cols")
+            data = self._replace(value=value.get("data", [])).numbers()
+            if not (type(rows) is type(cols) is int and rows > 0 and rows * cols == data.size):  # True is an int, too
+                raise self.bad(f"has {shown(rows)} rows and {shown(cols)} columns, but {data.size} numbers")
+            value = data.reshape(rows, cols)
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise self.bad(f"must be numbers, found {shown(value)}") from None
+        if shape is None:
+            array = array.reshape(-1)
+        elif array.size == np.prod(shape) and 1 in (*shape, *array.shape, array.ndim):
+            array = array.reshape(shape)  # a row for a column, or a flat list for a matrix
+        if shape is not None and array.shape != shape:
+            wanted = " x ".join(map(str, shape))
+            raise self.bad(f"must be {wanted} numbers, found {' x '.join(map(str, array.shape)) or 'one'}")
+        if not np.isfinite(array).all():
+            raise self.bad("must be finite numbers, found NaN or infinity")
+        return array
+
+    def size(self) -> Size:
+        """Width and height in pixels."""
+        size = self.numbers((2,))
+        if not np.all((size >= 1) & (size <= MAX_IMAGE_PIXELS) & (size == np.round(size))):
+            raise self.bad(f"must be whole numbers of pixels, found {size[0]:g} x {size[1]:g}")
+        return int(size[0]), int(size[1])
+
+    def rotation(self) -> Array:
+        """The rotation nearest to a (3, 3) matrix written with few digits."""
+        matrix = self.numbers((3, 3))
+        if not se3.is_rotation(matrix):
+            raise self.bad("is not a rotation")
+        return se3.nearest_rotation(matrix)
+
+    def motion(self) -> Array:
+        """A rigid motion (4, 4)."""
+        matrix = self.numbers((4, 4))
+        if not np.allclose(matrix[3], [0, 0, 0, 1]) or not se3.is_rotation(matrix[:3, :3]):
+            raise self.bad("is not a rigid motion: a rotation, a translation in metres and the row 0, 0, 0, 1")
+        return se3.se3(se3.nearest_rotation(matrix[:3, :3]), matrix[:3, 3])
+
+    def metres(self) -> float:
+        """Length of a unit of `LENGTH_UNITS`."""
+        if self.value not in LENGTH_UNITS:
+            known = ", ".join(LENGTH_UNITS)
+            raise self.bad(
+                f"{shown(self.value)} is not a known unit; known: {known}. Give it with conetl rig convert --unit mm"
+            )
+        return LENGTH_UNITS[self.value]
 
 
 def choose_pair(path: Path, names: Sequence[str], pair: Sequence[str] | None) -> Pair:
@@ -129,63 +168,60 @@ def choose_pair(path: Path, names: Sequence[str], pair: Sequence[str] | None) ->
     return left, right
 
 
-def camera_from_matrix(path: Path, key: str, k: Array, size: Size, lens: Lens) -> Camera:
-    """Camera of a (3, 3) matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels. Raises CalibrationError."""
+def camera_from_matrix(node: Node, k: Array, size: Size, lens: Lens) -> Camera:
+    """Camera of a (3, 3) matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, which `node` has. Raises CalibrationError."""
     fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
     if not (fx > 0 and fy > 0):
-        raise bad(path, key, f"must have positive focal lengths, found {fx:g} and {fy:g}")
+        raise node.bad(f"must have positive focal lengths, found {fx:g} and {fy:g}")
     if abs(k[0, 1]) > _SKEW_SHARE * fx:
-        raise bad(path, key, f"has a skew of {k[0, 1]:g}; conetl's cameras have square axes, calibrate without skew")
+        raise node.bad(f"has a skew of {k[0, 1]:g}; conetl's cameras have square axes, calibrate without skew")
     if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
-        raise bad(path, key, "must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        raise node.bad("must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     width, height = size
     # A principal point outside the image by the image's size belongs to another image size.
     if not (-width < cx < 2 * width and -height < cy < 2 * height):
-        raise bad(path, key, f"has the principal point ({cx:.1f}, {cy:.1f}), far outside {width} x {height} pixels")
+        raise node.bad(f"has the principal point ({cx:.1f}, {cy:.1f}), far outside {width} x {height} pixels")
     try:
         return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
     except ValueError as error:
-        raise bad(path, key, f"cannot be used: {first_message(error)}") from error
+        raise node.bad(f"cannot be used: {first_message(error)}") from error
 
 
-def pinhole_camera(
-    path: Path, content: Any, where: str, coefficients: str, lenses: Mapping[str | None, str | None]
-) -> Camera:
+def pinhole_camera(node: Node, coefficients: str, lenses: Mapping[str | None, str | None]) -> Camera:
     """Camera of a mapping in the style of Kalibr and EuRoC: camera_model, intrinsics, resolution, distortion_model.
 
     coefficients: key of the lens' coefficients; lenses: "opencv", "fisheye" or None (no distortion) by known distortion_model,
-    which is optional if None is known. where: the keys above, for messages. Raises CalibrationError.
+    which is optional if None is known. Raises CalibrationError.
     """
-    model = entry(path, content, "camera_model", where)
-    if model != "pinhole":
-        raise bad(path, f"{where}camera_model", f"{shown(model)} is not supported, only pinhole")
-    key = "distortion_model"
-    lens_model = content.get(key) if None in lenses else entry(path, content, key, where)
-    if not isinstance(lens_model, str | None) or lens_model not in lenses:
+    model = node.at("camera_model")
+    if model.value != "pinhole":
+        raise model.bad(f"{shown(model.value)} is not supported, only pinhole")
+    bent = (node.get if None in lenses else node.at)("distortion_model")
+    if not isinstance(bent.value, str | None) or bent.value not in lenses:
         known = ", ".join(name for name in lenses if name)
-        raise bad(path, f"{where}{key}", f"{shown(lens_model)} is not supported; known: {known}")
-    lens, kind = Lens(), lenses[lens_model]
+        raise bent.bad(f"{shown(bent.value)} is not supported; known: {known}")
+    lens, kind = Lens(), lenses[bent.value]
     if kind is not None:
-        make = fisheye_lens if kind == "fisheye" else opencv_lens
-        lens = make(path, f"{where}{coefficients}", numbers_at(path, content, coefficients, None, where))
-    fx, fy, cx, cy = numbers_at(path, content, "intrinsics", (4,), where)
-    k = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    size = size_of_images(path, f"{where}resolution", entry(path, content, "resolution", where))
-    return camera_from_matrix(path, f"{where}intrinsics", k, size, lens)
+        lens = (fisheye_lens if kind == "fisheye" else opencv_lens)(node.at(coefficients))
+    intrinsics = node.at("intrinsics")
+    return camera_from_matrix(intrinsics, matrix_of(*intrinsics.numbers((4,))), node.at("resolution").size(), lens)
 
 
-def opencv_lens(path: Path, key: str, coefficients: Sequence[float] | Array) -> Lens:
+def matrix_of(fx: float, fy: float, cx: float, cy: float) -> Array:
+    """(3, 3) camera matrix."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def opencv_lens(node: Node, coefficients: Sequence[float] | Array | None = None) -> Lens:
     """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].
 
-    Raises CalibrationError.
+    coefficients: those of `node` unless given. Raises CalibrationError.
     """
-    values = [float(c) for c in np.asarray(coefficients, dtype=np.float64).reshape(-1)]
+    values = (node.numbers() if coefficients is None else np.asarray(coefficients, dtype=np.float64)).tolist()
     if len(values) not in (0, 4, 5, 8, 12, 14):
-        raise bad(path, key, f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
+        raise node.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
     if any(values[8:]):
-        raise bad(
-            path, key, "holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them"
-        )
+        raise node.bad("holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them")
     values = (values + [0.0] * 8)[:8]
     if any(values[5:]):
         return Lens(model="rational", coefficients=tuple(values))
@@ -194,10 +230,9 @@ def opencv_lens(path: Path, key: str, coefficients: Sequence[float] | Array) -> 
     return Lens(model="radial", coefficients=tuple(values[:2])) if any(values) else Lens()
 
 
-def fisheye_lens(path: Path, key: str, coefficients: Sequence[float] | Array) -> Lens:
+def fisheye_lens(node: Node) -> Lens:
     """The equidistant lens of k1, k2, k3, k4. Raises CalibrationError."""
-    values = numbers(path, key, coefficients, (4,))
-    return Lens(model="fisheye", coefficients=tuple(float(c) for c in values))
+    return Lens(model="fisheye", coefficients=tuple(node.numbers((4,)).tolist()))
 
 
 def opencv_coefficients(lens: Lens) -> list[float]:
@@ -207,34 +242,10 @@ def opencv_coefficients(lens: Lens) -> list[float]:
     return [*lens.coefficients, *[0.0] * (5 - len(lens.coefficients))]
 
 
-def rotation(path: Path, key: str, matrix: Array) -> Array:
-    """The rotation nearest to a (3, 3) matrix written with few digits. Raises CalibrationError where it is none."""
-    if not se3.is_rotation(matrix):
-        raise bad(path, key, "is not a rotation")
-    return se3.nearest_rotation(matrix)
-
-
-def motion_at(path: Path, content: Any, key: str, where: str = "") -> Array:
-    """The rigid motion (4, 4) of a required `entry`. Raises CalibrationError."""
-    matrix = numbers_at(path, content, key, (4, 4), where)
-    if not np.allclose(matrix[3], [0, 0, 0, 1]) or not se3.is_rotation(matrix[:3, :3]):
-        text = "is not a rigid motion: a rotation, a translation in metres and the row 0, 0, 0, 1"
-        raise bad(path, f"{where}{key}", text)
-    return se3.se3(se3.nearest_rotation(matrix[:3, :3]), matrix[:3, 3])
-
-
-def metres(path: Path, key: str, unit: str) -> float:
-    """Length of a unit of `LENGTH_UNITS`. Raises CalibrationError."""
-    if unit not in LENGTH_UNITS:
-        text = f"{shown(unit)} is not a known unit; known: {', '.join(LENGTH_UNITS)}. Give it with conetl rig convert --unit mm"
-        raise bad(path, key, text)
-    return LENGTH_UNITS[unit]
-
-
-def stereo_rig(path: Path, key: str, tool: str, left: Camera, right: Camera, right_SE3_left: Array) -> Rig:
+def stereo_rig(node: Node, tool: str, left: Camera, right: Camera, right_SE3_left: Array) -> Rig:
     """Rig of the usual stereo calibration `p_right = R p_left + t`, as (4, 4); the body is the left camera.
 
-    key: of the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises CalibrationError.
+    node: the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises CalibrationError.
     """
     try:
         turn = se3.nearest_rotation(right_SE3_left[:3, :3])
@@ -242,7 +253,7 @@ def stereo_rig(path: Path, key: str, tool: str, left: Camera, right: Camera, rig
         check_stereo_baseline(left_SE3_right)
         return rig_of(tool, left, right, left_SE3_right)
     except ValueError as error:
-        raise bad(path, key, f"cannot be used: {first_message(error)}") from error
+        raise node.bad(f"cannot be used: {first_message(error)}") from error
 
 
 def rig_of(

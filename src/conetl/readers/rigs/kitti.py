@@ -19,16 +19,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Lens, Rig
-from conetl.readers.rigs.common import (
-    Array,
-    Size,
-    calibration_errors,
-    camera_from_matrix,
-    numbers,
-    rectified_rig,
-    rotation,
-    size_of_images,
-)
+from conetl.readers.rigs.common import Array, Node, Size, calibration_errors, camera_from_matrix, rectified_rig
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
@@ -96,7 +87,7 @@ def read_kitti_rig(
             )
     body_SE3_base = se3.invert(base_SE3_left)
     if links:
-        base_R_cam0 = np.eye(3) if raw else rotation(cam_to_cam, "R_rect_00", cameras["R_rect_00"].reshape(3, 3))
+        base_R_cam0 = np.eye(3) if raw else Node(cam_to_cam, cameras["R_rect_00"], "R_rect_00").rotation()
         cam0_SE3_velo, velo_SE3_body = (motion_of(path, link) for path, link in zip(chain, links, strict=True))
         cam0_SE3_body = se3.compose(cam0_SE3_velo, velo_SE3_body)
         body_SE3_base = se3.invert(se3.compose(se3.se3(base_R_cam0, np.zeros(3)), cam0_SE3_body))
@@ -112,7 +103,7 @@ def _rectified_camera(path: Path, cameras: dict[str, Array], number: int) -> tup
     """A rectified camera and its pose (4, 4) in the rectified frame of camera 0."""
     key, size = f"P_rect_{number:02d}", f"S_rect_{number:02d}"
     p = cameras[key].reshape(3, 4)
-    camera = camera_from_matrix(path, key, p[:, :3], size_of_images(path, size, cameras[size]), Lens())
+    camera = camera_from_matrix(Node(path, p, key), p[:, :3], Node(path, cameras[size], size).size(), Lens())
     return camera, se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
 
 
@@ -120,13 +111,14 @@ def _raw_camera(path: Path, cameras: dict[str, Array], number: int) -> tuple[Cam
     """A camera that took the images and its pose (4, 4) in camera 0."""
     s, k, d, r, t = (f"{key}_{number:02d}" for key in "SKDRT")
     lens = Lens(model="brown", coefficients=tuple(cameras[d].tolist())) if cameras[d].any() else Lens()
-    camera = camera_from_matrix(path, k, cameras[k].reshape(3, 3), size_of_images(path, s, cameras[s]), lens)
-    return camera, se3.invert(se3.se3(rotation(path, r, cameras[r].reshape(3, 3)), cameras[t]))
+    matrix, size = Node(path, cameras[k], k), Node(path, cameras[s], s).size()
+    camera = camera_from_matrix(matrix, matrix.numbers((3, 3)), size, lens)
+    return camera, se3.invert(se3.se3(Node(path, cameras[r], r).rotation(), cameras[t]))
 
 
 def motion_of(path: Path, link: dict[str, Array]) -> Array:
     """The motion (4, 4) of R (9) and T (3) of a file. Raises CalibrationError."""
-    return se3.se3(rotation(path, "R", link["R"].reshape(3, 3)), link["T"])
+    return se3.se3(Node(path, link["R"], "R").rotation(), link["T"])
 
 
 def _raw_size(cam_to_cam: Path, number: int) -> Size | None:
@@ -148,7 +140,7 @@ def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Array]:
                 f"{path}: the key '{key}' is missing; expected a line '{key}: ' with {count} numbers, "
                 "as in KITTI's own file. Restore the file from the recording"
             )
-    return {key: numbers(path, key, lines[key].split(), (count,)) for key, count in wanted.items()}
+    return {key: Node(path, lines[key].split(), key).numbers((count,)) for key, count in wanted.items()}
 
 
 def _lines(path: Path) -> dict[str, str]:

@@ -27,16 +27,11 @@ from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Rig
 from conetl.readers.rigs.common import (
     Array,
+    Node,
     Size,
-    bad,
     camera_from_matrix,
-    entry,
-    metres,
-    numbers,
-    numbers_at,
     opencv_coefficients,
     opencv_lens,
-    size_of_images,
     stereo_rig,
 )
 
@@ -55,64 +50,54 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     image_size: width and height where the file has none; length_unit: instead of WorldUnits. Raises CalibrationError.
     """
     content = _read_mat(path) if path.suffix.lower() == ".mat" else read_json(path)
-    found = structure(content)
-    if found is None:
+    found = Node(path, structure(content))
+    if found.value is None:
         names = shown([*content]) if isinstance(content, Mapping) else type(content).__name__
-        raise bad(path, "CameraParameters1", f"is missing; found {names or 'nothing'}. {_HOW}")
-    left = _camera(path, entry(path, found, "CameraParameters1"), "CameraParameters1.", image_size)
-    right = _camera(path, entry(path, found, "CameraParameters2"), "CameraParameters2.", image_size)
-    unit_m = metres(path, "WorldUnits", (length_unit or _unit(found)).lower())
-    key, right_R_left, t = _relative(path, found)
-    return stereo_rig(path, key, "matlab", left, right, se3.se3(right_R_left, t * unit_m))
+        raise found.get("CameraParameters1").bad(f"is missing; found {names or 'nothing'}. {_HOW}")
+    left, right = (_camera(found.at(f"CameraParameters{number}"), image_size) for number in (1, 2))
+    unit_m = Node(path, (length_unit or _unit(found.value)).lower(), "WorldUnits").metres()
+    key, right_R_left, t = _relative(found)
+    return stereo_rig(key, "matlab", left, right, se3.se3(right_R_left, t * unit_m))
 
 
-def _relative(path: Path, found: Mapping[str, Any]) -> tuple[str, Array, Array]:
-    """Key, rotation and translation of `p_right = R p_left + t`, in the file's unit."""
-    if _given(found, "RotationOfCamera2"):
-        rotation = numbers_at(path, found, "RotationOfCamera2", (3, 3)).T
-        return (
-            "RotationOfCamera2, TranslationOfCamera2",
-            rotation,
-            numbers_at(path, found, "TranslationOfCamera2", (3,)),
-        )
-    key = "PoseCamera2"
-    pose = entry(path, found, key)
-    if _given(pose, "A"):
-        a = numbers_at(path, pose, "A", (4, 4), f"{key}.")
-        return key, a[:3, :3], a[:3, 3]
-    return key, numbers_at(path, pose, "R", (3, 3), f"{key}."), numbers_at(path, pose, "Translation", (3,), f"{key}.")
+def _relative(found: Node) -> tuple[Node, Array, Array]:
+    """Where the pose is, rotation and translation of `p_right = R p_left + t`, in the file's unit."""
+    if _given(found.get("RotationOfCamera2")):
+        rotation = found.at("RotationOfCamera2").numbers((3, 3)).T
+        both = Node(found.path, None, "RotationOfCamera2, TranslationOfCamera2")
+        return both, rotation, found.at("TranslationOfCamera2").numbers((3,))
+    pose = found.at("PoseCamera2")
+    if _given(pose.get("A")):
+        a = pose.at("A").numbers((4, 4))
+        return pose, a[:3, :3], a[:3, 3]
+    return pose, pose.at("R").numbers((3, 3)), pose.at("Translation").numbers((3,))
 
 
-def _camera(path: Path, camera: Any, where: str, image_size: Size | None) -> Camera:
-    name = "K" if _given(camera, "K") else "IntrinsicMatrix"
-    k = numbers_at(path, camera, name, (3, 3), where)
-    k = k if name == "K" else k.T
+def _camera(camera: Node, image_size: Size | None) -> Camera:
+    name = "K" if _given(camera.get("K")) else "IntrinsicMatrix"
+    matrix = camera.at(name)
+    k = matrix.numbers((3, 3)) if name == "K" else matrix.numbers((3, 3)).T
     if k[0, 2] == 0.0 and k[1, 2] == 0.0 and k[2, 0] != 0.0:
-        text = "is transposed: K has the principal point in its last column, IntrinsicMatrix in its last row"
-        raise bad(path, f"{where}{name}", text)
-    radial = numbers_at(path, camera, "RadialDistortion", None, where)
+        raise matrix.bad("is transposed: K has the principal point in its last column, IntrinsicMatrix in its last row")
+    key, tangential = camera.at("RadialDistortion"), np.zeros(2)
+    radial = key.numbers()
     if radial.size not in (2, 3):
-        raise bad(path, f"{where}RadialDistortion", f"must be 2 or 3 numbers, found {radial.size}")
-    tangential = np.zeros(2)
-    if _given(camera, "TangentialDistortion"):
-        tangential = numbers(path, f"{where}TangentialDistortion", camera["TangentialDistortion"], (2,))
-    k3 = radial[2] if radial.size == 3 else 0.0
-    lens = opencv_lens(path, f"{where}RadialDistortion", [*radial[:2], *tangential, k3])
+        raise key.bad(f"must be 2 or 3 numbers, found {radial.size}")
+    if _given(camera.get("TangentialDistortion")):
+        tangential = camera.at("TangentialDistortion").numbers((2,))
+    lens = opencv_lens(key, [*radial[:2], *tangential, radial[2] if radial.size == 3 else 0.0])
     if image_size is None:
-        key = f"{where}ImageSize"
-        if not _given(camera, "ImageSize"):
-            text = "is missing or empty; make a rig.yaml of it: conetl rig convert with --image-size 6000x4000"
-            raise bad(path, key, text)
-        rows, columns = size_of_images(path, key, camera["ImageSize"])
+        size = camera.get("ImageSize")
+        if not _given(size):
+            raise size.bad("is missing or empty; make a rig.yaml of it: conetl rig convert with --image-size 6000x4000")
+        rows, columns = size.size()
         image_size = columns, rows
-    return camera_from_matrix(path, f"{where}{name}", k - _ORIGIN, image_size, lens)
+    return camera_from_matrix(matrix, k - _ORIGIN, image_size, lens)
 
 
-def _given(content: Any, key: str) -> bool:
+def _given(node: Node) -> bool:
     """True where a key exists and not empty (MATLAB writes [] for unknown values)."""
-    if not isinstance(content, Mapping) or content.get(key) is None:
-        return False
-    return not hasattr(content[key], "__len__") or len(content[key]) > 0
+    return node.value is not None and (not hasattr(node.value, "__len__") or len(node.value) > 0)
 
 
 def _unit(found: Mapping[str, Any]) -> str:

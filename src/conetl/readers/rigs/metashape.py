@@ -18,18 +18,13 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Lens, Rig
 from conetl.readers.rigs.common import (
-    Array,
+    Node,
     Pair,
-    bad,
     camera_from_matrix,
     choose_pair,
     fisheye_lens,
-    metres,
-    numbers,
     opencv_lens,
     read_xml,
-    rotation,
-    size_of_images,
     stereo_rig,
 )
 
@@ -63,7 +58,9 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
     for number, sensor in sensors.items():
         master = sensor.get("master_id", number)
         if master != number and names[number] in (left, right):
-            poses[master, number] = _pose(path, sensor, names[number], unit_m)
+            turn = _of_sensor(path, sensor, "rotation", names[number], (3, 3)).rotation()
+            shift = _of_sensor(path, sensor, "location", names[number], (3,)).numbers()
+            poses[master, number] = se3.se3(turn, unit_m * shift)  # master_SE3_sensor
     numbers_of = {name: number for number, name in names.items()}
     right_SE3_left = se3.connect(poses, numbers_of[right], numbers_of[left])
     if right_SE3_left is None:
@@ -72,71 +69,63 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
             "(master_id) of the other, nor have they the same"
         )
     left_camera, right_camera = (_camera(path, by_name[name], name) for name in (left, right))
-    return stereo_rig(path, f"{right}.location", "metashape", left_camera, right_camera, right_SE3_left)
+    node = Node(path, None, f"{right}.location")
+    return stereo_rig(node, "metashape", left_camera, right_camera, right_SE3_left)
 
 
 def _unit_m(path: Path, chunk: Element, length_unit: str | None) -> float:
+    location = Node(path, length_unit, "location")
     if length_unit is not None:
-        return metres(path, "location", length_unit)
+        return location.metres()
     for place in ("transform/scale", "components/component/transform/scale"):
         for scale in chunk.findall(place):
-            value = numbers(path, "transform.scale", (scale.text or "").strip(), (1,))[0]
+            value = Node(path, (scale.text or "").strip(), "transform.scale").number()
             if abs(value - 1.0) > _SCALE_SHARE:
-                raise bad(
-                    path, "location", f"may be in the chunk's own unit, which is {value:g} m. If Slave Offset in Camera "
-                    "Calibration shows the same numbers in metres, add --unit m to conetl rig convert",
-                )  # fmt: skip
+                raise location.bad(
+                    f"may be in the chunk's own unit, which is {value:g} m. If Slave Offset in Camera Calibration shows the same "
+                    "numbers in metres, add --unit m to conetl rig convert"
+                )
     return 1.0
 
 
-def _pose(path: Path, sensor: Element, name: str, unit_m: float) -> Array:
-    """master_SE3_sensor (4, 4)."""
-    turn = rotation(path, f"{name}.rotation", _numbers(path, sensor, "rotation", name, 9).reshape(3, 3))
-    return se3.se3(turn, unit_m * _numbers(path, sensor, "location", name, 3))
-
-
-def _numbers(path: Path, sensor: Element, key: str, name: str, count: int) -> Array:
-    text = sensor.findtext(key)
-    if text is None:
-        raise bad(
-            path, f"{name}.{key}", "is missing: align the project with the relative position of the slave cameras"
-        )
-    return numbers(path, f"{name}.{key}", text.split()[: count + 1], (count,))
+def _of_sensor(path: Path, sensor: Element, key: str, name: str, shape: tuple[int, ...]) -> Node:
+    """Numbers of a sensor, of this shape."""
+    node = Node(path, sensor.findtext(key), f"{name}.{key}")
+    if node.value is None:
+        raise node.bad("is missing: align the project with the relative position of the slave cameras")
+    count = int(np.prod(shape))
+    return node._replace(value=node._replace(value=node.value.split()[: count + 1]).numbers((count,)).reshape(shape))
 
 
 def _camera(path: Path, sensor: Element, name: str) -> Camera:
+    node = Node(path, None, f"{name}.calibration")
     found = sorted(sensor.findall("calibration"), key=lambda c: c.get("class") != "adjusted")
     if not found:
-        raise bad(path, f"{name}.calibration", "is missing: calibrate the camera (Align Photos)")
-    calibration, where = found[0], f"{name}.calibration."
+        raise node.bad("is missing: calibrate the camera (Align Photos)")
+    calibration = found[0]
     kind = calibration.get("type", "frame")
     if kind != "frame" and kind not in _FISHEYES:
-        raise bad(path, f"{where}type", f"{shown(kind)} is not supported; known: frame, {', '.join(_FISHEYES)}")
+        raise node.get("type").bad(f"{shown(kind)} is not supported; known: frame, {', '.join(_FISHEYES)}")
     unknown = {child.tag for child in calibration} - {*_NUMBERS, "resolution", "date"}
     if unknown:
-        raise bad(path, where[:-1], f"has {shown(sorted(unknown))}, which conetl does not know")
+        raise node.bad(f"has {shown(sorted(unknown))}, which conetl does not know")
     resolution = calibration.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
     attributes = {} if resolution is None else resolution.attrib
-    size = size_of_images(path, f"{where}resolution", [attributes.get("width", ""), attributes.get("height", "")])
-    v = {
-        key: float(numbers(path, where + key, (calibration.findtext(key) or "0").strip(), (1,))[0]) for key in _NUMBERS
-    }
+    size = node.get("resolution")._replace(value=[attributes.get("width", ""), attributes.get("height", "")]).size()
+    values = node._replace(value={key: (calibration.findtext(key) or "0").strip() for key in _NUMBERS})
+    v = {key: values.at(key).number() for key in _NUMBERS}
     k = np.array([
         [v["f"] + v["b1"], v["b2"], size[0] / 2 + v["cx"] - 0.5], [0.0, v["f"], size[1] / 2 + v["cy"] - 0.5], [0.0, 0.0, 1.0],
     ])  # fmt: skip
-    return camera_from_matrix(path, where[:-1], k, size, _lens(path, where, v, fisheye=kind in _FISHEYES))
+    return camera_from_matrix(node, k, size, _lens(node, v, fisheye=kind in _FISHEYES))
 
 
-def _lens(path: Path, where: str, v: dict[str, float], *, fisheye: bool) -> Lens:
-    lacking = ("p1", "p2", "p3", "p4") if fisheye else ("k4", "p3", "p4")
-    used = [key for key in lacking if v[key] != 0.0]
-    if used:
-        raise bad(
-            path,
-            f"{where}{used[0]}",
-            f"is {v[used[0]]:g}, which conetl's lenses do not have; calibrate with {used[0]} fixed to 0",
-        )
+def _lens(node: Node, v: dict[str, float], *, fisheye: bool) -> Lens:
+    for key in ("p1", "p2", "p3", "p4") if fisheye else ("k4", "p3", "p4"):
+        if v[key] != 0.0:
+            text = f"is {v[key]:g}, which conetl's lenses do not have; calibrate with {key} fixed to 0"
+            raise node.get(key).bad(text)
     if fisheye:
-        return fisheye_lens(path, f"{where}k1", [v["k1"], v["k2"], v["k3"], v["k4"]])
-    return opencv_lens(path, f"{where}k1", [v["k1"], v["k2"], v["p2"], v["p1"], v["k3"]])
+        return fisheye_lens(node.get("k1")._replace(value=[v["k1"], v["k2"], v["k3"], v["k4"]]))
+    return opencv_lens(node.get("k1"), [v["k1"], v["k2"], v["p2"], v["p1"], v["k3"]])

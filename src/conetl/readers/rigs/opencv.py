@@ -24,18 +24,15 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Rig, Side
+from conetl.model.records import SIDES, Camera, Rig, Side
 from conetl.readers.rigs.common import (
+    Node,
     Size,
-    bad,
     camera_from_matrix,
     fisheye_lens,
-    metres,
-    numbers,
     opencv_coefficients,
     opencv_lens,
     read_xml,
-    size_of_images,
     stereo_rig,
 )
 
@@ -126,17 +123,18 @@ def read_opencv_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     for name, file in files.items():
         for key, value in read_storage(file).items():
             content[f"{name}.{key}" if name in ("left", "right") else key] = value
-    first = next(iter(files.values()))
-    cameras = {side: _camera(first, content, side, image_size) for side in ("left", "right")}
-    key_r, rotation = _named(first, content, "R", _NAMES["R"] + tuple(f"right.{name}" for name in _NAMES["R"]))
-    key_t, translation = _named(first, content, "T", _NAMES["T"] + tuple(f"right.{name}" for name in _NAMES["T"]))
-    r = numbers(first, key_r, rotation)
+    whole = Node(next(iter(files.values())), content)
+    left, right = (_camera(whole, side, image_size) for side in SIDES)
+    turn, shift = (
+        _named(whole, name, (*_NAMES[name], *(f"right.{one}" for one in _NAMES[name]))) for name in ("R", "T")
+    )
+    r = turn.numbers()
     if r.size == 3:  # as a rotation vector
         r = np.asarray(cv2.Rodrigues(r)[0], dtype=np.float64)
     stated = next((str(content[name]) for name in _UNIT_NAMES if name in content), "m")
-    t = numbers(first, key_t, translation, (3,)) * metres(first, "length_unit", length_unit or stated)
-    pose = se3.se3(numbers(first, key_r, r, (3, 3)), t)
-    return stereo_rig(first, f"{key_r}, {key_t}", "opencv", cameras["left"], cameras["right"], pose)
+    unit_m = Node(whole.path, length_unit or stated, "length_unit").metres()
+    pose = se3.se3(turn._replace(value=r).numbers((3, 3)), shift.numbers((3,)) * unit_m)
+    return stereo_rig(Node(whole.path, None, f"{turn.key}, {shift.key}"), "opencv", left, right, pose)
 
 
 def _files(path: Path) -> dict[str, Path]:
@@ -156,66 +154,63 @@ def _files(path: Path) -> dict[str, Path]:
     )
 
 
-def _named(path: Path, content: Mapping[str, Any], what: str, names: tuple[str, ...]) -> tuple[str, Any]:
-    """The first existing one of several names, with its value. Raises CalibrationError."""
-    found = _first(content, names)
+def _named(file: Node, what: str, names: tuple[str, ...]) -> Node:
+    """The first existing one of several names. Raises CalibrationError."""
+    found = _first(file, names)
     if found is not None:
         return found
-    raise bad(path, names[0], f"({what}) is missing; found {shown([*content])}. Known names: {', '.join(names[:6])}")
+    text = f"({what}) is missing; found {shown([*file.value])}. Known names: {', '.join(names[:6])}"
+    raise file.get(names[0]).bad(text)
 
 
-def _camera(path: Path, content: Mapping[str, Any], side: Side, image_size: Size | None) -> Camera:
-    key_k, k = _named(path, content, f"{side} matrix", _of_side(side, "K"))
-    key_d, d = _named(path, content, f"{side} distortion", _of_side(side, "D"))
-    lens = (fisheye_lens if _is_fisheye(path, content, side) else opencv_lens)(path, key_d, numbers(path, key_d, d))
-    size = image_size or _size(path, content, side)
-    return camera_from_matrix(path, key_k, numbers(path, key_k, k, (3, 3)), size, lens)
+def _camera(file: Node, side: Side, image_size: Size | None) -> Camera:
+    k, d = (
+        _named(file, f"{side} {what}", (*_NAMES[f"{side}.{key}"], *(f"{side}.{name}" for name in _NAMES[key])))
+        for what, key in (("matrix", "K"), ("distortion", "D"))
+    )
+    lens = (fisheye_lens if _is_fisheye(file, side) else opencv_lens)(d)
+    return camera_from_matrix(k, k.numbers((3, 3)), image_size or _size(file, side), lens)
 
 
-def _first(content: Mapping[str, Any], names: Iterable[str]) -> tuple[str, Any] | None:
+def _first(file: Node, names: Iterable[str]) -> Node | None:
     """The same, None without any; of LEFT.K also K in LEFT."""
     for name in names:
         part, _, rest = name.partition(".")
-        inner = content.get(part)
-        value = content.get(name, inner.get(rest) if isinstance(inner, Mapping) else None)
+        value = file.value.get(name, file.get(part).get(rest).value)
         if value is not None:
-            return name, value
+            return Node(file.path, value, name)
     return None
 
 
-def _of_side(side: Side, what: str) -> tuple[str, ...]:
-    return (*_NAMES[f"{side}.{what}"], *(f"{side}.{name}" for name in _NAMES[what]))
+def _scalar(file: Node, side: Side, names: tuple[str, ...]) -> Node | None:
+    return _first(file, (key for name in names for key in (f"{side}.{name}", name)))
 
 
-def _scalar(content: Mapping[str, Any], side: Side, names: tuple[str, ...]) -> tuple[str, Any] | None:
-    return _first(content, (key for name in names for key in (f"{side}.{name}", name)))
-
-
-def _is_fisheye(path: Path, content: Mapping[str, Any], side: Side) -> bool:
-    flag = _scalar(content, side, _FISHEYE_NAMES)
+def _is_fisheye(file: Node, side: Side) -> bool:
+    flag = _scalar(file, side, _FISHEYE_NAMES)
     if flag is not None:
-        return str(flag[1]).lower() not in ("0", "false", "no", "0.0")
-    model = _scalar(content, side, _MODEL_NAMES)
+        return str(flag.value).lower() not in ("0", "false", "no", "0.0")
+    model = _scalar(file, side, _MODEL_NAMES)
     if model is None:
         return False
     known = {"fisheye": True, "equidistant": True, "kannala_brandt4": True, "plumb_bob": False, "radtan": False,
              "rational_polynomial": False, "pinhole": False, "brown": False, "opencv": False, "standard": False}  # fmt: skip
-    if str(model[1]).lower() not in known:
-        raise bad(path, model[0], f"{shown(model[1])} is not a known lens model; known: {', '.join(known)}")
-    return known[str(model[1]).lower()]
+    if str(model.value).lower() not in known:
+        raise model.bad(f"{shown(model.value)} is not a known lens model; known: {', '.join(known)}")
+    return known[str(model.value).lower()]
 
 
-def _size(path: Path, content: Mapping[str, Any], side: Side) -> Size:
-    width, height = _scalar(content, side, ("image_width", "width")), _scalar(content, side, ("image_height", "height"))
+def _size(file: Node, side: Side) -> Size:
+    width, height = _scalar(file, side, ("image_width", "width")), _scalar(file, side, ("image_height", "height"))
     if width is not None and height is not None:
-        return size_of_images(path, f"{width[0]}, {height[0]}", [width[1], height[1]])
-    whole = _scalar(content, side, _SIZE_NAMES)
+        return Node(file.path, [width.value, height.value], f"{width.key}, {height.key}").size()
+    whole = _scalar(file, side, _SIZE_NAMES)
     if whole is not None:
-        return size_of_images(path, whole[0], whole[1])
-    raise bad(
-        path, "image_width, image_height", "are missing: some OpenCV stereo files have no image size. "
-        "Add both keys to the file, or make a rig.yaml of it: conetl rig convert with --image-size 1242x375",
-    )  # fmt: skip
+        return whole.size()
+    raise file.get("image_width, image_height").bad(
+        "are missing: some OpenCV stereo files have no image size. Add both keys to the file, or make a rig.yaml of it: conetl "
+        "rig convert with --image-size 1242x375"
+    )
 
 
 def write_opencv_rig(rig: Rig, path: Path) -> None:

@@ -16,14 +16,13 @@ from pydantic import Field, model_validator
 from conetl.files.documents import named, read_yaml
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
+from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import CalibrationError
 from conetl.model.records import CalibrationCovariance, Camera, Lens, Matrix3, NonNegative, Positive, Record, Rig, Vec3
 from conetl.readers.rigs.common import Array, Pair, calibration_errors, choose_pair, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"
-_INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
-_RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
 #: Units of `sigmas` besides those of CalibrationCovariance.
 _OTHER_UNITS = {"_deg": ("_rad", np.pi / 180), "_mm": ("_m", 0.001)}
 
@@ -183,9 +182,9 @@ def _in_own_unit(name: str, file: _RigFile) -> tuple[str, float]:
 
 def _check_covariance(covariance: CalibrationCovariance, lenses: Mapping[str, Lens]) -> None:
     """Raise ValueError for a name that is not a parameter of the rig, or a matrix that is not a covariance."""
-    known = [f"relative.{name}" for name in _RELATIVE]
+    known = [f"relative.{name}" for name in RELATIVE]
     for side, lens in lenses.items():
-        known += [f"{side}.{name}" for name in _INTERIOR]
+        known += [f"{side}.{name}" for name in INTERIOR]
         known += [f"{side}.lens.{i}" for i in range(len(lens.coefficients))]
     for name in covariance.names:
         if name not in known:

@@ -1,13 +1,19 @@
-"""ROS `camera_info` YAML pairs (camera_calibration, camera_info_manager): `left.yaml` and `right.yaml`, read and written.
+"""Calibrations of the ROS world: `camera_info` YAML pairs and Kalibr's `camchain.yaml`, read and written.
 
-The pair describes the raw images. `rectification_matrix` rotates directions of the camera into the rectified frame, and
-`projection_matrix` of the right camera has -fx baseline in its fourth column (REP 104, sensor_msgs/CameraInfo); both together
-are the relative pose. If the cameras were calibrated one by one (identity and no fourth column), the relative pose is read from
-`extrinsics.yaml` beside them: `left_SE3_right: {R: [[...], [...], [...]], t_m: [x, y, z]}`, as in a rig.yaml.
+A pair of camera_info (camera_calibration, camera_info_manager: `left.yaml` and `right.yaml`) describes the raw images.
+`rectification_matrix` rotates directions of the camera into the rectified frame, and `projection_matrix` of the right camera has
+-fx baseline in its fourth column (REP 104, sensor_msgs/CameraInfo); both together are the relative pose. If the cameras were
+calibrated one by one (identity and no fourth column), the relative pose is read from `extrinsics.yaml` beside them:
+`left_SE3_right: {R: [[...], [...], [...]], t_m: [x, y, z]}`, as in a rig.yaml.
+
+A camchain (Furgale, Rehder & Siegwart 2013) has pinhole cameras; `T_cn_cnm1` of each camera after the first transforms points of
+the one before it to its own, metres. radtan is k1, k2, p1, p2 and equidistant is OpenCV's fisheye. `T_cam_imu` is ignored:
+Kalibr's IMU is any IMU, conetl's body is the INS of the trajectory; write body_SE3_left into a rig.yaml.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,29 +23,27 @@ import numpy as np
 from conetl.files.documents import read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.geometry.camera import matrix_k
+from conetl.geometry.camera import intrinsics, matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Rig
 from conetl.readers.rigs.common import (
     Array,
+    Node,
     Pair,
-    bad,
     camera_from_matrix,
     choose_pair,
-    entry,
     fisheye_lens,
-    numbers_at,
     opencv_coefficients,
     opencv_lens,
-    rotation,
-    size_of_images,
+    pinhole_camera,
     stereo_rig,
     write_yaml,
 )
 
 EXTRINSICS = "extrinsics.yaml"
 _MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
+_KALIBR_LENSES: dict[str | None, str | None] = {"radtan": "opencv", "equidistant": "fisheye", "none": None}
 
 
 def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
@@ -71,52 +75,50 @@ def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
 def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     """Raw rig of a camera_info pair; pair as in `pair_of`. Raises CalibrationError."""
     left_path, right_path = pair_of(path, pair)
+    left_info, right_info = Node(left_path, read_yaml(left_path)), Node(right_path, read_yaml(right_path))
     extrinsics = left_path.parent / EXTRINSICS
     if extrinsics.is_file():
-        left, right = _camera(left_path, read_yaml(left_path))[0], _camera(right_path, read_yaml(right_path))[0]
-        key = "left_SE3_right"
-        relative = entry(extrinsics, read_yaml(extrinsics), key)
-        turn = numbers_at(extrinsics, relative, "R", (3, 3), f"{key}.")
-        shift = numbers_at(extrinsics, relative, "t_m", (3,), f"{key}.")
-        return stereo_rig(extrinsics, key, "ros", left, right, se3.invert(se3.se3(turn, shift)))
-    return rig_of_camera_infos(left_path, read_yaml(left_path), right_path, read_yaml(right_path))
+        relative = Node(extrinsics, read_yaml(extrinsics)).at("left_SE3_right")
+        pose = se3.se3(relative.at("R").numbers((3, 3)), relative.at("t_m").numbers((3,)))
+        return stereo_rig(relative, "ros", _camera(left_info)[0], _camera(right_info)[0], se3.invert(pose))
+    return rig_of_camera_infos(left_info, right_info)
 
 
-def rig_of_camera_infos(left_path: Path, left_info: Any, right_path: Path, right_info: Any) -> Rig:
-    """Raw rig of two camera_info mappings (keys of the YAML files); the paths are for messages only. Raises CalibrationError."""
-    left, left_R, left_p = _camera(left_path, left_info)
-    right, right_R, right_p = _camera(right_path, right_info)
-    key = "projection_matrix"
+def rig_of_camera_infos(left_info: Node, right_info: Node) -> Rig:
+    """Raw rig of two camera_info mappings (keys of the YAML files). Raises CalibrationError."""
+    left, left_R, left_p = _camera(left_info)
+    right, right_R, right_p = _camera(right_info)
+    projection = right_info.at("projection_matrix")
     if abs(left_p[0, 3]) > 1e-9:
-        raise bad(left_path, key, "of the left camera must have a zero in row 1, column 4: are left and right swapped?")
+        raise left_info.at("projection_matrix").bad(
+            "of the left camera must have a zero in row 1, column 4: are left and right swapped?"
+        )
     if right_p[0, 3] == 0.0:
-        raise bad(
-            right_path, key, "has no baseline (row 1, column 4 is 0): the two cameras were calibrated one by one. Calibrate them "
-            f"as a stereo pair, or put an {EXTRINSICS} with left_SE3_right beside them",
-        )  # fmt: skip
+        raise projection.bad(
+            "has no baseline (row 1, column 4 is 0): the two cameras were calibrated one by one. Calibrate them as a stereo "
+            f"pair, or put an {EXTRINSICS} with left_SE3_right beside them"
+        )
     if not right_p[0, 0] > 0:
-        raise bad(right_path, key, f"must have a positive focal length, found {right_p[0, 0]:g}")
+        raise projection.bad(f"must have a positive focal length, found {right_p[0, 0]:g}")
     centre = np.array([-right_p[0, 3] / right_p[0, 0], 0.0, 0.0])  # of the right camera, in the common rectified frame
     # x_rect = left_R x_left and x_rect = right_R x_right + centre
-    return stereo_rig(right_path, key, "ros", left, right, se3.se3(right_R.T @ left_R, -right_R.T @ centre))
+    return stereo_rig(projection, "ros", left, right, se3.se3(right_R.T @ left_R, -right_R.T @ centre))
 
 
-def _camera(path: Path, content: Any) -> tuple[Camera, Array, Array]:
+def _camera(info: Node) -> tuple[Camera, Array, Array]:
     """Camera, its rectification matrix (3, 3) and its projection matrix (3, 4)."""
-    if not isinstance(content, Mapping):
-        raise CalibrationError(f"{path}: expected the YAML mapping of a ROS camera_info")
-    size = size_of_images(
-        path, "image_width, image_height", [entry(path, content, "image_width"), entry(path, content, "image_height")]
-    )
-    model = entry(path, content, "distortion_model")
-    if model not in _MODELS:
-        raise bad(path, "distortion_model", f"{shown(model)} is not supported; known: {', '.join(_MODELS)}")
-    key = "distortion_coefficients"
-    lens = (fisheye_lens if model == "equidistant" else opencv_lens)(path, key, numbers_at(path, content, key))
-    k = numbers_at(path, content, "camera_matrix", (3, 3))
-    turn = rotation(path, "rectification_matrix", numbers_at(path, content, "rectification_matrix", (3, 3)))
-    projection = numbers_at(path, content, "projection_matrix", (3, 4))
-    return camera_from_matrix(path, "camera_matrix", k, size, lens), turn, projection
+    if not isinstance(info.value, Mapping):
+        raise CalibrationError(f"{info.path}: expected the YAML mapping of a ROS camera_info")
+    size = info.both("image_width", "image_height").size()
+    model = info.at("distortion_model")
+    if model.value not in _MODELS:
+        raise model.bad(f"{shown(model.value)} is not supported; known: {', '.join(_MODELS)}")
+    lens = (fisheye_lens if model.value == "equidistant" else opencv_lens)(info.at("distortion_coefficients"))
+    matrix = info.at("camera_matrix")
+    k = matrix.numbers((3, 3))
+    turn = info.at("rectification_matrix").rotation()
+    projection = info.at("projection_matrix").numbers((3, 4))
+    return camera_from_matrix(matrix, k, size, lens), turn, projection
 
 
 def write_ros_rig(rig: Rig, folder: Path) -> None:
@@ -158,3 +160,52 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
 
 def _matrix(values: Array) -> dict[str, Any]:
     return {"rows": values.shape[0], "cols": values.shape[1], "data": [float(v) for v in values.reshape(-1)]}
+
+
+def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
+    """Raw rig of cam0 (left) and cam1 (right), or of another pair of a chain of more cameras. Raises CalibrationError."""
+    content = read_yaml(path)
+    if not isinstance(content, Mapping):
+        raise CalibrationError(f"{path}: expected a YAML mapping with the keys cam0 and cam1")
+    names = sorted(
+        (name for name in map(str, content) if re.fullmatch(r"cam\d{1,3}", name)), key=lambda name: int(name[3:])
+    )
+    if len(names) < 2 or names != [f"cam{number}" for number in range(len(names))]:
+        raise CalibrationError(
+            f"{path}: expected the cameras cam0 (left), cam1 (right) and so on, found {shown(names)}"
+        )
+    left, right = choose_pair(path, names, pair)
+    chain = Node(path, content)
+    left_camera, right_camera = (
+        pinhole_camera(chain.get(name), "distortion_coeffs", _KALIBR_LENSES) for name in (left, right)
+    )
+    first, last = sorted((int(left[3:]), int(right[3:])))
+    pose = np.eye(4)
+    for number in range(first + 1, last + 1):
+        pose = se3.compose(chain.get(f"cam{number}").at("T_cn_cnm1").motion(), pose)
+    right_SE3_left = pose if left == f"cam{first}" else se3.invert(pose)
+    key = chain.get(f"cam{last}").at("T_cn_cnm1")
+    return stereo_rig(key, "kalibr", left_camera, right_camera, right_SE3_left)
+
+
+def write_kalibr_rig(rig: Rig, path: Path) -> None:
+    """Write a camchain. Kalibr's radtan has k1, k2, p1, p2 only: raises CalibrationError for a lens with more."""
+    content: dict[str, Any] = {}
+    for name, camera in (("cam0", rig.left), ("cam1", rig.right)):
+        coefficients = opencv_coefficients(camera.lens)
+        if camera.lens.model != "fisheye":
+            if any(coefficients[4:]):
+                raise CalibrationError(
+                    f"{path}: Kalibr's radtan lens has no k3 to k6, but the {camera.lens.model} lens of {name} has; "
+                    "export to OpenCV or ROS, or calibrate with the radial or the fisheye model"
+                )
+            coefficients = coefficients[:4]
+        content[name] = {
+            "camera_model": "pinhole",
+            "intrinsics": [float(v) for v in intrinsics(camera)],
+            "distortion_model": "equidistant" if camera.lens.model == "fisheye" else "radtan",
+            "distortion_coeffs": coefficients,
+            "resolution": [camera.width_px, camera.height_px],
+        }
+    content["cam1"]["T_cn_cnm1"] = se3.invert(rigs.left_SE3_right(rig)).tolist()
+    write_yaml(path, content)
