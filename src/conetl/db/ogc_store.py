@@ -11,7 +11,8 @@ import asyncpg
 import numpy as np
 
 from conetl.db.connection import load_sql
-from conetl.geometry.geodesy import Array, to_geodetic, to_map
+from conetl.geometry.geodesy import to_geodetic, to_map
+from conetl.model.arrays import Floats
 
 #: West, south, east, north in degrees.
 Degrees = tuple[float, float, float, float]
@@ -176,7 +177,7 @@ def _inside(box: Degrees, srid: int) -> Metres:
     return inner if west <= lon <= east and south <= lat <= north else NOTHING_INSIDE
 
 
-def _edges(box: Degrees, srid: int) -> Array:
+def _edges(box: Degrees, srid: int) -> Floats:
     """Easting and northing along the southern, northern, western and eastern edge of a box in degrees (4, 17, 2)."""
     west, south, east, north = box
     steps = np.linspace(0.0, 1.0, 17)

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from conetl.evaluation.truth import TruthCone, TruthLine
@@ -14,11 +13,11 @@ from conetl.geometry.calibration.covariance import calibration_jacobian, known_c
 from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, point_nees, pooled
 from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.arrays import Bools, Floats
 from conetl.model.records import Drive, Pose, Position, Record, Rig, Track, Vec3
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov, outline_errors
 
-Floats = NDArray[np.float64]
 #: Upper ends of the range bands; the last is open.
 RANGE_BANDS_M = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0)
 #: Fields of `PointErrors` with one row per estimate, except the common Jacobian.
@@ -219,7 +218,7 @@ def by_range(errors: PointErrors) -> list[RangeBand]:
     return bands
 
 
-def select(errors: PointErrors, keep: NDArray[np.bool_]) -> PointErrors:
+def select(errors: PointErrors, keep: Bools) -> PointErrors:
     """The errors of a mask (N,)."""
     change = errors.change_cov_m2
     return replace(

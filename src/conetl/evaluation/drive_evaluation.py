@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.evaluation.accuracy import (
     ErrorStatistics,
@@ -37,6 +36,7 @@ from conetl.evaluation.truth import (
 )
 from conetl.geometry.consistency import Consistency
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import known_of, noun_of
 from conetl.model.records import Drive, Position, Track
@@ -68,7 +68,7 @@ class DriveEvaluation:
     drive_id: str
     lines: list[TruthLine[Track]]
     false: list[Track]
-    path_m: NDArray[np.float64]
+    path_m: Floats
     tracks: PointErrors
     singles: PointErrors
     figures: dict[str, ErrorStatistics]

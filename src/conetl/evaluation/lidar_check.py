@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.rig import infinity_shift_px
 from conetl.geometry.small_arrays import robust_std
+from conetl.model.arrays import Bools, Floats
 from conetl.model.records import Camera, Detection, Rig, StereoMatch
 from conetl.tracking.matching.cone_outline import Outline
 
@@ -33,7 +34,6 @@ _MAX_POINTS = 600
 #: image, which is much wider than high.
 _POWERS = ((0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (0, 1), (1, 1), (2, 1))
 _MIN_SAMPLES = 500
-Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 #: Range bands of the summary (m).
 BANDS_M = ((0.0, 8.0), (8.0, 12.0), (12.0, 16.0), (16.0, 25.0))
@@ -135,9 +135,7 @@ def _grey(image: NDArray[np.uint8]) -> Image:
     return np.asarray(image.mean(axis=2), dtype=np.float32)
 
 
-def _match_windows(
-    left: Image, right: Image, u: Floats, v: Floats, shift: Floats, rig: Rig
-) -> tuple[Floats, NDArray[np.bool_]]:
+def _match_windows(left: Image, right: Image, u: Floats, v: Floats, shift: Floats, rig: Rig) -> tuple[Floats, Bools]:
     """Disparities (n,) of square windows around (u, v), and a mask of the reliable ones."""
     column, row = np.round(u).astype(np.intp), np.round(v).astype(np.intp)
     down = round(rig.right.cy_px - rig.left.cy_px)

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.evaluation import lidar_check as steps
 from conetl.evaluation.lidar_check import SceneBias, fit_scene_bias, scene_samples
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import Drive, FramePair, Rig, StereoMatch
@@ -33,8 +33,6 @@ from conetl.readers.rigs import IMU_TO_VELO
 from conetl.tracking.matching.cone_outline import find_outline
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
-
-Array = NDArray[np.float64]
 
 
 class LidarCheck(NamedTuple):
@@ -79,7 +77,7 @@ def lidar_residuals(
     detector = load_detector(model_path)
     residuals: list[steps.LidarResidual] = []
     matches: list[StereoMatch] = []
-    samples: list[Array] = []
+    samples: list[Floats] = []
     problems: list[str] = []
     for done, (number, path) in enumerate(scans.items(), 1):
         pair = pairs.get(number)
@@ -103,8 +101,8 @@ def lidar_residuals(
 
 
 def _check_pair(
-    points_left: Array, pair: FramePair, rig: Rig, detector: Detector, params: IngestParams
-) -> tuple[list[steps.LidarResidual], list[StereoMatch], Array]:
+    points_left: Floats, pair: FramePair, rig: Rig, detector: Detector, params: IngestParams
+) -> tuple[list[steps.LidarResidual], list[StereoMatch], Floats]:
     """Residuals of one pair with their matches, and its samples of the scene; points_left (N, 3) in the left camera's frame."""
     paths = Path(pair.left_path), Path(pair.right_path)
     (left, right), detections, matches, _ = match_images(paths, rig, detector, params, pair)

@@ -23,12 +23,11 @@ from conetl.geometry.consistency import Consistency, consistency
 from conetl.geometry.linear_reference import directions_at, project, stations
 from conetl.geometry.packing import cov_matrices
 from conetl.geometry.rig import camera_of, map_SE3_camera
+from conetl.model.arrays import Bools, Floats
 from conetl.model.errors import InputError
 from conetl.model.markings import Marking, MarkingColour, MarkingPattern
 from conetl.model.records import Drive, NonNegative, Positive, Record, Vec3
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 TRUTH_FILE = "truth_markings.geojson"
 BUFFER_M = 0.15
 #: A dash or gap that differs by no more is the right one: patterns in use differ by 1 m and more.
@@ -99,9 +98,9 @@ class MarkingErrors:
 
     truth_index: NDArray[np.int64]
     """(T,)"""
-    truth_visible: Mask
+    truth_visible: Bools
     """(T,)"""
-    truth_found: Mask
+    truth_found: Bools
     """(T,)"""
     matched: NDArray[np.int64]
     """(S,) marking of the truth, -1 where there is none within the buffer"""
@@ -156,10 +155,10 @@ class MarkingFigures(Record):
     colour_share: float | None
 
 
-def visible_to(drive: Drive) -> Callable[[Floats], Mask]:
+def visible_to(drive: Drive) -> Callable[[Floats], Bools]:
     """Which points (N, 3) a drive can have seen well: in both images of a pair, 4 to 15 m deep and within 8 m to the side."""
 
-    def seen(points_m: Floats) -> Mask:
+    def seen(points_m: Floats) -> Bools:
         found = np.zeros(len(points_m), dtype=bool)
         for pair in drive.frame_pairs:
             inside = ~found
@@ -182,7 +181,7 @@ def visible_to(drive: Drive) -> Callable[[Floats], Mask]:
 def compare_markings(
     truth: Sequence[TruthMarking],
     found: Sequence[Marking],
-    visible: Callable[[Floats], Mask],
+    visible: Callable[[Floats], Bools],
     common: CommonErrors | None = None,
 ) -> MarkingErrors:
     """Errors of markings of a drive, or of stretches on the map. common: of all their vertices, in order; None: unknown.
@@ -326,6 +325,6 @@ def _quantile(errors: Floats, share: float) -> float | None:
     return float(np.quantile(known, share)) if len(known) else None
 
 
-def _mean(values: Floats | Mask) -> float | None:
+def _mean(values: Floats | Bools) -> float | None:
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else None

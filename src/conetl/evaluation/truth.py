@@ -13,19 +13,18 @@ from pathlib import Path
 from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from conetl.files.documents import first_message
 from conetl.geometry.packing import cov_matrix
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import MapFeature
 from conetl.model.records import Positive, Record, SurveyedPoint, Track, Vec3
 
-Floats = NDArray[np.float64]
 #: Features of the map, or tracks of one drive.
 Found = TypeVar("Found", bound=MapFeature | Track)
 _FORBIDDEN = 1e6

@@ -10,8 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from conetl.model.arrays import Floats
 from conetl.model.map_records import DeltaKind
 
 
@@ -51,7 +52,7 @@ PAINT = {"white": "#ffffff", "yellow": "#f2b705", "other": "#9aa5b0"}
 CASING = "#4a5560"
 
 
-def dashes_of(vertices_m: ArrayLike, dash_m: float | None, gap_m: float | None) -> list[NDArray[np.float64]]:
+def dashes_of(vertices_m: ArrayLike, dash_m: float | None, gap_m: float | None) -> list[Floats]:
     """The parts of a lane marking (N, 2 or 3) that are painted: one of solid lines, dash_m and gap_m None.
 
     Where along the road the dashes begin is not known: one dash has its middle in the middle of the line.

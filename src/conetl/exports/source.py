@@ -23,11 +23,11 @@ from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.exports import Order
 from conetl.geometry.geodesy import compound_crs, system_name, to_crs, turns
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
 from conetl.model.params import ReconcileParams
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 #: Rows in memory at a time, and rows of a GeoParquet row group.
 BATCH_ROWS = 50_000

@@ -12,16 +12,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pyogrio
 import shapely
-from numpy.typing import NDArray
 from pyogrio.errors import DataLayerError, DataSourceError, FieldError
 
 from conetl.exports.source import POSITION_NAMES, Source
 from conetl.geometry.geodesy import to_crs
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
 GEOMETRY = "geometry"
 LINES_LAYER = "lane_markings"
-Floats = NDArray[np.float64]
 #: ISO WKB of a point with z.
 _POINT_Z = 1001
 _MILLISECONDS = pa.timestamp("ms", tz="UTC")
@@ -146,7 +145,7 @@ def _geometries_of(source: Source) -> Iterator[tuple[pa.RecordBatch, pa.Array, F
             yield properties, _wkb_points(xyz_m), xyz_m, xyz_m
 
 
-def _wkb_points(xyz_m: NDArray[np.float64]) -> pa.Array:
+def _wkb_points(xyz_m: Floats) -> pa.Array:
     """(n, 3) as ISO well-known binary, little-endian (29 bytes each)."""
     wkb = np.empty(len(xyz_m), [("order", "u1"), ("type", "<u4"), ("xyz", "<f8", 3)])
     wkb["order"], wkb["type"], wkb["xyz"] = 1, _POINT_Z, xyz_m

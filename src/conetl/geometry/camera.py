@@ -10,25 +10,24 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from conetl.geometry import lens as lenses
+from conetl.model.arrays import Floats
 from conetl.model.records import Camera
 
-Array = NDArray[np.float64]
 
-
-def intrinsics(camera: Camera) -> Array:
+def intrinsics(camera: Camera) -> Floats:
     """(4,) array fx, fy, cx, cy in pixels: the form that `intersection.intersect` takes."""
     return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
 
 
-def matrix_k(camera: Camera) -> Array:
+def matrix_k(camera: Camera) -> Floats:
     """(3, 3) calibration matrix K."""
     return np.array([[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]])
 
 
-def project(camera: Camera, points_cam_m: ArrayLike) -> Array:
+def project(camera: Camera, points_cam_m: ArrayLike) -> Floats:
     """Image points (..., 2) in pixels of camera-frame points (..., 3), the camera's lens included.
 
     Raises ValueError where a point does not lie in front of the camera: it has no image. A point beyond the lens's
@@ -46,7 +45,7 @@ def project(camera: Camera, points_cam_m: ArrayLike) -> Array:
     return np.stack(uv, axis=-1)
 
 
-def rays(camera: Camera, uv_px: ArrayLike) -> Array:
+def rays(camera: Camera, uv_px: ArrayLike) -> Floats:
     """Directions (..., 3) in the camera frame with z = 1 through image points (..., 2), with the distortion removed.
 
     x and y are NaN where the lens has no such image point (see `lens.undistort`); a camera without a lens has no NaN.
@@ -89,11 +88,11 @@ def first_road_row(camera: Camera, map_R_cams: Iterable[ArrayLike], margin_rad: 
 class Projection(NamedTuple):
     """Image points of points in one camera's frame, with their derivatives."""
 
-    uv_px: Array
+    uv_px: Floats
     """(..., 2)"""
-    by_point: Array
+    by_point: Floats
     """(..., 2, 3) px/m, with respect to the point in the camera's frame."""
-    by_interior: Array
+    by_interior: Floats
     """(..., 2, 4 + n) with respect to fx, fy, cx, cy and the lens's n coefficients."""
 
 
@@ -119,7 +118,7 @@ def project_with_jacobian(camera: Camera, points_cam_m: ArrayLike) -> Projection
     return Projection(bent * focal + (camera.cx_px, camera.cy_px), by_point, by_interior)
 
 
-def pose_jacobian(xyz_m: ArrayLike, map_R_body: ArrayLike, map_t_body_m: ArrayLike) -> Array:
+def pose_jacobian(xyz_m: ArrayLike, map_R_body: ArrayLike, map_t_body_m: ArrayLike) -> Floats:
     """(N, 3, 6): how map points move with errors of the body's easting, northing, height, roll, pitch and yaw.
 
     xyz_m (N, 3); the poses (3, 3) and (3,), or one per point. Roll turns the lever from body to point about the body's x axis,
@@ -147,7 +146,7 @@ def add_pose_covariance(
     map_t_body_m: ArrayLike,
     sigma_enu_m: ArrayLike,
     sigma_rpy_rad: ArrayLike,
-) -> Array:
+) -> Floats:
     """Covariance (P, 3, 3) of map points with the error of the body's pose added to that of the image points.
 
     cov_m2 (P, 3, 3) in the map frame; xyz_m (P, 3); the poses (3, 3) / (3,) or one per point; sigmas (3,) or (P, 3).
@@ -158,5 +157,5 @@ def add_pose_covariance(
         np.broadcast_arrays(np.asarray(sigma_enu_m, np.float64), np.asarray(sigma_rpy_rad, np.float64)), axis=-1
     )
     scaled = pose_jacobian(xyz_m, map_R_body, map_t_body_m) * sigmas[..., None, :]
-    total: Array = np.asarray(cov_m2, dtype=np.float64) + scaled @ np.swapaxes(scaled, -1, -2)
+    total: Floats = np.asarray(cov_m2, dtype=np.float64) + scaled @ np.swapaxes(scaled, -1, -2)
     return total

@@ -11,11 +11,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
-Array = NDArray[np.float64]
+from conetl.model.arrays import Floats
+
 #: A common error below this share of the points' own sigmas is invisible and has no degree of freedom.
 _INVISIBLE = 1e-6
 
@@ -74,7 +75,7 @@ def pooled(results: Iterable[Consistency | None]) -> Consistency | None:
     return sum(known[1:], known[0]) if known else None
 
 
-def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Array:
+def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Floats:
     """(N,) squared Mahalanobis length of each difference (N, 3) under its own covariance (N, 3, 3)."""
     difference = np.asarray(difference_m, dtype=np.float64)
     solved = np.linalg.solve(np.asarray(cov_m2, dtype=np.float64), difference[..., None])[..., 0]
@@ -99,7 +100,7 @@ def consistency(
     lower = np.linalg.cholesky(np.asarray(own_cov_m2, dtype=np.float64))
     both = np.concatenate([e[..., None], g], axis=2)
     if lower.ndim == 2:
-        white: Array = solve_triangular(lower, both.reshape(e.size, -1), lower=True)
+        white: Floats = solve_triangular(lower, both.reshape(e.size, -1), lower=True)
     else:
         white = np.linalg.solve(lower, both).reshape(e.size, -1)
     white_e, white_g = white[:, 0], white[:, 1:]

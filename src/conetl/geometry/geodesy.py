@@ -23,7 +23,7 @@ from functools import cache, lru_cache
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS, Proj, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.datadir import get_user_data_dir  # type: ignore[attr-defined]
@@ -31,9 +31,8 @@ from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-
-Array = NDArray[np.float64]
 
 #: CRSs that stretch lengths by more than this are refused as map CRS (Web Mercator stretches by 1.5 in Karlsruhe).
 MAX_SCALE_ERROR = 0.01
@@ -60,7 +59,7 @@ def check_map_srid(srid: int) -> None:
     _crs(srid)
 
 
-def to_map(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike) -> Array:
+def to_map(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike) -> Floats:
     """Easting, northing, ellipsoidal height (..., 3) in metres of WGS 84 positions.
 
     Raises ValueError for a CRS that cannot be a map CRS, or positions that it cannot express.
@@ -73,14 +72,14 @@ def to_map(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLik
     return xyz
 
 
-def to_geodetic(srid: int, xyz_m: ArrayLike) -> Array:
+def to_geodetic(srid: int, xyz_m: ArrayLike) -> Floats:
     """Latitude, longitude (degrees, WGS 84) and ellipsoidal height (..., 3) of map points (..., 3)."""
     xyz = np.asarray(xyz_m, dtype=np.float64)
     lon, lat = _transformer(srid).transform(xyz[..., 0], xyz[..., 1], direction="INVERSE")
     return np.stack([np.asarray(lat), np.asarray(lon), xyz[..., 2]], axis=-1)
 
 
-def grid_convergence_rad(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
+def grid_convergence_rad(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike) -> Floats:
     """Meridian convergence: angle from true north to grid north, clockwise positive, in radians.
 
     North of the equator and east of the central meridian it is positive. A heading counted counter-clockwise from true east
@@ -111,7 +110,7 @@ def check_scale(srid: int, lat_deg: float, lon_deg: float) -> None:
 
 def local_to_map(
     srid: int, lat_deg: float, lon_deg: float, height_m: float, heading_deg: float, local_SE3_body: ArrayLike
-) -> Array:
+) -> Floats:
     """map_SE3_body (N, 4, 4) of poses local_SE3_body (N, 4, 4) in metres.
 
     lat_deg, lon_deg, height_m: WGS 84 position of the local frame's origin, height ellipsoidal. heading_deg: direction of its x
@@ -128,15 +127,15 @@ def local_to_map(
     return se3.se3(enu_to_grid(srid, lat, lon, enu_R_body), positions_m)
 
 
-def enu_to_grid(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, enu_R_body: ArrayLike) -> Array:
+def enu_to_grid(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, enu_R_body: ArrayLike) -> Floats:
     """map_R_body (..., 3, 3) of attitudes against true east, true north, up (..., 3, 3): turned by the grid convergence."""
     convergence = grid_convergence_rad(srid, lat_deg, lon_deg)
     zero = np.zeros_like(convergence)
-    turned: Array = se3.rotation_from_rpy(zero, zero, convergence) @ np.asarray(enu_R_body, dtype=np.float64)
+    turned: Floats = se3.rotation_from_rpy(zero, zero, convergence) @ np.asarray(enu_R_body, dtype=np.float64)
     return turned
 
 
-def ecef_R_enu(lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
+def ecef_R_enu(lat_deg: ArrayLike, lon_deg: ArrayLike) -> Floats:
     """(..., 3, 3) whose columns are east, north and up at a position, in earth-centred coordinates."""
     lat, lon = np.broadcast_arrays(np.radians(lat_deg), np.radians(lon_deg))
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
@@ -150,7 +149,7 @@ def ecef_R_enu(lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
 CAMERA_R_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
-def sensor_R_body(sensor_R_left: ArrayLike) -> Array:
+def sensor_R_body(sensor_R_left: ArrayLike) -> Floats:
     """(3, 3) from conetl's body axes (x forward, y left, z up) to a sensor with any axes.
 
     The body's axes are the sensor's own, permuted: of the 24 permutations the one nearest to forward, left and up of the left
@@ -237,7 +236,7 @@ def compound_crs(srid: int, vertical_srid: int | None) -> CRS:
     return CompoundCRS(f"{flat.name} + {vertical.name}", [flat, vertical])
 
 
-def to_crs(xyz_m: ArrayLike, source_srid: int, srid: int, vertical_srid: int | None) -> NDArray[np.float64]:
+def to_crs(xyz_m: ArrayLike, source_srid: int, srid: int, vertical_srid: int | None) -> Floats:
     """Positions (N, 3) with ellipsoidal heights in metres -> (N, 3) in EPSG:srid with heights of the system.
 
     Geographic CRS have longitude, latitude in degrees. Raises InputError where a grid is missing, which it names, or a position
@@ -256,7 +255,7 @@ def to_crs(xyz_m: ArrayLike, source_srid: int, srid: int, vertical_srid: int | N
     return done
 
 
-def to_ellipsoidal(xyz_m: ArrayLike, crs: CRS) -> NDArray[np.float64]:
+def to_ellipsoidal(xyz_m: ArrayLike, crs: CRS) -> Floats:
     """Positions (N, 3) in a compound CRS -> the same with ellipsoidal heights. Raises InputError, which names a missing grid."""
     srid, vertical_srid = (part.to_epsg() for part in crs.sub_crs_list)
     if srid is None or vertical_srid is None:
@@ -266,7 +265,7 @@ def to_ellipsoidal(xyz_m: ArrayLike, crs: CRS) -> NDArray[np.float64]:
     return np.column_stack(transformer.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], direction="INVERSE"))
 
 
-def turns(xyz_m: ArrayLike, source_srid: int, srid: int) -> NDArray[np.float64]:
+def turns(xyz_m: ArrayLike, source_srid: int, srid: int) -> Floats:
     """Rotations (N, 2, 2) of the axes of EPSG:source_srid into those of EPSG:srid at positions (N, 3), for covariances.
 
     Both are conformal to a few parts in a thousand, so their axes differ by the convergence of the grids; scale is left out.

@@ -27,10 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry.camera import intrinsics
+from conetl.model.arrays import Bools, Floats
 from conetl.model.records import Rig
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 #: Points per chunk with two views: a compromise between numpy overhead and cache size.
 CHUNK_POINTS = 8192
@@ -57,15 +55,15 @@ class IntersectionResult(NamedTuple):
 
     status: NDArray[np.int8]
     """(P,) values of IntersectionStatus."""
-    xyz_m: Array
+    xyz_m: Floats
     """(P, 3) in the frame of the camera poses."""
-    cov_m2: Array
+    cov_m2: Floats
     """(P, 3, 3) from the image sigmas alone, at the last linearisation."""
-    residuals_px: Array
+    residuals_px: Floats
     """(P, V, 2) observed minus computed."""
-    depth_m: Array
+    depth_m: Floats
     """(P, V) along the optical axis of each view."""
-    ray_angle_rad: Array
+    ray_angle_rad: Floats
     """(P,) largest angle between any two rays; NaN where the input is invalid."""
     iterations: NDArray[np.int64]
     """(P,) solutions of the normal equations."""
@@ -79,15 +77,15 @@ class IntersectionResult(NamedTuple):
 class _Views(NamedTuple):
     """Views of n points."""
 
-    uv: Array
+    uv: Floats
     """(2, V, n) observed x/z, y/z"""
-    focal: Array
+    focal: Floats
     """(2, V, 1 or n) fx, fy"""
-    weight: Array
+    weight: Floats
     """(2, V, 1 or n) focal length over sigma: what x/z and y/z are multiplied with"""
-    rot: Array
+    rot: Floats
     """(3, 3, V, 1 or n) cam_R_map"""
-    centre: Array
+    centre: Floats
     """(3, V, n) relative to the point's origin"""
 
     def take(self, keep: Bools) -> _Views:
@@ -135,7 +133,7 @@ def intersect(
     return result
 
 
-def _by_component(value: ArrayLike, shape: tuple[int, ...], points: int, name: str) -> Array:
+def _by_component(value: ArrayLike, shape: tuple[int, ...], points: int, name: str) -> Floats:
     """A per-view array that may also be given per point, with its components first and points last."""
     a = np.asarray(value, dtype=np.float64)
     if a.shape not in (shape, (points, *shape)):
@@ -144,7 +142,7 @@ def _by_component(value: ArrayLike, shape: tuple[int, ...], points: int, name: s
 
 
 def _intersect_chunk(
-    result: IntersectionResult, part: slice, arrays: list[Array], convergence_m2: float, max_iterations: int,
+    result: IntersectionResult, part: slice, arrays: list[Floats], convergence_m2: float, max_iterations: int,
     min_ray_angle_rad: float,
 ) -> None:  # fmt: skip
     """Fill the rows `part` of the result; arrays: image points (2, V, n), interior and exterior orientation, and sigmas."""
@@ -182,7 +180,7 @@ def _intersect_chunk(
         result.depth_m[rows] = local[2][:, ok].T
 
 
-def _ray_angle(views: _Views) -> Array:
+def _ray_angle(views: _Views) -> Floats:
     """(n,) largest angle between two observed rays, from the chord of the unit vectors."""
     u, v = views.uv
     d = (views.rot[0] * u + views.rot[1] * v + views.rot[2]) * (1.0 / np.sqrt(u * u + v * v + 1.0))
@@ -190,17 +188,17 @@ def _ray_angle(views: _Views) -> Array:
     return np.asarray(2.0 * np.arcsin(np.minimum(np.sqrt(np.max(chord2, axis=0)) / 2.0, 1.0)))
 
 
-def _camera_points(views: _Views, x: Array) -> Array:
+def _camera_points(views: _Views, x: Floats) -> Floats:
     """(3, V, n) points (3, n) in every view's camera frame."""
     return np.asarray((views.rot * (x[:, None] - views.centre)).sum(axis=1))
 
 
-def _rows(views: _Views, weight: Array | float, xy: Array) -> Array:
+def _rows(views: _Views, weight: Floats | float, xy: Floats) -> Floats:
     """(2, 3, V, n): derivatives of x/z and y/z by the point, times the depth and a weight (2, V, n)."""
     return np.asarray(views.rot[:2] * np.expand_dims(weight, 1) - views.rot[2] * np.expand_dims(weight * xy, 1))
 
 
-def _normal_equations(rows: Array, right: Array) -> tuple[Array, Array]:
+def _normal_equations(rows: Floats, right: Floats) -> tuple[Floats, Floats]:
     """Upper triangle (6, n) of the inverse normal matrix, not finite where singular, and the solution (3, n).
 
     rows (2, 3, V, n), right (2, V, n): both equations of every view.
@@ -218,7 +216,7 @@ def _normal_equations(rows: Array, right: Array) -> tuple[Array, Array]:
 
 def _gauss_newton(
     views: _Views, convergence_m2: float, max_iterations: int
-) -> tuple[Array, Array, NDArray[np.int64], Bools]:
+) -> tuple[Floats, Floats, NDArray[np.int64], Bools]:
     """Points (3, n), upper triangles (6, n) of their covariance at the last linearisation, iterations and convergence (n,).
 
     Starts at the solution of the collinearity equations multiplied by the depth, which are linear in the point.
@@ -254,26 +252,26 @@ def _gauss_newton(
 class JointFit:
     """Result of `fit_point`; `cov_m2` (3, 3) excludes errors that all frames have in common."""
 
-    xyz_m: Array
-    cov_m2: Array
-    residuals_px: Array
+    xyz_m: Floats
+    cov_m2: Floats
+    residuals_px: Floats
     """(F, 4): observed minus computed u_left, v_left, u_right, v_right."""
-    weights: Array
+    weights: Floats
     """(F,): Huber weight of each pair; 1 where it fits."""
-    shares: Array
+    shares: Floats
     """(F, 3, 3): derivative by each pair's own point; their sum is the identity."""
     iterations: int
 
 
-def image_constants(rig: Rig) -> tuple[Array, Array]:
+def image_constants(rig: Rig) -> tuple[Floats, Floats]:
     """Focal lengths (4,) and principal points (4,) of a rectified rig, px, in the order of u_left, v_left, u_right, v_right."""
     both = np.stack([intrinsics(rig.left), intrinsics(rig.right)])
     return both[:, :2].ravel(), both[:, 2:].ravel()
 
 
 def pair_jacobian(
-    point_m: Array, map_SE3_left: Array, map_SE3_right: Array, focal_px: Array, principal_px: Array
-) -> tuple[Array, Array]:
+    point_m: Floats, map_SE3_left: Floats, map_SE3_right: Floats, focal_px: Floats, principal_px: Floats
+) -> tuple[Floats, Floats]:
     """Image points of one map point in F stereo pairs, and their derivatives (collinearity equations, linearised).
 
     point_m (3,); map_SE3_left, map_SE3_right (F, 4, 4); focal_px, principal_px (4,) in the order of u_left, v_left, u_right,
@@ -295,17 +293,17 @@ def pair_jacobian(
 
 
 def fit_point(
-    observed_px: Array,
-    start_m: Array,
-    map_SE3_left: Array,
-    map_SE3_right: Array,
-    focal_px: Array,
-    principal_px: Array,
+    observed_px: Floats,
+    start_m: Floats,
+    map_SE3_left: Floats,
+    map_SE3_right: Floats,
+    focal_px: Floats,
+    principal_px: Floats,
     *,
-    sigma_u_px: Array,
-    sigma_v_px: Array,
-    sigma_pointing_px: Array,
-    sigma_motion_m: Array,
+    sigma_u_px: Floats,
+    sigma_v_px: Floats,
+    sigma_pointing_px: Floats,
+    sigma_motion_m: Floats,
     convergence_m2: float = 1e-10,
 ) -> JointFit | None:
     """Least-squares point of F stereo pairs, None where it does not converge in front of every camera.

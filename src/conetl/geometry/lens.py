@@ -13,18 +13,17 @@ Beyond `field_radius` a polynomial folds back, so that two directions share one 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from conetl.model.arrays import Floats
 from conetl.model.records import Lens
-
-Array = NDArray[np.float64]
 
 _MAX_ITERATIONS = 40
 _MAX_HALVINGS = 10
 _TOLERANCE = 1e-13
 
 
-def distort(lens: Lens, xy: ArrayLike) -> Array:
+def distort(lens: Lens, xy: ArrayLike) -> Floats:
     """Distorted normalised coordinates (..., 2) of ideal ones (..., 2)."""
     p = np.asarray(xy, dtype=np.float64)
     x, y = p[..., 0], p[..., 1]
@@ -44,7 +43,7 @@ def distort(lens: Lens, xy: ArrayLike) -> Array:
     return np.stack([x * g + p1 * xy2 + p2 * (s + 2.0 * x * x), y * g + p1 * (s + 2.0 * y * y) + p2 * xy2], axis=-1)
 
 
-def distort_jacobian(lens: Lens, xy: ArrayLike) -> tuple[Array, Array]:
+def distort_jacobian(lens: Lens, xy: ArrayLike) -> tuple[Floats, Floats]:
     """Derivatives of `distort` at ideal coordinates (..., 2).
 
     Returns (..., 2, 2) with respect to x, y and (..., 2, n) with respect to the lens's n coefficients in their order.
@@ -74,7 +73,7 @@ def field_radius(lens: Lens) -> float:
     return float(np.sqrt(min(_first_positive_root(slope.coef.tolist()), _first_positive_root(d.coef.tolist()))))
 
 
-def undistort(lens: Lens, xy: ArrayLike) -> Array:
+def undistort(lens: Lens, xy: ArrayLike) -> Floats:
     """Ideal normalised coordinates (..., 2) of distorted ones (..., 2), by damped Newton iterations.
 
     Both coordinates of a point are NaN where the lens has no such image point: where the iteration does not come closer than
@@ -97,7 +96,7 @@ def _padded(lens: Lens) -> tuple[float, ...]:
     return (*lens.coefficients, *(0.0,) * (8 - len(lens.coefficients)))
 
 
-def _polynomial_jacobian(lens: Lens, p: Array) -> tuple[Array, Array]:
+def _polynomial_jacobian(lens: Lens, p: Floats) -> tuple[Floats, Floats]:
     k1, k2, p1, p2, k3, k4, k5, k6 = _padded(lens)
     x, y = p[..., 0], p[..., 1]
     s = x * x + y * y
@@ -121,7 +120,7 @@ def _polynomial_jacobian(lens: Lens, p: Array) -> tuple[Array, Array]:
     return by_xy, by_k[..., : len(lens.coefficients)].copy()
 
 
-def _undistort_polynomial(lens: Lens, wanted: Array) -> Array:
+def _undistort_polynomial(lens: Lens, wanted: Floats) -> Floats:
     """(n, 2) ideal coordinates of (n, 2) distorted ones, NaN where there are none."""
     limit = field_radius(lens)
     found = np.full(wanted.shape, np.nan)
@@ -164,7 +163,7 @@ def _undistort_polynomial(lens: Lens, wanted: Array) -> Array:
     return found
 
 
-def _inside(p: Array, limit: float) -> Array:
+def _inside(p: Floats, limit: float) -> Floats:
     """Points (n, 2) drawn in to a radius of `limit` at most."""
     if not np.isfinite(limit):
         return p.copy()
@@ -172,7 +171,7 @@ def _inside(p: Array, limit: float) -> Array:
     return np.asarray(p * (limit / np.maximum(r, limit))[:, None])
 
 
-def _solve2(a: Array, b: Array) -> Array:
+def _solve2(a: Floats, b: Floats) -> Floats:
     """Solutions (n, 2) of n systems (n, 2, 2); NaN where singular."""
     determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -184,7 +183,7 @@ def _solve2(a: Array, b: Array) -> Array:
 # --------------------------------------------------------------------------- fisheye
 
 
-def _fisheye_scale(lens: Lens, r: Array) -> tuple[Array, Array, Array]:
+def _fisheye_scale(lens: Lens, r: Floats) -> tuple[Floats, Floats, Floats]:
     """theta_d / r, d(theta_d) / d(theta) and theta of radii r."""
     theta = np.arctan(r)
     t2 = theta * theta
@@ -196,7 +195,7 @@ def _fisheye_scale(lens: Lens, r: Array) -> tuple[Array, Array, Array]:
     return factor * theta_by_r, slope, theta
 
 
-def _fisheye_jacobian(lens: Lens, p: Array) -> tuple[Array, Array]:
+def _fisheye_jacobian(lens: Lens, p: Floats) -> tuple[Floats, Floats]:
     x, y = p[..., 0], p[..., 1]
     s = x * x + y * y
     r = np.sqrt(s)
@@ -213,7 +212,7 @@ def _fisheye_jacobian(lens: Lens, p: Array) -> tuple[Array, Array]:
     return by_xy, by_k
 
 
-def _undistort_fisheye(lens: Lens, wanted: Array) -> Array:
+def _undistort_fisheye(lens: Lens, wanted: Floats) -> Floats:
     """(n, 2) ideal coordinates: Newton on theta alone, kept in a bracket by bisection."""
     top = float(np.arctan(field_radius(lens)))  # 90 degrees where the field is not limited
     target = np.hypot(wanted[:, 0], wanted[:, 1])

@@ -7,10 +7,10 @@ line, positive to the left of its direction. Lines are (N, 2) arrays in metres.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-Floats = NDArray[np.float64]
+from conetl.model.arrays import Floats, Ints
+
 _CHUNK = 256
 
 
@@ -93,7 +93,7 @@ def directions_at(line_m: Floats, stations_m: Floats) -> Floats:
     return _segments(line_m, stations_m)[2]
 
 
-def _segments(line_m: Floats, stations_m: Floats) -> tuple[NDArray[np.intp], Floats, Floats]:
+def _segments(line_m: Floats, stations_m: Floats) -> tuple[Ints, Floats, Floats]:
     """(M,) number of the line's segment at each station, (M,) metres from its start, (M, 2) its direction."""
     station = stations(line_m)
     steps = np.diff(line_m, axis=0)

@@ -5,31 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats
 from conetl.model.records import Cov3, Vec3
 
-Array = NDArray[np.float64]
 
-
-def vec3(values: Array) -> Vec3:
+def vec3(values: Floats) -> Vec3:
     """(3,) -> tuple."""
     x, y, z = values.tolist()
     return x, y, z
 
 
-def cov3(matrix: Array) -> Cov3:
+def cov3(matrix: Floats) -> Cov3:
     """Symmetric (3, 3) -> upper triangle xx, xy, xz, yy, yz, zz."""
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
     return xx, xy, xz, yy, yz, zz
 
 
-def cov_matrix(cov: Cov3) -> Array:
+def cov_matrix(cov: Cov3) -> Floats:
     """Upper triangle xx, xy, xz, yy, yz, zz -> symmetric (3, 3)."""
     xx, xy, xz, yy, yz, zz = cov
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def cov_matrices(covariances: Sequence[Cov3]) -> Array:
+def cov_matrices(covariances: Sequence[Cov3]) -> Floats:
     """As `cov_matrix`, for N of them: (N, 3, 3)."""
     return np.array(covariances, dtype=np.float64).reshape(-1, 6)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

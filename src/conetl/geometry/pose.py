@@ -11,18 +11,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from conetl.model.arrays import Floats
 from conetl.model.records import Matrix3, Matrix4, Pose
-
-Array = NDArray[np.float64]
 
 #: Largest deviation of R @ R.T from the identity that still counts as a rotation written with few digits.
 ROTATION_TOLERANCE = 1e-3
 
 
-def se3(rotation: ArrayLike, translation_m: ArrayLike) -> Array:
+def se3(rotation: ArrayLike, translation_m: ArrayLike) -> Floats:
     """Pose (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3)."""
     r = np.asarray(rotation, dtype=np.float64)
     t = np.asarray(translation_m, dtype=np.float64)
@@ -34,34 +33,34 @@ def se3(rotation: ArrayLike, translation_m: ArrayLike) -> Array:
     return pose
 
 
-def compose(a_SE3_b: ArrayLike, b_SE3_c: ArrayLike) -> Array:
+def compose(a_SE3_b: ArrayLike, b_SE3_c: ArrayLike) -> Floats:
     """`a_SE3_c` (..., 4, 4) of two (stacks of) poses."""
-    product: Array = np.matmul(np.asarray(a_SE3_b, dtype=np.float64), np.asarray(b_SE3_c, dtype=np.float64))
+    product: Floats = np.matmul(np.asarray(a_SE3_b, dtype=np.float64), np.asarray(b_SE3_c, dtype=np.float64))
     return product
 
 
-def invert(dst_SE3_src: ArrayLike) -> Array:
+def invert(dst_SE3_src: ArrayLike) -> Floats:
     """`src_SE3_dst` (..., 4, 4), exact for rigid motions."""
     pose = np.asarray(dst_SE3_src, dtype=np.float64)
     back = np.swapaxes(pose[..., :3, :3], -1, -2)
     return se3(back, -np.einsum("...ij,...j->...i", back, pose[..., :3, 3]))
 
 
-def apply(dst_SE3_src: ArrayLike, points_src_m: ArrayLike) -> Array:
+def apply(dst_SE3_src: ArrayLike, points_src_m: ArrayLike) -> Floats:
     """Points (..., 3) of the source frame in the destination frame; leading dimensions broadcast."""
     pose = np.asarray(dst_SE3_src, dtype=np.float64)
     points = np.asarray(points_src_m, dtype=np.float64)
-    moved: Array = np.einsum("...ij,...j->...i", pose[..., :3, :3], points) + pose[..., :3, 3]
+    moved: Floats = np.einsum("...ij,...j->...i", pose[..., :3, :3], points) + pose[..., :3, 3]
     return moved
 
 
-def connect(dst_SE3_src: Mapping[tuple[str, str], Array], dst: str, src: str) -> Array | None:
+def connect(dst_SE3_src: Mapping[tuple[str, str], Floats], dst: str, src: str) -> Floats | None:
     """Pose (4, 4) of the frame `src` in `dst` along known poses, by (dst, src) and used in both directions.
 
     The shortest way wins. None where the frames are not connected.
     """
     both = {**{(b, a): invert(pose) for (a, b), pose in dst_SE3_src.items()}, **dst_SE3_src}
-    found: dict[str, Array] = {dst: np.eye(4)}
+    found: dict[str, Floats] = {dst: np.eye(4)}
     edge = [dst]
     while edge and src not in found:
         here = edge.pop(0)
@@ -72,7 +71,7 @@ def connect(dst_SE3_src: Mapping[tuple[str, str], Array], dst: str, src: str) ->
     return found.get(src)
 
 
-def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
+def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Floats:
     """Rotations (..., 3, 3) `Rz(yaw) @ Ry(pitch) @ Rx(roll)`, body to level frame."""
     roll, pitch, yaw = np.broadcast_arrays(
         np.asarray(roll_rad, dtype=np.float64),
@@ -96,7 +95,7 @@ def is_rotation(rotation: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> b
     return bool(np.abs(r @ r.T - np.eye(3)).max() <= tolerance and np.linalg.det(r) > 0)
 
 
-def nearest_rotation(matrix: ArrayLike) -> Array:
+def nearest_rotation(matrix: ArrayLike) -> Floats:
     """The rotation nearest to a (3, 3) matrix in the Frobenius norm; removes the rounding of a text file.
 
     Raises ValueError where the matrix is not a rotation within `ROTATION_TOLERANCE`.
@@ -105,11 +104,11 @@ def nearest_rotation(matrix: ArrayLike) -> Array:
     if not is_rotation(m):
         raise ValueError("the matrix is not a rotation: rows must be orthonormal and the determinant +1")
     u, _, vt = np.linalg.svd(m)
-    rotation: Array = u @ vt
+    rotation: Floats = u @ vt
     return rotation
 
 
-def interpolate(a: ArrayLike, b: ArrayLike, weight: float) -> Array:
+def interpolate(a: ArrayLike, b: ArrayLike, weight: float) -> Floats:
     """Pose (4, 4) between two poses of one frame: linear in position, shortest turn (slerp) in rotation.
 
     `weight` 0 gives `a`, 1 gives `b`.
@@ -117,7 +116,7 @@ def interpolate(a: ArrayLike, b: ArrayLike, weight: float) -> Array:
     return interpolate_each([np.asarray(a, dtype=np.float64)], [np.asarray(b, dtype=np.float64)], [weight])[0]
 
 
-def interpolate_each(a: Sequence[Array], b: Sequence[Array], weights: Sequence[float]) -> list[Array]:
+def interpolate_each(a: Sequence[Floats], b: Sequence[Floats], weights: Sequence[float]) -> list[Floats]:
     """As `interpolate`, for N pairs of poses (4, 4) at once, with equal results in a twentieth of the time."""
     if not a:
         return []
@@ -147,6 +146,6 @@ def to_matrix4(pose: ArrayLike) -> Matrix4:
     return (a, b, c, d)
 
 
-def map_SE3_body(pose: Pose) -> Array:
+def map_SE3_body(pose: Pose) -> Floats:
     """(4, 4) array of a pose record."""
     return se3(np.array(pose.map_R_body), np.array(pose.map_t_body_m))

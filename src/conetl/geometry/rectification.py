@@ -11,15 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from conetl.geometry import camera as cameras
 from conetl.geometry import lens as lenses
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
+from conetl.model.arrays import Floats
 from conetl.model.records import MIN_BASELINE_M, SIDES, Camera, Rig, Side
 
-Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in normalised coordinates of the rectified camera."""
 
@@ -94,7 +94,7 @@ def check_stereo_baseline(left_SE3_right: ArrayLike) -> None:
         raise ValueError(f"the baseline ({x:.3f}, {y:.3f}, {z:.3f}) m does not follow the image rows")
 
 
-def common_rotation(left_SE3_right: ArrayLike) -> tuple[Array, Array]:
+def common_rotation(left_SE3_right: ArrayLike) -> tuple[Floats, Floats]:
     """(3, 3) rotations left_R_rectified and right_R_rectified from the rig's relative pose (4, 4).
 
     Raises ValueError where the baseline runs along the viewing direction or the axes oppose each other.
@@ -115,7 +115,7 @@ def stored_camera(rig: Rig, side: Side) -> Camera:
     return rigs.camera_of(rig.rectified_from or rig, side)
 
 
-def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
+def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Floats:
     """Image points (..., 2) of the stored image for image points (..., 2) of the rectified one; NaN where it saw nothing.
 
     A rig without `rectified_from` gives the points back.
@@ -127,7 +127,7 @@ def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
     return _seen_at(stored_camera(rig, side), rigs.stored_R_camera(rig, side), rays)
 
 
-def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
+def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Floats:
     """Inverse of `raw_from_rectified`: (..., 2) in the rectified image for points of the stored one; NaN where there is none."""
     uv = np.asarray(uv_px, dtype=np.float64)
     if rig.rectified_from is None:
@@ -139,7 +139,7 @@ def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
     return np.asarray(ahead[..., :2] / ahead[..., 2:] * scale + shift)
 
 
-def _seen_at(raw: Camera, raw_R_rect: Array, rays: Array) -> Array:
+def _seen_at(raw: Camera, raw_R_rect: Floats, rays: Floats) -> Floats:
     """Where the raw image (..., 2) shows directions (..., 3) of the rectified camera; NaN where it does not."""
     d = rays @ raw_R_rect.T
     ahead = d[..., 2:] > 1e-6
@@ -153,7 +153,7 @@ def _seen_at(raw: Camera, raw_R_rect: Array, rays: Array) -> Array:
     return np.where(seen, np.clip(uv, 0.0, last), np.nan)
 
 
-def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
+def _seen_box(raw: Camera, raw_R_rect: Floats, focal_px: float) -> Box:
     """Normalised rectangle of the rectified camera in which the raw one saw everything.
 
     Its sides are first put at the innermost point of each border of the raw image, then drawn in until every sample of the
@@ -198,7 +198,7 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
 
 
 def _extreme(
-    raw: Camera, raw_R_rect: Array, uv: Array, axis: int, pick: Callable[[Array], float], otherwise: float
+    raw: Camera, raw_R_rect: Floats, uv: Floats, axis: int, pick: Callable[[Floats], float], otherwise: float
 ) -> float:
     """Innermost x or y in the rectified camera of a border (n, 2) of the raw image; `otherwise` where it has no ray.
 
@@ -220,7 +220,7 @@ def _camera(box: Box, focal_px: float, side: Side) -> Camera:
     )  # fmt: skip
 
 
-def _turn_rad(rotation: Array) -> float:
+def _turn_rad(rotation: Floats) -> float:
     """Angle of a rotation (3, 3)."""
     skew = rotation - rotation.T
     sine = 0.5 * np.sqrt(skew[2, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 0] ** 2)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.records import Camera, Pose, Rig, Side
-
-Array = NDArray[np.float64]
 
 
 def camera_of(rig: Rig, side: Side) -> Camera:
@@ -17,27 +15,27 @@ def camera_of(rig: Rig, side: Side) -> Camera:
     return rig.left if side == "left" else rig.right
 
 
-def body_SE3_camera(rig: Rig, side: Side) -> Array:
+def body_SE3_camera(rig: Rig, side: Side) -> Floats:
     """(4, 4) pose of one camera on the body: lever arm and boresight."""
     return np.array(rig.body_SE3_left if side == "left" else rig.body_SE3_right)
 
 
-def map_SE3_camera(pose: Pose, rig: Rig, side: Side) -> Array:
+def map_SE3_camera(pose: Pose, rig: Rig, side: Side) -> Floats:
     """(4, 4) exterior orientation of one camera."""
     return se3.compose(se3.map_SE3_body(pose), body_SE3_camera(rig, side))
 
 
-def map_SE3_left(pose: Pose, rig: Rig) -> Array:
+def map_SE3_left(pose: Pose, rig: Rig) -> Floats:
     """(4, 4) exterior orientation of the left camera."""
     return map_SE3_camera(pose, rig, "left")
 
 
-def map_SE3_right(pose: Pose, rig: Rig) -> Array:
+def map_SE3_right(pose: Pose, rig: Rig) -> Floats:
     """(4, 4) exterior orientation of the right camera."""
     return map_SE3_camera(pose, rig, "right")
 
 
-def left_SE3_right(rig: Rig) -> Array:
+def left_SE3_right(rig: Rig) -> Floats:
     """(4, 4) relative orientation of the rig; its translation is the baseline vector in the left camera's frame."""
     return se3.compose(se3.invert(body_SE3_camera(rig, "left")), body_SE3_camera(rig, "right"))
 
@@ -71,7 +69,7 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
     return rig.model_copy(update={**cameras, **names})
 
 
-def infinity_shift_px(rig: Rig, left_uv_px: Array) -> Array:
+def infinity_shift_px(rig: Rig, left_uv_px: Floats) -> Floats:
     """(..., 2) left minus right image point of an infinitely far point, at points (..., 2) of the left image.
 
     The difference of the principal points where the axes of a rectified rig are parallel; where the right camera is turned a
@@ -88,11 +86,11 @@ def infinity_shift_px(rig: Rig, left_uv_px: Array) -> Array:
         ],
         axis=-1,
     )
-    shift: Array = uv - right
+    shift: Floats = uv - right
     return shift
 
 
-def right_camera_turned(rig: Rig, rotation_rad: Array) -> Rig:
+def right_camera_turned(rig: Rig, rotation_rad: Floats) -> Rig:
     """The rig with its right camera, and the one that took its images, turned by a rotation vector (3,) in the camera's frame.
 
     A small turn about x moves all rows of the right image down, about y all columns to the right.
@@ -114,15 +112,15 @@ def body_is_left_camera(rig: Rig) -> bool:
     return bool(np.allclose(body_SE3_camera(rig, "left"), np.eye(4), rtol=0.0, atol=1e-12))
 
 
-def stored_R_camera(rig: Rig, side: Side) -> Array:
+def stored_R_camera(rig: Rig, side: Side) -> Floats:
     """(3, 3) rotation from one of the rig's cameras to the one that took the images: identity where they are used as they are."""
     if rig.rectified_from is None:
         return np.eye(3)
-    turn: Array = body_SE3_camera(rig.rectified_from, side)[:3, :3].T @ body_SE3_camera(rig, side)[:3, :3]
+    turn: Floats = body_SE3_camera(rig.rectified_from, side)[:3, :3].T @ body_SE3_camera(rig, side)[:3, :3]
     return turn
 
 
-def up_in_left_camera(rig: Rig) -> Array:
+def up_in_left_camera(rig: Rig) -> Floats:
     """(3,) unit vector in the left camera's frame that is up when the body stands level.
 
     The body's +z where the rig has a body of its own, else minus the y axis of the camera that took the images (it is held
@@ -130,5 +128,5 @@ def up_in_left_camera(rig: Rig) -> Array:
     """
     if body_is_left_camera(rig.rectified_from or rig):
         return np.array([0.0, -1.0, 0.0]) @ stored_R_camera(rig, "left")
-    up: Array = body_SE3_camera(rig, "left")[2, :3].copy()
+    up: Floats = body_SE3_camera(rig, "left")[2, :3].copy()
     return up

@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from conetl.model.arrays import Floats
 
 
 class Mesh(NamedTuple):
     """vertices (N, 3), normals (N, 3), uv (N, 2), triangles (M, 3)."""
 
-    vertices: Array
-    normals: Array
-    uv: Array
+    vertices: Floats
+    normals: Floats
+    uv: Floats
     triangles: NDArray[np.int32]
 
 
@@ -102,7 +102,7 @@ def ribbon(points_m: ArrayLike, width_m: float, height_m: float, tile_m: float) 
     )
 
 
-def placed(mesh: Mesh, matrix: Array) -> Mesh:
+def placed(mesh: Mesh, matrix: Floats) -> Mesh:
     """The mesh moved by a rigid (4, 4) motion."""
     return mesh._replace(
         vertices=mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3], normals=mesh.normals @ matrix[:3, :3].T

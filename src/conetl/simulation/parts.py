@@ -11,14 +11,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats
 from conetl.simulation import meshes, textures
 from conetl.simulation.meshes import Mesh
 from conetl.simulation.scenario import ORANGE, Colour, Cone, RoadObject
 from conetl.simulation.textures import Image
 
-Array = NDArray[np.float64]
 _GREY = (0.50, 0.51, 0.52)
 _RUBBER = (0.10, 0.10, 0.10)
 _WHITE = (0.92, 0.92, 0.90)
@@ -47,13 +46,13 @@ class Part(NamedTuple):
     """None for a matt surface, else that of a plastic coat."""
 
 
-def motion(x_m: float, y_m: float, z_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
+def motion(x_m: float, y_m: float, z_m: float = 0.0, yaw_rad: float = 0.0) -> Floats:
     """(4, 4) turn about the vertical, then shift."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([[c, -s, 0.0, x_m], [s, c, 0.0, y_m], [0.0, 0.0, 1.0, z_m], [0.0, 0.0, 0.0, 1.0]])
 
 
-def _lean(angle_rad: float, azimuth_rad: float, height_m: float = 0.0) -> Array:
+def _lean(angle_rad: float, azimuth_rad: float, height_m: float = 0.0) -> Floats:
     """(4, 4) lean towards an azimuth, about a horizontal axis at a height."""
     axis = np.array([-math.sin(azimuth_rad), math.cos(azimuth_rad), 0.0])
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry import linear_reference
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.markings import MarkingColour
 
@@ -89,7 +89,7 @@ def street_markings(
     return tuple(lines)
 
 
-def painted_lines(marking: RoadMarking) -> list[NDArray[np.float64]]:
+def painted_lines(marking: RoadMarking) -> list[Floats]:
     """Centre lines (K, 2) of its paint: the whole line, or one per dash."""
     line = np.array(marking.points_m)
     if marking.dash_m is None or marking.gap_m is None:

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.simulation import meshes, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
 from conetl.simulation.scenario import PAINT_HEIGHT_M, World, painted_lines
 
-Array = NDArray[np.float64]
 FULL_WELL_ELECTRONS = 9000.0
 READ_NOISE_ELECTRONS = 6.0
 BLUR_SIGMA_PX = 0.45
@@ -62,7 +62,7 @@ def build_scene(world: World) -> Any:
 
 
 def render(
-    scene: Any, camera: PinholeCamera, road_SE3_camera: Array, *, samples_per_pixel: int, seed: int, fast: bool = False
+    scene: Any, camera: PinholeCamera, road_SE3_camera: Floats, *, samples_per_pixel: int, seed: int, fast: bool = False
 ) -> NDArray[np.float32]:
     """Linear radiance (H, W, 3), direct light of sun and sky. road_SE3_camera: (4, 4), camera axes x right, y down, z forward.
 
@@ -80,7 +80,7 @@ def render(
     return np.array(image, dtype=np.float32)[..., :3]
 
 
-def sensor(camera: PinholeCamera, road_SE3_camera: Array, samples_per_pixel: int = 16) -> Any:
+def sensor(camera: PinholeCamera, road_SE3_camera: Floats, samples_per_pixel: int = 16) -> Any:
     """Mitsuba's perspective camera of an exterior and interior orientation.
 
     Mitsuba counts pixels from the edge of the film (the centre of pixel 0 is 0.5), has x to the left and y up, and its

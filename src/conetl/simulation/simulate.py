@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.pose import se3
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.simulation import trajectory
 from conetl.simulation.mixed_world import mixed_pass
@@ -32,8 +32,6 @@ from conetl.simulation.scene import (
     render,
 )
 from conetl.simulation.truth_files import write_truth
-
-Array = NDArray[np.float64]
 
 WorldName = Literal["taper", "mixed"]
 JPEG_QUALITY = 74
@@ -81,7 +79,7 @@ def write_oxts(folder: Path, records: Iterable[list[float]], stamps: Iterable[st
     (folder / "oxts" / "timestamps.txt").write_text("".join(f"{stamp}\n" for stamp in stamps))
 
 
-def _numbers(values: Array) -> str:
+def _numbers(values: Floats) -> str:
     return " ".join(f"{value:.12e}" for value in np.ravel(values))
 
 
@@ -112,7 +110,7 @@ def simulate_drive(
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
         raise InputError(f"{out_dir}: exists and is not empty; choose a new folder")
     rig = simulated_rig(width_px, height_px)
-    times_s: NDArray[np.float64] = np.arange(scenario.frame_count) * np.float64(trajectory.FRAME_PERIOD_S)
+    times_s: Floats = np.arange(scenario.frame_count) * np.float64(trajectory.FRAME_PERIOD_S)
     ahead_m = float(rig.body_SE3_camera(2)[0, 3])
     poses = trajectory.true_poses(scenario, times_s, ahead_m, rig.imu_height_m)
     places, rpy = trajectory.measured_poses(poses, times_s, np.random.default_rng([seed, pass_number, 0]))
@@ -152,14 +150,14 @@ class SimulatedRig:
     """Two rectified cameras on an IMU; (4, 4) matrices, metres."""
 
     camera: PinholeCamera
-    velo_SE3_imu: Array
-    cam0_SE3_velo: Array
-    rect_R_cam0: Array
+    velo_SE3_imu: Floats
+    cam0_SE3_velo: Floats
+    rect_R_cam0: Floats
     """(3, 3) R_rect_00"""
-    t_rect_m: dict[int, Array]
+    t_rect_m: dict[int, Floats]
     """Camera number -> (3,) t of P_rect = K [I | t]."""
 
-    def body_SE3_camera(self, number: int) -> Array:
+    def body_SE3_camera(self, number: int) -> Floats:
         """(4, 4) pose of rectified camera `number` on the IMU."""
         cami_SE3_rect, rect_SE3_cam0 = se3(np.eye(3), self.t_rect_m[number]), se3(self.rect_R_cam0, np.zeros(3))
         return np.asarray(np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ self.cam0_SE3_velo @ self.velo_SE3_imu))
@@ -169,7 +167,7 @@ class SimulatedRig:
         """Height of the IMU for the left camera's height above the road."""
         return CAMERA_HEIGHT_M - float(self.body_SE3_camera(2)[2, 3])
 
-    def k(self) -> Array:
+    def k(self) -> Floats:
         """(3, 3) interior orientation, the same for all four cameras."""
         c = self.camera
         return np.array([[c.f_px, 0.0, c.cx_px], [0.0, c.f_px, c.cy_px], [0.0, 0.0, 1.0]])
@@ -195,5 +193,5 @@ def simulated_rig(width_px: int = DESIGN_SIZE[0], height_px: int = DESIGN_SIZE[1
     )  # fmt: skip
 
 
-def _rotation_deg(x: float, y: float, z: float) -> Array:
+def _rotation_deg(x: float, y: float, z: float) -> Floats:
     return np.asarray(Rotation.from_euler("xyz", [math.radians(a) for a in (x, y, z)]).as_matrix())

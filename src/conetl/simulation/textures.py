@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from conetl.model.arrays import Floats
 from conetl.model.markings import MarkingColour
 from conetl.simulation.scenario import Colour, Cone, RoadMarking
 
 Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
 Bytes = tuple[int, int, int]
 _SIZE_PX = 256
 WHITE = (235, 235, 230)
@@ -32,7 +32,7 @@ DIAMOND = np.array([(0.5, 0.5), (0.0, 1.0), (-0.5, 0.5), (0.0, 0.0)])
 SQUARE = np.array([(0.5, 0.0), (0.5, 1.0), (-0.5, 1.0), (-0.5, 0.0)])
 
 
-def _noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Array:
+def _noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Floats:
     """Smooth noise of mean 0 and standard deviation 1; tileable up to the resampling of coarse noise."""
     coarser = 1 << max(0, int(np.log2(max(sigma_px, 1.0) / 2.0)))
     small = max(shape[0] // coarser, 4), max(shape[1] // coarser, 4)
@@ -43,7 +43,7 @@ def _noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) ->
     return np.asarray((field - field.mean()) / field.std())
 
 
-def _to_bytes(srgb: Array) -> Image:
+def _to_bytes(srgb: Floats) -> Image:
     return np.asarray(np.clip(srgb, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
@@ -229,7 +229,7 @@ def arrow_board(seed: int) -> Image:
     return _weathered(seed, canvas)
 
 
-FACES: dict[str, tuple[NDArray[np.float64], Callable[[int], Image]]] = {
+FACES: dict[str, tuple[Floats, Callable[[int], Image]]] = {
     "diamond": (DIAMOND, diamond), "work_triangle": (TRIANGLE, work_triangle), "warning_triangle": (TRIANGLE, warning_triangle),
     "speed_disc": (DISC, speed_disc), "mandatory_disc": (DISC, mandatory_disc), "rectangle": (SQUARE, rectangle),
     "arrow_board": (SQUARE, arrow_board),
@@ -237,7 +237,7 @@ FACES: dict[str, tuple[NDArray[np.float64], Callable[[int], Image]]] = {
 """Outline and face by kind of plate."""
 
 
-def _filled(outline: NDArray[np.float64], rim: Bytes, face: Bytes, share: float, middle: float = 0.5) -> Image:
+def _filled(outline: Floats, rim: Bytes, face: Bytes, share: float, middle: float = 0.5) -> Image:
     """The outline over the whole image in the rim's colour, and scaled about its middle in that of the face."""
     canvas = np.zeros((_SIZE_PX, _SIZE_PX, 3), np.uint8)
     canvas[:] = rim
@@ -270,7 +270,7 @@ def _at(canvas: Image, x: float, y: float) -> tuple[int, int]:
     return round(x * canvas.shape[1]), round(y * canvas.shape[0])
 
 
-def _weathered(seed: int, canvas: Image | NDArray[np.float64]) -> Image:
+def _weathered(seed: int, canvas: Image | Floats) -> Image:
     """Dirt and an uneven coat."""
     rows, columns = canvas.shape[:2]
     coat = mottled(seed, (0.5, 0.5, 0.5), 0.08, size=_SIZE_PX)[:rows, :columns] / 128.0

@@ -10,14 +10,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.geodesy import grid_convergence_rad
+from conetl.model.arrays import Floats
 from conetl.simulation.scenario import ScenarioPass
-
-Array = NDArray[np.float64]
 
 MAP_SRID = 32632
 SITE_MAP_M = (458_312.40, 5_427_846.75, 115.32)
@@ -43,7 +41,7 @@ VERTICAL_M = DriftModel(0.020, 20.0, 0.003)
 ATTITUDE_RAD = DriftModel(math.radians(0.02), 20.0, math.radians(0.002))
 
 
-def map_SE3_road() -> Array:
+def map_SE3_road() -> Floats:
     """(4, 4) pose of the road frame in the map."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("ZY", [SITE_GRID_YAW_RAD, SITE_SLOPE_RAD]).as_matrix()
@@ -51,7 +49,7 @@ def map_SE3_road() -> Array:
     return pose
 
 
-def true_poses(scenario: ScenarioPass, times_s: Array, camera_ahead_m: float, imu_height_m: float) -> Array:
+def true_poses(scenario: ScenarioPass, times_s: Floats, camera_ahead_m: float, imu_height_m: float) -> Floats:
     """(N, 4, 4) map_SE3_body at times from the start of the drive, of a slightly swaying vehicle."""
     duration_s = (scenario.frame_count - 1) * FRAME_PERIOD_S
     poses = np.zeros((len(times_s), 4, 4))
@@ -68,7 +66,7 @@ def true_poses(scenario: ScenarioPass, times_s: Array, camera_ahead_m: float, im
         poses[n] = np.eye(4)
         poses[n, :3, :3] = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
         poses[n, :3, 3] = (x, y, z)
-    placed: Array = map_SE3_road() @ poses
+    placed: Floats = map_SE3_road() @ poses
     return placed
 
 
@@ -80,7 +78,7 @@ def _path(scenario: ScenarioPass, x_m: float) -> tuple[float, float]:
     return y0 + (y1 - y0) * s * s * (3 - 2 * s), (y1 - y0) * 6 * s * (1 - s) / (end - start)
 
 
-def measured_poses(poses: Array, times_s: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def measured_poses(poses: Floats, times_s: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """(N, 3) positions in the map and (N, 3) roll, pitch, grid yaw of the GNSS/INS."""
     errors = np.stack([gauss_markov(m, times_s, rng) for m in (HORIZONTAL_M, HORIZONTAL_M, VERTICAL_M)], axis=1)
     turns = np.stack([gauss_markov(ATTITUDE_RAD, times_s, rng) for _ in range(3)], axis=1)
@@ -88,7 +86,7 @@ def measured_poses(poses: Array, times_s: Array, rng: np.random.Generator) -> tu
     return poses[:, :3, 3] + errors, ypr[:, ::-1] + turns
 
 
-def gauss_markov(model: DriftModel, times_s: Array, rng: np.random.Generator) -> Array:
+def gauss_markov(model: DriftModel, times_s: Floats, rng: np.random.Generator) -> Floats:
     """(N,) exponentially correlated noise (Maybeck, Stochastic Models, 1979, 4.11) plus white noise."""
     drift = np.zeros(len(times_s))
     drift[0] = rng.normal(0.0, model.drift)
@@ -98,7 +96,7 @@ def gauss_markov(model: DriftModel, times_s: Array, rng: np.random.Generator) ->
     return drift + rng.normal(0.0, model.white, len(times_s))
 
 
-def oxts_records(positions_m: Array, rpy_grid_rad: Array, times_s: Array) -> list[list[float]]:
+def oxts_records(positions_m: Floats, rpy_grid_rad: Floats, times_s: Floats) -> list[list[float]]:
     """KITTI's 30 numbers per pose; lat/lon in degrees, yaw from true east, velocities and rates by differences."""
     lon, lat = Transformer.from_crs(MAP_SRID, 4326, always_xy=True).transform(positions_m[:, 0], positions_m[:, 1])
     convergence = grid_convergence_rad(MAP_SRID, lat, lon)
@@ -128,7 +126,7 @@ def oxts_records(positions_m: Array, rpy_grid_rad: Array, times_s: Array) -> lis
     return [[float(value) for value in record] for record in records]
 
 
-def _smooth(values: Array, times_s: Array) -> Array:
+def _smooth(values: Floats, times_s: Floats) -> Floats:
     """A polynomial fit of noisy values, for their derivatives."""
     centred = times_s - times_s.mean()
     degree = min(6, len(values) - 1)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
 from conetl.geometry.linear_reference import resampled
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
 from conetl.readers.base_layers.point_tiles import first_in_voxels
@@ -24,8 +25,6 @@ from conetl.simulation.parts import true_shape
 from conetl.simulation.scenario import PAINT_HEIGHT_M, Road, RoadMarking, ScenarioPass, scenario_pass
 from conetl.simulation.scene import build_scene, load_mitsuba
 from conetl.simulation.trajectory import MAP_SRID, map_SE3_road
-
-Array = NDArray[np.float64]
 
 TRUTH_COLUMNS = (
     "cone_id", "easting_m", "northing_m", "height_ellipsoidal_m", "cone_height_m", "map_srid", "present", "change",
@@ -76,7 +75,7 @@ def _marking_feature(marking: RoadMarking) -> dict[str, Any]:
     return line_feature(np.array(marking.points_m), PAINT_HEIGHT_M, properties)
 
 
-def line_feature(points_m: Array, height_m: float, properties: dict[str, Any]) -> dict[str, Any]:
+def line_feature(points_m: Floats, height_m: float, properties: dict[str, Any]) -> dict[str, Any]:
     """GeoJSON Feature of a level line (K, 2) of the road frame, height_m above the road."""
     if len(points_m) == 2:
         points_m = resampled(points_m, _LINE_STEP_M)
@@ -116,15 +115,15 @@ def simulate_base_layers(folder: Path, *, seed: int) -> tuple[Path, Path]:
     return points, lines
 
 
-def _scan(seed: int) -> tuple[Array, NDArray[np.uint16]]:
+def _scan(seed: int) -> tuple[Floats, NDArray[np.uint16]]:
     """Points (N, 3) on the map and their intensities (N,), thinned by voxel."""
     mi = load_mitsuba()
     scenario = scenario_pass(1)
     scene = build_scene(replace(scenario.world, cones=()))
     rng = np.random.default_rng([seed, 99])
     directions = _directions()
-    found: list[Array] = []
-    bright: list[Array] = []
+    found: list[Floats] = []
+    bright: list[Floats] = []
     for x in np.arange(scenario.start_x_m - 8.0, scenario.end_x_m + 25.0, _SCAN_EVERY_M):
         origin = np.array([x, -1.0, _SCANNER_HEIGHT_M])
         for direction in directions:
@@ -143,14 +142,14 @@ def _scan(seed: int) -> tuple[Array, NDArray[np.uint16]]:
     return road[first] @ motion[:3, :3].T + motion[:3, 3], intensity[first]
 
 
-def _directions() -> Array:
+def _directions() -> Floats:
     """Unit vectors (N, 3) of one revolution of the scanner, in the road frame."""
     azimuth, elevation = np.meshgrid(np.radians(np.arange(0.0, 360.0, _AZIMUTH_STEP_DEG)), np.radians(_BEAMS_DEG))
     cos = np.cos(elevation)
     return np.stack([cos * np.cos(azimuth), cos * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
 
 
-def _write_las(path: Path, xyz: Array, intensity: NDArray[np.uint16]) -> None:
+def _write_las(path: Path, xyz: Floats, intensity: NDArray[np.uint16]) -> None:
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.full(3, 0.01)
     header.offsets = np.floor(xyz.min(axis=0))

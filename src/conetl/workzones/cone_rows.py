@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from conetl.geometry.linear_reference import Floats
+from conetl.model.arrays import Floats
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Knot, Taper
 

@@ -18,7 +18,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from conetl.files.yaml_model import read_yaml_model
-from conetl.geometry.linear_reference import Floats, locate, spacing_beside
+from conetl.geometry.linear_reference import locate, spacing_beside
+from conetl.model.arrays import Floats
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
 from conetl.workzones.road_lines import lanes_at

@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from conetl.geometry.linear_reference import (
-    Floats,
     directions_at,
     locate,
     project,
@@ -22,11 +20,10 @@ from conetl.geometry.linear_reference import (
     stations,
     without_standstill,
 )
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import AxisSource, DrivePath, LaneBands, LaneLine
 
-Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 _STEP_M = 2.0
 _LEAST_PASS_M = 5.0
 #: Two passes belong to one road if they meet within this offset and direction.
@@ -48,7 +45,7 @@ class RoadAxis:
 
     line_m: Floats
     source: AxisSource
-    members: Indices
+    members: Ints
     stations_m: Floats
     offsets_m: Floats
 
@@ -96,9 +93,9 @@ def axes_of(cones_m: Floats, passes: Sequence[DrivePath], params: WorkZoneParams
     return axes
 
 
-def _covered(line_m: Floats, s: Floats, o: Floats, params: WorkZoneParams) -> Mask:
+def _covered(line_m: Floats, s: Floats, o: Floats, params: WorkZoneParams) -> Bools:
     beyond = params.max_beyond_path_m
-    covered: Mask = (np.abs(o) <= params.max_path_offset_m) & (s >= -beyond) & (s <= stations(line_m)[-1] + beyond)
+    covered: Bools = (np.abs(o) <= params.max_path_offset_m) & (s >= -beyond) & (s <= stations(line_m)[-1] + beyond)
     return covered
 
 
@@ -129,7 +126,7 @@ def _lengthened(line_m: Floats, cones_m: Floats, passes: Sequence[DrivePath], pa
     return line_m
 
 
-def _gains(line_m: Floats, cones_m: Floats, covered: Mask, params: WorkZoneParams) -> bool:
+def _gains(line_m: Floats, cones_m: Floats, covered: Bools, params: WorkZoneParams) -> bool:
     """Whether a line covers more cones than those given, and all of these."""
     own = _covered(line_m, *project(line_m, cones_m), params)
     return bool((own & ~covered).any() and not (covered & ~own).any())

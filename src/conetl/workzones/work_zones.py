@@ -16,11 +16,12 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from conetl.geometry.linear_reference import Floats, spacing_beside
+from conetl.geometry.linear_reference import spacing_beside
+from conetl.model.arrays import Floats, Ints
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, ZoneHistory
-from conetl.workzones.road_lines import Indices, axes_of, passes_beside
+from conetl.workzones.road_lines import axes_of, passes_beside
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/work_zone")
 #: A car needs this width between cones; so wide a gap separates two zones.
@@ -55,8 +56,8 @@ def zones_over_time(
     return sorted(zones, key=lambda zone: (zone.start_ns, str(zone.zone_id)))
 
 
-def chain(stations_m: Floats, params: WorkZoneParams) -> list[Indices]:
-    """Indices of cones (C,) along one road in successive groups, each sorted by station.
+def chain(stations_m: Floats, params: WorkZoneParams) -> list[Ints]:
+    """Ints of cones (C,) along one road in successive groups, each sorted by station.
 
     A gap separates if it exceeds `link_factor` times the spacing beside it.
     """
@@ -83,7 +84,7 @@ def clusters(features: Sequence[MapFeature], passes: Sequence[DrivePath], params
     return found
 
 
-def _both_sides(group: Indices, offsets_m: Floats) -> list[Indices]:
+def _both_sides(group: Ints, offsets_m: Floats) -> list[Ints]:
     """The group, or its two halves if the driven path has cones on both sides and a car fits between them."""
     right, left = group[offsets_m[group] < 0], group[offsets_m[group] >= 0]
     if not len(right) or not len(left) or offsets_m[left].min() - offsets_m[right].max() < _CAR_WIDTH_M:

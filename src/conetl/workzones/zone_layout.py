@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from conetl.geometry.linear_reference import Floats, directions_at, locate, project
+from conetl.geometry.linear_reference import directions_at, locate, project
+from conetl.model.arrays import Floats
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.records import Side

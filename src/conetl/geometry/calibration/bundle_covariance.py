@@ -12,11 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.calibration.stereo_bundle import BundleError, Reduced
-
-Array = NDArray[np.float64]
+from conetl.model.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -26,8 +24,8 @@ class RigCovariance:
     design_effect: mean ratio of the two variances, 1 for independent errors.
     """
 
-    matrix: Array
-    least_squares: Array
+    matrix: Floats
+    least_squares: Floats
     design_effect: float
 
 

@@ -19,14 +19,13 @@ from collections.abc import Sequence
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.arrays import Floats
 from conetl.model.records import CalibrationCovariance, Rig, SharedErrorJacobian, SharedErrors
-
-Array = NDArray[np.float64]
 
 INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
 RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
@@ -40,7 +39,7 @@ def known_covariance(rig: Rig) -> CalibrationCovariance | None:
     return (rig.rectified_from or rig).calibration_covariance
 
 
-def calibration_jacobian(points_left_m: ArrayLike, rig: Rig) -> Array:
+def calibration_jacobian(points_left_m: ArrayLike, rig: Rig) -> Floats:
     """Derivative (P, 3, K) of two-view points (P, 3) in the rig's left camera frame with respect to the calibration.
 
     K parameters in the order of `known_covariance(rig).names`; K = 0 without a covariance. Equal weights for all four
@@ -68,11 +67,11 @@ def calibration_jacobian(points_left_m: ArrayLike, rig: Rig) -> Array:
     )
     normal = np.swapaxes(by_point, 1, 2) @ by_point
     moved = -np.linalg.solve(normal, np.swapaxes(by_point, 1, 2) @ columns)
-    turned: Array = taken_R_own.T @ moved
+    turned: Floats = taken_R_own.T @ moved
     return turned
 
 
-def calibration_cov(points_left_m: ArrayLike, rig: Rig) -> Array:
+def calibration_cov(points_left_m: ArrayLike, rig: Rig) -> Floats:
     """Covariance (P, 3, 3) in m^2 of two-view points (P, 3) in the left camera's frame from the calibration alone.
 
     Zero for a calibration without a covariance, which counts as exact.
@@ -80,17 +79,17 @@ def calibration_cov(points_left_m: ArrayLike, rig: Rig) -> Array:
     return shared_cov(calibration_jacobian(points_left_m, rig), rig)
 
 
-def shared_cov(jacobians: ArrayLike, rig: Rig) -> Array:
+def shared_cov(jacobians: ArrayLike, rig: Rig) -> Floats:
     """Covariance (..., 3, 3) of Jacobians (..., 3, K) of `calibration_jacobian`, summed with weights or turned as needed."""
     j = np.asarray(jacobians, dtype=np.float64)
     covariance = known_covariance(rig)
     if covariance is None:
         return np.zeros((*j.shape[:-1], 3))
-    cov: Array = j @ np.array(covariance.matrix) @ np.swapaxes(j, -1, -2)
+    cov: Floats = j @ np.array(covariance.matrix) @ np.swapaxes(j, -1, -2)
     return (cov + np.swapaxes(cov, -1, -2)) / 2
 
 
-def _column(name: str, left: Array, right: Array, relative: Array) -> Array:
+def _column(name: str, left: Floats, right: Floats, relative: Floats) -> Floats:
     """(P, 4) derivative of u_left, v_left, u_right, v_right with respect to one named parameter."""
     column = np.zeros((len(left), 4))
     part, _, field = name.partition(".")
@@ -133,7 +132,7 @@ def shared_errors(rig: Rig) -> SharedErrors | None:
     return SharedErrors(calibration=calibration_id(rig), matrix=as_rows(square_root(covariance.matrix)))
 
 
-def square_root(covariance: ArrayLike) -> Array:
+def square_root(covariance: ArrayLike) -> Floats:
     """(K, K) -> (K, R): L with L L^T = covariance, a column for each uncertain parameter.
 
     Sigmas times the symmetric square root of the correlations: units differ by many powers of ten.
@@ -149,12 +148,12 @@ def square_root(covariance: ArrayLike) -> Array:
     return result
 
 
-def as_rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
+def as_rows(matrix: Floats) -> tuple[tuple[float, ...], ...]:
     """(N, K) -> tuples."""
     return tuple(tuple(row) for row in matrix.tolist())
 
 
-def jacobian_of(jacobian: Array, rig: Rig) -> SharedErrorJacobian | None:
+def jacobian_of(jacobian: Floats, rig: Rig) -> SharedErrorJacobian | None:
     """Shared-error Jacobian of a position from its derivative (3, N) by the parameters of `known_covariance`, if any."""
     shared = shared_errors(rig)
     if shared is None:
@@ -164,7 +163,7 @@ def jacobian_of(jacobian: Array, rig: Rig) -> SharedErrorJacobian | None:
 
 
 def pack_all(
-    calibrations: tuple[UUID, ...], moved_m: Array, *, most: int | None = None
+    calibrations: tuple[UUID, ...], moved_m: Floats, *, most: int | None = None
 ) -> list[SharedErrorJacobian | None]:
     """(N, C, 3, K) metres -> N records, rounded as stored; None for empty ones.
 
@@ -184,7 +183,7 @@ def pack_all(
     ]
 
 
-def unpack_all(calibrations: tuple[UUID, ...], shared_jacobian: Sequence[SharedErrorJacobian | None]) -> Array:
+def unpack_all(calibrations: tuple[UUID, ...], shared_jacobian: Sequence[SharedErrorJacobian | None]) -> Floats:
     """N records, all None or all of the same calibrations -> (N, C, 3, K) metres.
 
     calibrations: the C of the result, which include theirs; 0 for the others.

@@ -22,14 +22,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.motion.stereo_motion import MotionStatus, StereoCameras, estimate_motion, triangulate
 from conetl.geometry.small_arrays import cross_matrix, inverse_of_symmetric, median
+from conetl.model.arrays import Floats
 from conetl.model.params import TrajectoryParams
-
-Floats = NDArray[np.float64]
 
 _OUTER, _INNER = 2, 10
 #: rx, ry, rz, the bend of columns and the skew of rows; and, tried only, the fourth Legendre polynomial of the column.

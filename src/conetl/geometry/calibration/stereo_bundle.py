@@ -19,10 +19,10 @@ from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.camera import project, project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.arrays import Bools, Floats
 from conetl.model.records import LENS_COEFFICIENTS, SIDES, Camera, Lens, LensModel, Side
 
 Ints = NDArray[np.int64]
-Array = NDArray[np.float64]
 #: Prior sigmas of a free board's shape, as a share of its diagonal: paper and plates buckle, but are printed well. Without them
 #: the aspect ratios of a board that is always upright and of the pixels could not be separated.
 SHAPE_SIGMA_ACROSS = 0.001
@@ -43,14 +43,14 @@ class BoardView:
     pair_index: int
     side: Side
     point_ids: Ints
-    uv_px: Array
+    uv_px: Floats
 
-    def only(self, keep: NDArray[np.bool_]) -> BoardView:
+    def only(self, keep: Bools) -> BoardView:
         """The view with the corners of the mask `keep` (n,)."""
         return BoardView(self.pair_index, self.side, self.point_ids[keep], self.uv_px[keep])
 
 
-def shape_basis(points_m: ArrayLike) -> Array:
+def shape_basis(points_m: ArrayLike) -> Floats:
     """Orthonormal basis (3n, 3n - 7) of the deformations of n board points (n, 3) that no rigid motion and no scale explains.
 
     A board's shape and its poses are only determined together up to a similarity; these are the inner constraints of a free
@@ -97,11 +97,11 @@ class Bundle:
 
     left: Camera
     right: Camera
-    left_SE3_right: Array
-    board_SE3: dict[int, Array]
-    points_m: Array
-    basis: Array
-    shape: Array
+    left_SE3_right: Floats
+    board_SE3: dict[int, Floats]
+    points_m: Floats
+    basis: Floats
+    shape: Floats
     sigma_px: float = 0.1
     """Of one image coordinate: the weight of the prior of the board's shape is relative to it."""
 
@@ -114,7 +114,7 @@ class Bundle:
         """Number of unknowns of the rig; the board's shape follows them in the global system."""
         return 2 * (len(INTERIOR) + LENS_COEFFICIENTS[self.lens_model]) + len(RELATIVE)
 
-    def board_points_m(self) -> Array:
+    def board_points_m(self) -> Floats:
         """(n, 3) points of the board with its deformation."""
         return np.asarray(self.points_m + (self.basis @ self.shape).reshape(-1, 3))
 
@@ -123,22 +123,22 @@ class Bundle:
 class PairSystem:
     """One pair in the linearised system: residuals (r,) px, Jacobians of the global (r, g) and the pose unknowns (r, 6)."""
 
-    residuals_px: Array
-    by_global: Array
-    by_pose: Array
+    residuals_px: Floats
+    by_global: Floats
+    by_pose: Floats
 
 
 @dataclass(frozen=True)
 class Reduced:
     """The system without board poses: each pair's share of the normal matrix (p, g, g) and of its right side (p, g)."""
 
-    normals: Array
-    gradients: Array
-    prior: Array
+    normals: Floats
+    gradients: Floats
+    prior: Floats
     """(g, g) normal matrix of the prior of the board's shape."""
 
     @property
-    def normal(self) -> Array:
+    def normal(self) -> Floats:
         """(g, g) reduced normal matrix."""
         return np.asarray(self.normals.sum(axis=0) + self.prior)
 
@@ -149,7 +149,7 @@ def parameter_names(model: LensModel) -> tuple[str, ...]:
     return (*(f"{side}.{name}" for side in SIDES for name in own), *(f"relative.{name}" for name in RELATIVE))
 
 
-def residuals_px(bundle: Bundle, view: BoardView) -> Array:
+def residuals_px(bundle: Bundle, view: BoardView) -> Floats:
     """(n, 2) observed minus computed image points of one view. Raises BundleError where a corner is behind the camera."""
     camera = bundle.left if view.side == "left" else bundle.right
     points = bundle.board_points_m()[view.point_ids]
@@ -165,7 +165,7 @@ def adjust(
     bundle: Bundle,
     views: Sequence[BoardView],
     *,
-    weights: Sequence[Array] | None = None,
+    weights: Sequence[Floats] | None = None,
 ) -> Bundle:
     """The bundle of least weighted squares, from a bundle nearby.
 
@@ -211,7 +211,7 @@ def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:
     return Reduced(np.array(normals), np.array(gradients), _prior(bundle))
 
 
-def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Array]]) -> PairSystem:
+def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Floats]]) -> PairSystem:
     """Residuals and Jacobians of the views of one pair; rows are scaled by the square roots of the weights."""
     pose = bundle.board_SE3[parts[0][0].pair_index]
     points = bundle.board_points_m()
@@ -249,7 +249,7 @@ def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Array]]) -> Pai
 # --------------------------------------------------------------------------- steps
 
 
-def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Array, damping: float) -> Bundle:
+def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Floats, damping: float) -> Bundle:
     size = bundle.rig_parameters + len(bundle.shape)
     normal, right = prior.copy(), np.zeros(size)
     first = bundle.rig_parameters
@@ -275,7 +275,7 @@ def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Array, dampi
     return moved(bundle, step, poses)
 
 
-def moved(bundle: Bundle, step: Array, pose_steps: dict[int, Array]) -> Bundle:
+def moved(bundle: Bundle, step: Floats, pose_steps: dict[int, Floats]) -> Bundle:
     """The bundle after a step (g,) of the global unknowns and (6,) steps of the board poses (rotation vector, shift)."""
     count = bundle.rig_parameters
     own = (count - len(RELATIVE)) // 2
@@ -295,7 +295,7 @@ def moved(bundle: Bundle, step: Array, pose_steps: dict[int, Array]) -> Bundle:
     )
 
 
-def _moved_camera(camera: Camera, step: Array) -> Camera:
+def _moved_camera(camera: Camera, step: Floats) -> Camera:
     fx, fy, cx, cy = (float(v) for v in np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]) + step[:4])
     coefficients = tuple(float(v) for v in np.array(camera.lens.coefficients) + step[4:])
     lens = Lens.model_construct(model=camera.lens.model, coefficients=coefficients)
@@ -303,7 +303,7 @@ def _moved_camera(camera: Camera, step: Array) -> Camera:
     return camera.model_copy(update={"fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy, "lens": lens})
 
 
-def _prior(bundle: Bundle) -> Array:
+def _prior(bundle: Bundle) -> Floats:
     """(g, g): no prior of the rig; one of the board's shape, independent for each corner."""
     first = bundle.rig_parameters
     prior = np.zeros((first + len(bundle.shape),) * 2)
@@ -315,7 +315,7 @@ def _prior(bundle: Bundle) -> Array:
     return prior
 
 
-def _cost(bundle: Bundle, prior: Array, by_pair: dict[int, list[tuple[BoardView, Array]]]) -> float:
+def _cost(bundle: Bundle, prior: Floats, by_pair: dict[int, list[tuple[BoardView, Floats]]]) -> float:
     first = bundle.rig_parameters
     total = float(bundle.shape @ prior[first:, first:] @ bundle.shape)
     for parts in by_pair.values():
@@ -324,7 +324,7 @@ def _cost(bundle: Bundle, prior: Array, by_pair: dict[int, list[tuple[BoardView,
     return total
 
 
-def _cost_or_inf(bundle: Bundle, prior: Array, by_pair: dict[int, list[tuple[BoardView, Array]]]) -> float:
+def _cost_or_inf(bundle: Bundle, prior: Floats, by_pair: dict[int, list[tuple[BoardView, Floats]]]) -> float:
     if not all(f > 0 for c in (bundle.left, bundle.right) for f in (c.fx_px, c.fy_px)):
         return float("inf")
     try:
@@ -335,13 +335,13 @@ def _cost_or_inf(bundle: Bundle, prior: Array, by_pair: dict[int, list[tuple[Boa
     return cost if np.isfinite(cost) else float("inf")
 
 
-def _by_pair(views: Sequence[BoardView], weights: Sequence[Array] | None) -> dict[int, list[tuple[BoardView, Array]]]:
-    found: dict[int, list[tuple[BoardView, Array]]] = defaultdict(list)
+def _by_pair(views: Sequence[BoardView], weights: Sequence[Floats] | None) -> dict[int, list[tuple[BoardView, Floats]]]:
+    found: dict[int, list[tuple[BoardView, Floats]]] = defaultdict(list)
     for number, view in enumerate(views):
         weight = np.ones(len(view.point_ids)) if weights is None else weights[number]
         found[view.pair_index].append((view, weight))
     return dict(sorted(found.items()))
 
 
-def _exp(rotation_vector: Array) -> Array:
+def _exp(rotation_vector: Floats) -> Floats:
     return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix())

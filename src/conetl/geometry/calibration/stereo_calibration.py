@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.bundle_covariance import RigCovariance, rig_covariance
@@ -24,9 +23,8 @@ from conetl.geometry.calibration.stereo_bundle import (
     stereo_pairs,
 )
 from conetl.geometry.lens import distort, distort_jacobian, undistort
+from conetl.model.arrays import Floats
 from conetl.model.records import LENS_COEFFICIENTS, SIDES, CalibrationCovariance, Camera, Lens, LensModel, Rig, Side
-
-Array = NDArray[np.float64]
 
 BoardShape = Literal["flat", "free"]
 MODELS: tuple[LensModel, ...] = ("none", "radial", "brown", "rational", "fisheye")
@@ -50,8 +48,8 @@ class Start:
 
     left: Camera
     right: Camera
-    left_SE3_board: dict[int, Array]
-    right_SE3_board: dict[int, Array]
+    left_SE3_board: dict[int, Floats]
+    right_SE3_board: dict[int, Floats]
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ class StereoCalibration:
 
 
 def calibrate_stereo(
-    points_m: Array,
+    points_m: Floats,
     views: Sequence[BoardView],
     start: Start,
     *,
@@ -173,7 +171,7 @@ def rig_of(calibration: StereoCalibration, rig_id: str, *, scale_sigma_relative:
 
 
 def _assembled(
-    points_m: Array, views: Sequence[BoardView], start: Start
+    points_m: Floats, views: Sequence[BoardView], start: Start
 ) -> tuple[Bundle, list[BoardView], list[ViewRejection]]:
     """A first bundle in one frame, without the pairs whose two images contradict the others."""
     by_key = {(view.pair_index, view.side): view for view in views}
@@ -219,13 +217,13 @@ def _assembled(
     return replace(bundle, board_SE3={p: pose for p, pose in poses.items() if p in used}), kept, rejected
 
 
-def _central(poses: Array) -> Array:
+def _central(poses: Floats) -> Floats:
     """The pose of (n, 4, 4) with the least median distance to the others."""
     turns = np.einsum("aij,bij->ab", poses[:, :3, :3], poses[:, :3, :3])
     angles = np.arccos(np.clip((turns - 1.0) / 2.0, -1.0, 1.0))
     shifts = np.linalg.norm(poses[:, None, :3, 3] - poses[None, :, :3, 3], axis=2)
     size = max(float(np.median(np.linalg.norm(poses[:, :3, 3], axis=1))), 1e-9)
-    central: Array = poses[int(np.argmin(np.median(angles + shifts / size, axis=1)))]
+    central: Floats = poses[int(np.argmin(np.median(angles + shifts / size, axis=1)))]
     return central
 
 
@@ -248,7 +246,7 @@ def _refitted(camera: Camera, model: LensModel) -> Lens:
     bent = _grid(camera, 25)
     ideal = undistort(camera.lens, bent)
     good = np.isfinite(ideal).all(axis=1)
-    fitted: Array
+    fitted: Floats
     if family == "none" or good.sum() < 25:
         fitted = np.zeros(LENS_COEFFICIENTS[family])
     else:
@@ -259,7 +257,7 @@ def _refitted(camera: Camera, model: LensModel) -> Lens:
     return Lens(model=model, coefficients=padded)
 
 
-def _grid(camera: Camera, steps: int) -> Array:
+def _grid(camera: Camera, steps: int) -> Floats:
     """(steps^2, 2) normalised, distorted coordinates spread over the image, edges included."""
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, steps), np.linspace(0, camera.height_px - 1, steps))
     return np.stack([(u.ravel() - camera.cx_px) / camera.fx_px, (v.ravel() - camera.cy_px) / camera.fy_px], axis=1)
@@ -326,7 +324,7 @@ def _enough(views: Sequence[BoardView], rejected: Sequence[ViewRejection]) -> No
         )
 
 
-def _robust_sigma(misses: Sequence[Array]) -> float:
+def _robust_sigma(misses: Sequence[Floats]) -> float:
     """Sigma of one coordinate from the median length of the residuals (Rayleigh's distribution)."""
     return max(float(np.median(np.concatenate(misses))) / float(np.sqrt(2.0 * np.log(2.0))), 1e-9)
 

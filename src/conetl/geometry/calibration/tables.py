@@ -11,16 +11,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.geometry.rectification import rectified_from_raw, rectify
+from conetl.model.arrays import Floats
 from conetl.model.records import Rig, Side
 
-Array = NDArray[np.float64]
 _STEP_RAD = 1e-6
 COVERAGE_CELLS = 8
 
@@ -94,7 +93,7 @@ def rms_px(bundle: Bundle, views: Sequence[BoardView]) -> float:
     return float(np.sqrt(np.concatenate([(residuals_px(bundle, v) ** 2).sum(axis=1) for v in views]).mean()))
 
 
-def epipolar_errors_px(rig: Rig, views: Sequence[BoardView]) -> Array:
+def epipolar_errors_px(rig: Rig, views: Sequence[BoardView]) -> Floats:
     """(n,) row of the left minus row of the right image after rectification, of all corners that both show."""
     rectified = rectify(rig)
     by_pair: dict[int, dict[Side, BoardView]] = defaultdict(dict)
@@ -129,7 +128,7 @@ def _sigmas(rig: Rig) -> dict[str, float]:
     return {name: covariance.matrix[i][i] ** 0.5 for i, name in enumerate(covariance.names)}
 
 
-def _relative_covariance(rig: Rig) -> Array:
+def _relative_covariance(rig: Rig) -> Floats:
     names = list(_sigmas(rig))
     index = [names.index(f"relative.{name}") for name in RELATIVE]
     assert rig.calibration_covariance is not None

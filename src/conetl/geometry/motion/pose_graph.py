@@ -15,15 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.chain_solver import ChainNormal
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.arrays import Floats, Ints
 
-Floats = NDArray[np.float64]
 #: Unknowns of a frame: six of the pose come first, then six of the log's slow error.
 POSE, STATE = 6, 12
 _MAX_ITERATIONS = 15
@@ -53,7 +52,7 @@ class LoggedPoses:
 class MeasuredMotions:
     """M measured intervals: each from frame `start` to the next."""
 
-    start: NDArray[np.intp]
+    start: Ints
     """(M,), each once."""
     next_SE3_first: Floats
     """(M, 4, 4) of the left camera."""

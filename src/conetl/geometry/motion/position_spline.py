@@ -13,11 +13,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Bools, Floats, Ints
 
-Floats = NDArray[np.float64]
 #: Accelerations of a vehicle on a road (m/s^2, one sigma; east, north, up) and how long one lasts (s).
 _ACCELERATION_M_S2, _LASTS_S = np.array([1.8, 1.8, 0.3]), 1.5
 #: Before the first record speed is unknown (m/s, one sigma), and positions differ by as much as this (m).
@@ -217,7 +217,7 @@ def _course(moved: Moved) -> tuple[Floats, Floats]:
     return np.arctan2(north, east), np.minimum(np.hypot(across / speed, slip), _UNKNOWN_RAD)
 
 
-def _moves(moved: Moved) -> NDArray[np.bool_]:
+def _moves(moved: Moved) -> Bools:
     """(M,) whether the course is a heading: after a sudden stop the spline swings back, but the records do not."""
     least = np.maximum(_MOVING_M_S, _MOVING_SIGMAS * moved.velocity_sigma_m_s[:, :2].max(axis=1))
     here, mean = moved.velocity_m_s[:, :2], moved.mean_velocity_m_s[:, :2]
@@ -225,7 +225,7 @@ def _moves(moved: Moved) -> NDArray[np.bool_]:
     return np.asarray(fast & ((here * mean).sum(axis=1) > 0))
 
 
-def _thinned(times_s: Floats) -> NDArray[np.intp]:
+def _thinned(times_s: Floats) -> Ints:
     """Indices of records at least `_LEAST_STEP_S` apart, the first and the last included."""
     kept: list[int] = []
     for k in range(len(times_s)):

@@ -14,15 +14,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from conetl.geometry.small_arrays import all_stepped, apart, cross_matrix, inverse_of_symmetric, median, stepped
+from conetl.model.arrays import Bools, Floats
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Matrix4, Record
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _UPPER = np.triu_indices(6)
 _HYPOTHESES = 64

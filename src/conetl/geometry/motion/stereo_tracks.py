@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from conetl.geometry import pose as se3
@@ -26,10 +26,9 @@ from conetl.geometry.motion.stereo_motion import (
     estimate_motion,
 )
 from conetl.geometry.rig import left_SE3_right, map_SE3_left
+from conetl.model.arrays import Floats
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Positive, Record, Rig
-
-Floats = NDArray[np.float64]
 
 
 class NoMeasurement(StrEnum):

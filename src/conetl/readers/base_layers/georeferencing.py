@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 from scipy.spatial import cKDTree
 
 from conetl.files.documents import shown
 from conetl.geometry.geodesy import to_geodetic
+from conetl.model.arrays import Bools, Floats
 from conetl.model.errors import InputError
-
-Array = NDArray[np.float64]
 
 #: Coordinates farther outside the CRS's area of use are warned of.
 _AREA_MARGIN_DEG = 0.5
@@ -88,13 +86,13 @@ def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
         raise ValueError(f"there is no transformation from {crs.name} to EPSG:{map_srid}: {error}") from error
 
 
-def to_map(layer: LayerCrs, xyz: Array, height_offset_m: float = 0.0) -> Array:
+def to_map(layer: LayerCrs, xyz: Floats, height_offset_m: float = 0.0) -> Floats:
     """(N, 3) of the layer's file -> (N, 3) easting, northing, height in metres; inf where the map's CRS has no such point."""
     east, north = layer.to_map.transform(xyz[:, 0], xyz[:, 1])
     return np.column_stack([east, north, xyz[:, 2] * layer.height_factor + height_offset_m])
 
 
-def axes_seem_swapped(layer: LayerCrs, xy: Array, map_lonlat: tuple[float, float] | None) -> bool:
+def axes_seem_swapped(layer: LayerCrs, xy: Floats, map_lonlat: tuple[float, float] | None) -> bool:
     """True where coordinates (N, 2) only make sense in the other order: invalid latitudes, or far from the map else.
 
     map_lonlat: position of the map. Projected coordinates are compared with it only.
@@ -108,13 +106,13 @@ def axes_seem_swapped(layer: LayerCrs, xy: Array, map_lonlat: tuple[float, float
     return bool(swapped < 1.0 and as_is > 2.0 + swapped)
 
 
-def outside_area(layer: LayerCrs, xy: Array) -> bool:
+def outside_area(layer: LayerCrs, xy: Floats) -> bool:
     """True where the median of coordinates (N, 2) is outside the area of use of their CRS."""
     lonlat = np.array([layer.to_lonlat.transform(*np.median(xy, axis=0))])
     return layer.horizontal.area_of_use is not None and not in_area(layer.horizontal, lonlat, _AREA_MARGIN_DEG)[0]
 
 
-def in_area(crs: CRS, lonlat: Array, margin_deg: float) -> NDArray[np.bool_]:
+def in_area(crs: CRS, lonlat: Floats, margin_deg: float) -> Bools:
     """Whether positions (N, 2) are in the area of use of a CRS, if it has one, or at most this far outside."""
     area = crs.area_of_use
     if area is None:
@@ -126,7 +124,7 @@ def in_area(crs: CRS, lonlat: Array, margin_deg: float) -> NDArray[np.bool_]:
     return np.asarray(inside & (lat >= area.south - margin_deg) & (lat <= area.north + margin_deg))
 
 
-def _distance_deg(layer: LayerCrs, point: Array, map_lonlat: tuple[float, float]) -> float:
+def _distance_deg(layer: LayerCrs, point: Floats, map_lonlat: tuple[float, float]) -> float:
     if layer.horizontal.is_geographic and abs(point[1]) > 90.0:
         return float("inf")
     lon, lat = layer.to_lonlat.transform(*point)
@@ -139,7 +137,7 @@ class MapGround(NamedTuple):
     """The road under the drives of a map, in the map's CRS, metres."""
 
     srid: int
-    ground_m: Array
+    ground_m: Floats
     """(N, 3) points on the road under the poses of its drives; empty where nothing was ingested."""
 
     def lonlat(self) -> tuple[float, float] | None:
@@ -150,7 +148,7 @@ class MapGround(NamedTuple):
         return float(lon), float(lat)
 
 
-def ground_under(poses_m: Array, feet_m: Array) -> Array:
+def ground_under(poses_m: Floats, feet_m: Floats) -> Floats:
     """(N, 3) points on the road: positions of the body (N, 3), lowered by the median height above the feet of cones (M, 3).
 
     Without cones the positions themselves.
@@ -181,7 +179,7 @@ def resolve_crs(path: Path, stated: CRS | None, given: str | None, ground: MapGr
     return layer, warnings
 
 
-def check_coordinates(path: Path, layer: LayerCrs, xy: Array, ground: MapGround) -> list[str]:
+def check_coordinates(path: Path, layer: LayerCrs, xy: Floats, ground: MapGround) -> list[str]:
     """Reject swapped coordinates, warn of ones outside their CRS's area of use. xy: (N, 2), a sample of the file."""
     finite = xy[np.isfinite(xy).all(axis=1)]
     if len(finite) == 0:
@@ -202,7 +200,7 @@ def check_coordinates(path: Path, layer: LayerCrs, xy: Array, ground: MapGround)
     return []
 
 
-def check_near(name: str, low_m: Array, high_m: Array, ground: MapGround) -> list[str]:
+def check_near(name: str, low_m: Floats, high_m: Floats, ground: MapGround) -> list[str]:
     """Warn of a layer whose extent (low and high corner, 2 each) is far from every drive."""
     if len(ground.ground_m) == 0:
         return []
@@ -215,7 +213,7 @@ def check_near(name: str, low_m: Array, high_m: Array, ground: MapGround) -> lis
     ]
 
 
-def check_heights(name: str, xyz_m: Array, ground: MapGround) -> list[str]:
+def check_heights(name: str, xyz_m: Floats, ground: MapGround) -> list[str]:
     """Warn where points or vertices (N, 3) along the drives are well above or below the road."""
     if len(ground.ground_m) == 0 or len(xyz_m) == 0:
         return []
@@ -233,7 +231,7 @@ def check_heights(name: str, xyz_m: Array, ground: MapGround) -> list[str]:
     ]
 
 
-def drape(xy_m: Array, ground: MapGround) -> Array:
+def drape(xy_m: Floats, ground: MapGround) -> Floats:
     """Heights (N,) of the road at vertices (N, 2): those under the nearest pose; 0 in a map without drives."""
     if len(ground.ground_m) == 0:
         return np.zeros(len(xy_m))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from conetl.files.documents import MAX_SHOWN, named
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.point_tiles import Cloud
 
@@ -76,7 +77,7 @@ def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
         )
 
 
-def _shade(intensity: NDArray[np.float64], brightest: float) -> NDArray[np.uint8]:
+def _shade(intensity: Floats, brightest: float) -> NDArray[np.uint8]:
     if brightest <= 0:
         return np.full(len(intensity), _PLAIN_SHADE, np.uint8)
     return np.clip(np.rint(intensity / brightest * 255), 0, 255).astype(np.uint8)

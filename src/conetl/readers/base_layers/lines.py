@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
 MAX_LINES = 500_000
@@ -33,7 +33,7 @@ class Line(NamedTuple):
 
     kind: str
     """As in the file: line_thin, curbstone, road_border, solid, ..."""
-    xyz: NDArray[np.float64]
+    xyz: Floats
     """(N, 3) in the file's CRS and units, N >= 2; heights are NaN where the file has none."""
     attributes: Mapping[str, Any]
 

@@ -14,15 +14,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from conetl.files.documents import MAX_SHOWN, named, shown
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.base_layers.lines import Line, LineFile, add_line
 
-Array = NDArray[np.float64]
 Element = ElementTree.Element
 
 #: Between samples of a curve; headings are integrated over steps of this length at most.
@@ -79,7 +78,7 @@ class Lane(NamedTuple):
     borders: tuple[Cubic, ...] = ()
 
 
-def cubic_at(pieces: Sequence[Cubic], s_m: Array) -> Array:
+def cubic_at(pieces: Sequence[Cubic], s_m: Floats) -> Floats:
     """Value (N,) of piecewise cubics at s; 0 where there are none or before the first."""
     s = np.asarray(s_m, np.float64)
     start, a, b, c, d = np.array([Cubic(-np.inf, 0.0), *sorted(pieces, key=lambda p: p.start_m)]).T
@@ -88,7 +87,7 @@ def cubic_at(pieces: Sequence[Cubic], s_m: Array) -> Array:
     return np.asarray(a[owner] + ds * (b[owner] + ds * (c[owner] + ds * d[owner])))
 
 
-def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Array:
+def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Floats:
     """Sorted s from from_m to to_m: the ends, where a geometry begins, and every STEP_M between."""
     count = max(int(np.ceil((to_m - from_m) / STEP_M)), 1)
     joints = [p.start_m for p in pieces if from_m < p.start_m < to_m]
@@ -96,7 +95,7 @@ def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Array:
     return np.asarray(s[np.concatenate([[True], np.diff(s) > 1e-6])])
 
 
-def reference_line(pieces: Sequence[Piece], s_m: Array) -> tuple[Array, Array]:
+def reference_line(pieces: Sequence[Piece], s_m: Floats) -> tuple[Floats, Floats]:
     """Positions (N, 2) and headings (N,) of the reference line at s; of its nearest end outside of the pieces."""
     ordered = sorted(pieces, key=lambda p: p.start_m)
     starts = np.array([p.start_m for p in ordered])
@@ -114,8 +113,8 @@ def reference_line(pieces: Sequence[Piece], s_m: Array) -> tuple[Array, Array]:
 
 
 def lane_borders(
-    lanes: Sequence[Lane], offset: Sequence[Cubic], section_start_m: float, s_m: Array
-) -> dict[int, Array]:
+    lanes: Sequence[Lane], offset: Sequence[Cubic], section_start_m: float, s_m: Floats
+) -> dict[int, Floats]:
     """Lane id -> t (N,) of its outer border at s; id 0 is the centre line. Left lanes have positive ids."""
     centre = cubic_at(offset, s_m)
     ds = np.asarray(s_m, np.float64) - section_start_m
@@ -132,8 +131,8 @@ def lane_borders(
 
 
 def offset_line(
-    pieces: Sequence[Piece], elevation: Sequence[Cubic], superelevation: Sequence[Cubic], s_m: Array, t_m: Array
-) -> Array:
+    pieces: Sequence[Piece], elevation: Sequence[Cubic], superelevation: Sequence[Cubic], s_m: Floats, t_m: Floats
+) -> Floats:
     """Points (N, 3) at (s, t): across the reference line, tilted by the superelevation (counter-clockwise seen along s)."""
     xy, heading = reference_line(pieces, s_m)
     roll = cubic_at(superelevation, s_m)
@@ -142,7 +141,7 @@ def offset_line(
     return np.column_stack([xy + across[:, None] * left, cubic_at(elevation, s_m) + t_m * np.sin(roll)])
 
 
-def _curvature(piece: Piece, ds: Array) -> tuple[Array, Array]:
+def _curvature(piece: Piece, ds: Floats) -> tuple[Floats, Floats]:
     """Line, arc, spiral: the heading is a quadratic of s; its unit vector is integrated by Gauss-Legendre over short steps.
 
     (Fresnel integrals are the closed form, but lose all digits where the curvature hardly changes.)
@@ -157,7 +156,7 @@ def _curvature(piece: Piece, ds: Array) -> tuple[Array, Array]:
     return track[np.searchsorted(grid, ds)], piece.k0 * ds + rate * ds**2 / 2
 
 
-def _polynomial(piece: Piece, ds: Array) -> tuple[Array, Array]:
+def _polynomial(piece: Piece, ds: Floats) -> tuple[Floats, Floats]:
     if piece.shape == "poly3":  # v is a polynomial of u, and s the length of the curve: find u(s)
         u = np.linspace(0.0, piece.length_m, _ARC_LENGTH_SAMPLES)
         slope = np.abs(np.hypot(1.0, _derivative(piece.v, u)))
@@ -169,11 +168,11 @@ def _polynomial(piece: Piece, ds: Array) -> tuple[Array, Array]:
     return np.column_stack([_value(piece.u, p), _value(piece.v, p)]), turn
 
 
-def _value(c: tuple[float, float, float, float], p: Array) -> Array:
+def _value(c: tuple[float, float, float, float], p: Floats) -> Floats:
     return np.asarray(c[0] + p * (c[1] + p * (c[2] + p * c[3])))
 
 
-def _derivative(c: tuple[float, float, float, float], p: Array) -> Array:
+def _derivative(c: tuple[float, float, float, float], p: Floats) -> Floats:
     return np.asarray(c[1] + p * (2 * c[2] + p * 3 * c[3]))
 
 
@@ -312,7 +311,7 @@ def _number(element: Element, name: str) -> float:
     return value
 
 
-def _header_offset(root: Element) -> tuple[Array, Array]:
+def _header_offset(root: Element) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and translation (3,) of header/offset, from the file's coordinates to those of its CRS."""
     offset = root.find("header/offset")
     stated = {} if offset is None else {k: _number(offset, k) for k in ("x", "y", "z", "hdg") if offset.get(k)}
@@ -321,7 +320,7 @@ def _header_offset(root: Element) -> tuple[Array, Array]:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z])
 
 
-def _simplified(xyz: Array) -> Array:
+def _simplified(xyz: Floats) -> Floats:
     """The vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one. Raises ValueError."""
     if not (np.abs(xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
         raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")

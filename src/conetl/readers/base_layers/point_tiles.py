@@ -18,9 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.errors import InputError
-
-Array = NDArray[np.float64]
 
 ROOT_M = 4096.0
 #: Spacings along a tile's side.
@@ -45,10 +44,10 @@ _RECORD = np.dtype([("xy", "<f4", 2), ("z", "<f8"), ("shade", "u1")])
 class Cloud(NamedTuple):
     """xyz_m (N, 3) in the map's CRS; shade (N,) uint8, dark to bright (intensity)."""
 
-    xyz_m: Array
+    xyz_m: Floats
     shade: NDArray[np.uint8]
 
-    def take(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Cloud:
+    def take(self, index: NDArray[np.integer] | Bools) -> Cloud:
         """The points of an index or mask."""
         return Cloud(self.xyz_m[index], self.shade[index])
 
@@ -80,7 +79,7 @@ def join(clouds: Iterable[Cloud]) -> Cloud:
     return Cloud(np.concatenate([p.xyz_m for p in parts]), np.concatenate([p.shade for p in parts]))
 
 
-def first_in_voxels(xyz_m: Array, voxel_m: float) -> NDArray[np.intp]:
+def first_in_voxels(xyz_m: Floats, voxel_m: float) -> Ints:
     """Indices, rising, of the first point in every voxel of points (N, 3). Voxels are aligned with the map's origin."""
     if len(xyz_m) == 0:
         return np.zeros(0, np.intp)
@@ -94,7 +93,7 @@ def first_in_voxels(xyz_m: Array, voxel_m: float) -> NDArray[np.intp]:
     return np.sort(first)
 
 
-def cell_indices(xyz_m: Array, side_m: float) -> NDArray[np.int64]:
+def cell_indices(xyz_m: Floats, side_m: float) -> NDArray[np.int64]:
     """(N, 2) index of the square of this side around each point."""
     return np.floor(xyz_m[:, :2] / side_m).astype(np.int64)
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import Transformer
 
 from conetl.files.documents import shown
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.maps.tables import read_table
 
@@ -19,7 +19,7 @@ class Gazetteer:
     """Places by name."""
 
     names: tuple[str, ...]
-    lon_lat_deg: NDArray[np.float64]
+    lon_lat_deg: Floats
     """(n, 2) WGS 84."""
 
     def find(self, text: str, most: int) -> list[int]:

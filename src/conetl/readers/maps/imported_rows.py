@@ -12,7 +12,6 @@ from typing import Annotated, Any
 from uuid import UUID, uuid5
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
@@ -20,6 +19,7 @@ from pyproj.exceptions import CRSError
 from conetl.files.documents import expectation, key_of, shown
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import to_ellipsoidal, utm_srid
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
@@ -175,7 +175,7 @@ class _Rows:
             )
         return max(known)
 
-    def statement(self, index: int, feature_id: UUID, xyz_m: NDArray[np.float64], stated_ns: int) -> ImportedFeature:
+    def statement(self, index: int, feature_id: UUID, xyz_m: Floats, stated_ns: int) -> ImportedFeature:
         values = self.values(index)
         try:
             row = _Row.model_validate(self.defaults | values)
@@ -271,7 +271,7 @@ def _file_crs(table: MapTable, stated: str | None) -> CRS:
     return crs
 
 
-def _with_ellipsoidal_heights(table: MapTable, crs: CRS) -> NDArray[np.float64]:
+def _with_ellipsoidal_heights(table: MapTable, crs: CRS) -> Floats:
     try:
         return to_ellipsoidal(table.xyz, crs)
     except InputError as error:
@@ -301,7 +301,7 @@ def _zone_hint(table: MapTable, crs: CRS) -> str:
     return f"; the first cone, at longitude {lon:.4f}, latitude {lat:.4f}, would be in EPSG:{srid}"
 
 
-def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> NDArray[np.float64]:
+def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> Floats:
     """(n, 3) in the map's CRS. Raises InputError naming the first row whose position is invalid or outside its area of use."""
 
     def require(good: Any, problem: Callable[[int], str]) -> None:
@@ -339,12 +339,12 @@ def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> ND
     return np.stack([east, north, heights], axis=1)
 
 
-def _to_wgs84(crs: CRS, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _to_wgs84(crs: CRS, xyz: Floats) -> Floats:
     lon, lat = Transformer.from_crs(crs, _WGS84, always_xy=True).transform(xyz[:, 0], xyz[:, 1])
     return np.stack([np.asarray(lon), np.asarray(lat)], axis=1)
 
 
-def _require_different_positions(path: Path, xyz_m: NDArray[np.float64]) -> None:
+def _require_different_positions(path: Path, xyz_m: Floats) -> None:
     """Raise InputError where two rows are within a millimetre: one cone written twice."""
     first: dict[tuple[int, int], int] = {}
     for index, (x, y) in enumerate(np.round(xyz_m[:, :2] * 1000).astype(np.int64).tolist()):
@@ -359,7 +359,7 @@ def _ns(instant: datetime) -> int:
     return int(np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "us").astype(np.int64)) * 1000
 
 
-def _text(values: NDArray[np.float64]) -> str:
+def _text(values: Floats) -> str:
     return ", ".join(
         f"{value:g}" if not math.isfinite(value) else f"{value:.6f}".rstrip("0").rstrip(".") for value in values
     )

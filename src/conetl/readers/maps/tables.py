@@ -19,11 +19,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from conetl.files.documents import MAX_SHOWN, shown
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
 
@@ -57,7 +57,7 @@ class MapTable:
     path: Path
     crs: CRS | None
     """None where the file has none."""
-    xyz: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    xyz: Floats = field(default_factory=lambda: np.empty((0, 3)))
     """(n, 3) in `crs`, east before north, longitude before latitude; heights NaN where there are none."""
     columns: dict[str, list[Any]] = field(default_factory=dict)
     layers: tuple[str, ...] = ()

@@ -11,16 +11,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 import yaml
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from conetl.files.atomic import atomic_text_file
 from conetl.files.documents import first_message, named, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, InputError
 from conetl.model.records import MAX_IMAGE_PIXELS, Camera, Lens, Rig
 
-Array = NDArray[np.float64]
 Size = tuple[int, int]
 Pair = tuple[str, str]
 """Names of the left and the right camera in a file with several."""
@@ -94,7 +94,7 @@ class Node(NamedTuple):
         """One finite number."""
         return float(self.numbers((1,))[0])
 
-    def numbers(self, shape: tuple[int, ...] | None = None) -> Array:
+    def numbers(self, shape: tuple[int, ...] | None = None) -> Floats:
         """Finite numbers of the given shape (or any flat count), from lists or from {rows, cols, data}."""
         value = self.value
         if isinstance(value, Mapping):
@@ -125,14 +125,14 @@ class Node(NamedTuple):
             raise self.bad(f"must be whole numbers of pixels, found {size[0]:g} x {size[1]:g}")
         return int(size[0]), int(size[1])
 
-    def rotation(self) -> Array:
+    def rotation(self) -> Floats:
         """The rotation nearest to a (3, 3) matrix written with few digits."""
         matrix = self.numbers((3, 3))
         if not se3.is_rotation(matrix):
             raise self.bad("is not a rotation")
         return se3.nearest_rotation(matrix)
 
-    def motion(self) -> Array:
+    def motion(self) -> Floats:
         """A rigid motion (4, 4)."""
         matrix = self.numbers((4, 4))
         if not np.allclose(matrix[3], [0, 0, 0, 1]) or not se3.is_rotation(matrix[:3, :3]):
@@ -168,7 +168,7 @@ def choose_pair(path: Path, names: Sequence[str], pair: Sequence[str] | None) ->
     return left, right
 
 
-def camera_from_matrix(node: Node, k: Array, size: Size, lens: Lens) -> Camera:
+def camera_from_matrix(node: Node, k: Floats, size: Size, lens: Lens) -> Camera:
     """Camera of a (3, 3) matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, which `node` has. Raises CalibrationError."""
     fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
     if not (fx > 0 and fy > 0):
@@ -207,12 +207,12 @@ def pinhole_camera(node: Node, coefficients: str, lenses: Mapping[str | None, st
     return camera_from_matrix(intrinsics, matrix_of(*intrinsics.numbers((4,))), node.at("resolution").size(), lens)
 
 
-def matrix_of(fx: float, fy: float, cx: float, cy: float) -> Array:
+def matrix_of(fx: float, fy: float, cx: float, cy: float) -> Floats:
     """(3, 3) camera matrix."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def opencv_lens(node: Node, coefficients: Sequence[float] | Array | None = None) -> Lens:
+def opencv_lens(node: Node, coefficients: Sequence[float] | Floats | None = None) -> Lens:
     """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].
 
     coefficients: those of `node` unless given. Raises CalibrationError.
@@ -242,7 +242,7 @@ def opencv_coefficients(lens: Lens) -> list[float]:
     return [*lens.coefficients, *[0.0] * (5 - len(lens.coefficients))]
 
 
-def stereo_rig(node: Node, tool: str, left: Camera, right: Camera, right_SE3_left: Array) -> Rig:
+def stereo_rig(node: Node, tool: str, left: Camera, right: Camera, right_SE3_left: Floats) -> Rig:
     """Rig of the usual stereo calibration `p_right = R p_left + t`, as (4, 4); the body is the left camera.
 
     node: the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises CalibrationError.

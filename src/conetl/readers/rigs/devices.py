@@ -23,11 +23,11 @@ from scipy.spatial.transform import Rotation
 
 from conetl.files.documents import MAX_SHOWN, read_json, read_limited, shown
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
 from conetl.model.records import MIN_BASELINE_M, Camera, Lens, Rig
 from conetl.readers.rigs.common import (
     LENGTH_UNITS,
-    Array,
     Node,
     Pair,
     Size,
@@ -135,7 +135,7 @@ def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     stated = tuple(_socket(rectification.get(f"{side}CameraSocket").value) for side in ("left", "right"))
     named = None if pair is None else tuple(_socket(name) for name in pair)
     left, right = choose_pair(path, [*cameras], named or (stated if all(name in cameras for name in stated) else None))
-    poses: dict[tuple[str, str], Array] = {}
+    poses: dict[tuple[str, str], Floats] = {}
     for name, camera in cameras.items():
         found = _pose(camera)
         if found is not None:
@@ -187,7 +187,7 @@ def _oak_camera(camera: Node) -> Camera:
     return camera_from_matrix(matrix, matrix.numbers((3, 3)), size, lens)
 
 
-def _pose(camera: Node) -> tuple[str, Array] | None:
+def _pose(camera: Node) -> tuple[str, Floats] | None:
     """The socket that a camera's extrinsics lead to, and to_SE3_camera (4, 4); None at the end of the chain."""
     extrinsics = camera.get("extrinsics")
     if not isinstance(extrinsics.value, Mapping) or extrinsics.value.get("toCameraSocket", -1) == -1:
@@ -200,7 +200,7 @@ def _pose(camera: Node) -> tuple[str, Array] | None:
     return _socket(extrinsics.value["toCameraSocket"]), se3.se3(turn, _UNITS_M[unit] * t)
 
 
-def _check(rectification: Node, right_SE3_left: Array) -> None:
+def _check(rectification: Node, right_SE3_left: Floats) -> None:
     """Raise CalibrationError where the rectification in the file is that of another pose."""
     try:
         left_R, right_R = (rectification.at(f"rectifiedRotation{side}").numbers((3, 3)) for side in ("Left", "Right"))

@@ -17,9 +17,10 @@ import numpy as np
 from conetl.files.documents import named, read_limited
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Lens, Rig
-from conetl.readers.rigs.common import Array, Node, Size, calibration_errors, camera_from_matrix, rectified_rig
+from conetl.readers.rigs.common import Node, Size, calibration_errors, camera_from_matrix, rectified_rig
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
@@ -99,7 +100,7 @@ def read_kitti_rig(
         )  # fmt: skip
 
 
-def _rectified_camera(path: Path, cameras: dict[str, Array], number: int) -> tuple[Camera, Array]:
+def _rectified_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Camera, Floats]:
     """A rectified camera and its pose (4, 4) in the rectified frame of camera 0."""
     key, size = f"P_rect_{number:02d}", f"S_rect_{number:02d}"
     p = cameras[key].reshape(3, 4)
@@ -107,7 +108,7 @@ def _rectified_camera(path: Path, cameras: dict[str, Array], number: int) -> tup
     return camera, se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
 
 
-def _raw_camera(path: Path, cameras: dict[str, Array], number: int) -> tuple[Camera, Array]:
+def _raw_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Camera, Floats]:
     """A camera that took the images and its pose (4, 4) in camera 0."""
     s, k, d, r, t = (f"{key}_{number:02d}" for key in "SKDRT")
     lens = Lens(model="brown", coefficients=tuple(cameras[d].tolist())) if cameras[d].any() else Lens()
@@ -116,7 +117,7 @@ def _raw_camera(path: Path, cameras: dict[str, Array], number: int) -> tuple[Cam
     return camera, se3.invert(se3.se3(Node(path, cameras[r], r).rotation(), cameras[t]))
 
 
-def motion_of(path: Path, link: dict[str, Array]) -> Array:
+def motion_of(path: Path, link: dict[str, Floats]) -> Floats:
     """The motion (4, 4) of R (9) and T (3) of a file. Raises CalibrationError."""
     return se3.se3(Node(path, link["R"], "R").rotation(), link["T"])
 
@@ -131,7 +132,7 @@ def _raw_size(cam_to_cam: Path, number: int) -> Size | None:
 
 
 @calibration_errors()
-def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Array]:
+def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Floats]:
     """The wanted keys of a `key: numbers` file as flat arrays, given their counts of numbers. Raises CalibrationError."""
     lines = _lines(path)
     for key, count in wanted.items():

@@ -23,17 +23,10 @@ from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, MAX_SHOWN, read_by
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Rig
-from conetl.readers.rigs.common import (
-    Array,
-    Node,
-    Size,
-    camera_from_matrix,
-    opencv_coefficients,
-    opencv_lens,
-    stereo_rig,
-)
+from conetl.readers.rigs.common import Node, Size, camera_from_matrix, opencv_coefficients, opencv_lens, stereo_rig
 
 #: What to add to a camera matrix: MATLAB's first pixel is (1, 1), ours (0, 0).
 _ORIGIN = np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 0]])
@@ -60,7 +53,7 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     return stereo_rig(key, "matlab", left, right, se3.se3(right_R_left, t * unit_m))
 
 
-def _relative(found: Node) -> tuple[Node, Array, Array]:
+def _relative(found: Node) -> tuple[Node, Floats, Floats]:
     """Where the pose is, rotation and translation of `p_right = R p_left + t`, in the file's unit."""
     if _given(found.get("RotationOfCamera2")):
         rotation = found.at("RotationOfCamera2").numbers((3, 3)).T

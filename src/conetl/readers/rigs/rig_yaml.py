@@ -18,9 +18,10 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.rectification import check_stereo_baseline
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
 from conetl.model.records import CalibrationCovariance, Camera, Lens, Matrix3, NonNegative, Positive, Record, Rig, Vec3
-from conetl.readers.rigs.common import Array, Pair, calibration_errors, choose_pair, rig_of, write_yaml
+from conetl.readers.rigs.common import Pair, calibration_errors, choose_pair, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"
 #: Units of `sigmas` besides those of CalibrationCovariance.
@@ -101,7 +102,7 @@ class _RigidFile(Record):
     R: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     t_m: Vec3
 
-    def matrix(self, name: str) -> Array:
+    def matrix(self, name: str) -> Floats:
         try:
             return se3.se3(se3.nearest_rotation(np.array(self.R)), np.array(self.t_m))
         except ValueError as error:
@@ -258,5 +259,5 @@ def write_rig_yaml(rig: Rig, path: Path) -> None:
     write_yaml(path, content)
 
 
-def _rigid(pose: Array) -> dict[str, Any]:
+def _rigid(pose: Floats) -> dict[str, Any]:
     return {"R": pose[:3, :3].tolist(), "t_m": pose[:3, 3].tolist()}

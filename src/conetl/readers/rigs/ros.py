@@ -25,10 +25,10 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import intrinsics, matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Rig
 from conetl.readers.rigs.common import (
-    Array,
     Node,
     Pair,
     camera_from_matrix,
@@ -105,7 +105,7 @@ def rig_of_camera_infos(left_info: Node, right_info: Node) -> Rig:
     return stereo_rig(projection, "ros", left, right, se3.se3(right_R.T @ left_R, -right_R.T @ centre))
 
 
-def _camera(info: Node) -> tuple[Camera, Array, Array]:
+def _camera(info: Node) -> tuple[Camera, Floats, Floats]:
     """Camera, its rectification matrix (3, 3) and its projection matrix (3, 4)."""
     if not isinstance(info.value, Mapping):
         raise CalibrationError(f"{info.path}: expected the YAML mapping of a ROS camera_info")
@@ -158,7 +158,7 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
         write_yaml(folder / f"{name}.yaml", content)
 
 
-def _matrix(values: Array) -> dict[str, Any]:
+def _matrix(values: Floats) -> dict[str, Any]:
     return {"rows": values.shape[0], "cols": values.shape[1], "data": [float(v) for v in values.reshape(-1)]}
 
 
