@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from conetl.cli.tools.evaluate import analyse_folder
-from conetl.evaluation.accuracy import PointErrors, members_of, pooled_consistency, position_errors
+from conetl.evaluation.accuracy import PointErrors, drive_consistency, members_of, position_errors
 from conetl.evaluation.truth import compare_with_truth, read_truth_cones
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
@@ -60,7 +60,7 @@ def errors_of(truth: Path, results: AnalysedDrive, factor: float) -> PointErrors
 def test_sigmas_of_three_drives_together(sightings: dict[Path, AnalysedDrive], factor: float, holds: bool) -> None:
     """In the 95 % band of the summed degrees of freedom, which sigmas of half or double size leave."""
     errors = [errors_of(drive / "truth.csv", results, factor) for drive, results in sightings.items()]
-    together = pooled_consistency(errors)
+    together = drive_consistency(*errors)
     assert together is not None
     assert together.relative.dof > 1000
     assert together.relative.holds() is holds

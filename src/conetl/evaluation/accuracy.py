@@ -20,8 +20,8 @@ from conetl.tracking.error_propagation import PoseCov, constant_and_change, move
 
 #: Upper ends of the range bands; the last is open.
 RANGE_BANDS_M = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0)
-#: Fields of `PointErrors` with one row per estimate, except the common Jacobian.
-_PER_ESTIMATE = ("truth_m", "difference_m", "cov_m2", "own_cov_m2", "range_m", "sight")
+#: Fields of `PointErrors` with one row per estimate.
+_PER_ESTIMATE = ("truth_m", "difference_m", "cov_m2", "own_cov_m2", "range_m", "sight", "common_jacobian")
 
 
 @dataclass(frozen=True)
@@ -187,12 +187,12 @@ def position_errors(
     )
 
 
-def statistics(errors: PointErrors) -> ErrorStatistics | None:
-    """Figures of all errors; None without errors."""
-    if not len(errors.difference_m):
+def statistics(*drives: PointErrors) -> ErrorStatistics | None:
+    """Figures of all errors of a drive, or of several together; None without errors."""
+    difference = np.concatenate([errors.difference_m for errors in drives])
+    if not len(difference):
         return None
-    difference = errors.difference_m
-    sight = errors.in_sight_axes(difference)
+    sight = np.concatenate([errors.in_sight_axes(errors.difference_m) for errors in drives])
     length = np.linalg.norm(difference, axis=1)
     return ErrorStatistics(
         count=len(difference),
@@ -202,7 +202,7 @@ def statistics(errors: PointErrors) -> ErrorStatistics | None:
         bias_enu_m=vec3(difference.mean(axis=0)),
         rmse_sight_m=_rms(sight),
         bias_sight_m=vec3(sight.mean(axis=0)),
-        stated_sigma_sight_m=_rms(errors.sigma_in_sight_axes()),
+        stated_sigma_sight_m=_rms(np.concatenate([errors.sigma_in_sight_axes() for errors in drives])),
         ce90_m=ce90_m(difference),
         le90_m=le90_m(difference),
     )
@@ -225,34 +225,20 @@ def select(errors: PointErrors, keep: Bools) -> PointErrors:
         errors,
         cone_ids=tuple(name for name, kept in zip(errors.cone_ids, keep.tolist(), strict=True) if kept),
         change_cov_m2=None if change is None else change[np.ix_(*2 * [np.repeat(keep, 3)])],
-        **{name: getattr(errors, name)[keep] for name in (*_PER_ESTIMATE, "common_jacobian")},
+        **{name: getattr(errors, name)[keep] for name in _PER_ESTIMATE},
     )
 
 
-def drive_consistency(errors: PointErrors) -> Consistency | None:
-    """NEES of all errors of one drive, with its relative and common part; None without errors."""
-    if not len(errors.difference_m):
-        return None
-    return consistency(errors.difference_m, errors.whole_own_cov_m2(), errors.common_jacobian, errors.common_cov)
+def drive_consistency(*drives: PointErrors) -> Consistency | None:
+    """NEES of all errors of a drive, with its relative and common part; None without errors.
 
-
-def pooled_consistency(drives: Sequence[PointErrors]) -> Consistency | None:
-    """NEES of several drives together, each with its own common errors; None without errors.
-
-    One drive in twenty is outside of a 95 % band by chance, and has few common errors: judge a campaign by the sum.
+    Of several drives together, each with its own common errors. One drive in twenty is outside of a 95 % band by chance, and has
+    few common errors: judge a campaign by the sum.
     """
-    return pooled(map(drive_consistency, drives))
-
-
-def pooled_statistics(drives: Sequence[PointErrors]) -> ErrorStatistics | None:
-    """Figures of the errors of several drives together; None without errors."""
-    count = sum(len(errors.difference_m) for errors in drives)
-    if not count:
-        return None
-    together = {name: np.concatenate([getattr(errors, name) for errors in drives]) for name in _PER_ESTIMATE}
-    cone_ids = tuple(name for errors in drives for name in errors.cone_ids)
-    return statistics(
-        PointErrors(cone_ids, **together, common_jacobian=np.zeros((count, 3, 0)), common_cov=np.zeros((0, 0)))
+    return pooled(
+        consistency(errors.difference_m, errors.whole_own_cov_m2(), errors.common_jacobian, errors.common_cov)
+        for errors in drives
+        if len(errors.difference_m)
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +12,16 @@ import numpy as np
 from conetl.evaluation.accuracy import (
     ErrorStatistics,
     PointErrors,
-    RangeBand,
     by_range,
     drive_consistency,
     members_of,
-    pooled_consistency,
-    pooled_statistics,
     position_errors,
     select,
     single_nees,
     statistics,
     track_errors,
 )
-from conetl.evaluation.marking_evaluation import MarkingEvaluation, pooled_markings, pooled_markings_as_dict
+from conetl.evaluation.marking_evaluation import MarkingEvaluation, markings_as_dict, pooled_markings
 from conetl.evaluation.nees_table import NEES_COLUMNS, NEES_TEXT, nees_as_dict, nees_rows, parts_of
 from conetl.evaluation.truth import (
     TABLE_3_COLUMNS,
@@ -71,11 +69,12 @@ class DriveEvaluation:
     path_m: Floats
     tracks: PointErrors
     singles: PointErrors
-    figures: dict[str, ErrorStatistics]
-    bands: list[RangeBand]
-    nees: dict[str, Consistency | None]
     markings: MarkingEvaluation | None = None
     """None where lane markings were not searched for, or have no truth."""
+
+    @cached_property
+    def figures(self) -> dict[str, ErrorStatistics]:
+        return figures_of([self])
 
     @property
     def found(self) -> int:
@@ -97,7 +96,7 @@ class DriveEvaluation:
             (f"{band.from_m:g} to {band.to_m:g}" if band.to_m else f"over {band.from_m:g}", f.count,
              *(f"{value:.3f}" for value in (f.median_3d_m, *f.rmse_sight_m, *f.stated_sigma_sight_m)),
              f"{f.bias_sight_m[0]:+.3f}")
-            for band in self.bands
+            for band in by_range(self.singles)
             for f in (band.errors,)
         ]  # fmt: skip
         return [
@@ -111,7 +110,7 @@ class DriveEvaluation:
                 _BANDS,
                 bands,
             ),
-            Section("Do the stated sigmas hold?", NEES_TEXT, NEES_COLUMNS, nees_rows(self.nees)),
+            Section("Do the stated sigmas hold?", NEES_TEXT, NEES_COLUMNS, nees_rows(nees_of([self]))),
             *_class_section([self]),
             *(self.markings.tables() if self.markings else []),
         ]
@@ -129,12 +128,38 @@ class DriveEvaluation:
                 for track in self.false
             ],
             "median_error_3d_m": median_error(self.lines),
-            "errors": {name: figures.model_dump(mode="json") for name, figures in self.figures.items()},
-            "by_range": [band.model_dump(mode="json") for band in self.bands],
-            "nees": {name: nees_as_dict(result) for name, result in self.nees.items()},
-            "by_class": class_figures([self]),
-            **({"lane_markings": self.markings.as_dict()} if self.markings else {}),
+            "by_range": [band.model_dump(mode="json") for band in by_range(self.singles)],
+            **as_dict([self]),
         }
+
+
+def figures_of(drives: Sequence[DriveEvaluation]) -> dict[str, ErrorStatistics]:
+    """Figures of the errors of drives together, by kind of estimate."""
+    kinds = {kind: statistics(*errors) for kind, errors in _errors_of(drives).items()}
+    return {kind: figures for kind, figures in kinds.items() if figures is not None}
+
+
+def nees_of(drives: Sequence[DriveEvaluation]) -> dict[str, Consistency | None]:
+    """NEES of drives together, by kind of estimate."""
+    return {kind: drive_consistency(*errors) for kind, errors in _errors_of(drives).items()}
+
+
+def _errors_of(drives: Sequence[DriveEvaluation]) -> dict[str, list[PointErrors]]:
+    return {KINDS[0]: [drive.tracks for drive in drives], KINDS[1]: [drive.singles for drive in drives]}
+
+
+def as_dict(drives: Sequence[DriveEvaluation]) -> dict[str, object]:
+    """Statistics and NEES of drives together as JSON values."""
+    return {
+        "errors": {kind: figures.model_dump(mode="json") for kind, figures in figures_of(drives).items()},
+        "nees": {kind: nees_as_dict(result) for kind, result in nees_of(drives).items()},
+        "by_class": class_figures(drives),
+        **markings_as_dict(_markings_of(drives)),
+    }
+
+
+def _markings_of(drives: Sequence[DriveEvaluation]) -> dict[str, MarkingEvaluation]:
+    return {drive.drive_id: drive.markings for drive in drives if drive.markings is not None}
 
 
 def evaluate_drive(
@@ -160,11 +185,7 @@ def evaluate_drive(
         )
     of_tracks = track_errors(lines, drive, positions, motion)
     of_singles = position_errors(members_of(lines), positions, drive, poses)
-    errors = {KINDS[0]: of_tracks, KINDS[1]: of_singles}
-    figures = {kind: figure for kind, some in errors.items() if (figure := statistics(some)) is not None}
-    nees = {kind: drive_consistency(some) for kind, some in errors.items()}
-    bands = by_range(of_singles)
-    return DriveEvaluation(drive.drive_id, lines, false, path_m, of_tracks, of_singles, figures, bands, nees)
+    return DriveEvaluation(drive.drive_id, lines, false, path_m, of_tracks, of_singles)
 
 
 def class_figures(drives: Sequence[DriveEvaluation]) -> dict[str, dict[str, object]]:
@@ -179,7 +200,7 @@ def class_figures(drives: Sequence[DriveEvaluation]) -> dict[str, dict[str, obje
             "false": sum(track.category == category for drive in drives for track in drive.false),
             "median_3d_m": float(np.median(errors_m)) if errors_m else None,
             "largest_3d_m": max(errors_m, default=None),
-            "nees": nees_as_dict(pooled_consistency([_of_class(drive, category) for drive in drives])),
+            "nees": nees_as_dict(drive_consistency(*(_of_class(drive, category) for drive in drives))),
         }
     return figures
 
@@ -249,62 +270,27 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
     return [*(folder / file for file in images), page]
 
 
-@dataclass(frozen=True)
-class PooledDrives:
-    """Drives by id, and their statistics together."""
-
-    drives: Mapping[str, DriveEvaluation]
-    figures: dict[str, ErrorStatistics]
-    nees: dict[str, Consistency | None]
-
-    def tables(self) -> list[Section]:
-        """One row per drive and one for all; NEES of all drives."""
-        rows: list[tuple[object, ...]] = []
-        for name, drive in self.drives.items():
-            results = [drive_consistency(errors) for errors in (drive.tracks, drive.singles)]
-            rows.append(_drive_row(name, [drive], pooled_statistics([drive.tracks]), results))
-        results = [self.nees[kind] for kind in KINDS]
-        rows.append(_drive_row("all drives", list(self.drives.values()), self.figures.get(KINDS[0]), results))
-        return [
-            Section("Drive by drive", _DRIVES_TEXT, _DRIVES, rows),
-            Section("Do the stated sigmas hold for all drives together?", "", NEES_COLUMNS, nees_rows(self.nees)),
-            *_class_section(list(self.drives.values())),
-            *pooled_markings(self._markings),
-        ]
-
-    def as_dict(self) -> dict[str, object]:
-        """As JSON values."""
-        return {
-            "errors": {kind: figures.model_dump(mode="json") for kind, figures in self.figures.items()},
-            "nees": {kind: nees_as_dict(result) for kind, result in self.nees.items()},
-            "by_class": class_figures(list(self.drives.values())),
-            **pooled_markings_as_dict(self._markings),
-        }
-
-    @property
-    def _markings(self) -> dict[str, MarkingEvaluation]:
-        return {name: drive.markings for name, drive in self.drives.items() if drive.markings is not None}
+def pooled_tables(drives: Sequence[DriveEvaluation]) -> list[Section]:
+    """One row per drive and one for all; NEES of all drives."""
+    rows = [*(_drive_row(drive.drive_id, [drive]) for drive in drives), _drive_row("all drives", drives)]
+    return [
+        Section("Drive by drive", _DRIVES_TEXT, _DRIVES, rows),
+        Section("Do the stated sigmas hold for all drives together?", "", NEES_COLUMNS, nees_rows(nees_of(drives))),
+        *_class_section(drives),
+        *pooled_markings(_markings_of(drives)),
+    ]
 
 
-def pool(drives: Mapping[str, DriveEvaluation]) -> PooledDrives:
-    """Statistics and NEES of all drives together."""
-    errors = {KINDS[0]: [d.tracks for d in drives.values()], KINDS[1]: [d.singles for d in drives.values()]}
-    figures = {kind: figure for kind, some in errors.items() if (figure := pooled_statistics(some)) is not None}
-    nees = {kind: pooled_consistency(some) for kind, some in errors.items()}
-    return PooledDrives(drives, figures, nees)
-
-
-def write_pooled_page(folder: Path, pooled: PooledDrives) -> Path:
+def write_pooled_page(folder: Path, drives: Sequence[DriveEvaluation]) -> Path:
     """Write all drives on one page. Raises InputError if it cannot be written."""
-    drives = list(pooled.drives.values())
     found, cones = sum(d.found for d in drives), sum(len(d.lines) for d in drives)
     summary = [f"{found} of {cones} cones found, {sum(len(d.false) for d in drives)} false ones."]
-    if figures := pooled.figures.get(KINDS[0]):
+    if figures := figures_of(drives).get(KINDS[0]):
         summary.append(
             f"Median 3D error of the tracks {figures.median_3d_m:.3f} m, CE90 {figures.ce90_m:.3f} m, "
             f"LE90 {figures.le90_m:.3f} m."
         )
-    return _write_page(folder, f"{len(drives)} drives against truth", summary, pooled.tables(), {})
+    return _write_page(folder, f"{len(drives)} drives against truth", summary, pooled_tables(drives), {})
 
 
 def _write_page(
@@ -321,13 +307,9 @@ def _write_page(
         raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder with --out") from error
 
 
-def _drive_row(
-    name: str,
-    drives: Sequence[DriveEvaluation],
-    tracks: ErrorStatistics | None,
-    results: Sequence[Consistency | None],
-) -> tuple[object, ...]:
-    parts = [part for result in results for part in parts_of(result).values()]
+def _drive_row(name: str, drives: Sequence[DriveEvaluation]) -> tuple[object, ...]:
+    tracks = figures_of(drives).get(KINDS[0])
+    parts = [part for result in nees_of(drives).values() for part in parts_of(result).values()]
     found, cones = sum(d.found for d in drives), sum(len(d.lines) for d in drives)
     return (
         name, f"{found} of {cones}", sum(len(d.false) for d in drives), "" if tracks is None else f"{tracks.median_3d_m:.3f}",

@@ -64,13 +64,6 @@ class MarkingEvaluation:
             ),
         ]
 
-    def as_dict(self) -> dict[str, object]:
-        """As JSON values."""
-        return {
-            **self.figures.model_dump(mode="json"),
-            "nees": {name: nees_as_dict(result) for name, result in self.nees.items()},
-        }
-
     def _rows(self) -> list[tuple[object, ...]]:
         rows: list[tuple[object, ...]] = []
         for k, one in enumerate(self.truth):
@@ -105,8 +98,8 @@ def pooled_markings(drives: Mapping[str, MarkingEvaluation]) -> list[Section]:
     ]
 
 
-def pooled_markings_as_dict(drives: Mapping[str, MarkingEvaluation]) -> dict[str, object]:
-    """The same as JSON values under one key."""
+def markings_as_dict(drives: Mapping[str, MarkingEvaluation]) -> dict[str, object]:
+    """Figures and NEES of all drives as JSON values under one key; empty without drives."""
     if not drives:
         return {}
     figures = marking_figures([one.errors for one in drives.values()]).model_dump(mode="json")

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from conetl.evaluation.accuracy import PointErrors, position_errors
-from conetl.evaluation.drive_evaluation import DriveEvaluation, pool
+from conetl.evaluation.drive_evaluation import DriveEvaluation, figures_of, pooled_tables
 from conetl.evaluation.truth import TruthCone, TruthLine
 from conetl.model.feature_classes import CONE
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
@@ -32,15 +32,15 @@ def evaluation(name: str, errors: PointErrors, missed: int = 0) -> DriveEvaluati
     cone = TruthCone(cone_id="missed", xyz_m=(9.0, 0.0, 0.0), cone_height_m=0.5)
     lines += [TruthLine(cone, None, 1.0, None)] * missed
     false = [SimpleNamespace(category="drum")]
-    return DriveEvaluation(name, lines, false, np.empty((0, 3)), errors, errors, {}, [], {})  # type: ignore[arg-type]
+    return DriveEvaluation(name, lines, false, np.empty((0, 3)), errors, errors)  # type: ignore[arg-type]
 
 
 def test_one_row_per_drive_and_one_for_all() -> None:
     good, other = drawn(1), drawn(2)
     wrong = dataclasses.replace(other, own_cov_m2=other.own_cov_m2 / 9, common_cov=other.common_cov / 9)
-    pooled = pool({"good": evaluation("good", good), "wrong": evaluation("wrong", wrong, missed=1)})
-    assert pooled.figures["tracks"].count == len(good.difference_m) + len(other.difference_m)
-    drives, nees, by_class = pooled.tables()
+    pooled = [evaluation("good", good), evaluation("wrong", wrong, missed=1)]
+    assert figures_of(pooled)["tracks"].count == len(good.difference_m) + len(other.difference_m)
+    drives, nees, by_class = pooled_tables(pooled)
     of_good, of_wrong, of_all = ([str(value) for value in row] for row in drives.rows)
     assert of_good[:2] == ["good", "4 of 4"] and not any("*" in value for value in of_good)
     assert of_wrong[:2] == ["wrong", "4 of 5"] and any("*" in value for value in of_wrong)

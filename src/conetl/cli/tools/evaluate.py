@@ -13,8 +13,9 @@ from conetl.cli import console as ui
 from conetl.cli.ingest import read_params
 from conetl.evaluation.drive_evaluation import (
     DriveEvaluation,
+    as_dict,
     evaluate_drive,
-    pool,
+    pooled_tables,
     write_evaluation,
     write_pooled_page,
 )
@@ -103,13 +104,13 @@ def evaluate(
         if as_json:
             ui.print_json(answers[0])
         return
-    together = pool(done)
+    together = list(done.values())
     page = write_pooled_page(folder, together)
     if as_json:
-        ui.print_json({"drives": answers, "pooled": together.as_dict(), "files": [str(page)]})
+        ui.print_json({"drives": answers, "pooled": as_dict(together), "files": [str(page)]})
         return
     ui.out.print(f"[bold]{len(done)} drives together[/]")
-    _print_tables(together.tables())
+    _print_tables(pooled_tables(together))
     ui.say(f"\n{page}: all drives on one page")
 
 
