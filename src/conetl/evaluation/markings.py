@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from pyproj import Transformer
 
 from conetl.files.documents import first_message
 from conetl.geometry.camera import project as image_points
 from conetl.geometry.consistency import Consistency, consistency
-from conetl.geometry.linear_reference import directions_at, project, stations
+from conetl.geometry.geodesy import to_map
+from conetl.geometry.linear_reference import directions_at, project, resampled, stations
 from conetl.geometry.packing import cov_matrices
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.model.arrays import Bools, Floats
@@ -61,14 +61,13 @@ def read_truth_markings(path: Path, map_srid: int) -> list[TruthMarking]:
         features = json.loads(path.read_text(encoding="utf-8"))["features"]
     except (OSError, UnicodeDecodeError, ValueError, TypeError, KeyError) as error:
         raise InputError(f"truth {path}: cannot be read as a GeoJSON FeatureCollection ({error})") from error
-    to_map = Transformer.from_crs(4326, map_srid, always_xy=True)
     markings = []
     for number, feature in enumerate(features, 1):
         try:
             lon, lat, height = np.array(feature["geometry"]["coordinates"], dtype=float).reshape(-1, 3).T
             if len(lon) < 2:
                 raise ValueError("a line has at least two points")
-            vertices = np.column_stack([*to_map.transform(lon, lat), height]).tolist()
+            vertices = to_map(map_srid, lat, lon, height).tolist()
             markings.append(TruthMarking.model_validate({**feature["properties"], "vertices_m": vertices}))
         except ValidationError as error:
             raise InputError(f"truth {path}, feature {number}, {first_message(error)}") from error
@@ -188,12 +187,12 @@ def compare_markings(
 
     Every found metre counts for correctness, also where the truth is not visible.
     """
-    samples = [_sampled(np.array(one.vertices_m)) for one in found]
+    samples = [resampled(np.array(one.vertices_m), _STEP_M) for one in found]
     lines = [np.array(one.vertices_m) for one in truth]
     index = np.repeat(np.arange(len(found)), [len(one) for one in samples])
     nearest, lateral, height, _ = _nearest(np.concatenate([np.zeros((0, 3)), *samples]), lines)
 
-    truth_samples = [_sampled(line) for line in lines]
+    truth_samples = [resampled(line, _STEP_M) for line in lines]
     truth_index = np.repeat(np.arange(len(truth)), [len(one) for one in truth_samples])
     points = np.concatenate([np.zeros((0, 3)), *truth_samples])
     truth_found = np.zeros(len(points), dtype=bool)
@@ -273,13 +272,6 @@ def marking_consistency(errors: MarkingErrors) -> dict[str, Consistency | None]:
             own, jacobian = errors.vertex_cov_m2[:, part, part], errors.common_jacobian[:, part]
             results[name] = consistency(errors.vertex_m[:, part], own, jacobian, errors.common_cov)
     return results
-
-
-def _sampled(line_m: Floats) -> Floats:
-    """(N, 3) points about every 0.1 m of a line (K, 3), its ends among them."""
-    station = stations(line_m[:, :2])
-    at = np.linspace(0.0, station[-1], max(round(station[-1] / _STEP_M), 1) + 1)
-    return np.stack([np.interp(at, station, column) for column in line_m.T], axis=1)
 
 
 def _distances(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats, Floats]:

@@ -9,7 +9,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
 from itertools import count, repeat
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
@@ -20,7 +19,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import ArrayLike
-from pyproj import Transformer
 
 from conetl.db.connection import Connection
 from conetl.exports.source import POSITION_NAMES, ExportRequest, Source, What, open_source
@@ -280,17 +278,12 @@ def finding_as_dict(finding: Finding) -> Object:
 def coordinates(points_m: ArrayLike, srid: int) -> list[list[float]]:
     """Points (n, 2 or 3) of a map's CRS as WGS 84 longitude and latitude (degrees), the height (m) unchanged; rounded."""
     points = np.asarray(points_m, float)
-    degrees = np.column_stack(_to_wgs84(srid).transform(points[:, 0], points[:, 1])).round(LON_LAT_DECIMALS)
+    degrees = to_geodetic(srid, points[:, [0, 1, -1]])[:, 1::-1].round(LON_LAT_DECIMALS)
     return np.hstack([degrees, points[:, 2:].round(HEIGHT_DECIMALS)]).tolist()  # type: ignore[no-any-return]
 
 
 def _rounded(lon_deg: float, lat_deg: float, height_m: float) -> list[float]:
     return [round(lon_deg, LON_LAT_DECIMALS), round(lat_deg, LON_LAT_DECIMALS), round(height_m, HEIGHT_DECIMALS)]
-
-
-@cache
-def _to_wgs84(srid: int) -> Transformer:
-    return Transformer.from_crs(f"EPSG:{srid}", "EPSG:4326", always_xy=True)
 
 
 def _line_or_point(points: list[list[float]]) -> Object:

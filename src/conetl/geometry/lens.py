@@ -183,13 +183,18 @@ def _solve2(a: Floats, b: Floats) -> Floats:
 # --------------------------------------------------------------------------- fisheye
 
 
-def _fisheye_scale(lens: Lens, r: Floats) -> tuple[Floats, Floats, Floats]:
-    """theta_d / r, d(theta_d) / d(theta) and theta of radii r."""
-    theta = np.arctan(r)
+def _fisheye_factor(lens: Lens, theta: Floats) -> tuple[Floats, Floats]:
+    """theta_d / theta and d(theta_d) / d(theta)."""
     t2 = theta * theta
     k1, k2, k3, k4 = lens.coefficients
     factor = 1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))
-    slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)))
+    return factor, 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)))
+
+
+def _fisheye_scale(lens: Lens, r: Floats) -> tuple[Floats, Floats, Floats]:
+    """theta_d / r, d(theta_d) / d(theta) and theta of radii r."""
+    theta = np.arctan(r)
+    factor, slope = _fisheye_factor(lens, theta)
     small = r < 1e-6
     theta_by_r = np.where(small, 1.0, theta / np.where(small, 1.0, r))
     return factor * theta_by_r, slope, theta
@@ -218,11 +223,9 @@ def _undistort_fisheye(lens: Lens, wanted: Floats) -> Floats:
     target = np.hypot(wanted[:, 0], wanted[:, 1])
     low, high = np.zeros_like(target), np.full_like(target, top)
     theta = np.minimum(target, 0.95 * top)
-    k1, k2, k3, k4 = lens.coefficients
     for _ in range(_MAX_ITERATIONS):
-        t2 = theta * theta
-        value = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - target
-        slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)))
+        factor, slope = _fisheye_factor(lens, theta)
+        value = theta * factor - target
         low, high = np.where(value <= 0.0, theta, low), np.where(value > 0.0, theta, high)
         with np.errstate(divide="ignore", invalid="ignore"):
             step = theta - value / slope
@@ -230,8 +233,7 @@ def _undistort_fisheye(lens: Lens, wanted: Floats) -> Floats:
         if np.all(np.abs(moved - theta) <= 1e-16 + 2e-16 * theta):
             break
         theta = moved
-    t2 = theta * theta
-    error = np.abs(theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - target)
+    error = np.abs(theta * _fisheye_factor(lens, theta)[0] - target)
     good = (error <= 1e-12 * (1.0 + target)) & (theta < top)
     small = target < 1e-9
     scale = np.where(small, 1.0, np.tan(theta) / np.where(small, 1.0, target))

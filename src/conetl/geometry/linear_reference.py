@@ -34,10 +34,10 @@ def stations(line_m: Floats) -> Floats:
 
 
 def resampled(line_m: Floats, step_m: float) -> Floats:
-    """The line by points about `step_m` apart, both ends kept."""
-    station = stations(line_m)
+    """The line (N, D) by points about `step_m` apart in plan (x, y), both ends kept."""
+    station = stations(line_m[:, :2])
     at = np.linspace(0.0, station[-1], max(int(np.ceil(station[-1] / step_m)) + 1, 2))
-    return np.stack([np.interp(at, station, line_m[:, k]) for k in range(2)], axis=1)
+    return np.stack([np.interp(at, station, column) for column in line_m.T], axis=1)
 
 
 def smoothed(line_m: Floats, step_m: float, sigma_m: float) -> Floats:

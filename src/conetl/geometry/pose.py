@@ -73,11 +73,7 @@ def connect(dst_SE3_src: Mapping[tuple[str, str], Floats], dst: str, src: str) -
 
 def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Floats:
     """Rotations (..., 3, 3) `Rz(yaw) @ Ry(pitch) @ Rx(roll)`, body to level frame."""
-    roll, pitch, yaw = np.broadcast_arrays(
-        np.asarray(roll_rad, dtype=np.float64),
-        np.asarray(pitch_rad, dtype=np.float64),
-        np.asarray(yaw_rad, dtype=np.float64),
-    )
+    roll, pitch, yaw = np.broadcast_arrays(roll_rad, pitch_rad, yaw_rad)
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

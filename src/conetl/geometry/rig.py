@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry import camera as cameras
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.records import Camera, Pose, Rig, Side
@@ -46,7 +47,7 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
     Edges map to edges, so a point u of the centre of pixels becomes s (u + 0.5) - 0.5. Raises ValueError for another aspect
     ratio: such images were cropped.
     """
-    cameras: dict[str, Camera] = {}
+    resized_cameras: dict[str, Camera] = {}
     factors: dict[str, float] = {}
     for side, camera in (("left", rig.left), ("right", rig.right)):
         sx, sy = width_px / camera.width_px, height_px / camera.height_px
@@ -55,7 +56,7 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
                 f"images of {camera.width_px} x {camera.height_px} pixels cannot be scaled to {width_px} x {height_px}: another "
                 "aspect ratio, so they were cropped; calibrate with such images"
             )
-        cameras[side] = camera.model_copy(update={
+        resized_cameras[side] = camera.model_copy(update={
             "width_px": width_px, "height_px": height_px, "fx_px": sx * camera.fx_px, "fy_px": sy * camera.fy_px,
             "cx_px": sx * (camera.cx_px + 0.5) - 0.5, "cy_px": sy * (camera.cy_px + 0.5) - 0.5,
         })  # fmt: skip
@@ -66,7 +67,7 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
         matrix = np.array(covariance.matrix) * np.outer(scale, scale)
         covariance = covariance.model_copy(update={"matrix": tuple(map(tuple, matrix.tolist()))})
     names = {"rig_id": f"{rig.rig_id}-{width_px}x{height_px}", "calibration_covariance": covariance}
-    return rig.model_copy(update={**cameras, **names})
+    return rig.model_copy(update={**resized_cameras, **names})
 
 
 def infinity_shift_px(rig: Rig, left_uv_px: Floats) -> Floats:
@@ -76,17 +77,8 @@ def infinity_shift_px(rig: Rig, left_uv_px: Floats) -> Floats:
     little, as after self-calibration, it depends on the image point. Cameras without a lens.
     """
     uv = np.asarray(left_uv_px, dtype=np.float64)
-    x = (uv[..., 0] - rig.left.cx_px) / rig.left.fx_px
-    y = (uv[..., 1] - rig.left.cy_px) / rig.left.fy_px
-    d = np.stack([x, y, np.ones_like(x)], axis=-1) @ left_SE3_right(rig)[:3, :3]
-    right = np.stack(
-        [
-            rig.right.fx_px * d[..., 0] / d[..., 2] + rig.right.cx_px,
-            rig.right.fy_px * d[..., 1] / d[..., 2] + rig.right.cy_px,
-        ],
-        axis=-1,
-    )
-    shift: Floats = uv - right
+    in_right = cameras.rays(rig.left, uv) @ left_SE3_right(rig)[:3, :3]
+    shift: Floats = uv - cameras.project(rig.right, in_right)
     return shift
 
 

@@ -14,8 +14,9 @@ from typing import Any
 import laspy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pyproj import CRS, Transformer
+from pyproj import CRS
 
+from conetl.geometry.geodesy import to_geodetic
 from conetl.geometry.linear_reference import resampled
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -81,10 +82,8 @@ def line_feature(points_m: Floats, height_m: float, properties: dict[str, Any]) 
         points_m = resampled(points_m, _LINE_STEP_M)
     motion = map_SE3_road()
     places = np.column_stack([points_m, np.full(len(points_m), height_m)]) @ motion[:3, :3].T + motion[:3, 3]
-    lon, lat = Transformer.from_crs(MAP_SRID, 4326, always_xy=True).transform(places[:, 0], places[:, 1])
-    coordinates = [
-        [round(a, 9), round(b, 9), round(c, 3)] for a, b, c in zip(lon, lat, places[:, 2].tolist(), strict=True)
-    ]
+    lat_lon = to_geodetic(MAP_SRID, places).tolist()
+    coordinates = [[round(lon, 9), round(lat, 9), round(height, 3)] for lat, lon, height in lat_lon]
     return {
         "type": "Feature",
         "properties": properties,

@@ -23,6 +23,7 @@ from conetl.model.arrays import Bools, Floats
 from conetl.model.records import LENS_COEFFICIENTS, SIDES, Camera, Lens, LensModel, Side
 
 Ints = NDArray[np.int64]
+PairSystem = tuple[Floats, Floats, Floats]
 #: Prior sigmas of a free board's shape, as a share of its diagonal: paper and plates buckle, but are printed well. Without them
 #: the aspect ratios of a board that is always upright and of the pixels could not be separated.
 SHAPE_SIGMA_ACROSS = 0.001
@@ -120,15 +121,6 @@ class Bundle:
 
 
 @dataclass(frozen=True)
-class PairSystem:
-    """One pair in the linearised system: residuals (r,) px, Jacobians of the global (r, g) and the pose unknowns (r, 6)."""
-
-    residuals_px: Floats
-    by_global: Floats
-    by_pose: Floats
-
-
-@dataclass(frozen=True)
 class Reduced:
     """The system without board poses: each pair's share of the normal matrix (p, g, g) and of its right side (p, g)."""
 
@@ -202,8 +194,7 @@ def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:
     """The linearised system at a bundle, with the board poses eliminated."""
     normals, gradients = [], []
     for parts in _by_pair(views, None).values():
-        system = pair_system(bundle, parts)
-        a, b, r = system.by_global, system.by_pose, system.residuals_px
+        r, a, b = pair_system(bundle, parts)
         inner = np.linalg.solve(b.T @ b, np.column_stack([b.T @ a, b.T @ r]))
         free = np.column_stack([a, r]) - b @ inner  # the part that the board pose does not explain
         normals.append(free[:, :-1].T @ free[:, :-1])
@@ -212,7 +203,8 @@ def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:
 
 
 def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Floats]]) -> PairSystem:
-    """Residuals and Jacobians of the views of one pair; rows are scaled by the square roots of the weights."""
+    """Residuals (r,) px of the views of one pair in the linearised system, Jacobians of the global (r, g) and the pose unknowns
+    (r, 6); rows are scaled by the square roots of the weights."""
     pose = bundle.board_SE3[parts[0][0].pair_index]
     points = bundle.board_points_m()
     count = bundle.rig_parameters
@@ -243,7 +235,7 @@ def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Floats]]) -> Pa
         rows_r.append(((view.uv_px - seen.uv_px) * root).ravel())
         rows_a.append((a * root[..., None]).reshape(-1, a.shape[2]))
         rows_b.append((b * root[..., None]).reshape(-1, 6))
-    return PairSystem(np.concatenate(rows_r), np.concatenate(rows_a), np.concatenate(rows_b))
+    return np.concatenate(rows_r), np.concatenate(rows_a), np.concatenate(rows_b)
 
 
 # --------------------------------------------------------------------------- steps
@@ -255,9 +247,8 @@ def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Floats, damp
     first = bundle.rig_parameters
     right[first:] = -prior[first:, first:] @ bundle.shape
     kept = {}
-    diagonal = np.diag(prior) + sum((s.by_global**2).sum(axis=0) for s in systems.values())
-    for pair, s in systems.items():
-        a, b, r = s.by_global, s.by_pose, s.residuals_px
+    diagonal = np.diag(prior) + sum((a**2).sum(axis=0) for _, a, _ in systems.values())
+    for pair, (r, a, b) in systems.items():
         v = b.T @ b
         v[np.diag_indices(6)] *= 1.0 + damping
         w, gradient = b.T @ a, b.T @ r

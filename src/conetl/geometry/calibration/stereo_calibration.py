@@ -303,7 +303,12 @@ def _robust(
         kept, weights = [v for n, v in enumerate(kept) if n not in bad], new
         if same:
             break
-        _enough(kept, rejected)
+        left = len(stereo_pairs(kept))
+        if left < MIN_PAIRS:
+            raise BundleError(
+                f"only {left} pairs are left after {len(rejected)} images that do not fit were removed: check the board's "
+                "pattern, and that it does not bend while it is moved"
+            )
         bundle = replace(bundle, board_SE3={p: bundle.board_SE3[p] for p in pair_indices(kept)})
         bundle = adjust(bundle, kept, weights=weights)
     corners = []
@@ -313,15 +318,6 @@ def _robust(
             (u, v), (du, dv) = view.uv_px[n].tolist(), misses_uv[n].tolist()
             corners.append(CornerRejection(view.pair_index, view.side, int(view.point_ids[n]), (u, v), (du, dv)))
     return bundle, [v.only(w > 0) for v, w in zip(kept, weights, strict=True)], tuple(rejected), tuple(corners)
-
-
-def _enough(views: Sequence[BoardView], rejected: Sequence[ViewRejection]) -> None:
-    left = len(stereo_pairs(views))
-    if left < MIN_PAIRS:
-        raise BundleError(
-            f"only {left} pairs are left after {len(rejected)} images that do not fit were removed: check the board's "
-            "pattern, and that it does not bend while it is moved"
-        )
 
 
 def _robust_sigma(misses: Sequence[Floats]) -> float:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -79,6 +80,17 @@ class LandmarkPrior:
     information: Floats
 
 
+class _State(NamedTuple):
+    """The unknowns."""
+
+    rotations: Floats
+    places: Floats
+    bias: Floats
+    """(K, 6): slow error of the log."""
+    shared: Floats
+    """Scale of the measured motions less one, then the feet of the cones."""
+
+
 def adjust(
     log: LoggedPoses,
     motions: MeasuredMotions,
@@ -89,43 +101,37 @@ def adjust(
 ) -> tuple[Floats, Floats, float, ChainNormal] | None:
     """Rotations (K, 3, 3), positions (K, 3), scale of the measured motions less one, and the last normal equations, whose first
     shared unknown it is; None where the iteration does not converge."""
-    rotations, places = log.rotations.copy(), log.places.copy()
-    bias = np.zeros((len(places), POSE))
+    left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
     cones = 1 + max((s.cone for s in sightings), default=-1)
-    shared = np.zeros(1 + 3 * cones)  # scale, then the feet of the cones
+    shared = np.zeros(1 + 3 * cones)
     for cone in range(cones):
-        feet = [_to_map(log, rotations, places, s) for s in sightings if s.cone == cone]
+        feet = [se3.apply(left[s.frame], s.xyz) for s in sightings if s.cone == cone]
         shared[1 + 3 * cone : 4 + 3 * cone] = np.median(feet, axis=0) if feet else 0.0
+    state = _State(log.rotations, log.places, np.zeros((len(log.places), POSE)), shared)
     for _ in range(_MAX_ITERATIONS):
-        normal = _normal_equations(log, rotations, places, bias, shared, motions, sightings, robust_sigmas, scale_sigma)
+        normal = _normal_equations(log, state, scale_sigma)
+        _add_motions(normal, log, state, motions, robust_sigmas)
+        _add_sightings(normal, log, state, sightings, robust_sigmas)
         for prior in priors:
             at = slice(1 + 3 * prior.cone, 4 + 3 * prior.cone)
             normal.corner[at, at] += prior.information
-            normal.right_shared[at] += prior.information @ (prior.xyz - shared[at])
+            normal.right_shared[at] += prior.information @ (prior.xyz - state.shared[at])
         try:
             step, common = chain_solver.solve(normal)
         except np.linalg.LinAlgError:
             return None
-        places = places + step[:, :3]
-        rotations = rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix()
-        bias = bias + step[:, POSE:]
-        shared = shared + common
+        state = _State(
+            state.rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(), state.places + step[:, :3],
+            state.bias + step[:, POSE:], state.shared + common,
+        )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
-            return rotations, places, float(shared[0]), normal
+            return state.rotations, state.places, float(state.shared[0]), normal
     return None
 
 
-def _normal_equations(
-    log: LoggedPoses,
-    rotations: Floats,
-    places: Floats,
-    bias: Floats,
-    shared: Floats,
-    motions: MeasuredMotions,
-    sightings: Sequence[LandmarkObservation],
-    robust_sigmas: float,
-    scale_sigma: float,
-) -> ChainNormal:
+def _normal_equations(log: LoggedPoses, state: _State, scale_sigma: float) -> ChainNormal:
+    """Normal equations of the log and of the prior of the scale."""
+    rotations, places, bias, shared = state
     count = len(places)
     diagonal, upper = np.zeros((count, STATE, STATE)), np.zeros((count - 1, STATE, STATE))
     border, corner = np.zeros((count, STATE, len(shared))), np.zeros((len(shared), len(shared)))
@@ -155,22 +161,14 @@ def _normal_equations(
     normal = ChainNormal(diagonal, upper, border, corner, right, right_shared)
     normal.corner[0, 0] += 1 / scale_sigma**2
     normal.right_shared[0] -= shared[0] / scale_sigma**2
-    _add_motions(normal, log, rotations, places, shared[0], motions, robust_sigmas)
-    _add_sightings(normal, log, rotations, places, shared, sightings, robust_sigmas)
     return normal
 
 
 def _add_motions(
-    normal: ChainNormal,
-    log: LoggedPoses,
-    rotations: Floats,
-    places: Floats,
-    scale: float,
-    motions: MeasuredMotions,
-    robust_sigmas: float,
+    normal: ChainNormal, log: LoggedPoses, state: _State, motions: MeasuredMotions, robust_sigmas: float
 ) -> None:
     """Add visual odometry to the normal equations; the scale is the first of the shared unknowns."""
-    residual, from_first, from_second = motion_residuals(log, rotations, places, motions, scale)
+    residual, from_first, from_second = motion_residuals(log, *state[:2], motions, state.shared[0])
     information = np.linalg.inv(motions.cov)
     misfit2 = np.einsum("mi,mij,mj->m", residual, information, residual) / 6
     information *= _huber(misfit2, robust_sigmas)[:, None, None]
@@ -194,13 +192,12 @@ def _add_motions(
 def _add_sightings(
     normal: ChainNormal,
     log: LoggedPoses,
-    rotations: Floats,
-    places: Floats,
-    shared: Floats,
+    state: _State,
     sightings: Sequence[LandmarkObservation],
     robust_sigmas: float,
 ) -> None:
     """Add cones as landmarks; their feet follow the scale among the shared unknowns."""
+    rotations, places, _, shared = state
     body_R_left, lever = log.body_SE3_left[:3, :3], log.body_SE3_left[:3, 3]
     for s in sightings:
         at = slice(1 + 3 * s.cone, 4 + 3 * s.cone)
@@ -250,11 +247,6 @@ def motion_jacobians(map_SE3_first: Floats, map_SE3_second: Floats, body_SE3_lef
     by_first[..., 3:, 3:] = -motion[..., :3, :3] @ left_R_body @ lever
     by_second[..., 3:, 3:] = left_R_body @ lever + cross_matrix(motion[..., :3, 3]) @ left_R_body
     return by_first, by_second
-
-
-def _to_map(log: LoggedPoses, rotations: Floats, places: Floats, sighting: LandmarkObservation) -> Floats:
-    body = log.body_SE3_left[:3, :3] @ sighting.xyz + log.body_SE3_left[:3, 3]
-    return np.asarray(rotations[sighting.frame] @ body + places[sighting.frame])
 
 
 def _huber(misfit2: Floats, bound: float) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from conetl.geometry import pose as se3
+from conetl.geometry.linear_reference import spaced
 from conetl.model.arrays import Bools, Floats, Ints
 
 #: Accelerations of a vehicle on a road (m/s^2, one sigma; east, north, up) and how long one lasts (s).
@@ -227,10 +228,7 @@ def _moves(moved: Moved) -> Bools:
 
 def _thinned(times_s: Floats) -> Ints:
     """Indices of records at least `_LEAST_STEP_S` apart, the first and the last included."""
-    kept: list[int] = []
-    for k in range(len(times_s)):
-        if not kept or times_s[k] - times_s[kept[-1]] >= _LEAST_STEP_S:
-            kept.append(k)
+    kept = spaced(times_s[:, None], _LEAST_STEP_S)
     if kept and kept[-1] != len(times_s) - 1:
         kept = [*(kept[:-1] or kept), len(times_s) - 1]
     return np.array(kept, dtype=np.intp)

@@ -24,6 +24,11 @@ from conetl.model.records import CalibrationCovariance, Camera, Lens, Matrix3, N
 from conetl.readers.rigs.common import Pair, calibration_errors, choose_pair, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"
+#: Ways to give the interior orientation: in pixels, or in millimetres with the sensor's size.
+_FORMS = (
+    {*INTERIOR}, {"fx_mm", "fy_mm", "sensor_width_mm", "sensor_height_mm"}, {"focal_mm", "sensor_width_mm", "sensor_height_mm"},
+)  # fmt: skip
+_PRINCIPAL_MM = {"x0_mm", "y0_mm", "principal_mm"}
 #: Units of `sigmas` besides those of CalibrationCovariance.
 _OTHER_UNITS = {"_deg": ("_rad", np.pi / 180), "_mm": ("_m", 0.001)}
 
@@ -53,16 +58,10 @@ class _CameraFile(Record):
 
     @model_validator(mode="after")
     def _one_form(self) -> _CameraFile:
-        pixels = [self.fx_px, self.fy_px, self.cx_px, self.cy_px]
-        focal = [self.focal_mm] if self.focal_mm is not None else [self.fx_mm, self.fy_mm]
-        millimetres = [*focal, self.sensor_width_mm, self.sensor_height_mm]
-        whole = [all(v is not None for v in group) for group in (pixels, millimetres)]
-        some = [any(v is not None for v in group) for group in (pixels, millimetres)]
-        from_centre = self.x0_mm is not None or self.y0_mm is not None
-        twice = (self.focal_mm is not None and (self.fx_mm is not None or self.fy_mm is not None)) or (
-            self.principal_mm is not None and from_centre
-        )
-        if sum(whole) != 1 or sum(some) != 1 or twice or (whole[0] and (from_centre or self.principal_mm is not None)):
+        given = {name for name, value in self if value is not None} & _PRINCIPAL_MM.union(*_FORMS)
+        centre = given & _PRINCIPAL_MM
+        form = given - centre
+        if form not in _FORMS or (form == _FORMS[0] and centre) or ("principal_mm" in centre and len(centre) > 1):
             raise ValueError(
                 "give either fx_px, fy_px, cx_px, cy_px, or fx_mm, fy_mm (or focal_mm), sensor_width_mm, sensor_height_mm (and "
                 "x0_mm, y0_mm or principal_mm)"
