@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.bundle_covariance import rig_covariance
-from conetl.geometry.calibration.covariance import calibration_cov
+from conetl.geometry.calibration.covariance import calibration_cov, rig_covariance
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, BundleError, adjust, reduce, residuals_px
 from conetl.geometry.calibration.stereo_calibration import Start, calibrate_stereo, rig_of
 from conetl.model.records import Lens
@@ -139,7 +138,7 @@ def test_blunders_are_taken_out_and_named() -> None:
     poses = dict(start.right_SE3_board)
     poses[6] = se3.se3(poses[6][:3, :3], poses[6][:3, 3] + np.array([0.2, 0.0, 0.0]))
     result = calibrate_stereo(
-        true.points_m, views, replace(start, right_SE3_board=poses), models=("radial",), board_shapes=("flat",)
+        true.points_m, views, start._replace(right_SE3_board=poses), models=("radial",), board_shapes=("flat",)
     )
     assert [(c.pair_index, c.side, c.point_id) for c in result.rejected_corners] == [(2, "left", 7)]
     assert {(r.pair_index, r.side) for r in result.rejected_views} == {(4, "right"), (6, "left"), (6, "right")}

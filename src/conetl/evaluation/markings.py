@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,8 +77,7 @@ def read_truth_markings(path: Path, map_srid: int) -> list[TruthMarking]:
     return markings
 
 
-@dataclass(frozen=True)
-class CommonErrors:
+class CommonErrors(NamedTuple):
     """How K errors that all V vertices of a drive share move them; map frame, metres."""
 
     jacobian: Floats

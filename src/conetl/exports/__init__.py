@@ -6,11 +6,10 @@ It imports `db` and everything below it. The story begins in `export.py`; `sourc
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 if TYPE_CHECKING:
     from conetl.exports.source import Source
@@ -24,8 +23,7 @@ class Order(StrEnum):
     BY_TIME = "time on the road"
 
 
-@dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A file format of `conetl map export`."""
 
     suffix: str

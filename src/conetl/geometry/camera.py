@@ -157,5 +157,4 @@ def add_pose_covariance(
         np.broadcast_arrays(np.asarray(sigma_enu_m, np.float64), np.asarray(sigma_rpy_rad, np.float64)), axis=-1
     )
     scaled = pose_jacobian(xyz_m, map_R_body, map_t_body_m) * sigmas[..., None, :]
-    total: Floats = np.asarray(cov_m2, dtype=np.float64) + scaled @ np.swapaxes(scaled, -1, -2)
-    return total
+    return np.asarray(np.asarray(cov_m2, dtype=np.float64) + scaled @ np.swapaxes(scaled, -1, -2))

@@ -131,8 +131,7 @@ def enu_to_grid(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, enu_R_body: A
     """map_R_body (..., 3, 3) of attitudes against true east, true north, up (..., 3, 3): turned by the grid convergence."""
     convergence = grid_convergence_rad(srid, lat_deg, lon_deg)
     zero = np.zeros_like(convergence)
-    turned: Floats = se3.rotation_from_rpy(zero, zero, convergence) @ np.asarray(enu_R_body, dtype=np.float64)
-    return turned
+    return np.asarray(se3.rotation_from_rpy(zero, zero, convergence) @ np.asarray(enu_R_body, dtype=np.float64))
 
 
 def ecef_R_enu(lat_deg: ArrayLike, lon_deg: ArrayLike) -> Floats:

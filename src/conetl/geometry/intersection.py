@@ -19,7 +19,6 @@ influence of single wrong boxes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -248,8 +247,7 @@ def _gauss_newton(
     return solution, cov, iterations, converged
 
 
-@dataclass(frozen=True)
-class JointFit:
+class JointFit(NamedTuple):
     """Result of `fit_point`; `cov_m2` (3, 3) excludes errors that all frames have in common."""
 
     xyz_m: Floats
@@ -260,7 +258,6 @@ class JointFit:
     """(F,): Huber weight of each pair; 1 where it fits."""
     shares: Floats
     """(F, 3, 3): derivative by each pair's own point; their sum is the identity."""
-    iterations: int
 
 
 def image_constants(rig: Rig) -> tuple[Floats, Floats]:
@@ -324,7 +321,7 @@ def fit_point(
     right[:, :3, 3] -= shift
     point = np.zeros(3)
     huber = np.ones(frames)
-    for iteration in range(1, _MAX_FIT_ITERATIONS + 1):
+    for _ in range(_MAX_FIT_ITERATIONS):
         computed, jacobian = pair_jacobian(point, left, right, focal_px, principal_px)
         if not np.isfinite(computed).all():
             return None
@@ -343,5 +340,5 @@ def fit_point(
         step = cov @ np.einsum("fij,fj->i", weighted, residual)
         point = point + step
         if float(step @ step) < convergence_m2:
-            return JointFit(point + shift, (cov + cov.T) / 2, residual, huber, cov @ normals, iteration)
+            return JointFit(point + shift, (cov + cov.T) / 2, residual, huber, cov @ normals)
     return None

@@ -84,8 +84,7 @@ def locate(line_m: Floats, stations_m: Floats, offsets_m: Floats) -> Floats:
     """(M, 2) points at stations and offsets: the inverse of `project` away from sharp bends."""
     index, along_m, directions = _segments(line_m, stations_m)
     normals = np.stack([-directions[:, 1], directions[:, 0]], axis=1)
-    points: Floats = line_m[index] + along_m[:, None] * directions + offsets_m[:, None] * normals
-    return points
+    return np.asarray(line_m[index] + along_m[:, None] * directions + offsets_m[:, None] * normals)
 
 
 def directions_at(line_m: Floats, stations_m: Floats) -> Floats:

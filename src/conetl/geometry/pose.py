@@ -35,8 +35,7 @@ def se3(rotation: ArrayLike, translation_m: ArrayLike) -> Floats:
 
 def compose(a_SE3_b: ArrayLike, b_SE3_c: ArrayLike) -> Floats:
     """`a_SE3_c` (..., 4, 4) of two (stacks of) poses."""
-    product: Floats = np.matmul(np.asarray(a_SE3_b, dtype=np.float64), np.asarray(b_SE3_c, dtype=np.float64))
-    return product
+    return np.asarray(np.matmul(np.asarray(a_SE3_b, dtype=np.float64), np.asarray(b_SE3_c, dtype=np.float64)))
 
 
 def invert(dst_SE3_src: ArrayLike) -> Floats:
@@ -50,8 +49,7 @@ def apply(dst_SE3_src: ArrayLike, points_src_m: ArrayLike) -> Floats:
     """Points (..., 3) of the source frame in the destination frame; leading dimensions broadcast."""
     pose = np.asarray(dst_SE3_src, dtype=np.float64)
     points = np.asarray(points_src_m, dtype=np.float64)
-    moved: Floats = np.einsum("...ij,...j->...i", pose[..., :3, :3], points) + pose[..., :3, 3]
-    return moved
+    return np.asarray(np.einsum("...ij,...j->...i", pose[..., :3, :3], points) + pose[..., :3, 3])
 
 
 def connect(dst_SE3_src: Mapping[tuple[str, str], Floats], dst: str, src: str) -> Floats | None:
@@ -100,8 +98,7 @@ def nearest_rotation(matrix: ArrayLike) -> Floats:
     if not is_rotation(m):
         raise ValueError("the matrix is not a rotation: rows must be orthonormal and the determinant +1")
     u, _, vt = np.linalg.svd(m)
-    rotation: Floats = u @ vt
-    return rotation
+    return np.asarray(u @ vt)
 
 
 def interpolate(a: ArrayLike, b: ArrayLike, weight: float) -> Floats:

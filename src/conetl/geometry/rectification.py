@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import camera as cameras
 from conetl.geometry import lens as lenses
@@ -49,7 +50,7 @@ def is_rectified(rig: Rig) -> bool:
     # row difference = (fy_l - fy_r) y + ..., y up to half an image off the principal point
     stretch_px = abs(rig.left.fy_px / rig.right.fy_px - 1.0) * max(rig.left.height_px, rig.right.height_px) / 2
     return bool(
-        _turn_rad(relative[:3, :3]) <= PARALLEL_RAD
+        Rotation.from_matrix(relative[:3, :3]).magnitude() <= PARALLEL_RAD
         and slope <= BASELINE_SLOPE
         and stretch_px <= ROW_TOLERANCE_PX
         and abs(rig.left.fx_px / rig.right.fx_px - 1.0) <= 1e-3
@@ -218,10 +219,3 @@ def _camera(box: Box, focal_px: float, side: Side) -> Camera:
         width_px=int(width) + 1, height_px=int(height) + 1, fx_px=focal_px, fy_px=focal_px,
         cx_px=-box[0] * focal_px, cy_px=-box[1] * focal_px,
     )  # fmt: skip
-
-
-def _turn_rad(rotation: Floats) -> float:
-    """Angle of a rotation (3, 3)."""
-    skew = rotation - rotation.T
-    sine = 0.5 * np.sqrt(skew[2, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 0] ** 2)
-    return float(np.arctan2(sine, (np.trace(rotation) - 1.0) / 2))

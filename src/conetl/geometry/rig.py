@@ -78,8 +78,7 @@ def infinity_shift_px(rig: Rig, left_uv_px: Floats) -> Floats:
     """
     uv = np.asarray(left_uv_px, dtype=np.float64)
     in_right = cameras.rays(rig.left, uv) @ left_SE3_right(rig)[:3, :3]
-    shift: Floats = uv - cameras.project(rig.right, in_right)
-    return shift
+    return np.asarray(uv - cameras.project(rig.right, in_right))
 
 
 def right_camera_turned(rig: Rig, rotation_rad: Floats) -> Rig:
@@ -108,8 +107,7 @@ def stored_R_camera(rig: Rig, side: Side) -> Floats:
     """(3, 3) rotation from one of the rig's cameras to the one that took the images: identity where they are used as they are."""
     if rig.rectified_from is None:
         return np.eye(3)
-    turn: Floats = body_SE3_camera(rig.rectified_from, side)[:3, :3].T @ body_SE3_camera(rig, side)[:3, :3]
-    return turn
+    return np.asarray(body_SE3_camera(rig.rectified_from, side)[:3, :3].T @ body_SE3_camera(rig, side)[:3, :3])
 
 
 def up_in_left_camera(rig: Rig) -> Floats:
@@ -120,5 +118,4 @@ def up_in_left_camera(rig: Rig) -> Floats:
     """
     if body_is_left_camera(rig.rectified_from or rig):
         return np.array([0.0, -1.0, 0.0]) @ stored_R_camera(rig, "left")
-    up: Floats = body_SE3_camera(rig, "left")[2, :3].copy()
-    return up
+    return np.asarray(body_SE3_camera(rig, "left")[2, :3].copy())

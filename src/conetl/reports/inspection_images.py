@@ -207,7 +207,7 @@ def calibration_as_dict(
         "coverage": {side: tables.coverage(rig, views, side) for side in SIDES},
         "interior_px": {side: rows(tables.interior_in_pixels(rig, side)) for side in SIDES},
         "relative": rows(tables.relative_orientation(rig)),
-        "candidates": [vars(c) for c in result.candidates],
+        "candidates": [c._asdict() for c in result.candidates],
         "residuals": [
             {
                 "pair": pairs[v.pair_index].name,

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -27,8 +26,7 @@ BLUR_SIGMA_PX = 0.45
 """Of lens and pixel together."""
 
 
-@dataclass(frozen=True)
-class PinholeCamera:
+class PinholeCamera(NamedTuple):
     """Interior orientation and size of an image, in pixels."""
 
     width_px: int

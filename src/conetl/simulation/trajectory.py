@@ -66,8 +66,7 @@ def true_poses(scenario: ScenarioPass, times_s: Floats, camera_ahead_m: float, i
         poses[n] = np.eye(4)
         poses[n, :3, :3] = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
         poses[n, :3, 3] = (x, y, z)
-    placed: Floats = map_SE3_road() @ poses
-    return placed
+    return np.asarray(map_SE3_road() @ poses)
 
 
 def _path(scenario: ScenarioPass, x_m: float) -> tuple[float, float]:

@@ -172,8 +172,7 @@ def _chi2(moments: Floats) -> Floats:
     """(K,) weighted residual squares of straight lines, from sums (6, K) of w, wx, wy, wxx, wxy, wyy."""
     w, wx, wy, wxx, wxy, wyy = moments
     spread, mixed, rest = wxx - wx**2 / w, wxy - wx * wy / w, wyy - wy**2 / w
-    chi2: Floats = np.maximum(rest - np.where(spread > 0, mixed**2 / np.where(spread > 0, spread, 1.0), 0.0), 0.0)
-    return chi2
+    return np.asarray(np.maximum(rest - np.where(spread > 0, mixed**2 / np.where(spread > 0, spread, 1.0), 0.0), 0.0))
 
 
 def _variance_factor(pieces: list[_Piece], o: Floats, s: Floats, variances: Floats) -> float:

@@ -95,8 +95,7 @@ def axes_of(cones_m: Floats, passes: Sequence[DrivePath], params: WorkZoneParams
 
 def _covered(line_m: Floats, s: Floats, o: Floats, params: WorkZoneParams) -> Bools:
     beyond = params.max_beyond_path_m
-    covered: Bools = (np.abs(o) <= params.max_path_offset_m) & (s >= -beyond) & (s <= stations(line_m)[-1] + beyond)
-    return covered
+    return np.asarray((np.abs(o) <= params.max_path_offset_m) & (s >= -beyond) & (s <= stations(line_m)[-1] + beyond))
 
 
 def _best_pass(cones_m: Floats, passes: Sequence[DrivePath], params: WorkZoneParams) -> Floats | None:

@@ -15,7 +15,7 @@ from pyproj import CRS
 
 from conetl.model.errors import InputError
 from conetl.readers.base_layers import georeferencing as geo
-from conetl.readers.base_layers.georeferencing import axes_seem_swapped, layer_crs, outside_area, parse_crs, to_map
+from conetl.readers.base_layers.georeferencing import axes_seem_swapped, layer_crs, parse_crs, to_map
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import read_vector_file
 from conetl.readers.base_layers.lines import read_lanelet2
@@ -141,8 +141,10 @@ def test_swapped_axes_are_found():
     assert axes_seem_swapped(utm, np.array([[5_428_000.0, 458_000.0]]), GROUND.lonlat())
     with pytest.raises(InputError, match="longitude and latitude are swapped"):
         geo.check_coordinates(Path("a.geojson"), wgs84, wrong, GROUND)
-    assert outside_area(layer_crs(parse_crs("2993"), 32610), np.array([[636_000.0, 849_000.0]]))  # feet for metres
-    assert not outside_area(layer_crs(parse_crs("2994"), 32610), np.array([[636_000.0, 849_000.0]]))
+    metres, feet = (layer_crs(parse_crs(srid), 32610) for srid in ("2993", "2994"))
+    nowhere, oregon = geo.MapGround(32610, np.empty((0, 3))), np.array([[636_000.0, 849_000.0]])
+    assert "area of use" in geo.check_coordinates(Path("a.las"), metres, oregon, nowhere)[0]  # feet for metres
+    assert geo.check_coordinates(Path("a.las"), feet, oregon, nowhere) == []
 
 
 def test_warnings_of_a_layer_far_away_or_at_other_heights():

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -58,8 +59,7 @@ class SpanPoints:
     """(4, 4) approximate motion of the left camera, as in `estimate_motion`."""
 
 
-@dataclass(frozen=True)
-class RightCameraError:
+class RightCameraError(NamedTuple):
     """Estimate from the spans, without any prior."""
 
     turn_and_bend: Floats

@@ -10,17 +10,17 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.camera import project, project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Bools, Floats
-from conetl.model.records import LENS_COEFFICIENTS, SIDES, Camera, Lens, LensModel, Side
+from conetl.model.records import INTERIOR, LENS_COEFFICIENTS, RELATIVE, SIDES, Camera, Lens, LensModel, Side
 
 Ints = NDArray[np.int64]
 PairSystem = tuple[Floats, Floats, Floats]
@@ -120,8 +120,7 @@ class Bundle:
         return np.asarray(self.points_m + (self.basis @ self.shape).reshape(-1, 3))
 
 
-@dataclass(frozen=True)
-class Reduced:
+class Reduced(NamedTuple):
     """The system without board poses: each pair's share of the normal matrix (p, g, g) and of its right side (p, g)."""
 
     normals: Floats

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.bundle_covariance import RigCovariance, rig_covariance
+from conetl.geometry.calibration.covariance import RigCovariance, rig_covariance
 from conetl.geometry.calibration.stereo_bundle import (
     BoardView,
     Bundle,
@@ -42,8 +42,7 @@ _HUBER = 2.5
 _MAX_ROUNDS = 8
 
 
-@dataclass(frozen=True)
-class Start:
+class Start(NamedTuple):
     """Start values: cameras (any lens model) and board poses camera_SE3_board (4, 4) by side and pair."""
 
     left: Camera
@@ -52,8 +51,7 @@ class Start:
     right_SE3_board: dict[int, Floats]
 
 
-@dataclass(frozen=True)
-class CornerRejection:
+class CornerRejection(NamedTuple):
     """One corner that was removed, with its residual (observed minus computed, px)."""
 
     pair_index: int
@@ -63,8 +61,7 @@ class CornerRejection:
     residual_px: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class ViewRejection:
+class ViewRejection(NamedTuple):
     """One image that was removed, and why."""
 
     pair_index: int
@@ -72,8 +69,7 @@ class ViewRejection:
     detail: str
 
 
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(NamedTuple):
     """One model that was tried. bic: lower is better; None with the reason in `problem` where the model cannot be used."""
 
     model: LensModel
@@ -116,7 +112,7 @@ def calibrate_stereo(
 
     points_m: (n, 3) nominal board. board_shapes: "flat" uses the nominal board, "free" estimates its shape as well. The
     information criterion counts observations as independent ones: their number and the sum of squares are divided by the
-    design effect of the richest model (see `bundle_covariance`). Raises BundleError.
+    design effect of the richest model (see `rig_covariance`). Raises BundleError.
     """
     bundle, kept, rejected = _assembled(np.asarray(points_m, dtype=np.float64), views, start)
     # Blunders are judged under a flexible model, so that good corners of a bent lens or board stay.
@@ -223,8 +219,7 @@ def _central(poses: Floats) -> Floats:
     angles = np.arccos(np.clip((turns - 1.0) / 2.0, -1.0, 1.0))
     shifts = np.linalg.norm(poses[:, None, :3, 3] - poses[None, :, :3, 3], axis=2)
     size = max(float(np.median(np.linalg.norm(poses[:, :3, 3], axis=1))), 1e-9)
-    central: Floats = poses[int(np.argmin(np.median(angles + shifts / size, axis=1)))]
-    return central
+    return np.asarray(poses[int(np.argmin(np.median(angles + shifts / size, axis=1)))])
 
 
 def _remodelled(bundle: Bundle, model: LensModel, shape: BoardShape) -> Bundle:

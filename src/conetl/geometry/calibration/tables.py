@@ -8,24 +8,22 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import rig as rigs
-from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.geometry.rectification import rectified_from_raw, rectify
 from conetl.model.arrays import Floats
-from conetl.model.records import Rig, Side
+from conetl.model.records import INTERIOR, RELATIVE, Rig, Side
 
 _STEP_RAD = 1e-6
 COVERAGE_CELLS = 8
 
 
-@dataclass(frozen=True)
-class Value:
+class Value(NamedTuple):
     """One number of a table with its standard deviation, both in `unit`."""
 
     name: str

@@ -49,8 +49,7 @@ class LoggedPoses:
     interpolated poses far less."""
 
 
-@dataclass(frozen=True)
-class MeasuredMotions:
+class MeasuredMotions(NamedTuple):
     """M measured intervals: each from frame `start` to the next."""
 
     start: Ints
@@ -61,8 +60,7 @@ class MeasuredMotions:
     """(M, 6, 6) of (rotation rad, translation m) in the second frame."""
 
 
-@dataclass(frozen=True)
-class LandmarkObservation:
+class LandmarkObservation(NamedTuple):
     """One cone in one frame: the foot in the left camera's frame, (3,) m and (3, 3) inverse covariance."""
 
     cone: int
@@ -71,8 +69,7 @@ class LandmarkObservation:
     information: Floats
 
 
-@dataclass(frozen=True)
-class LandmarkPrior:
+class LandmarkPrior(NamedTuple):
     """What is known of one cone beside its observations: the foot in the map's frame, (3,) m and (3, 3) inverse covariance."""
 
     cone: int

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -85,8 +86,7 @@ class StereoCameras:
     right_SE3_left: Floats
 
 
-@dataclass(frozen=True)
-class StereoMotion:
+class StereoMotion(NamedTuple):
     """Result of `estimate_motion`; unless `status` is OK the motion is the expected one."""
 
     status: MotionStatus

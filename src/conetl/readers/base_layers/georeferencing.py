@@ -106,12 +106,6 @@ def axes_seem_swapped(layer: LayerCrs, xy: Floats, map_lonlat: tuple[float, floa
     return bool(swapped < 1.0 and as_is > 2.0 + swapped)
 
 
-def outside_area(layer: LayerCrs, xy: Floats) -> bool:
-    """True where the median of coordinates (N, 2) is outside the area of use of their CRS."""
-    lonlat = np.array([layer.to_lonlat.transform(*np.median(xy, axis=0))])
-    return layer.horizontal.area_of_use is not None and not in_area(layer.horizontal, lonlat, _AREA_MARGIN_DEG)[0]
-
-
 def in_area(crs: CRS, lonlat: Floats, margin_deg: float) -> Bools:
     """Whether positions (N, 2) are in the area of use of a CRS, if it has one, or at most this far outside."""
     area = crs.area_of_use
@@ -195,7 +189,8 @@ def check_coordinates(path: Path, layer: LayerCrs, xy: Floats, ground: MapGround
         raise InputError(
             f"{path}: latitudes up to {np.abs(finite[:, 1]).max():.6g} in {layer.name}: not degrees. State the CRS with --crs"
         )
-    if outside_area(layer, finite):
+    lonlat = np.array([layer.to_lonlat.transform(*np.median(finite, axis=0))])
+    if layer.horizontal.area_of_use is not None and not in_area(layer.horizontal, lonlat, _AREA_MARGIN_DEG)[0]:
         return [f"{path.name}: its coordinates are outside the area of use of {layer.name}: is that its CRS?"]
     return []
 

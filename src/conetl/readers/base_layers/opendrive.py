@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import shapely
+from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
 from conetl.files.documents import MAX_SHOWN, named, shown
@@ -159,21 +160,13 @@ def _curvature(piece: Piece, ds: Floats) -> tuple[Floats, Floats]:
 def _polynomial(piece: Piece, ds: Floats) -> tuple[Floats, Floats]:
     if piece.shape == "poly3":  # v is a polynomial of u, and s the length of the curve: find u(s)
         u = np.linspace(0.0, piece.length_m, _ARC_LENGTH_SAMPLES)
-        slope = np.abs(np.hypot(1.0, _derivative(piece.v, u)))
+        slope = np.abs(np.hypot(1.0, polyval(u, polyder(piece.v))))
         length = np.concatenate([[0.0], np.cumsum(np.diff(u) * (slope[1:] + slope[:-1]) / 2)])
         p = np.interp(ds, length, u)
-        return np.column_stack([p, _value(piece.v, p)]), np.arctan(_derivative(piece.v, p))
+        return np.column_stack([p, polyval(p, piece.v)]), np.arctan(polyval(p, polyder(piece.v)))
     p = ds / piece.length_m if piece.normalised and piece.length_m > 0 else ds
-    turn = np.arctan2(_derivative(piece.v, p), _derivative(piece.u, p))
-    return np.column_stack([_value(piece.u, p), _value(piece.v, p)]), turn
-
-
-def _value(c: tuple[float, float, float, float], p: Floats) -> Floats:
-    return np.asarray(c[0] + p * (c[1] + p * (c[2] + p * c[3])))
-
-
-def _derivative(c: tuple[float, float, float, float], p: Floats) -> Floats:
-    return np.asarray(c[1] + p * (2 * c[2] + p * 3 * c[3]))
+    turn = np.arctan2(polyval(p, polyder(piece.v)), polyval(p, polyder(piece.u)))
+    return np.column_stack([polyval(p, piece.u), polyval(p, piece.v)]), turn
 
 
 def read_opendrive(path: Path) -> LineFile:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from pyproj import Transformer
@@ -14,8 +14,7 @@ from conetl.model.errors import InputError
 from conetl.readers.maps.tables import read_table
 
 
-@dataclass(frozen=True)
-class Gazetteer:
+class Gazetteer(NamedTuple):
     """Places by name."""
 
     names: tuple[str, ...]

@@ -216,14 +216,8 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
         points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")
         bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
         if len(bad):
-            point = points[bad[0]]
-            kind = (
-                "no or a broken geometry"
-                if point is None
-                else "an empty point"
-                if point.geom_type == "Point"
-                else point.geom_type
-            )
+            kind = getattr(points[bad[0]], "geom_type", None)
+            kind = {None: "no or a broken geometry", "Point": "an empty point"}.get(kind, kind)
             raise InputError(f"{table.path}, row {count + int(bad[0]) + 1}: {kind} where a point is expected")
         parts.append(shapely.get_coordinates(points, include_z=True))
         count += batch.num_rows

@@ -6,7 +6,6 @@ of the left one on the body; and, where known, the covariance or the sigmas of a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from pydantic import Field, model_validator
 from conetl.files.documents import named, read_yaml
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
+from conetl.geometry.calibration.stereo_bundle import parameter_names
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
@@ -26,7 +25,8 @@ from conetl.readers.rigs.common import Pair, calibration_errors, choose_pair, ri
 RIG_YAML = "rig.yaml"
 #: Ways to give the interior orientation: in pixels, or in millimetres with the sensor's size.
 _FORMS = (
-    {*INTERIOR}, {"fx_mm", "fy_mm", "sensor_width_mm", "sensor_height_mm"}, {"focal_mm", "sensor_width_mm", "sensor_height_mm"},
+    {"fx_px", "fy_px", "cx_px", "cy_px"}, {"fx_mm", "fy_mm", "sensor_width_mm", "sensor_height_mm"},
+    {"focal_mm", "sensor_width_mm", "sensor_height_mm"},
 )  # fmt: skip
 _PRINCIPAL_MM = {"x0_mm", "y0_mm", "principal_mm"}
 #: Units of `sigmas` besides those of CalibrationCovariance.
@@ -147,7 +147,7 @@ class _RigFile(Record):
             diagonal = np.diag(np.square(list(converted.values())))
             covariance = CalibrationCovariance(names=tuple(converted), matrix=tuple(map(tuple, diagonal.tolist())))
         if covariance is not None:
-            _check_covariance(covariance, {"left": self.left.lens, "right": self.right.lens})
+            _check_covariance(covariance, self.left.lens, self.right.lens)
         return covariance
 
 
@@ -180,12 +180,10 @@ def _in_own_unit(name: str, file: _RigFile) -> tuple[str, float]:
     return name, 1.0
 
 
-def _check_covariance(covariance: CalibrationCovariance, lenses: Mapping[str, Lens]) -> None:
+def _check_covariance(covariance: CalibrationCovariance, left: Lens, right: Lens) -> None:
     """Raise ValueError for a name that is not a parameter of the rig, or a matrix that is not a covariance."""
-    known = [f"relative.{name}" for name in RELATIVE]
-    for side, lens in lenses.items():
-        known += [f"{side}.{name}" for name in INTERIOR]
-        known += [f"{side}.lens.{i}" for i in range(len(lens.coefficients))]
+    known = [name for name in parameter_names(left.model) if not name.startswith("right.")]
+    known += [name for name in parameter_names(right.model) if name.startswith("right.")]
     for name in covariance.names:
         if name not in known:
             raise ValueError(
