@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from benchmarks.harness import arguments_of, print_rows, write_json
-from conetl.geometry.intersection import fit_point, image_constants
+from conetl.geometry.intersection import fit_point
 from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.params import IngestParams, TrajectoryParams
@@ -89,7 +89,7 @@ def part_positions(
             np.array(min(some, key=lambda p: p.range_m).xyz_m),
             np.stack([map_SE3_left(pose, rig) for pose in body]),
             np.stack([map_SE3_right(pose, rig) for pose in body]),
-            *image_constants(rig),
+            rig,
             sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
             sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
             sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),

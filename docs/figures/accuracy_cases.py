@@ -215,8 +215,6 @@ def adjusted_drive(
     relative = left_SE3_right(rig)
     left = np.stack(poses)
     right = left @ relative
-    k = views_of(rig)[0]
-    focal, principal = k[:, :2].ravel(), k[:, 2:].ravel()
     count = len(poses)
     sigmas = {name: np.full(count, sigma_px) for name in ("sigma_u_px", "sigma_v_px")}
     fits = []
@@ -225,7 +223,7 @@ def adjusted_drive(
         moved[:, :3, 3] += rng.normal(0, sigma_motion_m, (count, 3))
         uv = np.concatenate([project(stations(views_of(rig), [pose]), point_m).reshape(1, 4) for pose in moved])
         fit = fit_point(
-            uv + rng.normal(0, sigma_px, uv.shape), point_m, left, right, focal, principal, **sigmas,
+            uv + rng.normal(0, sigma_px, uv.shape), point_m, left, right, rig, **sigmas,
             sigma_pointing_px=np.zeros(count), sigma_motion_m=np.full(count, sigma_motion_m),
         )  # fmt: skip
         if fit is None:

@@ -118,7 +118,6 @@ def test_the_joint_adjustment_holds_for_the_errors_that_it_knows(noise: float, h
     rng = np.random.default_rng(5)
     pairs = make_path(12, step_m=1.0)
     left, right = (np.stack(list(camera_poses(pairs, RIG, side).values())) for side in ("left", "right"))
-    focal, principal = np.full(4, RIG.left.fx_px), np.array([RIG.left.cx_px, RIG.left.cy_px] * 2)
     truth = np.array(pairs[0].pose.map_t_body_m) + np.array([18.0, 3.0, 0.0])
     stated = {
         "sigma_u_px": np.full(12, 0.3), "sigma_v_px": np.full(12, 0.8), "sigma_pointing_px": np.full(12, 0.5),
@@ -129,10 +128,10 @@ def test_the_joint_adjustment_holds_for_the_errors_that_it_knows(noise: float, h
         exact = np.empty((12, 4))
         for f in range(12):  # the frame stands elsewhere than its pose says
             shifted = truth + noise * rng.normal(0, stated["sigma_motion_m"][f], 3)
-            exact[f] = pair_jacobian(shifted, left[f : f + 1], right[f : f + 1], focal, principal)[0][0]
+            exact[f] = pair_jacobian(shifted, left[f : f + 1], right[f : f + 1], RIG)[0][0]
         pointing = rng.normal(0, stated["sigma_pointing_px"])
         error = rng.normal(0, [0.3, 0.8, 0.3, 0.8], (12, 4)) + np.outer(pointing, [1.0, 0.0, 1.0, 0.0])
-        fit = fit_point(exact + noise * error, truth, left, right, focal, principal, **stated)
+        fit = fit_point(exact + noise * error, truth, left, right, RIG, **stated)
         assert fit is not None
         off = fit.xyz_m - truth
         total += Nees(float(off @ np.linalg.solve(fit.cov_m2, off)), 3)

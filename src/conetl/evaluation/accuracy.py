@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from conetl.evaluation.truth import TruthCone, TruthLine
 from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance
 from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, point_nees, pooled
-from conetl.geometry.packing import cov_matrix, vec3
+from conetl.geometry.packing import cov_matrices, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats
 from conetl.model.records import Drive, Pose, Position, Record, Rig, Track, Vec3
@@ -128,8 +128,8 @@ def track_errors(
         cone_ids=tuple(line.truth.cone_id for line, _ in found),
         truth_m=truth,
         difference_m=xyz - truth,
-        cov_m2=_stack([cov_matrix(track.cov_m2) for _, track in found]),
-        own_cov_m2=_stack([cov_matrix(track.relative_cov_m2) for _, track in found]),
+        cov_m2=cov_matrices([track.cov_m2 for _, track in found]),
+        own_cov_m2=cov_matrices([track.relative_cov_m2 for _, track in found]),
         range_m=np.linalg.norm(level, axis=1),
         sight=_unit(level),
         common_jacobian=np.concatenate(jacobians),
@@ -166,7 +166,7 @@ def position_errors(
     stated = [pose_of[p.frame_index] for p in chosen]
     left = np.array([map_SE3_left(pose, drive.rig) for pose in stated]).reshape(-1, 4, 4)
     turn = left[:, :3, :3]
-    camera_cov = _stack([cov_matrix(p.camera_cov_m2) for p in chosen])
+    camera_cov = cov_matrices([p.camera_cov_m2 for p in chosen])
     truth = np.array([cone.xyz_m for cone in cones]).reshape(-1, 3)
     jacobian, sigmas = pose_and_calibration(xyz, stated, drive.rig)
     names = tuple(cone.cone_id for cone in cones)
@@ -177,7 +177,7 @@ def position_errors(
         cone_ids=names,
         truth_m=truth,
         difference_m=xyz - truth,
-        cov_m2=_stack([cov_matrix(p.cov_m2) for p in chosen]),
+        cov_m2=cov_matrices([p.cov_m2 for p in chosen]),
         own_cov_m2=own_cov,
         range_m=np.array([p.range_m for p in chosen]),
         sight=_unit(xyz[:, :2] - left[:, :2, 3]),
@@ -272,10 +272,6 @@ def _unit(level: Floats) -> Floats:
     return np.column_stack([unit, np.zeros(len(unit))])
 
 
-def _stack(matrices: Sequence[Floats]) -> Floats:
-    return np.array(matrices).reshape(-1, 3, 3)
-
-
 def _rms(values: Floats) -> Vec3:
     return vec3(np.sqrt(np.mean(values**2, axis=0)))
 
@@ -328,7 +324,7 @@ def _outline_parts(
 def _track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:
     """(F, 3, 3) Jacobian of a track by each of its positions; their sum is the identity (`JointFit.shares`)."""
     turn = np.array([map_SE3_left(pose, rig)[:3, :3] for pose in poses])
-    cov = np.stack([cov_matrix(p.camera_cov_m2) for p in members])
+    cov = cov_matrices([p.camera_cov_m2 for p in members])
     if motion is not None:
         nearest = min(members, key=lambda p: p.range_m).frame_index
         added = [np.trace(motion(p.frame_index, nearest, np.array(p.camera_xyz_m))) / 3 for p in members]

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.camera import project, rays
 from conetl.geometry.rig import infinity_shift_px
 from conetl.geometry.small_arrays import robust_std
 from conetl.model.arrays import Bools, Floats
@@ -81,11 +82,9 @@ def scene_samples(
     """
     camera, focal_base = rig.left, rig.left.fx_px * rig.baseline_m
     points = points_left_m[points_left_m[:, 2] > 3.0]
-    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    u, v = camera.cx_px + camera.fx_px * x, camera.cy_px + camera.fy_px * y
-    disparity = focal_base / points[:, 2]
-    at_infinity = infinity_shift_px(rig, np.stack([u, v], axis=1))
-    shift = disparity + at_infinity[:, 0]
+    uv, xy, disparity = project(camera, points), points[:, :2] / points[:, 2:], focal_base / points[:, 2]
+    u, v = uv.T
+    shift = disparity + infinity_shift_px(rig, uv)[:, 0]
     edge = _HALF_PX + _REACH_PX + 2
     height, width = left.shape[:2]
     good = (u > edge) & (u < width - edge) & (v > edge) & (v < height - edge)
@@ -100,7 +99,7 @@ def scene_samples(
         return np.zeros((0, 4))
     measured, fits = _match_windows(_grey(left), _grey(right), u[chosen], v[chosen], shift[chosen], rig)
     kept = chosen[fits]
-    return np.column_stack([x[kept], y[kept], disparity[kept], measured[fits] - shift[kept]])
+    return np.column_stack([xy[kept], disparity[kept], measured[fits] - shift[kept]])
 
 
 def fit_scene_bias(samples: Floats, rig: Rig) -> SceneBias | None:
@@ -198,8 +197,7 @@ def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Flo
     points_left_m: (N, 3) in the left camera's frame (x right, y down, z forward). up: unit vector (3,) in that frame.
     """
     ahead = points_left_m[points_left_m[:, 2] > 0.5]
-    u = camera.cx_px + camera.fx_px * ahead[:, 0] / ahead[:, 2]
-    v = camera.cy_px + camera.fy_px * ahead[:, 1] / ahead[:, 2]
+    u, v = project(camera, ahead).T
     share = outline.share(v)
     aside = np.abs(u - outline.axis(v))
     inside = (share > _ROWS[0]) & (share < _ROWS[1]) & (aside < outline.radius(v))
@@ -215,7 +213,7 @@ def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Flo
     if near.sum() < _MIN_POINTS or near.mean() < _MIN_CLUSTER_SHARE:
         return None
     foot = np.array([outline.axis(np.array([outline.foot_row]))[0], outline.foot_row])
-    ray = np.array([(foot[0] - camera.cx_px) / camera.fx_px, (foot[1] - camera.cy_px) / camera.fy_px, 1.0])
+    ray = rays(camera, foot)
     bearing = ray - (ray @ up) * up
     bearing /= np.linalg.norm(bearing)
     across = np.cross(up, bearing)
@@ -249,7 +247,7 @@ def residual(
 def without_scene_bias(found: LidarResidual, match: StereoMatch, rig: Rig, bias: SceneBias) -> LidarResidual:
     """The residual after correction by the scene's calibration errors, which leaves the error of the match."""
     foot = np.array(match.foot_left_uv_px)
-    xy = (foot - [rig.left.cx_px, rig.left.cy_px]) / [rig.left.fx_px, rig.left.fy_px]
+    xy = rays(rig.left, foot)[:2]
     disparity = match.foot_left_uv_px[0] - match.foot_right_uv_px[0] - float(infinity_shift_px(rig, foot)[0])
     stretch = disparity / (disparity - float(bias.disparity_error_px(xy)))
     # The offset is along the optical axis, the range is level and at an angle to it.

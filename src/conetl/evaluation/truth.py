@@ -18,7 +18,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from conetl.files.documents import first_message
-from conetl.geometry.packing import cov_matrix
+from conetl.geometry.consistency import point_nees
+from conetl.geometry.packing import cov_matrices
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
@@ -131,11 +132,7 @@ def paired(truth_m: Floats, found_m: Floats, gate_m: float) -> dict[int, int]:
 
 
 def compare_with_truth(
-    truth: Sequence[TruthCone],
-    features: Sequence[Found],
-    path_m: Floats,
-    *,
-    within_m: float = 20.0,
+    truth: Sequence[TruthCone], features: Sequence[Found], path_m: Floats, *, within_m: float = 20.0
 ) -> tuple[list[TruthLine[Found]], list[Found]]:
     """One line per cone of the truth, by cone id, and the false features.
 
@@ -241,16 +238,10 @@ def check_map(points: Sequence[SurveyedPoint], features: Sequence[MapFeature], *
     ]
     if not pairs:
         return CheckedMap(residuals, None, None, None, contradicts=False)
-    d = np.array([r.difference_m for r in residuals if r.difference_m is not None])
+    d = np.array([found[j] - truth[i] for i, j in pairs.items()])
     squares = (d**2).mean(axis=0)
     rmse = np.sqrt([*squares, squares[0] + squares[1], squares.sum()])
-    total = sum(
-        float(
-            r.difference_m
-            @ np.linalg.solve(cov_matrix(r.feature.cov_m2) + np.diag(np.square(r.point.sigma_m)), r.difference_m)
-        )
-        for r in residuals
-        if r.feature is not None and r.difference_m is not None
-    )
+    of_points = np.array([np.diag(np.square(points[i].sigma_m)) for i in pairs])
+    total = float(point_nees(d, cov_matrices([features[j].cov_m2 for j in pairs.values()]) + of_points).sum())
     contradicts = bool(chi2.sf(total, 3 * len(d)) < _CONTRADICTS)
     return CheckedMap(residuals, rmse, d.mean(axis=0), total / (3 * len(d)), contradicts=contradicts)

@@ -25,6 +25,7 @@ from referencing.jsonschema import DRAFT7
 from conetl.exports.text_files import coordinates
 from conetl.files.atomic import atomic_text_file
 from conetl.files.yaml_model import read_yaml_mapping, validated
+from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
@@ -275,8 +276,7 @@ def _is_verified(cone: MapFeature, params: WorkZoneParams) -> bool:
 
 def _sigma_m(cone: MapFeature) -> float:
     """Standard deviation of the horizontal position in its worst direction."""
-    xx, xy, yy = cone.cov_m2[0], cone.cov_m2[1], cone.cov_m2[3]
-    return float(np.sqrt(np.linalg.eigvalsh(np.array([[xx, xy], [xy, yy]]))[-1]))
+    return float(np.sqrt(np.linalg.eigvalsh(cov_matrix(cone.cov_m2)[:2, :2])[-1]))
 
 
 def _bbox(line: list[list[float]]) -> list[float]:

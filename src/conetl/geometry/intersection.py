@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from conetl.geometry.camera import intrinsics
+from conetl.geometry.camera import project_with_jacobian
 from conetl.model.arrays import Bools, Floats
 from conetl.model.records import Rig
 
@@ -260,33 +260,19 @@ class JointFit(NamedTuple):
     """(F, 3, 3): derivative by each pair's own point; their sum is the identity."""
 
 
-def image_constants(rig: Rig) -> tuple[Floats, Floats]:
-    """Focal lengths (4,) and principal points (4,) of a rectified rig, px, in the order of u_left, v_left, u_right, v_right."""
-    both = np.stack([intrinsics(rig.left), intrinsics(rig.right)])
-    return both[:, :2].ravel(), both[:, 2:].ravel()
-
-
-def pair_jacobian(
-    point_m: Floats, map_SE3_left: Floats, map_SE3_right: Floats, focal_px: Floats, principal_px: Floats
-) -> tuple[Floats, Floats]:
+def pair_jacobian(point_m: Floats, map_SE3_left: Floats, map_SE3_right: Floats, rig: Rig) -> tuple[Floats, Floats]:
     """Image points of one map point in F stereo pairs, and their derivatives (collinearity equations, linearised).
 
-    point_m (3,); map_SE3_left, map_SE3_right (F, 4, 4); focal_px, principal_px (4,) in the order of u_left, v_left, u_right,
-    v_right. Returns (F, 4) px and (F, 4, 3) px/m. Points behind a camera give NaN.
+    point_m (3,); map_SE3_left, map_SE3_right (F, 4, 4); a rectified rig. Returns (F, 4) px and (F, 4, 3) px/m in the order of
+    u_left, v_left, u_right, v_right. Points behind a camera give NaN.
     """
     computed, jacobian = [], []
-    for side, pose in enumerate((map_SE3_left, map_SE3_right)):
+    for camera, pose in ((rig.left, map_SE3_left), (rig.right, map_SE3_right)):
         to_camera = np.swapaxes(pose[:, :3, :3], 1, 2)
-        local = np.einsum("fij,fj->fi", to_camera, point_m - pose[:, :3, 3])
-        depth = np.where(local[:, 2] > 0, local[:, 2], np.nan)
-        for axis in (0, 1):
-            k = 2 * side + axis
-            ratio = local[:, axis] / depth
-            computed.append(principal_px[k] + focal_px[k] * ratio)
-            jacobian.append(
-                focal_px[k] * (to_camera[:, axis, :] - ratio[:, None] * to_camera[:, 2, :]) / depth[:, None]
-            )
-    return np.stack(computed, axis=1), np.stack(jacobian, axis=1)
+        seen = project_with_jacobian(camera, np.einsum("fij,fj->fi", to_camera, point_m - pose[:, :3, 3]))
+        computed.append(seen.uv_px)
+        jacobian.append(seen.by_point @ to_camera)
+    return np.concatenate(computed, axis=1), np.concatenate(jacobian, axis=1)
 
 
 def fit_point(
@@ -294,8 +280,7 @@ def fit_point(
     start_m: Floats,
     map_SE3_left: Floats,
     map_SE3_right: Floats,
-    focal_px: Floats,
-    principal_px: Floats,
+    rig: Rig,
     *,
     sigma_u_px: Floats,
     sigma_v_px: Floats,
@@ -322,7 +307,7 @@ def fit_point(
     point = np.zeros(3)
     huber = np.ones(frames)
     for _ in range(_MAX_FIT_ITERATIONS):
-        computed, jacobian = pair_jacobian(point, left, right, focal_px, principal_px)
+        computed, jacobian = pair_jacobian(point, left, right, rig)
         if not np.isfinite(computed).all():
             return None
         residual = observed_px - computed

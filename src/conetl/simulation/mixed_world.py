@@ -88,11 +88,7 @@ def _markings(rng: np.random.Generator, seed: int) -> tuple[RoadMarking, ...]:
     )
     if seed % 3 == 0:
         gap = width + 0.15
-        return (
-            *edges,
-            along("C1", 0.9, colour="yellow"),
-            along("T1", 0.9 + gap, dashed=True, colour="yellow"),
-        )
+        return (*edges, along("C1", 0.9, colour="yellow"), along("T1", 0.9 + gap, dashed=True, colour="yellow"))
     if seed % 3 == 1:
         old = along("C1", 0.6, dashed=True, worn=0.3)
         return (*edges, old, along("T1", 0.6 + float(rng.uniform(0.35, 0.6)), colour="yellow"))

@@ -228,10 +228,7 @@ def _house(item: RoadObject, seed: int) -> list[Part]:
     wall = textures.facade(seed, item.colour, columns=max(2, round(item.length_m / 2.6)))
     front = meshes.box([item.length_m, 6.0, item.height_m])
     roof = meshes.box([item.length_m + 0.6, 6.8, 0.35], item.height_m)
-    return [
-        _part(item, front, wall),
-        _part(item, roof, textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256)),
-    ]
+    return [_part(item, front, wall), _part(item, roof, textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256))]
 
 
 def _hedge(item: RoadObject, seed: int) -> list[Part]:
@@ -292,11 +289,7 @@ def _vertical_panel(item: RoadObject, seed: int) -> list[Part]:
     board = meshes.box([0.03, item.length_m, board_m], item.height_m - board_m)
     mast = meshes.box([0.04, 0.07, item.height_m - board_m], 0.05)
     face = textures.stripes(seed, item.colour, item.length_m / board_m, bool(seed % 2))
-    return [
-        _part(item, board, face),
-        _part(item, mast, _RUBBER),
-        _part(item, meshes.box([0.45, 0.42, 0.08]), _RUBBER),
-    ]
+    return [_part(item, board, face), _part(item, mast, _RUBBER), _part(item, meshes.box([0.45, 0.42, 0.08]), _RUBBER)]
 
 
 def _type_3_barricade(item: RoadObject, seed: int) -> list[Part]:

@@ -84,11 +84,7 @@ def line_feature(points_m: Floats, height_m: float, properties: dict[str, Any]) 
     places = np.column_stack([points_m, np.full(len(points_m), height_m)]) @ motion[:3, :3].T + motion[:3, 3]
     lat_lon = to_geodetic(MAP_SRID, places).tolist()
     coordinates = [[round(lon, 9), round(lat, 9), round(height, 3)] for lat, lon, height in lat_lon]
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": {"type": "LineString", "coordinates": coordinates},
-    }
+    return {"type": "Feature", "properties": properties, "geometry": {"type": "LineString", "coordinates": coordinates}}
 
 
 def feature_collection(features: Iterable[dict[str, Any]]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import jacobian_of
-from conetl.geometry.intersection import fit_point, image_constants
+from conetl.geometry.intersection import fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, evidence_of
@@ -126,7 +126,7 @@ def fuse_group(
             np.array(nearest.centre_xyz_m if point == "centre" else nearest.xyz_m),
             left,
             right,
-            *image_constants(rig),
+            rig,
             sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
             sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
             sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.intersection import image_constants, pair_jacobian
+from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.records import Pose, Rig, StereoMatch, Track
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
@@ -129,7 +129,7 @@ def _cone(
     # Coordinates around the cone: millimetre corrections on millions of metres would lose digits.
     left[:, :3, 3] -= xyz_m
     right[:, :3, 3] -= xyz_m
-    computed, jacobian = pair_jacobian(np.zeros(3), left, right, *image_constants(rig))
+    computed, jacobian = pair_jacobian(np.zeros(3), left, right, rig)
     observed = np.array([(*m.foot_left_uv_px, *m.foot_right_uv_px) for m in pairs])
     shared = np.array([(m.sigma_outline_px, m.sigma_outline_px, SHARED_DISPARITY_PX) for m in pairs])
     stated = np.array([(m.sigma_pointing_px**2, m.sigma_v_px**2 / 2, _disparity_px2(m)) for m in pairs])

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from conetl.geometry.linear_reference import directions_at, locate, project
+from conetl.geometry.packing import cov_matrices
 from conetl.model.arrays import Floats
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
@@ -46,7 +47,7 @@ def layout_of(
     known = bool(passes)
     if known and _direction(line, cones_m, zone.cones, passes, params) < 0:
         line = line[::-1]
-    reference = _lane_axis(line, cones_m, lanes, passes) if lanes else None
+    reference = _lane_axis(line, cones_m, lanes) if lanes else None
     if reference is not None:
         line, source = reference, "lanes"
     return _along(line, source, known, zone.cones, passes, lanes, params)
@@ -123,11 +124,10 @@ def _bands(line: Floats, s: Floats, lanes: Sequence[LaneLine]) -> LaneBands | No
 def _sigmas(line: Floats, s: Floats, cones: Sequence[MapFeature]) -> tuple[Floats, Floats]:
     """Sigmas (C,) of cones along and across the line, from their covariances."""
     along = directions_at(line, s)
-    xx, xy, yy = (np.array([cone.cov_m2[k] for cone in cones]) for k in (0, 1, 3))
-    t0, t1 = along.T
-    var_s = xx * t0**2 + 2 * xy * t0 * t1 + yy * t1**2
-    var_o = xx * t1**2 - 2 * xy * t0 * t1 + yy * t0**2
-    return np.sqrt(np.maximum(var_s, 0.0)), np.sqrt(np.maximum(var_o, 0.0))
+    axes = np.stack([along, along[:, ::-1] * [-1.0, 1.0]], axis=1)
+    cov = cov_matrices([cone.cov_m2 for cone in cones])[:, :2, :2]
+    sigma_s, sigma_o = np.sqrt(np.maximum(np.einsum("cki,cij,ckj->kc", axes, cov, axes), 0.0))
+    return sigma_s, sigma_o
 
 
 def _heading(line: Floats, one: DrivePath) -> int:
@@ -165,7 +165,7 @@ def _traffic_sign(line: Floats, passes: Sequence[DrivePath], s: Floats, o: Float
     return float(np.sign(np.median(sides)))
 
 
-def _lane_axis(line: Floats, cones_m: Floats, lanes: Sequence[LaneLine], passes: Sequence[DrivePath]) -> Floats | None:
+def _lane_axis(line: Floats, cones_m: Floats, lanes: Sequence[LaneLine]) -> Floats | None:
     """The lane line nearest to the cones and beside all of them, in the direction of the line; None if there is none."""
     s, o = project(line, cones_m)
     bands = _bands(line, np.sort(s), lanes)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry.intersection import JointFit, fit_point, image_constants, pair_jacobian
+from conetl.geometry.intersection import JointFit, fit_point, pair_jacobian
 from tests.synthetic.world import ORIGIN_M, camera_poses, make_path, make_rig
 
 RIG = make_rig()
-FOCAL, PRINCIPAL = image_constants(RIG)
 POINT = ORIGIN_M + np.array([20.0, 2.0, 0.1])
 FRAMES = 12
 
@@ -27,8 +26,7 @@ def fit(observed: NDArray[np.float64], motion_m: float = 0.01) -> JointFit:
         POINT + np.array([0.8, -0.4, 0.3]),
         left,
         right,
-        FOCAL,
-        PRINCIPAL,
+        RIG,
         sigma_u_px=0.15 * ones,
         sigma_v_px=0.8 * ones,
         sigma_pointing_px=0.6 * ones,
@@ -39,7 +37,7 @@ def fit(observed: NDArray[np.float64], motion_m: float = 0.01) -> JointFit:
 
 
 def perfect() -> NDArray[np.float64]:
-    return pair_jacobian(POINT, *poses(), FOCAL, PRINCIPAL)[0]
+    return pair_jacobian(POINT, *poses(), RIG)[0]
 
 
 def test_perfect_observations_give_the_point_to_a_micrometre() -> None:
@@ -62,4 +60,4 @@ def test_a_point_behind_the_cameras_is_no_result() -> None:
     ones = np.ones(FRAMES)
     sigmas = {"sigma_u_px": ones, "sigma_v_px": ones, "sigma_pointing_px": ones, "sigma_motion_m": ones}
     behind = ORIGIN_M - np.array([50.0, 0.0, 0.0])
-    assert fit_point(perfect(), behind, left, right, FOCAL, PRINCIPAL, **sigmas) is None
+    assert fit_point(perfect(), behind, left, right, RIG, **sigmas) is None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.consistency import Nees
-from conetl.geometry.intersection import fit_point, image_constants, pair_jacobian
+from conetl.geometry.intersection import fit_point, pair_jacobian
 from conetl.geometry.motion.chain_solver import cross_covariance
 from conetl.geometry.packing import cov_matrix
 from conetl.model.params import TrajectoryParams
@@ -64,9 +64,9 @@ def test_many_observations_with_a_wrong_calibration_are_within_their_covariance(
     for _ in range(200):
         actual = wrong_rig(RIG, rng.normal(0, SIGMAS))
         right = np.stack(list(camera_poses(pairs, actual, "right").values()))
-        exact, _ = pair_jacobian(truth, nominal[0], right, *image_constants(actual))
+        exact, _ = pair_jacobian(truth, nominal[0], right, actual)
         observed = exact + rng.normal(0, 0.4, exact.shape)
-        fit = fit_point(observed, truth, *nominal, *image_constants(RIG), **stated)
+        fit = fit_point(observed, truth, *nominal, RIG, **stated)
         assert fit is not None
         group = [position_at(pair, left[pair.frame_index], fit.xyz_m) for pair in pairs]
         common = common_cov(group, fit.shares, by_index, RIG, left)
@@ -100,7 +100,7 @@ def nees_of_logs(
     left = camera_poses(pairs, exact_rig, "left")
     body = np.stack([se3.map_SE3_body(pair.pose) for pair in pairs])
     sides = [rigs.body_SE3_camera(exact_rig, side) for side in ("left", "right")]
-    exact, _ = pair_jacobian(truth, *(se3.compose(body, side) for side in sides), *image_constants(exact_rig))
+    exact, _ = pair_jacobian(truth, *(se3.compose(body, side) for side in sides), exact_rig)
     group = [position_at(pair, left[pair.frame_index], truth) for pair in pairs]
     seconds = 0.1 * np.arange(frames)
     rho = np.exp(-np.abs(seconds[:, None] - seconds) / correlation_s)
@@ -118,9 +118,7 @@ def nees_of_logs(
         logged[:, :3, :3] = body[:, :3, :3] @ se3.rotation_from_rpy(*error[:, 3:].T)
         logged[:, :3, 3] += error[:, :3]
         observed = exact + rng.normal(0, [0.3, 0.8, 0.3, 0.8], exact.shape)
-        fit = fit_point(
-            observed, truth, *(se3.compose(logged, s) for s in sides), *image_constants(exact_rig), **stated
-        )
+        fit = fit_point(observed, truth, *(se3.compose(logged, s) for s in sides), exact_rig, **stated)
         assert fit is not None
         cov = fit.cov_m2 + common_cov(group, fit.shares, by_index, exact_rig, left, assumed)
         off = fit.xyz_m - truth

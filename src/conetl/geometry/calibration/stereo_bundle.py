@@ -152,12 +152,7 @@ def residuals_px(bundle: Bundle, view: BoardView) -> Floats:
     return np.asarray(view.uv_px - project(camera, in_camera))
 
 
-def adjust(
-    bundle: Bundle,
-    views: Sequence[BoardView],
-    *,
-    weights: Sequence[Floats] | None = None,
-) -> Bundle:
+def adjust(bundle: Bundle, views: Sequence[BoardView], *, weights: Sequence[Floats] | None = None) -> Bundle:
     """The bundle of least weighted squares, from a bundle nearby.
 
     weights: (n,) for the corners of each view, default one. Raises BundleError where it does not converge.

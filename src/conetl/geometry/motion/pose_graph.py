@@ -187,11 +187,7 @@ def _add_motions(
 
 
 def _add_sightings(
-    normal: ChainNormal,
-    log: LoggedPoses,
-    state: _State,
-    sightings: Sequence[LandmarkObservation],
-    robust_sigmas: float,
+    normal: ChainNormal, log: LoggedPoses, state: _State, sightings: Sequence[LandmarkObservation], robust_sigmas: float
 ) -> None:
     """Add cones as landmarks; their feet follow the scale among the shared unknowns."""
     rotations, places, _, shared = state
