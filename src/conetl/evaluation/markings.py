@@ -8,7 +8,7 @@ only, so that one line found is not both lines of a double marking.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -39,7 +39,6 @@ _DEPTHS_M = (4.0, 15.0)
 _ASIDE_M = 8.0
 #: Components of the errors of vertices (across the marking, upwards) by name of their NEES.
 NEES_PARTS = {"lateral": slice(0, 1), "height": slice(1, 2), "together": slice(0, 2)}
-_PER_FOUND = ("lateral_m", "height_m", "width_m", "dash_m", "gap_m", "pattern_right", "colour_right")
 
 
 class TruthMarking(Record):
@@ -103,17 +102,10 @@ class MarkingErrors:
     """(T,)"""
     matched: NDArray[np.int64]
     """(S,) marking of the truth, -1 where there is none within the buffer"""
-    lateral_m: Floats
-    """(S,) positive to the left of the truth; this and the following are NaN where nothing matches"""
-    height_m: Floats
-    width_m: Floats
-    """Error of the width"""
-    dash_m: Floats
-    """Error of the length of dashes; NaN of solid lines too"""
-    gap_m: Floats
-    pattern_right: Floats
-    """1 or 0: solid or dashed, with dash and gap to 0.5 m"""
-    colour_right: Floats
+    found: Mapping[str, Floats]
+    """(S,) each, NaN where nothing matches: lateral_m (positive to the left of the truth), height_m, and errors of width_m,
+    dash_m, gap_m (these two NaN of solid lines); pattern_right (solid or dashed, with dash and gap to 0.5 m) and colour_right, 1
+    or 0."""
     vertex_m: Floats
     """(V, 2)"""
     vertex_cov_m2: Floats
@@ -129,7 +121,8 @@ class MarkingErrors:
         return replace(
             self,
             **{name: getattr(self, name)[truth] for name in ("truth_index", "truth_visible", "truth_found")},
-            **{name: getattr(self, name)[found] for name in ("matched", *_PER_FOUND)},
+            matched=self.matched[found],
+            found={name: column[found] for name, column in self.found.items()},
         )
 
 
@@ -221,13 +214,15 @@ def compare_markings(
         truth_visible=visible(points),
         truth_found=truth_found,
         matched=nearest,
-        lateral_m=lateral,
-        height_m=height,
-        width_m=per_sample([a.width_m - b.width_m for a, b in pairs]),
-        dash_m=per_sample([_difference(a.dash_m, b.dash_m) for a, b in pairs]),
-        gap_m=per_sample([_difference(a.gap_m, b.gap_m) for a, b in pairs]),
-        pattern_right=per_sample([_same_pattern(a, b) for a, b in pairs]),
-        colour_right=per_sample([a.colour == b.colour for a, b in pairs]),
+        found={
+            "lateral_m": lateral,
+            "height_m": height,
+            "width_m": per_sample([a.width_m - b.width_m for a, b in pairs]),
+            "dash_m": per_sample([_difference(a.dash_m, b.dash_m) for a, b in pairs]),
+            "gap_m": per_sample([_difference(a.gap_m, b.gap_m) for a, b in pairs]),
+            "pattern_right": per_sample([_same_pattern(a, b) for a, b in pairs]),
+            "colour_right": per_sample([a.colour == b.colour for a, b in pairs]),
+        },
         vertex_m=np.column_stack([across, up])[keep],
         vertex_cov_m2=axes @ common.own_cov_m2[keep] @ np.swapaxes(axes, 1, 2),
         common_jacobian=axes @ common.jacobian[keep],
@@ -237,11 +232,9 @@ def compare_markings(
 
 def marking_figures(drives: Sequence[MarkingErrors]) -> MarkingFigures:
     """Figures of one drive or of several together."""
-    columns = {
-        name: np.concatenate([getattr(errors, name) for errors in drives])
-        for name in ("truth_visible", "truth_found", "matched", *_PER_FOUND)
-    }
-    visible, covered, matched = columns["truth_visible"], columns["truth_found"], columns["matched"] >= 0
+    visible, covered = (np.concatenate([getattr(d, name) for d in drives]) for name in ("truth_visible", "truth_found"))
+    matched = np.concatenate([d.matched for d in drives]) >= 0
+    columns = {name: np.concatenate([d.found[name] for d in drives]) for name in drives[0].found}
     return MarkingFigures(
         truth_m=float(visible.sum()) * _STEP_M,
         found_m=len(matched) * _STEP_M,

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.motion.stereo_motion import MotionStatus, StereoCameras, estimate_motion, triangulate
-from conetl.geometry.small_arrays import cross_matrix, inverse_of_symmetric, median
+from conetl.geometry.small_arrays import cross_matrix, inverse_of_symmetric, median, stepped
 from conetl.model.arrays import Floats
 from conetl.model.params import TrajectoryParams
 
@@ -194,11 +194,8 @@ def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tupl
     by_motion = [shared[part, :, :6] @ step for part, step in zip(parts, steps, strict=True)]
     new_points = points + np.einsum("nij,nj->ni", own, residual - np.concatenate(by_motion))
     new_points[:, 2] = np.maximum(new_points[:, 2], 2 * _NEAREST_M)  # a point may not pass through the camera
-    poses = spans.poses.copy()
-    poses[:, :3, :3] = Rotation.from_rotvec(steps[:, :3]).as_matrix() @ poses[:, :3, :3]
-    poses[:, :3, 3] += steps[:, 3:]
     reduced, left = normal[:, 6:, 6:] - gain @ normal[:, :6, 6:], score[:, 6:] - gain @ score[:, :6]
-    return reduced, left[:, :, 0], replace(spans, poses=poses, points=new_points)
+    return reduced, left[:, :, 0], replace(spans, poses=stepped(spans.poses, steps), points=new_points)
 
 
 def _image(cameras: StereoCameras, skew: float, points: Floats) -> tuple[Floats, Floats, Floats]:

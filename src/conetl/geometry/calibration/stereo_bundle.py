@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import project, project_with_jacobian
-from conetl.geometry.small_arrays import cross_matrix
+from conetl.geometry.small_arrays import cross_matrix, stepped
 from conetl.model.arrays import Bools, Floats
 from conetl.model.records import INTERIOR, LENS_COEFFICIENTS, RELATIVE, SIDES, Camera, Lens, LensModel, Side
 
@@ -265,11 +265,8 @@ def moved(bundle: Bundle, step: Floats, pose_steps: dict[int, Floats]) -> Bundle
     count = bundle.rig_parameters
     own = (count - len(RELATIVE)) // 2
     r, t = bundle.left_SE3_right[:3, :3], bundle.left_SE3_right[:3, 3]
-    relative = se3.se3(r @ _exp(step[count - 6 : count - 3]), t + step[count - 3 : count])
-    poses = dict(bundle.board_SE3)
-    for pair, d in pose_steps.items():
-        old = poses[pair]
-        poses[pair] = se3.se3(_exp(d[:3]) @ old[:3, :3], old[:3, 3] + d[3:])
+    relative = se3.se3(r @ Rotation.from_rotvec(step[count - 6 : count - 3]).as_matrix(), t + step[count - 3 : count])
+    poses = bundle.board_SE3 | {pair: stepped(bundle.board_SE3[pair], d) for pair, d in pose_steps.items()}
     return replace(
         bundle,
         left=_moved_camera(bundle.left, step[:own]),
@@ -326,7 +323,3 @@ def _by_pair(views: Sequence[BoardView], weights: Sequence[Floats] | None) -> di
         weight = np.ones(len(view.point_ids)) if weights is None else weights[number]
         found[view.pair_index].append((view, weight))
     return dict(sorted(found.items()))
-
-
-def _exp(rotation_vector: Floats) -> Floats:
-    return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix())

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from conetl.geometry.small_arrays import all_stepped, apart, cross_matrix, inverse_of_symmetric, median, stepped
+from conetl.geometry.small_arrays import apart, cross_matrix, inverse_of_symmetric, median, stepped
 from conetl.model.arrays import Bools, Floats
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Matrix4, Record
@@ -225,7 +225,7 @@ def _hypotheses(cameras: StereoCameras, points: Floats, second_px: Floats, expec
         scale = np.einsum("hni,hni->hi", design, design)
         normal = np.swapaxes(design, 1, 2) @ design + (1e-9 * scale + 1e-12)[:, :, None] * np.eye(6)
         step = np.linalg.solve(normal, np.einsum("hni,hn->hi", design, residual)[..., None])[..., 0]
-        poses = all_stepped(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
+        poses = stepped(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
     return poses
 
 
