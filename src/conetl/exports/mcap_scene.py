@@ -25,6 +25,7 @@ from conetl.exports.source import LINE_NAME, Source, What
 from conetl.exports.text_files import iso_utc
 from conetl.model.feature_classes import CONE, width_over_height
 from conetl.model.map_records import DeltaKind
+from conetl.model.records import ns_from_utc
 
 FRAME = "map"
 TOPIC = "/cones"
@@ -75,7 +76,7 @@ def _rows(source: Source) -> Iterator[Object]:
     request = source.request
     shown_at = request.until if request.what is What.CHANGES else request.as_of
     shown_at = shown_at or request.believed_at or source.info.last_committed_at or datetime.now(UTC)
-    fixed_us = _microseconds(shown_at)
+    fixed_us = ns_from_utc(shown_at) // 1000
     for batch in source.batches:
         rows = batch.to_pylist()
         if source.lines:
@@ -83,7 +84,7 @@ def _rows(source: Source) -> Iterator[Object]:
             for row, line in zip(rows, np.split(vertices_m, np.flatnonzero(np.diff(of_row)) + 1), strict=True):
                 row[LINE_NAME] = line
         for row in rows:
-            row["instant_us"] = _microseconds(row["valid_from"]) if request.what is What.HISTORY else fixed_us
+            row["instant_us"] = ns_from_utc(row["valid_from"]) // 1000 if request.what is What.HISTORY else fixed_us
             yield row
 
 
@@ -211,10 +212,6 @@ def _rgb(colour: str) -> Object:
 
 def _time(instant_us: int) -> Object:
     return {"sec": instant_us // 1_000_000, "nsec": instant_us % 1_000_000 * 1000}
-
-
-def _microseconds(instant: datetime) -> int:
-    return int(np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "us").astype(np.int64))
 
 
 def _text(value: Any) -> str:

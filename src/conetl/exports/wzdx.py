@@ -30,7 +30,7 @@ from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
-from conetl.model.records import utc_from_ns
+from conetl.model.records import ns_from_utc, utc_from_ns
 from conetl.model.work_zone_records import WorkZone
 
 _CC0 = "https://creativecommons.org/publicdomain/zero/1.0/"
@@ -99,7 +99,7 @@ class FeedContext:
 
 def export_work_zone_feed(zones: Sequence[WorkZone], path: Path, context: FeedContext) -> int:
     """Write a WorkZoneFeed with one road event per zone that stands or ended recently; their number."""
-    oldest_ns = _ns(context.at - timedelta(days=context.params.keep_ended_days))
+    oldest_ns = ns_from_utc(context.at - timedelta(days=context.params.keep_ended_days))
     shown = [z for z in zones if z.history.end_ns is None or z.history.end_ns >= oldest_ns]
     ids = {zone.history.zone_id for zone in shown}
     features = [_road_event(zone, context, ids) for zone in shown]
@@ -291,10 +291,6 @@ def _known(values: Object) -> Object:
 def _iso(instant: datetime) -> str:
     """RFC 3339 in whole seconds, which consumers of WZDx expect."""
     return instant.astimezone(UTC).replace(microsecond=0).isoformat().replace("+00:00", "Z")
-
-
-def _ns(instant: datetime) -> int:
-    return int(instant.timestamp() * 1_000_000) * 1000
 
 
 @_formats.checks("date-time")

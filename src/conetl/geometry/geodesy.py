@@ -20,7 +20,6 @@ from __future__ import annotations
 import re
 import warnings
 from functools import cache, lru_cache
-from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +28,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.datadir import get_user_data_dir  # type: ignore[attr-defined]
 from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import AreaOfInterest, TransformerGroup
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
@@ -155,12 +155,8 @@ def sensor_R_body(sensor_R_left: ArrayLike) -> Floats:
     camera (rotation sensor_R_left). An IMU whose x axis points up (EuRoC's) would have no roll and yaw otherwise.
     """
     wanted = np.asarray(sensor_R_left, dtype=np.float64) @ CAMERA_R_BODY
-    axes = [
-        np.eye(3)[:, order] * np.array(signs)
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return max((turn for turn in axes if np.linalg.det(turn) > 0), key=lambda turn: float(np.sum(turn * wanted)))
+    axes = np.rint(Rotation.create_group("O").as_matrix())
+    return np.asarray(axes[np.argmax((axes * wanted).sum(axis=(1, 2)))])
 
 
 @lru_cache(maxsize=16)

@@ -448,6 +448,14 @@ class DriveRecords(NamedTuple):
     markings: Sequence[MarkingTrack] = ()
 
 
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
 def utc_from_ns(nanoseconds: int) -> datetime:
     """UTC datetime of nanoseconds since 1970, truncated to microseconds (what datetime can hold)."""
-    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=nanoseconds // 1000)
+    return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
+
+
+def ns_from_utc(instant: datetime) -> int:
+    """UTC nanoseconds since 1970 of a datetime with a time zone."""
+    return (instant - _EPOCH) // timedelta(microseconds=1) * 1000

@@ -47,7 +47,10 @@ def mixed_pass(seed: int, pass_number: int) -> ScenarioPass:
     else:
         changes |= {added.object_id: "added" if pass_number == 2 else "confirmed"}
         objects = (*objects, added)
-        markings = tuple(_moved(one) if one.marking_id == "E2" else one for one in markings)
+        markings = tuple(
+            replace(one, points_m=tuple((x, y - _MOVED_M) for x, y in one.points_m)) if one.marking_id == "E2" else one
+            for one in markings
+        )
     if pass_number == 3:
         markings = tuple(one for one in markings if one.marking_id != "T1")
     rng = np.random.default_rng([seed, 3, pass_number])
@@ -98,10 +101,6 @@ def _markings(rng: np.random.Generator, seed: int) -> tuple[RoadMarking, ...]:
     curve = tuple(zip(x.tolist(), y.tolist(), strict=True))
     dashes = along("C1", 1.9, dashed=True, worn=0.35)
     return (*edges, dashes, RoadMarking("T1", curve, width_m=width, colour="yellow"))
-
-
-def _moved(marking: RoadMarking) -> RoadMarking:
-    return replace(marking, points_m=tuple((x, y - _MOVED_M) for x, y in marking.points_m))
 
 
 def _objects(rng: np.random.Generator) -> tuple[tuple[Cone, ...], tuple[RoadObject, ...], RoadObject]:

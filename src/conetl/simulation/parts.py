@@ -63,14 +63,10 @@ def _lean(angle_rad: float, azimuth_rad: float, height_m: float = 0.0) -> Floats
     return matrix
 
 
-def plate_side_m(height_m: float) -> float:
-    """Edge of the square base plate: 38 cm under a 70 cm cone, 28 cm under a 50 cm one."""
-    return 0.03 + 0.5 * height_m
-
-
 def cone_parts(cone: Cone, seed: int) -> list[Part]:
     """Base plate and body; the whole is `height_m` high above the ground."""
-    side, h = plate_side_m(cone.height_m), cone.height_m
+    h = cone.height_m
+    side = 0.03 + 0.5 * h  # of the base plate: 38 cm under a 70 cm cone, 28 cm under a 50 cm one
     thick = 0.04 * math.sqrt(h / 0.7)
     bottom, top = 0.37 * side * cone.slimness, 0.035 * math.sqrt(h / 0.7)
     plate = meshes.box([side, side, thick])

@@ -52,7 +52,7 @@ def load_mitsuba() -> Any:
 def build_scene(world: World) -> Any:
     """The Mitsuba scene of a world, without cameras. Equal worlds give equal scenes."""
     mi = load_mitsuba()
-    scene: dict[str, Any] = {"type": "scene", "sky": _sky(mi, world)}
+    scene: dict[str, Any] = {"type": "scene", "sky": _sky(world)}
     with tempfile.TemporaryDirectory(prefix="conetl-scene-") as name:
         for number, part in enumerate(_world_parts(world)):
             scene[f"part{number:04d}"] = _shape(mi, part, Path(name) / f"{number:04d}.ply")
@@ -105,7 +105,7 @@ def sensor(camera: PinholeCamera, road_SE3_camera: Floats, samples_per_pixel: in
     )  # fmt: skip
 
 
-def _sky(mi: Any, world: World) -> dict[str, Any]:
+def _sky(world: World) -> dict[str, Any]:
     elevation, azimuth = math.radians(world.sun_elevation_deg), math.radians(world.sun_azimuth_deg)
     direction = [
         math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)

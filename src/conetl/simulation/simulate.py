@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry.geodesy import CAMERA_R_BODY
 from conetl.geometry.pose import se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -43,6 +43,21 @@ CAMERA_HEIGHT_M = 1.65
 BASELINE_M = 0.5402
 
 
+def _rotation_deg(x: float, y: float, z: float) -> Floats:
+    return np.asarray(Rotation.from_euler("xyz", [math.radians(a) for a in (x, y, z)]).as_matrix())
+
+
+#: IMU -> velodyne -> camera 0 (from axes x forward, y left to x right, y down) -> R_rect_00.
+VELO_SE3_IMU = se3(_rotation_deg(0.31, -0.17, 0.22), (-0.7914, 0.3308, -0.8126))
+CAM0_SE3_VELO = se3(_rotation_deg(1.45, -0.24, 0.13) @ CAMERA_R_BODY, (0.0123, -0.0694, -0.2871))
+RECT_R_CAM0 = _rotation_deg(0.28, 0.41, -0.35)
+#: Camera number -> (3,) t of P_rect = K [I | t].
+T_RECT_M = {
+    0: np.zeros(3), 1: np.array([-0.5374, 0.0, 0.0]), 2: np.array([0.0598, -0.0011, 0.0028]),
+    3: np.array([0.0598 - BASELINE_M, -0.0011, 0.0028]),
+}  # fmt: skip
+
+
 def timestamp(start: datetime, seconds: float) -> str:
     """KITTI's time stamp with nanoseconds, UTC."""
     whole = start.replace(microsecond=0)
@@ -56,16 +71,15 @@ def write_calibration(folder: Path, rig: SimulatedRig, made_on: datetime) -> Non
     head = f"calib_time: {made_on:%d-%b-%Y %H:%M:%S}\n"
     k, size = rig.k(), (rig.camera.width_px, rig.camera.height_px)
     lines = [head, "corner_dist: 9.950000e-02\n"]
-    for number, t in rig.t_rect_m.items():
+    for number, t in T_RECT_M.items():
         # Calibration before rectification: without lens distortion, because the images are rendered rectified.
-        r_rect = rig.rect_R_cam0
         matrices = {
-            "S": np.array(size, dtype=float), "K": k, "D": np.zeros(5), "R": np.eye(3), "T": r_rect.T @ t,
-            "S_rect": np.array(size, dtype=float), "R_rect": r_rect, "P_rect": k @ np.column_stack([np.eye(3), t]),
+            "S": np.array(size, dtype=float), "K": k, "D": np.zeros(5), "R": np.eye(3), "T": RECT_R_CAM0.T @ t,
+            "S_rect": np.array(size, dtype=float), "R_rect": RECT_R_CAM0, "P_rect": k @ np.column_stack([np.eye(3), t]),
         }  # fmt: skip
         lines += [f"{name}_{number:02d}: {_numbers(value)}\n" for name, value in matrices.items()]
     (folder / "calib_cam_to_cam.txt").write_text("".join(lines))
-    for name, pose in (("velo_to_cam", rig.cam0_SE3_velo), ("imu_to_velo", rig.velo_SE3_imu)):
+    for name, pose in (("velo_to_cam", CAM0_SE3_VELO), ("imu_to_velo", VELO_SE3_IMU)):
         text = f"{head}R: {_numbers(pose[:3, :3])}\nT: {_numbers(pose[:3, 3])}\n"
         (folder / f"calib_{name}.txt").write_text(text)
 
@@ -145,22 +159,15 @@ def simulate_drive(
     return out_dir
 
 
-@dataclass(frozen=True)
-class SimulatedRig:
-    """Two rectified cameras on an IMU; (4, 4) matrices, metres."""
+class SimulatedRig(NamedTuple):
+    """Two rectified cameras on an IMU, with one interior orientation."""
 
     camera: PinholeCamera
-    velo_SE3_imu: Floats
-    cam0_SE3_velo: Floats
-    rect_R_cam0: Floats
-    """(3, 3) R_rect_00"""
-    t_rect_m: dict[int, Floats]
-    """Camera number -> (3,) t of P_rect = K [I | t]."""
 
     def body_SE3_camera(self, number: int) -> Floats:
         """(4, 4) pose of rectified camera `number` on the IMU."""
-        cami_SE3_rect, rect_SE3_cam0 = se3(np.eye(3), self.t_rect_m[number]), se3(self.rect_R_cam0, np.zeros(3))
-        return np.asarray(np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ self.cam0_SE3_velo @ self.velo_SE3_imu))
+        cami_SE3_rect, rect_SE3_cam0 = se3(np.eye(3), T_RECT_M[number]), se3(RECT_R_CAM0, np.zeros(3))
+        return np.asarray(np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ CAM0_SE3_VELO @ VELO_SE3_IMU))
 
     @property
     def imu_height_m(self) -> float:
@@ -168,7 +175,7 @@ class SimulatedRig:
         return CAMERA_HEIGHT_M - float(self.body_SE3_camera(2)[2, 3])
 
     def k(self) -> Floats:
-        """(3, 3) interior orientation, the same for all four cameras."""
+        """(3, 3) interior orientation."""
         c = self.camera
         return np.array([[c.f_px, 0.0, c.cx_px], [0.0, c.f_px, c.cy_px], [0.0, 0.0, 1.0]])
 
@@ -176,22 +183,5 @@ class SimulatedRig:
 def simulated_rig(width_px: int = DESIGN_SIZE[0], height_px: int = DESIGN_SIZE[1]) -> SimulatedRig:
     """The rig, with the field of view of the 960-pixel image at any width; other aspect ratios add or remove rows evenly."""
     scale = width_px / DESIGN_SIZE[0]
-    camera = PinholeCamera(
-        width_px, height_px, F_PX * scale, (CX_PX + 0.5) * scale - 0.5,
-        (CY_PX + 0.5 - DESIGN_SIZE[1] / 2) * scale + height_px / 2 - 0.5,
-    )  # fmt: skip
-    axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # x forward, y left -> x right, y down
-    return SimulatedRig(
-        camera=camera,
-        velo_SE3_imu=se3(_rotation_deg(0.31, -0.17, 0.22), (-0.7914, 0.3308, -0.8126)),
-        cam0_SE3_velo=se3(_rotation_deg(1.45, -0.24, 0.13) @ axes, (0.0123, -0.0694, -0.2871)),
-        rect_R_cam0=_rotation_deg(0.28, 0.41, -0.35),
-        t_rect_m={
-            0: np.zeros(3), 1: np.array([-0.5374, 0.0, 0.0]),
-            2: np.array([0.0598, -0.0011, 0.0028]), 3: np.array([0.0598 - BASELINE_M, -0.0011, 0.0028]),
-        },
-    )  # fmt: skip
-
-
-def _rotation_deg(x: float, y: float, z: float) -> Floats:
-    return np.asarray(Rotation.from_euler("xyz", [math.radians(a) for a in (x, y, z)]).as_matrix())
+    cy_px = (CY_PX + 0.5 - DESIGN_SIZE[1] / 2) * scale + height_px / 2 - 0.5
+    return SimulatedRig(PinholeCamera(width_px, height_px, F_PX * scale, (CX_PX + 0.5) * scale - 0.5, cy_px))

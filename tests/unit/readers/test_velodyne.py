@@ -9,7 +9,7 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, read_kitti_rig
-from conetl.simulation.simulate import simulated_rig
+from conetl.simulation.simulate import CAM0_SE3_VELO, RECT_R_CAM0, T_RECT_M
 
 SAMPLE = Path(__file__).resolve().parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
 
@@ -65,9 +65,8 @@ def test_the_period_is_that_of_the_time_stamps(tmp_path: Path) -> None:
 def test_the_chain_from_the_scanner_to_the_left_camera_is_kittis() -> None:
     rig = read_kitti_rig(SAMPLE / CAM_TO_CAM, body_required=True)
     found = left_SE3_velo(rig, SAMPLE)
-    world = simulated_rig()  # the same numbers, multiplied out on their own
-    rect = se3.se3(world.rect_R_cam0, np.zeros(3))
-    expected = se3.se3(np.eye(3), world.t_rect_m[2]) @ rect @ world.cam0_SE3_velo
+    # The same numbers, multiplied out on their own.
+    expected = se3.se3(np.eye(3), T_RECT_M[2]) @ se3.se3(RECT_R_CAM0, np.zeros(3)) @ CAM0_SE3_VELO
     assert found == pytest.approx(expected, abs=1e-6)
 
 

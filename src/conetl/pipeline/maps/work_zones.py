@@ -16,7 +16,7 @@ from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zon
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
-from conetl.model.records import utc_from_ns
+from conetl.model.records import ns_from_utc, utc_from_ns
 from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
 from conetl.workzones.work_zones import zones_over_time
 from conetl.workzones.zone_layout import describe, layout_of
@@ -76,7 +76,7 @@ def read_zones(
     every = read_versions(conn, map_name=map_name, until=as_of)
     versions = [v for v in every if v.feature.category in _IN_ROWS]
     paths = read_paths(conn, map_name=map_name, until=as_of)
-    at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
+    at_ns = None if as_of is None else ns_from_utc(as_of) + 999
     histories = zones_over_time(versions, paths, params, map_name=info.id_name, at_ns=at_ns)
     lines, source = _lane_lines(conn, histories, lanes, _standing(every, at_ns), map_name=map_name, srid=info.srid)
     zones = [

@@ -23,7 +23,7 @@ from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
-from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3
+from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc
 from conetl.readers.base_layers.georeferencing import in_area
 from conetl.readers.maps.tables import MapTable, read_table
 from conetl.readers.trajectories.times import clock_problem
@@ -109,7 +109,7 @@ def read_map_file(
     _require_different_positions(path, xyz_m)
     sha256 = _content_sha256(table)
     rows = _Rows(table, params)
-    stated_ns = rows.latest_ns() if stated_at is None else _ns(stated_at)
+    stated_ns = rows.latest_ns() if stated_at is None else ns_from_utc(stated_at)
     if problem := clock_problem(stated_ns):
         raise InputError(f"{path}: the time of the survey (--surveyed-at), {stated_at}, {problem}; nothing was written")
     ids = rows.ids(sha256)
@@ -227,7 +227,7 @@ class _Rows:
             try:
                 text = str(value).replace("/", "-")  # 2026/03/02, as some programs write it
                 instant = value if isinstance(value, datetime) else datetime.fromisoformat(text)
-                time_ns = _ns(instant if instant.tzinfo else instant.replace(tzinfo=UTC))
+                time_ns = ns_from_utc(instant if instant.tzinfo else instant.replace(tzinfo=UTC))
             except (ValueError, OverflowError):
                 raise self.fail(index, f"{name} is {shown(value)}, expected a time like 2026-03-02T10:00:00Z") from None
         if problem := clock_problem(time_ns):
@@ -353,10 +353,6 @@ def _require_different_positions(path: Path, xyz_m: Floats) -> None:
                 f"{path}, row {index + 1}: the same position as row {first[x, y] + 1}; nothing was written"
             )
         first[x, y] = index
-
-
-def _ns(instant: datetime) -> int:
-    return int(np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "us").astype(np.int64)) * 1000
 
 
 def _text(values: Floats) -> str:
