@@ -155,32 +155,32 @@ class ScenarioPass:
     frame_count: int
 
 
+#: Of each pass: drive, start, elevation and azimuth of the sun, turbidity, exposure, x at the first and at the last frame, path.
+_PASSES = (
+    ("2026-03-02_taper_pass1", datetime(2026, 3, 2, 9, 41, 7, 250_000, UTC), 34.0, 118.0, 2.6, 1.0, (-17.0, 33.7), (-1.3, 0.0)),
+    ("2026-03-03_taper_pass2", datetime(2026, 3, 3, 13, 5, 44, 610_000, UTC), 47.0, -35.0, 4.5, 0.85, (-17.4, 33.3), (-1.1, 0.1)),
+    ("2026-03-04_taper_pass3", datetime(2026, 3, 4, 15, 22, 31, 80_000, UTC), 27.0, -72.0, 3.2, 0.72, (60.6, 9.9), (0.5, 1.1)),
+)  # fmt: skip
+
+
 def scenario_pass(pass_number: int) -> ScenarioPass:
     """Pass 1, 2 or 3. Raises InputError for another number."""
     if pass_number not in PASS_NUMBERS:
         raise InputError(f"the scenario has passes 1, 2 and 3, not {pass_number}")
+    drive_id, start_utc, elevation, azimuth, turbidity, exposure, x_m, path_y_m = _PASSES[pass_number - 1]
     first = _first_cones()
-    second, second_changes = _changed(first)
-    if pass_number == 1:
-        return ScenarioPass(
-            drive_id="2026-03-02_taper_pass1", start_utc=datetime(2026, 3, 2, 9, 41, 7, 250_000, UTC),
-            world=_world(first, elevation=34.0, azimuth=118.0, turbidity=2.6),
-            changes={cone.cone_id: "added" for cone in first}, removed=(), exposure=1.0,
-            start_x_m=-17.0, end_x_m=33.7, path_y_m=(-1.3, 0.0), frame_count=39,
-        )  # fmt: skip
-    if pass_number == 2:
-        gone = tuple(c for c in first if second_changes.get(c.cone_id) == "removed")
-        return ScenarioPass(
-            drive_id="2026-03-03_taper_pass2", start_utc=datetime(2026, 3, 3, 13, 5, 44, 610_000, UTC),
-            world=_world(second, elevation=47.0, azimuth=-35.0, turbidity=4.5),
-            changes=second_changes, removed=gone, exposure=0.85,
-            start_x_m=-17.4, end_x_m=33.3, path_y_m=(-1.1, 0.1), frame_count=39,
-        )  # fmt: skip
+    second, changes = _changed(first)
+    cones = first if pass_number == 1 else second
+    if pass_number != 2:
+        changes = {cone.cone_id: "added" if pass_number == 1 else "confirmed" for cone in cones}
+    world = World(
+        cones=cones, objects=_surroundings(), sun_elevation_deg=elevation, sun_azimuth_deg=azimuth, turbidity=turbidity,
+        texture_seed=17,
+    )  # fmt: skip
     return ScenarioPass(
-        drive_id="2026-03-04_taper_pass3", start_utc=datetime(2026, 3, 4, 15, 22, 31, 80_000, UTC),
-        world=_world(second, elevation=27.0, azimuth=-72.0, turbidity=3.2),
-        changes={cone.cone_id: "confirmed" for cone in second}, removed=(), exposure=0.72,
-        start_x_m=60.6, end_x_m=9.9, path_y_m=(0.5, 1.1), frame_count=39,
+        drive_id=drive_id, start_utc=start_utc, world=world, changes=changes,
+        removed=tuple(cone for cone in first if changes.get(cone.cone_id) == "removed"), exposure=exposure,
+        start_x_m=x_m[0], end_x_m=x_m[1], path_y_m=path_y_m, frame_count=39,
     )  # fmt: skip
 
 
@@ -219,13 +219,6 @@ def _changed(first: tuple[Cone, ...]) -> tuple[tuple[Cone, ...], dict[str, str]]
     added = [_appearance(Cone("C10", 11.3, -3.1, 0.50), rng), _appearance(Cone("C11", 38.6, -4.3, 0.70), rng)]
     changes |= {cone.cone_id: "added" for cone in added}
     return (*kept, *added), changes
-
-
-def _world(cones: tuple[Cone, ...], *, elevation: float, azimuth: float, turbidity: float) -> World:
-    return World(
-        cones=cones, objects=_surroundings(), sun_elevation_deg=elevation, sun_azimuth_deg=azimuth,
-        turbidity=turbidity, texture_seed=17,
-    )  # fmt: skip
 
 
 def _surroundings() -> tuple[RoadObject, ...]:
