@@ -14,11 +14,6 @@ from conetl.model.arrays import Floats, Ints
 _CHUNK = 256
 
 
-def without_standstill(line_m: Floats, least_m: float) -> Floats:
-    """The line without points nearer than `least_m` to the last kept one, as of a waiting car."""
-    return line_m[spaced(line_m, least_m)]
-
-
 def spaced(points_m: Floats, least_m: float) -> list[int]:
     """Rows of points (N, D): the first one, and each that is at least `least_m` from the last chosen one."""
     chosen: list[int] = []

@@ -11,15 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import KDTree
 
-from conetl.geometry.linear_reference import (
-    directions_at,
-    locate,
-    project,
-    resampled,
-    smoothed,
-    stations,
-    without_standstill,
-)
+from conetl.geometry.linear_reference import directions_at, locate, project, resampled, smoothed, spaced, stations
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import AxisSource, DrivePath, LaneBands, LaneLine
@@ -56,7 +48,7 @@ def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneP
     reach_m = params.max_path_offset_m + params.max_beyond_path_m
     found = []
     for path in paths:
-        points = without_standstill(path.xy_m, 0.5)
+        points = path.xy_m[spaced(path.xy_m, 0.5)]
         if len(points) < 2:
             continue
         line = smoothed(points, _STEP_M, params.axis_smoothing_m)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.geometry.linear_reference import locate, project, smoothed, without_standstill
+from conetl.geometry.linear_reference import locate, project, smoothed, spaced
 
 BEND = np.stack([100 * np.sin(np.linspace(0, 1, 80)), 100 - 100 * np.cos(np.linspace(0, 1, 80))], axis=1)
 finite = st.floats(-30, 130)
@@ -48,6 +48,6 @@ def test_smoothing_removes_wiggles_and_keeps_straight_lines_to_their_ends():
 
 def test_a_standing_car_adds_nothing():
     line = np.array([[0.0, 0.0], [0.01, 0.0], [0.02, 0.01], [3.0, 0.0]])
-    assert without_standstill(line, 0.5).tolist() == [[0.0, 0.0], [3.0, 0.0]]
+    assert line[spaced(line, 0.5)].tolist() == [[0.0, 0.0], [3.0, 0.0]]
     with pytest.raises(ValueError, match="two different points"):
         project(np.zeros((3, 2)), np.zeros((1, 2)))

@@ -202,7 +202,7 @@ def pinhole_camera(node: Node, coefficients: str, lenses: Mapping[str | None, st
         raise bent.bad(f"{shown(bent.value)} is not supported; known: {known}")
     lens, kind = Lens(), lenses[bent.value]
     if kind is not None:
-        lens = (fisheye_lens if kind == "fisheye" else opencv_lens)(node.at(coefficients))
+        lens = opencv_lens(node.at(coefficients), fisheye=kind == "fisheye")
     intrinsics = node.at("intrinsics")
     return camera_from_matrix(intrinsics, matrix_of(*intrinsics.numbers((4,))), node.at("resolution").size(), lens)
 
@@ -212,11 +212,15 @@ def matrix_of(fx: float, fy: float, cx: float, cy: float) -> Floats:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def opencv_lens(node: Node, coefficients: Sequence[float] | Floats | None = None) -> Lens:
+def opencv_lens(node: Node, coefficients: Sequence[float] | Floats | None = None, *, fisheye: bool = False) -> Lens:
     """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].
 
-    coefficients: those of `node` unless given. Raises CalibrationError.
+    coefficients: those of `node` unless given. fisheye: they are k1, k2, k3, k4 of the equidistant model. Raises
+    CalibrationError.
     """
+    if fisheye:
+        given = node if coefficients is None else node._replace(value=coefficients)
+        return Lens(model="fisheye", coefficients=tuple(given.numbers((4,)).tolist()))
     values = (node.numbers() if coefficients is None else np.asarray(coefficients, dtype=np.float64)).tolist()
     if len(values) not in (0, 4, 5, 8, 12, 14):
         raise node.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
@@ -228,11 +232,6 @@ def opencv_lens(node: Node, coefficients: Sequence[float] | Floats | None = None
     if any(values[2:5]):
         return Lens(model="brown", coefficients=tuple(values[:5]))
     return Lens(model="radial", coefficients=tuple(values[:2])) if any(values) else Lens()
-
-
-def fisheye_lens(node: Node) -> Lens:
-    """The equidistant lens of k1, k2, k3, k4. Raises CalibrationError."""
-    return Lens(model="fisheye", coefficients=tuple(node.numbers((4,)).tolist()))
 
 
 def opencv_coefficients(lens: Lens) -> list[float]:

@@ -33,7 +33,6 @@ from conetl.readers.rigs.common import (
     Size,
     camera_from_matrix,
     choose_pair,
-    fisheye_lens,
     matrix_of,
     opencv_lens,
     stereo_rig,
@@ -183,7 +182,7 @@ def _oak_camera(camera: Node) -> Camera:
     if kind == 1 and bent.numbers().size == 14:  # the EEPROM has 14 places whatever the lens
         bent = bent._replace(value=bent.numbers()[:4])
     matrix = camera.at("intrinsicMatrix")
-    lens = (fisheye_lens if kind == 1 else opencv_lens)(bent)
+    lens = opencv_lens(bent, fisheye=kind == 1)
     return camera_from_matrix(matrix, matrix.numbers((3, 3)), size, lens)
 
 

@@ -17,16 +17,7 @@ from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Lens, Rig
-from conetl.readers.rigs.common import (
-    Node,
-    Pair,
-    camera_from_matrix,
-    choose_pair,
-    fisheye_lens,
-    opencv_lens,
-    read_xml,
-    stereo_rig,
-)
+from conetl.readers.rigs.common import Node, Pair, camera_from_matrix, choose_pair, opencv_lens, read_xml, stereo_rig
 
 _FISHEYES = ("fisheye", "equidistant_fisheye")
 _NUMBERS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
@@ -127,5 +118,5 @@ def _lens(node: Node, v: dict[str, float], *, fisheye: bool) -> Lens:
             text = f"is {v[key]:g}, which conetl's lenses do not have; calibrate with {key} fixed to 0"
             raise node.get(key).bad(text)
     if fisheye:
-        return fisheye_lens(node.get("k1")._replace(value=[v["k1"], v["k2"], v["k3"], v["k4"]]))
+        return opencv_lens(node.get("k1"), [v["k1"], v["k2"], v["k3"], v["k4"]], fisheye=True)
     return opencv_lens(node.get("k1"), [v["k1"], v["k2"], v["p2"], v["p1"], v["k3"]])

@@ -29,7 +29,6 @@ from conetl.readers.rigs.common import (
     Node,
     Size,
     camera_from_matrix,
-    fisheye_lens,
     opencv_coefficients,
     opencv_lens,
     read_xml,
@@ -168,7 +167,7 @@ def _camera(file: Node, side: Side, image_size: Size | None) -> Camera:
         _named(file, f"{side} {what}", (*_NAMES[f"{side}.{key}"], *(f"{side}.{name}" for name in _NAMES[key])))
         for what, key in (("matrix", "K"), ("distortion", "D"))
     )
-    lens = (fisheye_lens if _is_fisheye(file, side) else opencv_lens)(d)
+    lens = opencv_lens(d, fisheye=_is_fisheye(file, side))
     return camera_from_matrix(k, k.numbers((3, 3)), image_size or _size(file, side), lens)
 
 

@@ -33,7 +33,6 @@ from conetl.readers.rigs.common import (
     Pair,
     camera_from_matrix,
     choose_pair,
-    fisheye_lens,
     opencv_coefficients,
     opencv_lens,
     pinhole_camera,
@@ -113,7 +112,7 @@ def _camera(info: Node) -> tuple[Camera, Floats, Floats]:
     model = info.at("distortion_model")
     if model.value not in _MODELS:
         raise model.bad(f"{shown(model.value)} is not supported; known: {', '.join(_MODELS)}")
-    lens = (fisheye_lens if model.value == "equidistant" else opencv_lens)(info.at("distortion_coefficients"))
+    lens = opencv_lens(info.at("distortion_coefficients"), fisheye=model.value == "equidistant")
     matrix = info.at("camera_matrix")
     k = matrix.numbers((3, 3))
     turn = info.at("rectification_matrix").rotation()

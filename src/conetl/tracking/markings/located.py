@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.camera import rays
-from conetl.geometry.linear_reference import project, smoothed, stations, without_standstill
+from conetl.geometry.linear_reference import project, smoothed, spaced, stations
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.records import Drive, Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
@@ -83,7 +83,7 @@ def locate_points(found: Sequence[MarkingPoints], drive: Drive, max_range_m: flo
     """All points of a drive, with the drive's poses and rig; None for a drive that shows none or does not move."""
     poses: Mapping[int, Floats] = {pair.frame_index: map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs}
     path = np.stack([pose[:2, 3] for pose in poses.values()])
-    moved = without_standstill(path, _LEAST_MOVE_M)
+    moved = path[spaced(path, _LEAST_MOVE_M)]
     frames = tuple(one for one in found if one.frame_index in poses and one.points)
     if len(moved) < 2 or not frames:
         return None
