@@ -22,15 +22,7 @@ from conetl.model.errors import InputError
 from conetl.simulation import trajectory
 from conetl.simulation.mixed_world import mixed_pass
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.scene import (
-    PinholeCamera,
-    build_scene,
-    develop,
-    encode_jpeg,
-    exposure_gain,
-    load_mitsuba,
-    render,
-)
+from conetl.simulation.scene import PinholeCamera, build_scene, develop, encode_jpeg, exposure_gain, render
 from conetl.simulation.truth_files import write_truth
 
 WorldName = Literal["taper", "mixed"]
@@ -120,9 +112,9 @@ def simulate_drive(
             "at least 16 pixels each way, one sample and a seed of 0 or more"
         )
     scenario = mixed_pass(seed, pass_number) if world == "mixed" else scenario_pass(pass_number)
-    load_mitsuba()
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
         raise InputError(f"{out_dir}: exists and is not empty; choose a new folder")
+    scene = build_scene(scenario.world)
     rig = simulated_rig(width_px, height_px)
     times_s: Floats = np.arange(scenario.frame_count) * np.float64(trajectory.FRAME_PERIOD_S)
     ahead_m = float(rig.body_SE3_camera(2)[0, 3])
@@ -138,7 +130,6 @@ def simulate_drive(
         (out_dir / f"image_{number:02d}" / "data").mkdir(parents=True)
         (out_dir / f"image_{number:02d}" / "timestamps.txt").write_text("".join(f"{stamp}\n" for stamp in stamps))
 
-    scene = build_scene(scenario.world)
     road_SE3_map = np.linalg.inv(trajectory.map_SE3_road())
     gain = math.nan
     total = len(CAMERAS) * len(poses)
