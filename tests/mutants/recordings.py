@@ -49,6 +49,13 @@ def jump(metres: float, first: int = 20, last: int = 10**6) -> Mutant:
     return displaced(lambda k, _: (metres * (first <= k < last), 0.0, 0.0))
 
 
+def without(first: int, last: int) -> Mutant:
+    """Frame pairs first..last - 1 are lost."""
+    return lambda drive: drive.model_copy(
+        update={"frame_pairs": (*drive.frame_pairs[:first], *drive.frame_pairs[last:])}
+    )
+
+
 def raised(metres: float, first: int = 0) -> Mutant:
     return displaced(lambda k, _: (0.0, 0.0, metres * (k >= first)))
 

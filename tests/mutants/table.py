@@ -38,6 +38,7 @@ from tests.mutants.recordings import (
     stating,
     turned,
     turned_about_start,
+    without,
 )  # fmt: skip
 
 KITTI = (
@@ -107,6 +108,17 @@ def _jumps() -> list[WrongRecording]:
             WrongRecording(f"height jumps {m:g} m", raised(m, 20), cause="jumps by")
             for m in (1.0, 5.0)
         ),
+        *(
+            WrongRecording(
+                f"GNSS jumps {m:g} m across a gap of {n} pairs", in_turn(jump(m, 20 + n), without(20, 20 + n)), cause="jumps by"
+            )
+            for n, m in ((2, 1.0), (5, 1.0), (5, 50.0), (10, 3.0), (10, 50.0))
+        ),
+        WrongRecording(
+            "height jumps 1.5 m across a gap of 10 pairs", in_turn(raised(1.5, 30), without(20, 30)), cause="jumps by", fast=True
+        ),
+        WrongRecording("10 pairs lost", without(20, 30), fast=True),
+        WrongRecording("GNSS jumps 5 m in 8 pairs", in_turn(jump(5.0, 4), without(8, 10**6)), cause="jumps by 5", fast=True),
     ]  # fmt: skip
 
 

@@ -139,7 +139,7 @@ def _print(drive: Path, facts: Sequence[tuple[str, object]], summary: DriveSumma
         ),
     }
     _print_first("Gaps", gaps, summary.gaps)
-    jumps: Columns = {"frame": "frame", "distance from the line (m)": lambda jump: f"{jump.off_m:.2f}"}
+    jumps: Columns = {"frame": "frame", "not explained by its neighbours (m)": lambda jump: f"{jump.off_m:.2f}"}
     _print_first("Position jumps", jumps, summary.poses.jumps)
 
 

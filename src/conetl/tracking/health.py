@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
+from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import expected_motions
+from conetl.geometry.rig import map_SE3_left
 from conetl.model.health import CALIBRATION, HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import MIN_DETAIL, FramePair, Rig
@@ -25,7 +27,7 @@ from conetl.tracking.trajectory import (
 )
 
 Floats = NDArray[np.float64]
-#: A shorter drive says too little about itself.
+#: A drive of fewer intervals says too little about itself, but for jumps.
 _LEAST_INTERVALS = 8
 _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 #: The scale of the motions may be off by so many of its prior sigmas, and of its own.
@@ -37,8 +39,8 @@ _DRIFT_M, _DRIFT_SIGMAS = 0.1, 6.0
 #: A vehicle that drives backwards for more intervals than this reverses; in each it moves so many metres, and so many of the
 #: sigmas of the log's change.
 _MAX_REVERSED, _REVERSED_M, _REVERSED_SIGMAS = 10, 0.05, 3.0
-#: What a vehicle may gain or lose in speed, m/s^2, and how far around an interval its motion is taken from neighbours.
-_ACCELERATION, _NEIGHBOURS = 8.0, 4
+#: Least time between two frame pairs.
+_LEAST_STEP_S = 1e-3
 #: Motions are compared where they are longer, and have something in common from this share of their lengths on.
 _DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
 #: A log below this speed stands still, and one this far away from the direction in which the cameras look has other axes.
@@ -52,13 +54,15 @@ def check_trajectory(
     trajectory: RefinedTrajectory,
     params: TrajectoryParams,
 ) -> list[HealthCheck]:
-    """Checks of the poses against visual odometry; none of a short drive. frame_pairs: `trajectory.logged`, with `detail`."""
-    intervals = len(frame_pairs) - 1
-    if not params.refine or intervals < _LEAST_INTERVALS:
+    """Checks of the poses against visual odometry, of a short drive for jumps only. frame_pairs: `trajectory.logged`, with
+    `detail`."""
+    if not params.refine or len(frame_pairs) < 2:
         return []
     log, measured = read_log(frame_pairs, rig, params), measured_motions(frame_pairs, motions, params)
     none = np.zeros(0, dtype=bool)
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
+    if len(frame_pairs) <= _LEAST_INTERVALS:
+        return [_jumps(frame_pairs, rig, measured, good)]
     residual = motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
     return [
         _measured(frame_pairs, rig, len(measured.start)),
@@ -288,36 +292,27 @@ def _jumps(
 ) -> HealthCheck:
     """Intervals that no accepted motion confirms, and in which the log moves otherwise than their neighbours."""
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
-    steps_s = np.maximum(np.diff(times_s), 1e-3)
-    logged = np.array([motion[:3, 3] for motion in expected_motions(frame_pairs, rig)])
-    speeds = np.full_like(logged, np.nan)
-    speeds[measured.start[good]] = measured.next_SE3_first[good, :3, 3] / steps_s[measured.start[good], None]
-    sigma_m = np.array([max(pair.pose.sigma_enu_m) for pair in frame_pairs])
-    middle_s = (times_s[1:] + times_s[:-1]) / 2
+    times_s = np.maximum.accumulate(times_s + _LEAST_STEP_S * np.arange(len(times_s)))
+    left = np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs])
+    steps_m, speeds = np.diff(left[:, :3, 3], axis=0), np.full((len(left) - 1, 3), np.nan)
+    start = measured.start[good]
+    moved = se3.compose(left[start], se3.invert(measured.next_SE3_first[good]))[:, :3, 3] - left[start, :3, 3]
+    speeds[start] = moved / np.diff(times_s)[start, None]
+    sigma_m = np.array([(max(pair.pose.sigma_enu_m[:2]), pair.pose.sigma_enu_m[2]) for pair in frame_pairs])
     worst_m, worst = 0.0, 0
     for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
-        first, last = max(k - _NEIGHBOURS, 0), min(k + _NEIGHBOURS + 1, len(middle_s))
-        near = first + np.flatnonzero(~np.isnan(speeds[first:last, 0]))
-        if len(near) < 2:
-            continue
-        # Between neighbours on both sides speed changes evenly but for a jerk; beyond them it may change at once.
-        enclosed = min((near < k).sum(), (near > k).sum()) >= 2
-        if enclosed:
-            speed = np.polynomial.polynomial.polyfit(middle_s[near] - middle_s[k], speeds[near], 1)[0]
-        else:
-            speed = np.median(speeds[near], axis=0)
-        off_m = float(np.linalg.norm(logged[k] - speed * steps_s[k]))
-        reach_s = float(times_s[last] - times_s[first])
-        allowed_m = max(_JUMP_M, _JUMP_SIGMAS * float(sigma_m[k : k + 2].max()))
-        allowed_m += _ACCELERATION * steps_s[k] * reach_s / (8 if enclosed else 2)
-        if off_m > max(allowed_m, worst_m):
-            worst_m, worst = off_m, int(k)
+        errors_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * sigma_m[k : k + 2].max(axis=0))
+        misfit = step_misfit(steps_m, speeds, times_s, k)
+        off_m = 0.0 if misfit is None else misfit.unexplained_m((errors_m[0], errors_m[1]))
+        if off_m > worst_m:
+            worst_m, worst = off_m, k
     detail = "The poses do not jump."
     if worst_m:
         first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
         detail = (
             f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, and the images do not: which side is "
-            "right is unknown. Process the GNSS/INS log anew, or deliver the parts as drives of their own."
+            "right is unknown. Process the GNSS/INS log anew; do not deliver the parts as drives of their own, unless something "
+            "else shows that their positions are right."
         )
     return HealthCheck(
         name="jumps of the poses", verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_JUMP_M, unit="m",

@@ -59,6 +59,26 @@ def test_a_jump_is_reported_once(sample: Drive, by_m: float, reported: list[int]
     assert all(jump.off_m == pytest.approx(by_m, abs=0.05) for jump in jumps)
 
 
+@pytest.mark.parametrize("lost", [2, 5, 10, 15])
+@pytest.mark.parametrize("up", [False, True])
+def test_a_jump_across_a_gap_is_reported(sample: Drive, lost: int, up: bool) -> None:
+    """The speeds before and after the gap do not allow it; a gap alone is no jump."""
+
+    def shifted(metres: float) -> Drive:
+        def shift(pair: FramePair) -> FramePair:
+            x, y, z = pair.pose.map_t_body_m
+            place = (x, y, z + metres) if up else (x, y + metres, z)
+            return pair.model_copy(update={"pose": pair.pose.model_copy(update={"map_t_body_m": place})})
+
+        pairs = [p if p.frame_index < 15 else shift(p) for p in sample.frame_pairs]
+        kept = tuple(p for p in pairs if not 15 <= p.frame_index < 15 + lost)
+        return sample.model_copy(update={"frame_pairs": kept})
+
+    assert summarise(shifted(0.0), []).poses.jumps == ()
+    [jump] = summarise(shifted(50.0), []).poses.jumps
+    assert jump.frame == 15 + lost and jump.off_m == pytest.approx(50.0, abs=1.5)
+
+
 def test_the_ends_of_an_image_suffice_for_its_checks(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).integers(0, 255, (300, 400, 3), np.uint8)  # larger than what is read of it
     for suffix in (".png", ".jpg"):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry import geodesy
+from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.rectification import stored_camera
 from conetl.model.records import Drive, FramePair, Record
 from conetl.model.rejections import Rejection
@@ -38,9 +39,10 @@ class Gap(Record):
 
 
 class Jump(Record):
-    """A position farther from the line between its neighbours than its sigma explains."""
+    """A position farther from where its neighbours, or the speeds before and after a gap, have it than its sigma explains."""
 
     frame: int
+    """The position; of a jump across a gap the first one after it."""
     off_m: float
 
 
@@ -119,7 +121,10 @@ def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
     times_s = np.array([(pair.captured_at_ns - pairs[0].captured_at_ns) * 1e-9 for pair in pairs])
     seconds, metres = np.diff(times_s), np.hypot(*np.diff(positions[:, :2], axis=0).T)
     horizontal = np.maximum(sigmas[:, 0], sigmas[:, 1])
-    jumps = _jumps(pairs, times_s, positions, horizontal)
+    in_time = seconds > GAP_FACTOR * float(np.median(seconds)) if len(seconds) else np.zeros(0, bool)
+    single = _jumps(pairs, times_s, positions, horizontal)
+    across = _jumps_across_gaps(pairs, times_s, positions, sigmas, in_time)
+    jumps = tuple(sorted({jump.frame: jump for jump in (*single, *across)}.values(), key=lambda jump: jump.frame))
     geodetic = geodesy.to_geodetic(drive.map_srid, positions)
     return DriveSummary(
         drive_id=drive.drive_id, source_path=drive.source_path, map_srid=drive.map_srid, rig=_rig(drive),
@@ -128,7 +133,7 @@ def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
         lost=tuple(LostPair(record=r.record, reason=r.reason.value, detail=r.detail) for r in rejections),
         captured_from=drive.captured_from, captured_to=drive.captured_to, duration_s=float(times_s[-1] - times_s[0]),
         rate_hz=float(1.0 / np.median(seconds)) if len(seconds) else None, length_m=float(metres.sum()),
-        gaps=_gaps(pairs, seconds, metres, {jump.frame for jump in jumps}),
+        gaps=_gaps(pairs, seconds, metres, in_time, {jump.frame for jump in single}),
         poses=PoseSummary(
             horizontal_sigma_median_m=float(np.median(horizontal)), horizontal_sigma_max_m=float(horizontal.max()),
             vertical_sigma_median_m=float(np.median(sigmas[:, 2])),
@@ -158,13 +163,15 @@ def _span(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _gaps(pairs: Sequence[FramePair], seconds: Array, metres: Array, jumped: set[int]) -> tuple[Gap, ...]:
+def _gaps(
+    pairs: Sequence[FramePair], seconds: Array, metres: Array, in_time: NDArray[np.bool_], jumped: set[int]
+) -> tuple[Gap, ...]:
     """Steps that are too long; those to and from a jump are not gaps in space."""
     if not len(seconds):
         return ()
     moving = metres[metres > 0.05]
     long_m = max(LEAST_GAP_M, GAP_FACTOR * float(np.median(moving)) if len(moving) else 0.0)
-    in_time, in_space = seconds > GAP_FACTOR * float(np.median(seconds)), metres > long_m
+    in_space = metres > long_m
     wrong = np.array([pair.frame_index in jumped for pair in pairs])
     in_space &= ~(wrong[:-1] | wrong[1:])
     return tuple(
@@ -190,3 +197,25 @@ def _jumps(pairs: Sequence[FramePair], times_s: Array, positions: Array, horizon
     padded = np.concatenate([[0.0], np.where(wild, off, 0.0), [0.0]])
     worst = wild & (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:])
     return tuple(Jump(frame=pairs[i + 1].frame_index, off_m=float(off[i])) for i in np.flatnonzero(worst).tolist())
+
+
+def _jumps_across_gaps(
+    pairs: Sequence[FramePair], times_s: Array, positions: Array, sigmas: Array, in_time: NDArray[np.bool_]
+) -> list[Jump]:
+    """Gaps in time over which the positions move otherwise than the speeds before and after them allow."""
+    if not in_time.any():
+        return []
+    steps_m, speeds = (
+        np.diff(positions, axis=0),
+        np.diff(positions, axis=0) / np.maximum(np.diff(times_s), 1e-3)[:, None],
+    )
+    speeds[in_time] = np.nan
+    found = []
+    for k in np.flatnonzero(in_time).tolist():
+        misfit = step_misfit(steps_m, speeds, times_s, k)
+        near = sigmas[k : k + 2]
+        horizontal_m, vertical_m = np.maximum(JUMP_M, JUMP_SIGMAS * np.array([near[:, :2].max(), near[:, 2].max()]))
+        off_m = 0.0 if misfit is None else misfit.unexplained_m((float(horizontal_m), float(vertical_m)))
+        if off_m:
+            found.append(Jump(frame=pairs[k + 1].frame_index, off_m=off_m))
+    return found

@@ -1,0 +1,55 @@
+"""Steps of a trajectory that the speeds before and after them do not explain."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+#: So many steps before and after one say how fast the vehicle was.
+_NEIGHBOURS = 4
+#: m/s^2: what a vehicle may gain or lose in speed at once, by how much its horizontal acceleration departs from an even one
+#: within a few seconds of driving, and by how much its vertical one does on a road.
+_ACCELERATION, _UNEVEN, _UNEVEN_UP = 8.0, 3.5, 1.0
+
+
+class StepMisfit(NamedTuple):
+    """By how much a step is not what the speeds around it make it."""
+
+    off_m: tuple[float, float]
+    """Horizontal distance and height difference, m."""
+    driven_m: tuple[float, float]
+    """What of each a vehicle may drive beside an even change of its speed, m."""
+
+    def unexplained_m(self, errors_m: tuple[float, float]) -> float:
+        """Length of the step's misfit where one of its parts is beyond what a vehicle does and what the positions err; else 0.
+
+        errors_m: largest errors of the positions, horizontal and vertical."""
+        beyond = any(off > own + error for off, own, error in zip(self.off_m, self.driven_m, errors_m, strict=True))
+        return float(np.hypot(*self.off_m)) if beyond else 0.0
+
+
+def step_misfit(steps_m: Floats, speeds: Floats, times_s: Floats, k: int) -> StepMisfit | None:
+    """Compare a step with the speeds of its neighbours; None where fewer than two of them are known.
+
+    steps_m (N - 1, 3): from each of N positions to the next, east, north, up, m. speeds (N - 1, 3): m/s in the same frame, NaN
+    where they are not known, as of step k itself. times_s (N,): of the positions, rising.
+    """
+    middle_s, step_s = (times_s[1:] + times_s[:-1]) / 2, float(times_s[k + 1] - times_s[k])
+    first, last = max(k - _NEIGHBOURS, 0), min(k + _NEIGHBOURS + 1, len(middle_s))
+    near = first + np.flatnonzero(~np.isnan(speeds[first:last, 0]))
+    near = near[near != k]
+    if len(near) < 2:
+        return None
+    # Between neighbours on both sides speed changes evenly but for a jerk; beyond them it may change at once.
+    reach_s = float(times_s[last] - times_s[first])
+    if min((near < k).sum(), (near > k).sum()) >= 2:
+        speed = np.polynomial.polynomial.polyfit(middle_s[near] - middle_s[k], speeds[near], 1)[0]
+        driven_m = _UNEVEN * step_s * reach_s / 8, _UNEVEN_UP * step_s * reach_s / 8
+    else:
+        speed = np.median(speeds[near], axis=0)
+        driven_m = _ACCELERATION * step_s * reach_s / 2, _UNEVEN_UP * step_s * reach_s / 2
+    off = steps_m[k] - speed * step_s
+    return StepMisfit((float(np.hypot(off[0], off[1])), abs(float(off[2]))), driven_m)

@@ -1,0 +1,58 @@
+"""Steps that neighbouring speeds do not explain: driving is explained, jumps are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conetl.geometry.motion.steps import step_misfit
+
+Floats = NDArray[np.float64]
+TIMES_S = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 1.5, 1.6, 1.7, 1.8, 1.9])
+GAP = 4
+
+
+def unexplained_m(positions_m: Floats) -> float:
+    steps_m = np.diff(positions_m, axis=0)
+    speeds = steps_m / np.diff(TIMES_S)[:, None]
+    speeds[GAP] = np.nan
+    misfit = step_misfit(steps_m, speeds, TIMES_S, GAP)
+    assert misfit is not None
+    return misfit.unexplained_m((0.1, 0.15))
+
+
+def braking(t: Floats, rate: float) -> Floats:
+    """From 14 m/s, in the middle of the gap."""
+    after = np.clip(t - 0.95, 0.0, 14.0 / rate)
+    return np.asarray(14.0 * np.minimum(t, 0.95 + 14.0 / rate) - rate * after**2 / 2)
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0, 3.5])
+def test_braking_within_a_gap_is_no_jump(rate: float) -> None:
+    assert unexplained_m(np.column_stack([braking(TIMES_S, rate), 0 * TIMES_S, 0 * TIMES_S])) == 0.0
+
+
+@pytest.mark.parametrize("radius_m", [12.0, 50.0])
+def test_a_bend_within_a_gap_is_no_jump(radius_m: float) -> None:
+    speed = np.sqrt(4.0 * radius_m)
+    angle = speed * TIMES_S / radius_m
+    assert (
+        unexplained_m(np.column_stack([radius_m * np.sin(angle), radius_m * np.cos(angle), 0.05 * speed * TIMES_S]))
+        == 0.0
+    )
+
+
+@pytest.mark.parametrize(
+    ("jump_m", "length_m"), [((0.0, 1.5, 0.0), 1.5), ((-3.0, 0.0, 0.0), 3.0), ((0.0, 0.0, 0.5), 0.5)]
+)
+def test_a_jump_across_a_gap_is_not_explained(jump_m: tuple[float, float, float], length_m: float) -> None:
+    straight = np.outer(TIMES_S, [14.0, 0.0, 0.2])
+    straight[GAP + 1 :] += jump_m
+    assert unexplained_m(straight) == pytest.approx(length_m)
+
+
+def test_one_neighbour_says_nothing() -> None:
+    speeds = np.full((9, 3), np.nan)
+    speeds[3] = 1.0
+    assert step_misfit(np.ones((9, 3)), speeds, TIMES_S, GAP) is None
