@@ -64,6 +64,18 @@ def blurred(sigma_px: float) -> ImageMutant:
     return lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.uint8)
 
 
+def smeared(sigma_px: float, top: float = 0.55, left: float = 0.0) -> ImageMutant:
+    """Blurred below and to the right of these shares of height and width."""
+
+    def change(image: Image) -> Image:
+        part = image.copy()
+        rows, columns = int(top * image.shape[0]), int(left * image.shape[1])
+        part[rows:, columns:] = cv2.GaussianBlur(image, (0, 0), sigma_px)[rows:, columns:]
+        return part
+
+    return change
+
+
 def overexposed(gain: float) -> ImageMutant:
     return lambda image: np.asarray(np.clip(image * gain, 0, 255), np.uint8)
 

@@ -214,6 +214,8 @@ def _cameras() -> list[WrongRecording]:
         ),
         wrong("right images blur 3 px", only_right(images.blurred(3.0))),
         wrong("right images blur 6 px", only_right(images.blurred(6.0)), _BLIND),
+        wrong("lower part of the left lens smeared, 5 px", only_left(images.smeared(5.0))),
+        wrong("lower part of both lenses smeared, 5 px", both(images.smeared(5.0))),
         wrong("overexposed x 3", both(images.overexposed(3.0))),
         wrong("overexposed x 8", both(images.overexposed(8.0))),
         wrong("low sun", both(images.glare(0.15)), _COVERED),

@@ -12,6 +12,7 @@ from pydantic import SecretStr
 from conetl.db.connection import connect
 from conetl.db.map.map_store import read_current_features
 from conetl.model.errors import DriveFolderError
+from conetl.model.health import Verdict
 from conetl.model.ingest_report import TooManyRejectionsError
 from conetl.model.map_records import DeltaKind
 from conetl.pipeline.ingest import ingest
@@ -24,6 +25,7 @@ from tests.mutants.table import RECORDINGS, SECOND
 SECOND_DRIVE = {recording.name: recording.files for recording in RECORDINGS if SECOND in recording.on}
 BLIND = ("both lenses covered", "left lens covered", "images x 0.06", "fog 0.9", "fog 0.97", "blur 8 px")
 WRONG_SIDES = ("sides swapped", "images mirrored", "images upside down")
+SMEARED = ("lower part of the left lens smeared, 5 px", "lower part of both lenses smeared, 5 px")
 FROZEN = ("both cameras frozen", "right camera frozen")
 
 
@@ -70,6 +72,14 @@ def test_cameras_that_see_nothing_remove_nothing(settings: Settings, tmp_path: P
             counts,
         )
         assert standing(settings) == 9, name
+
+
+@pytest.mark.parametrize("name", SMEARED)
+def test_a_smeared_lens_removes_nothing_and_a_person_is_told(settings: Settings, tmp_path: Path, name: str) -> None:
+    report = ingest(next_day(name, tmp_path / "2026-03-03_smeared"), settings=settings)
+    [check] = [check for check in report.health if check.name == "blurred parts of the lenses"]
+    assert check.verdict is Verdict.WARN and "does not count as gone" in check.detail
+    assert not report.counts[DeltaKind.REMOVED] and standing(settings) == 9
 
 
 @pytest.mark.parametrize("name", WRONG_SIDES)

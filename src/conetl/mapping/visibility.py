@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import MarkingParams, ReconcileParams
-from conetl.model.records import Detection, FramePair, Rig, Vec3
+from conetl.model.records import SIDES, Camera, Detection, FramePair, Rig, Side, Vec3
 from conetl.tracking.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
 
 Floats = NDArray[np.float64]
@@ -77,6 +77,20 @@ class DriveObservations:
     positions_m: Mapping[tuple[int, str], Floats]
     """(M, 3) observed objects in the drive's map frame, by frame index and class."""
     figures: AbsenceFigures
+    unclear: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    """By side: which squares (rows, columns) of the image show nothing or are blurred; empty where all are clear."""
+
+    def is_unclear(self, side: Side, u_px: Floats, v_px: Floats) -> NDArray[np.bool_]:
+        """Whether image points, arrays of one shape, lie where the lens shows nothing, or blurred."""
+        if side not in self.unclear or self.figures.unclear is None:
+            return np.zeros(np.shape(u_px), bool)
+        grid, side_px = self.unclear[side], self.figures.unclear.side_px
+        # The rest of the image beyond the last square is judged by it.
+        row, column = (
+            np.clip(np.nan_to_num(at) / side_px, 0, count - 1).astype(np.intp)
+            for at, count in zip((v_px, u_px), grid.shape, strict=True)
+        )
+        return grid[row, column]
 
 
 def observations_of_drive(
@@ -103,7 +117,22 @@ def observations_of_drive(
         detections=by_frame,
         positions_m={key: np.array(some) for key, some in xyz_m.items()},
         figures=figures,
+        unclear=_unclear_grids(rig, figures),
     )
+
+
+def _unclear_grids(rig: Rig, figures: AbsenceFigures) -> dict[str, NDArray[np.bool_]]:
+    """As `DriveObservations.unclear`."""
+    unclear = figures.unclear
+    if unclear is None:
+        return {}
+    grids = {}
+    for side, camera, squares in (("left", rig.left, unclear.left), ("right", rig.right, unclear.right)):
+        grid = np.zeros((int(camera.height_px // unclear.side_px), int(camera.width_px // unclear.side_px)), bool)
+        rows, columns = np.array(squares, np.intp).reshape(-1, 2).T
+        grid[rows, columns] = True
+        grids[side] = grid
+    return grids
 
 
 def check_visibility(
@@ -170,7 +199,10 @@ def visible_pairs(
             hidden_share(box, [d for d in found if d.side == side])
             for side, box in zip(("left", "right"), boxes[k], strict=True)
         )
-        if occupied or (drive.shows_absence[row] and max(left, right) <= evidence.hidden_most):
+        clear = not any(
+            drive.is_unclear(side, *_corners_and_middle(box)).any() for side, box in zip(SIDES, boxes[k], strict=True)
+        )
+        if occupied or (drive.shows_absence[row] and clear and max(left, right) <= evidence.hidden_most):
             heights = float(heights_px[k, 0]), float(heights_px[k, 1])
             visible.append(VisiblePair(row, occupied, heights, (left, right), boxes[k]))
     return visible
@@ -237,6 +269,12 @@ def _is_occupied(foot_m: Floats, positions_m: Floats | None, others_m: Floats, g
     return bool((own <= others).any())
 
 
+def _corners_and_middle(box: Box) -> tuple[Floats, Floats]:
+    """Columns and rows (5,) of the points of a box that must be clear; it is seldom larger than a square of sharpness."""
+    x0, y0, x1, y1 = box
+    return np.array([x0, x1, x0, x1, (x0 + x1) / 2]), np.array([y0, y0, y1, y1, (y0 + y1) / 2])
+
+
 def _box(row: Floats) -> Box:
     x0, y0, x1, y1 = row.tolist()
     return x0, y0, x1, y1
@@ -286,10 +324,11 @@ def markings_in_view(
     rows = rows[np.linalg.norm(drive.map_SE3_left[rows, :3, 3] - middle_m, axis=1) <= reach_m]
     rows = rows[spaced(drive.map_SE3_left[rows, :3, 3], _STEP_M)]
     in_view = np.ones((len(vertices_m), len(rows)), bool)
-    for poses, camera, side in (
+    views: tuple[tuple[Floats, Camera, Side], ...] = (
         (drive.map_SE3_left[rows], drive.rig.left, "left"),
         (drive.map_SE3_right[rows], drive.rig.right, "right"),
-    ):
+    )
+    for poses, camera, side in views:
         x, y, z = np.einsum("knj,kji->ink", vertices_m[None] - poses[:, None, :3, 3], poses[:, :3, :3])
         in_view &= (z >= params.marking_view_from_m) & (z <= view_to_m)
         in_view &= np.abs(x) <= params.marking_view_aside_m
@@ -297,6 +336,7 @@ def markings_in_view(
         u, v = camera.cx_px + camera.fx_px * x / depth, camera.cy_px + camera.fy_px * y / depth
         border = params.visible_border_px
         in_view &= (u >= border) & (u <= camera.width_px - border) & (v >= 0) & (v <= camera.height_px - 1)
+        in_view &= ~drive.is_unclear(side, u, v)
         for k, row in enumerate(rows.tolist()):
             for box in drive.detections.get(drive.frames[row], ()):
                 if box.side == side:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from conetl.model.feature_classes import CONE
-from conetl.model.records import Positive, Record
+from conetl.model.records import Positive, Record, UnclearSquares
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=0)]
@@ -134,6 +134,8 @@ class AbsenceFigures(Record):
     score_threshold: Share
     categories: tuple[str, ...] = (CONE,)
     """The classes that were searched for; of other objects the drive says nothing."""
+    unclear: UnclearSquares | None = None
+    """Where its images say nothing."""
 
 
 def evidence_of(evidence: DetectorEvidence, category: str) -> DetectorEvidence:

@@ -285,6 +285,16 @@ class SurveyedPoint(Record):
     """East, north, up."""
 
 
+class UnclearSquares(Record):
+    """Squares of the images that a drive's lenses show blurred or not at all: there nothing is missing that is not found."""
+
+    side_px: Positive
+    """Of a square; the first one is in the top left corner."""
+    left: tuple[tuple[int, int], ...] = ()
+    """Row and column of each, counted from 0."""
+    right: tuple[tuple[int, int], ...] = ()
+
+
 class Drive(Record):
     """One recording by one rig, without the frame pairs that the reader rejected."""
 
@@ -301,6 +311,8 @@ class Drive(Record):
     """Of the offset between the clocks of images and poses; None: as the parameters assume (`TrajectoryParams`)."""
     control_points: tuple[SurveyedPoint, ...] = ()
     """They take part in the adjustment of its poses."""
+    unclear: UnclearSquares | None = None
+    """None where its images were not looked at, or all of them is clear."""
 
     @model_validator(mode="after")
     def _frames_in_order(self) -> Drive:

@@ -7,11 +7,15 @@ street have 7.7 and more (docs/explanation/changes.md has what degraded ones hav
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 _SHRINK, _SQUARE, _SIGMA = 4, 8, 1.5
+#: Side of the squares in which sharpness is compared, px.
+SQUARE_PX = 64
 #: Blocks of JPEG, px, and below which share they hide what is inside: 0.7 to 0.9 in good images, 0.3 to 0.46 at quality 10,
 #: 0.22 to 0.32 at quality 5, 0.11 to 0.2 at quality 2, of which the detector finds no cone.
 _BLOCK, _LEAST_INSIDE = 8, 0.25
@@ -28,6 +32,24 @@ def fine_detail(image: NDArray[np.uint8]) -> float:
 def local_detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """(H // 32, W // 32) the same for every square of 32 pixels; image: (H, W) grey."""
     return np.sqrt(_squares(image))
+
+
+def detail_by_octaves(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(2, H // 64, W // 64) variance of what is finer than about 25 px, and of what is from there to 75 px, in squares of 64 px
+    (`SQUARE_PX`); image: (H, W) grey.
+
+    Blur takes away the former, and leaves the latter.
+    """
+    height, width = image.shape[0] // _SHRINK, image.shape[1] // _SHRINK
+    squares = image.shape[0] // SQUARE_PX, image.shape[1] // SQUARE_PX
+    if min(squares) < 1:
+        return np.empty((2, 0, 0), np.float32)
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    levels = small, cv2.GaussianBlur(small, (0, 0), _SIGMA), cv2.GaussianBlur(small, (0, 0), 3 * _SIGMA)
+    own = SQUARE_PX // _SHRINK
+    used = np.s_[: squares[0] * own, : squares[1] * own]
+    energies = [cv2.GaussianBlur((fine - coarse) ** 2, (0, 0), own / 2) for fine, coarse in pairwise(levels)]
+    return np.stack([cv2.resize(e[used], squares[::-1], interpolation=cv2.INTER_AREA) for e in energies])
 
 
 def _inside_blocks(image: NDArray[np.uint8]) -> float:

@@ -97,8 +97,8 @@ def analyse(
     """
     params, settings = params or IngestParams(), settings or read_settings()
     given = drive.rig
-    rig, health = check_stereo(drive)
-    drive = drive.model_copy(update={"rig": rig})
+    drive, health = check_stereo(drive)
+    rig = drive.rig
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         card = read_model_card(settings.model_path)

@@ -102,7 +102,10 @@ def merge_drive(
     drive = records.drive
     searched = params.detection
     figures = AbsenceFigures(
-        evidence=evidence or UNMEASURED, score_threshold=searched.score_threshold, categories=searched.categories
+        evidence=evidence or UNMEASURED,
+        score_threshold=searched.score_threshold,
+        categories=searched.categories,
+        unclear=drive.unclear,
     )
     reach_m = influence_m(params)
     place = partial(

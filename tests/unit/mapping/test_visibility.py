@@ -8,13 +8,15 @@ from conetl.mapping.visibility import (
     DriveObservations,
     NotObserved,
     check_visibility,
+    markings_in_view,
     observations_of_drive,
     pairs_in_view,
 )
-from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence
+from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, DetectorEvidence
+from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Detection, Position, Side
+from conetl.model.records import Detection, Position, Side, UnclearSquares
 from conetl.perception.model_card import read_model_card
 from tests import records
 from tests.synthetic.world import ORIGIN_M, Cone, detect, make_path, make_rig, observe
@@ -109,6 +111,34 @@ def test_only_an_empty_location_is_evidence() -> None:
     assert empty_frames([]) == len(in_view(CONE))
     _, _, positions = observe([CONE], PAIRS, RIG)
     assert empty_frames(positions) == 0
+
+
+def test_nothing_is_missing_where_a_lens_is_smeared() -> None:
+    """Of either camera; the rest of the image says as much as before."""
+    rows, columns = range(RIG.left.height_px // 64), range(RIG.left.width_px // 64)
+    everywhere = tuple((row, column) for row in rows for column in columns)
+    left_edge = tuple((row, 0) for row in rows)
+    frames = []
+    for side, squares in (("left", everywhere), ("right", everywhere), ("left", left_edge), ("left", ())):
+        unclear = UnclearSquares.model_validate({"side_px": 64, side: squares})
+        figures = UNMEASURED_ABSENCE.model_copy(update={"unclear": unclear})
+        view = observations_of_drive(RIG, PAIRS, [], [], figures)
+        found = check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, view, PARAMS)
+        frames.append(0 if found is None else found.frames)
+    assert frames[:2] == [0, 0] and 0 < frames[2] <= frames[3] == empty_frames([])
+
+
+def test_no_marking_is_missing_where_a_lens_is_smeared() -> None:
+    figures = UNMEASURED_ABSENCE.model_copy(update={"categories": (LANE_MARKING,)})
+    vertices_m = ORIGIN_M + np.array([[x, 1.0, 0.0] for x in np.arange(10.0, 30.0, 2.0)])
+
+    def seen(unclear: UnclearSquares | None) -> int:
+        view = observations_of_drive(RIG, PAIRS, [], [], figures.model_copy(update={"unclear": unclear}))
+        return int(markings_in_view(vertices_m, view, 0.5, PARAMS).in_view.sum())
+
+    last = RIG.right.height_px // 64 - 1
+    lower = tuple((row, column) for row in range(last // 2, last + 1) for column in range(RIG.right.width_px // 64))
+    assert seen(None) > 0 and seen(UnclearSquares(side_px=64, right=lower)) == 0
 
 
 def test_the_offset_of_the_drive_is_added() -> None:

@@ -1,0 +1,51 @@
+"""Parts of the images that are blurred, of drives whose lenses are clean and smeared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from conetl.model.health import Verdict
+from conetl.model.records import Drive
+from conetl.perception.stereo_check import check_stereo
+from conetl.readers.drives import read_drive
+from tests.integration.small_drives import SAMPLES
+from tests.mutants.images import PairMutant, both, changed, copy_drive, only_left, only_right, smeared
+
+
+def wrong(change: PairMutant, folder: Path) -> Drive:
+    copy = copy_drive(SAMPLES[0], folder / "drive")
+    changed(change)(copy)
+    return check_stereo(read_drive(copy)[0])[0]
+
+
+@pytest.mark.parametrize("folder", SAMPLES, ids=lambda folder: folder.name)
+def test_clean_lenses_are_sharp_in_all_parts(folder: Path) -> None:
+    drive, checks = check_stereo(read_drive(folder)[0])
+    assert drive.unclear is None and {check.verdict for check in checks} == {Verdict.PASS}
+
+
+def test_a_part_of_one_lens_that_is_smeared_is_found(tmp_path: Path) -> None:
+    unclear = wrong(only_right(smeared(5.0, top=0.4, left=0.5)), tmp_path).unclear
+    assert unclear is not None and unclear.side_px == 64 and not unclear.left
+    rows, columns = (
+        read_drive(SAMPLES[0])[0].rig.right.height_px // 64,
+        read_drive(SAMPLES[0])[0].rig.right.width_px // 64,
+    )
+    truth = {
+        (row, column)
+        for row in range(rows)
+        for column in range(columns)
+        if 64 * row > 0.4 * 64 * rows and column > columns / 2
+    }
+    found = set(unclear.right)
+    assert len(truth & found) >= 0.9 * len(truth)
+    assert all(row >= 0.4 * rows - 1.5 and column >= columns / 2 - 1.5 for row, column in found)
+
+
+@pytest.mark.parametrize(("change", "sides"), [(only_left, {"left"}), (both, {"left", "right"})])
+def test_the_lower_part_of_a_lens_that_is_smeared_is_found(change: object, sides: set[str], tmp_path: Path) -> None:
+    unclear = wrong(change(smeared(5.0)), tmp_path).unclear  # type: ignore[operator]
+    assert unclear is not None and {side for side in ("left", "right") if getattr(unclear, side)} == sides
+    assert all(row >= 2 for side in sides for row, _ in getattr(unclear, side))
