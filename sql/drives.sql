@@ -177,6 +177,40 @@ and ST_Intersects(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s))
 and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
 order by d.changeset_no;
 
+-- name: adjoining_drives
+-- The drives of other recordings that ended right before, or began right after, one: those that count, and those on hold for a check.
+-- Parameters: map_name; drive_id, content_sha256; captured_from_ns, captured_to_ns (UTC); within_ns; before_ns; check (JSON: a
+-- list of an object with its name). Columns: as AdjoiningDrive.
+select
+    d.drive_uuid, c.changeset_id, d.drive_id, d.content_sha256, d.rig, d.captured_from_ns, h.changeset_id is not null as on_hold,
+    exists (
+        select from conetl.active_decision a where a.changeset_id = c.changeset_id and a.kind = 'accept'
+    ) as accepted,
+    (
+        select count(*)
+        from conetl.delta x
+        where x.changeset_id = c.changeset_id and upper_inf(x.system_period) and x.kind in ('confirmed', 'height_changed')
+        and exists (
+            select from conetl.feature_version v
+            where v.cell = x.cell and v.feature_id = x.feature_id and v.first_seen_ns < d.captured_from_ns - %(before_ns)s
+        )
+    ) as confirmed
+from conetl.map m
+join conetl.drive d using (map_id)
+join conetl.changeset c using (drive_uuid)
+left join conetl.on_hold h using (changeset_id)
+where m.map_name = %(map_name)s and d.rig is not null
+and d.drive_id <> %(drive_id)s and d.content_sha256 <> %(content_sha256)s
+and (
+    d.captured_to_ns between %(captured_from_ns)s - %(within_ns)s and %(captured_from_ns)s
+    or d.captured_from_ns between %(captured_to_ns)s and %(captured_to_ns)s + %(within_ns)s
+)
+and case
+    when h.changeset_id is null then exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id)
+    else h.checks @> %(check)s::jsonb
+end
+order by d.captured_from_ns, c.changeset_no;
+
 -- name: other_deliveries
 -- Changesets of the same recording with other content that count: equal id, and the first or the last frame pair at the
 -- same nanosecond. Imported maps, which have no rig, are not recordings.

@@ -13,6 +13,8 @@ from conetl.model.records import NonNegative, Record
 
 #: Of a drive against the map, where the map does not contradict it.
 AGREEMENT = "agreement with the map"
+#: Of a drive against those that the same cameras recorded right before and after it.
+ADJOINING = "position against adjoining drives"
 #: Of the calibration against the images; its detail is the outcome of the self-calibration.
 CALIBRATION = "calibration"
 

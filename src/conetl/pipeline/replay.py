@@ -45,6 +45,7 @@ from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVe
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import DriveRecords, Rig
+from conetl.pipeline.adjoining import Doubt, find_doubt
 
 #: Views of drives are large; the fold needs one after the other.
 _VIEWS_IN_MEMORY = 2
@@ -78,6 +79,8 @@ class Merged(NamedTuple):
     result: CommitResult
     hold_changes: tuple[HoldChange, ...]
     """Other drives that went on hold because of it, or are on hold no longer."""
+    doubt: Doubt = Doubt(None, ())
+    """What it says of the drives that adjoin it, which are still to be put on hold (`commit`)."""
 
 
 @no_cycle_search()
@@ -120,12 +123,16 @@ def merge_drive(
         return Merged(changeset, MapUpdate([], [], [], []), 0, CommitResult(False, near, 0), ())
     changeset = with_free_id(conn, changeset, near.drive_uuid)
     affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
-    if hold:
+
+    def held(checks: Sequence[HealthCheck], doubt: Doubt) -> Merged:
         result = commit_changeset(
-            conn, records, changeset, map_name=map_name, run=run, hold=hold, placed=near.drive_uuid
+            conn, records, changeset, map_name=map_name, run=run, hold=checks, placed=near.drive_uuid
         )
-        others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-        return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
+        changes = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
+        return Merged(changeset, MapUpdate([], [], [], [], doubt.own), 0, result, changes, doubt)
+
+    if hold:
+        return held(hold, Doubt(None, ()))
     spots = [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
     view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
     visible, in_view = _checks_of(lambda: view, records.markings, params.reconcile)
@@ -150,6 +157,11 @@ def merge_drive(
     else:
         standing, summaries = read_standing_around(conn, near.drive_uuid), read_doubts_around(conn, near.drive_uuid)
         extension = apply_drive(standing, own, decisions, summaries)
+    doubt = find_doubt(conn, drive, extension.deltas, map_name=map_name)
+    if extension.hold is None and doubt.own is not None:
+        return held([doubt.own], doubt)
+    if extension.hold is not None:  # the map says that it is this drive which is wrong
+        doubt = Doubt(None, ())
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     result = commit_changeset(
         conn,
@@ -163,10 +175,10 @@ def merge_drive(
         held_by_map=True,
         placed=near.drive_uuid,
     )
-    others = ()
+    others: tuple[HoldChange, ...] = ()
     if held_before or affected:  # else there is no drive whose hold could begin or end
         others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-    return Merged(changeset, extension, len(later), result, others)
+    return Merged(changeset, extension, len(later), result, others, doubt)
 
 
 def replay_of(

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
+from conetl.db.copy_binary import json_text
 from conetl.db.map.import_store import read_statements
 from conetl.db.map.marking_rows import covariances, marking_of
 from conetl.db.map.rows import jacobian_from_wire
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.errors import MapMismatchError
+from conetl.model.health import ADJOINING
 from conetl.model.map_records import DriveOrder, ImportedFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
@@ -119,6 +121,54 @@ def drives_at_the_same_time(
     with database_errors("The drives of the map cannot be read"):
         rows = execute(conn, load_sql("drives.drives_at_the_same_time"), parameters)
     return [DriveThen(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
+
+
+class AdjoiningDrive(NamedTuple):
+    """A drive that counts, or is on hold for its neighbours, recorded right before or after another one."""
+
+    drive_uuid: UUID
+    changeset_id: UUID
+    drive_id: str
+    content_sha256: str
+    rig: Rig
+    captured_from_ns: int
+    on_hold: bool
+    accepted: bool
+    confirmed: int
+    """Objects of the map that it confirmed, and that were there long before it."""
+
+    def is_trusted(self, least_confirmed: int) -> bool:
+        """Whether a person or the map says that it is right."""
+        return self.accepted or self.confirmed >= least_confirmed
+
+
+def adjoining_drives(
+    conn: Connection,
+    drive_id: str,
+    content_sha256: str,
+    captured_ns: tuple[int, int],
+    within_ns: int,
+    before_ns: int,
+    *,
+    map_name: str,
+) -> list[AdjoiningDrive]:
+    """Drives that ended at most within_ns before, or began after, a drive with these instants of its first and last frame pair.
+
+    before_ns: objects that were on the map so long before a drive began count as confirmed by it.
+    """
+    parameters = {
+        "map_name": map_name,
+        "drive_id": drive_id,
+        "content_sha256": content_sha256,
+        "captured_from_ns": captured_ns[0],
+        "captured_to_ns": captured_ns[1],
+        "within_ns": within_ns,
+        "before_ns": before_ns,
+        "check": json_text([{"name": ADJOINING}]),
+    }
+    with database_errors("The drives of the map cannot be read"):
+        rows = execute(conn, load_sql("drives.adjoining_drives"), parameters)
+    return [AdjoiningDrive(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
 
 
 def read_view(conn: Connection, drive_uuid: UUID, near: Square | None = None) -> StoredView:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 from uuid import UUID
 
 from conetl.db.connection import LOCK_TIMEOUT_S, Connection
@@ -27,6 +27,7 @@ from conetl.model.health import HeldDrive, HoldChange
 from conetl.model.map_records import Classification, FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
+T = TypeVar("T")
 SUPPRESS, PIN, CLASSIFY = "suppress", "pin", "classify"
 REVERT, ACCEPT, WITHDRAW = "revert", "accept", "withdraw"
 #: What `list_decisions` calls a hold, which the checks made.
@@ -145,8 +146,8 @@ def revert(
         decide = partial(at.insert, kind, changeset_id=changeset_id, withdraws=withdraws)
         conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
-            decision_id, written, replayed, conflicts = _judge_drive(
-                conn, at.info, target.drive_uuid, decide, at.decided_at, changeset_id
+            decision_id, written, replayed, conflicts = judge_drives(
+                conn, at.info, [target.drive_uuid], decide, at.decided_at, changeset_id
             )
         elif decision is not None and (place := decision.place) is not None:
             decision_id = decide()
@@ -189,7 +190,7 @@ def accept_drive(
                 f"as two surveys. Revert that one first with `conetl map revert {others[-1]}`, if this one is to count instead."
             )
         decide = partial(at.insert, ACCEPT, changeset_id=known.changeset_id)
-        decision_id, written, replayed, _ = _judge_drive(conn, at.info, known.drive_uuid, decide, at.decided_at, None)
+        decision_id, written, replayed, _ = judge_drives(conn, at.info, [known.drive_uuid], decide, at.decided_at, None)
         return _outcome(conn, at, decision_id, ACCEPT, written, replayed, changeset_id=known.changeset_id)
 
 
@@ -261,18 +262,19 @@ def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, de
     return replays.write_replay(conn, info, replay, decided_at), len(again)
 
 
-def _judge_drive(
+def judge_drives(
     conn: Connection,
     info: MapInfo,
-    drive_uuid: UUID,
-    decide: Callable[[], UUID],
+    drive_uuids: Sequence[UUID],
+    decide: Callable[[], T],
     decided_at: datetime,
     changeset_id: UUID | None,
-) -> tuple[UUID, int, int, tuple[RevertConflict, ...]]:
-    """Write the decision that a drive starts or ceases to count, and compute what changes by it."""
-    counted_before = replays.superseded_drives(conn, drive_uuid)
+) -> tuple[T, int, int, tuple[RevertConflict, ...]]:
+    """Write by `decide` that drives start or cease to count, and compute what changes by it."""
+    counted_before = [other for drive_uuid in drive_uuids for other in replays.superseded_drives(conn, drive_uuid)]
     decision_id = decide()
-    seeds = list(dict.fromkeys([drive_uuid, *counted_before, *replays.superseded_drives(conn, drive_uuid)]))
+    counted_now = [other for drive_uuid in drive_uuids for other in replays.superseded_drives(conn, drive_uuid)]
+    seeds = list(dict.fromkeys([*drive_uuids, *counted_before, *counted_now]))
     again = replays.affected_drives(conn, seeds)
     aside = list(dict.fromkeys([*seeds, *(ref.drive_uuid for ref in again)]))
     _, replay = replay_of(conn, aside, again, store.read_decisions(conn, map_name=info.map_name))
