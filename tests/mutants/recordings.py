@@ -138,6 +138,11 @@ def clock(milliseconds: float) -> Mutant:
     )
 
 
+def clock_known_to(seconds: float) -> Mutant:
+    """A recording whose reader estimated the beginning of its images, with this sigma."""
+    return lambda drive: drive.model_copy(update={"clock_sigma_s": seconds})
+
+
 def pose_at(drive: Drive, at_ns: float) -> Pose:
     """The pose between, or beyond, the logged ones."""
     times = np.array([pair.captured_at_ns for pair in drive.frame_pairs], dtype=np.float64)

@@ -24,6 +24,7 @@ from tests.mutants.recordings import (
     aside,
     baseline,
     clock,
+    clock_known_to,
     drift,
     frozen_place,
     in_turn,
@@ -307,6 +308,10 @@ def _street() -> list[WrongRecording]:
         WrongRecording("clock -100 ms", clock(-100), on=street),
         WrongRecording("clock +100 ms", clock(100), on=street),
         WrongRecording("clock +50 ms", clock(50), on=street),
+        WrongRecording(
+            "clock -36 ms, estimated to 20 ms", in_turn(clock(-36), clock_known_to(0.02)), cause="beginning of the images",
+            on=street,
+        ),
         WrongRecording("poses 5 records late", late(5), on=street),
         WrongRecording("GNSS of 0.5 m states 0.03", in_turn(noise(0.5, 5.0), stating(0.03)), cause="stated sigmas", on=street),
         WrongRecording("states 0.03 m", stating(0.03), cause="stated sigmas", on=street),

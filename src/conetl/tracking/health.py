@@ -27,6 +27,8 @@ from conetl.tracking.trajectory import (
 )
 
 Floats = NDArray[np.float64]
+#: Checks that no offset of the clocks explains.
+JUMPS, DISTANCES = "jumps of the poses", "distances by images and by GNSS/INS"
 #: A drive of fewer intervals says too little about itself, but for jumps.
 _LEAST_INTERVALS = 8
 _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
@@ -64,7 +66,7 @@ def check_trajectory(
     if len(frame_pairs) <= _LEAST_INTERVALS:
         return [_jumps(frame_pairs, rig, measured, good)]
     residual = motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
-    return [
+    checks = [
         _measured(frame_pairs, rig, len(measured.start)),
         _agreement(frame_pairs, rig, measured, good, residual),
         *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
@@ -80,6 +82,25 @@ def check_trajectory(
             detail=f"{trajectory.detail[0].upper()}{trajectory.detail[1:]}.",
         ),
     ]
+    return [_with_likely_cause(check, trajectory.clock, params) for check in checks]
+
+
+def _with_likely_cause(check: HealthCheck, clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
+    """A hold for which a beginning of the images that was but estimated is the first thing to look at, with that said first.
+
+    Poses that are interpolated to other instants than those of their records fit the images less, also once the clock is
+    corrected; the advice of each check is about recordings whose clocks are known.
+    """
+    if check.verdict is not Verdict.HOLD or params.clock_sigma_s <= LEAST_S or check.name in (JUMPS, DISTANCES):
+        return check
+    off = ""
+    if clock is not None and clock.is_applied(params.clock_sigma_s):
+        off = f", and the poses say it is {1e3 * clock.offset_s:+.0f} +- {1e3 * clock.sigma_s:.0f} ms off"
+    detail = (
+        f"The beginning of the images is known to {1e3 * params.clock_sigma_s:.0f} ms only{off}: state it in drive.yaml "
+        f"(images.start, or clock.offset_s) before you look for another cause. {check.detail}"
+    )
+    return check.model_copy(update={"detail": detail})
 
 
 def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
@@ -250,7 +271,7 @@ def _scale(scale: float, sigma: float, prior: float) -> HealthCheck:
         )
         detail += "" if held else " The stated sigmas of all positions cover a drift."
     return HealthCheck(
-        name="distances by images and by GNSS/INS",
+        name=DISTANCES,
         verdict=Verdict.HOLD if held else Verdict.CORRECTED if doubtful else Verdict.PASS, value=100 * scale,
         sigma=100 * sigma, limit=100 * limit, unit="%", detail=detail,
     )  # fmt: skip
@@ -315,6 +336,6 @@ def _jumps(
             "else shows that their positions are right."
         )
     return HealthCheck(
-        name="jumps of the poses", verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_JUMP_M, unit="m",
+        name=JUMPS, verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_JUMP_M, unit="m",
         detail=detail,
     )  # fmt: skip

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from conetl.model.health import Verdict
+from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
 from conetl.tracking.clock import ClockOffset
-from conetl.tracking.health import _clock
+from conetl.tracking.health import JUMPS, _clock, _with_likely_cause
 
 
 @pytest.mark.parametrize(("known_s", "advice"), [(0.031, "known to 31 ms"), (0.001, "Correct the synchronisation")])
@@ -15,3 +15,27 @@ def test_an_offset_within_what_was_known_is_no_fault(known_s: float, advice: str
     check = _clock(ClockOffset(-0.02, 0.001), TrajectoryParams(clock_sigma_s=known_s))
     assert check.verdict == Verdict.CORRECTED
     assert advice in check.detail
+
+
+@pytest.mark.parametrize(
+    ("known_s", "clock", "begins"),
+    [
+        (
+            0.031,
+            ClockOffset(-0.036, 0.001),
+            "The beginning of the images is known to 31 ms only, and the poses say it is -36 ",
+        ),
+        (0.031, None, "The beginning of the images is known to 31 ms only: state it in drive.yaml"),
+        (0.001, ClockOffset(-0.036, 0.001), "18 of 153 motions"),
+    ],
+)
+def test_an_estimated_beginning_is_named_before_the_calibration(
+    known_s: float, clock: ClockOffset | None, begins: str
+) -> None:
+    params = TrajectoryParams(clock_sigma_s=known_s)
+    held = HealthCheck(
+        name="motions", verdict=Verdict.HOLD, value=0.12, detail="18 of 153 motions. Check the calibration."
+    )
+    assert _with_likely_cause(held, clock, params).detail.startswith(begins)
+    for other in (held.model_copy(update={"verdict": Verdict.PASS}), held.model_copy(update={"name": JUMPS})):
+        assert _with_likely_cause(other, clock, params) == other
