@@ -37,7 +37,7 @@ from conetl.mapping.marking_deltas import (
 from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
 from conetl.mapping.visibility import MarkingView, NotObserved
 from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
-from conetl.model.markings import MarkingTrack
+from conetl.model.markings import MarkingTrack, marking_existence
 from conetl.model.params import ReconcileParams
 
 Floats = NDArray[np.float64]
@@ -113,7 +113,8 @@ def reconcile_markings(
 
     def evidence_for(j: int, one: Sighting) -> ExistenceEvidence:
         old = features[j]
-        return confirming(old, summaries.get(old.feature_id), drive.tracks[one.track].existence_probability, one.frames)
+        # What is observed, however seldom, is no evidence against what stands there.
+        return confirming(old, summaries.get(old.feature_id), max(_own_existence(drive, one), 0.5), one.frames)
 
     seen = {j: sighting(_main_line(c, j), drive, one.view, one.seen) for j, one in states.items() if one.is_seen}
     confirmations = confirmed(seen, features, c.on_map, c.same, drive, {j: evidence_for(j, seen[j]) for j in seen})
@@ -142,9 +143,16 @@ def reconcile_markings(
             for piece in stretches_of(drive, i, part_m):
                 view = check_view(piece.at(drive.lines.vertices_m))
                 one = sighting(i, drive, view, np.ones(len(piece.point), bool))
-                founding = confirming(None, None, drive.tracks[i].existence_probability, one.frames)
-                deltas.append(added(piece, one, drive, founding_key, founding))
+                founding = confirming(None, None, _own_existence(drive, one), one.frames)
+                if founding.existence_probability >= params.founding_existence_probability:
+                    deltas.append(added(piece, one, drive, founding_key, founding))
     return deltas
+
+
+def _own_existence(drive: LineDrive, one: Sighting) -> float:
+    """Existence probability of a part of a marking: that of the whole, unless fewer frame pairs say less."""
+    whole = drive.tracks[one.track]
+    return min(whole.existence_probability, marking_existence(one.frames, whole.contrast))
 
 
 def _compared(

@@ -5,6 +5,7 @@ Units and frames as in `records.py`.
 
 from __future__ import annotations
 
+from math import exp
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -13,6 +14,16 @@ from conetl.model.records import Cov3, NonNegative, Positive, Probability, Recor
 
 MarkingColour = Literal["white", "yellow", "other"]
 MarkingPattern = Literal["solid", "dashed"]
+#: Existence: prior probability of what was found, grey levels at which a frame pair's evidence is half of the most, and that
+#: evidence (logarithm of odds).
+_PRIOR, _HALF_CONTRAST, _EVIDENCE = 0.2, 20.0, 0.6
+
+
+def marking_existence(frames: int, contrast: float, hit_share: float = 1.0) -> float:
+    """Odds of the prior times, for every frame pair, a factor that grows with contrast (grey levels) and with the share of hits
+    where there is paint."""
+    gain = _EVIDENCE * frames * hit_share * contrast / (contrast + _HALF_CONTRAST)
+    return 1 / (1 + (1 - _PRIOR) / _PRIOR * exp(-gain))
 
 
 class Marking(Record):

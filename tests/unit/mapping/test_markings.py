@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from conetl.geometry.packing import cov_matrix
 from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
@@ -127,6 +128,33 @@ def test_blurred_images_show_absence_at_a_shorter_range_only() -> None:
 
 def few_frames(view: MarkingView) -> MarkingView:
     return MarkingView(view.captured_at_ns[::5], view.in_view[:, ::5])
+
+
+def test_a_stretch_that_one_frame_pair_showed_is_not_as_sure_as_its_line() -> None:
+    """It is added by the next drive, which shows it more often; one that is on the map already gains nothing by it."""
+    first, second = drives_of([ROAD] * 2)
+
+    def seldom(drive: DriveEvidence) -> DriveEvidence:
+        def check_view(vertices_m: NDArray[np.float64]) -> MarkingView:
+            view = drive.check_view(vertices_m)
+            if vertices_m[:, 0].mean() < ORIGIN_M[0] + 70.0:
+                return view
+            once = np.flatnonzero(view.in_view.any(axis=0))[:1]
+            return MarkingView(view.captured_at_ns[once], view.in_view[:, once])
+
+        return replace(drive, check_view=check_view)
+
+    def beyond(history: MapHistory, drive: DriveEvidence) -> list[Delta]:
+        return [d for d in deltas_of(history, drive) if d.state_after.xyz_m[0] > ORIGIN_M[0] + 75.0]
+
+    whole = replay_drives([first, second])
+    cut = replay_drives([seldom(first), second])
+    assert len(beyond(whole, first)) >= 4 * len(ROAD) / 2 and not beyond(cut, first)
+    assert {delta.kind.value for delta in beyond(cut, second)} == {"added"}
+    seldom_later = seldom(second)
+    later = replay_drives([first, seldom_later])
+    seen_once = [d for d in beyond(later, seldom_later) if d.evidence is not None and d.evidence.frames_seen == 1]
+    assert seen_once and all(d.evidence.log_likelihood_ratio == pytest.approx(0.0, abs=1e-9) for d in seen_once)
 
 
 def test_decisions_hold_for_stretches() -> None:

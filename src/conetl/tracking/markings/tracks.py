@@ -18,7 +18,7 @@ from conetl.geometry.linear_reference import directions_at, locate
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.small_arrays import robust_std
 from conetl.model.feature_classes import LANE_MARKING
-from conetl.model.markings import Marking, MarkingColour, MarkingTrack
+from conetl.model.markings import Marking, MarkingColour, MarkingTrack, marking_existence
 from conetl.model.params import MarkingParams
 from conetl.model.records import Drive, FramePair
 from conetl.perception.markings.points import MarkingPoints
@@ -56,9 +56,6 @@ _WIDTH_SIGMA_M = 0.006
 _WHITE, _YELLOW = 0.2, -0.25
 #: A point that is so high above the road beside it is no paint: bands of cones, cars.
 _MAX_ABOVE_M = 0.12
-#: Existence: prior probability of a chain that was found, grey levels at which a frame pair's evidence is half of the most, and
-#: that evidence (logarithm of odds).
-_PRIOR, _HALF_CONTRAST, _EVIDENCE = 0.2, 20.0, 0.6
 
 
 class _Course(NamedTuple):
@@ -208,7 +205,7 @@ def _track(
             gap_m=piece.gap_m,
         ),
         relative_cov_m2=tuple(map(cov3, own_cov + pose_part[1])),
-        existence_probability=_existence(len(frames), contrast, piece.hit_share),
+        existence_probability=marking_existence(len(frames), contrast, piece.hit_share),
         observation_count=len(frames),
         first_seen_ns=min(seen),
         last_seen_ns=max(seen),
@@ -275,9 +272,3 @@ def _colour(points: LocatedPoints) -> MarkingColour:
     if blue < _YELLOW and red > blue:
         return "yellow"
     return "white" if abs(blue) <= _WHITE and abs(red) <= _WHITE else "other"
-
-
-def _existence(frames: int, contrast: float, hit_share: float) -> float:
-    """Odds of the prior times, for every frame pair, a factor that grows with contrast and with the share of hits."""
-    gain = _EVIDENCE * frames * hit_share * contrast / (contrast + _HALF_CONTRAST)
-    return float(1 / (1 + (1 - _PRIOR) / _PRIOR * np.exp(-gain)))
