@@ -176,13 +176,16 @@ def frozen_place(first: float = 0.0) -> Mutant:
     return mutant
 
 
-def turned(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Mutant:
+def turned(roll_deg: float, pitch_deg: float, yaw_deg: float, first: int = 0) -> Mutant:
+    """From pose `first` on."""
     turn = Rotation.from_euler("xyz", (roll_deg, pitch_deg, yaw_deg), degrees=True).as_matrix()
 
     def pose_of(pose: Pose) -> Pose:
         return pose.model_copy(update={"map_R_body": se3.to_matrix3(np.array(pose.map_R_body) @ turn)})
 
-    return lambda drive: with_poses(drive, lambda k: pose_of(drive.frame_pairs[k].pose))
+    return lambda drive: with_poses(
+        drive, lambda k: pose_of(drive.frame_pairs[k].pose) if k >= first else drive.frame_pairs[k].pose
+    )
 
 
 def right_late(frames: int) -> Mutant:

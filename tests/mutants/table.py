@@ -162,6 +162,11 @@ def _rigs() -> list[WrongRecording]:
         WrongRecording("pitch 2 degrees", turned(0.0, 2.0, 0.0), cause="alignment"),
         *(WrongRecording(f"roll {a:g} degrees", turned(a, 0.0, 0.0)) for a in (1.0, 2.0)),
         *(
+            WrongRecording(f"{name} turns by {a:g} degrees", turned(*(a * np.array(axis)), first=20), cause="turns by|contradict",
+                           fast=a == 1.0)
+            for a in (1.0, 2.0) for name, axis in {"roll": (1, 0, 0), "pitch": (0, 1, 0), "yaw": (0, 0, 1)}.items()
+        ),
+        *(
             WrongRecording(f"baseline {p:+g} %", baseline(1 + p / 100), cause=c, fast=p > 0)
             for p, c in {-5: "baseline", -1: "baseline", 1: r"distances \+(1\.0|0\.9).*baseline", 5: "baseline"}.items()
         ),

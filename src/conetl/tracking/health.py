@@ -6,11 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.health import CALIBRATION, HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
@@ -36,6 +38,9 @@ _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 _MAX_SCALE_SIGMAS = 3.2
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
 _JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
+#: A jump of the attitude is at least so many radians, and so many of its sigmas; where no motion was measured, beyond what a
+#: vehicle may gain in turn rate (rad/s^2) against this many neighbours on each side.
+_TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
 #: A drift is at least so many metres, and so many sigmas of the change of the log's errors.
 _DRIFT_M, _DRIFT_SIGMAS = 0.1, 6.0
 #: A vehicle that drives backwards for more intervals than this reverses; in each it moves so many metres, and so many of the
@@ -71,6 +76,7 @@ def check_trajectory(
         _agreement(frame_pairs, rig, measured, good, residual),
         *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
         _jumps(frame_pairs, rig, measured, good),
+        _turn_jumps(frame_pairs, rig, measured, good),
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
         *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
@@ -338,4 +344,51 @@ def _jumps(
     return HealthCheck(
         name=JUMPS, verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_JUMP_M, unit="m",
         detail=detail,
+    )  # fmt: skip
+
+
+def _turn_jumps(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_]
+) -> HealthCheck:
+    """Intervals that no accepted motion confirms, and in which the log turns otherwise than the images or the intervals around.
+
+    A measured motion that is wrong is refused too: then it is the one that differs from its neighbours.
+    """
+    to_camera = np.array(rig.body_SE3_left)[:3, :3].T ** 2
+    sigma = np.sqrt(np.array([pair.pose.sigma_rpy_rad for pair in frame_pairs]) ** 2 @ to_camera.T)
+    times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
+    step_s = np.maximum(np.diff(times_s), _LEAST_STEP_S)
+    logged = Rotation.from_matrix([motion[:3, :3] for motion in expected_motions(frame_pairs, rig)]).as_rotvec()
+    accepted, refused = np.full_like(logged, np.nan), np.full_like(logged, np.nan)
+    if len(measured.start):
+        turns = Rotation.from_matrix(measured.next_SE3_first[:, :3, :3]).as_rotvec()
+        accepted[measured.start[good]], refused[measured.start[~good]] = turns[good], turns[~good]
+    known = ~np.isnan(accepted[:, 0])
+    worst, first = 0.0, 0
+    for k in np.flatnonzero(~known).tolist():
+        begin, end = max(k - _NEIGHBOURS, 0), min(k + _NEIGHBOURS + 1, len(known))
+        near = begin + np.flatnonzero(known[begin:end])
+        if min((near < k).sum(), (near > k).sum()) < 2:
+            continue
+        usual = np.median(accepted[near] / step_s[near, None], axis=0) * step_s[k]
+        limit = np.maximum(_TURN_RAD, _JUMP_SIGMAS * sigma[k : k + 2].max(axis=0))
+        if np.isnan(refused[k, 0]):
+            off = np.abs(logged[k] - usual)
+            limit = limit + _TURN_ACCELERATION * step_s[k] * (times_s[end] - times_s[begin]) / 8
+        else:
+            log_is_odd = np.abs(logged[k] - usual) > np.abs(refused[k] - usual)
+            off = np.abs(logged[k] - refused[k]) * log_is_odd
+        beyond = off[off > limit]
+        if len(beyond) and beyond.max() > worst:
+            worst, first = float(beyond.max()), k
+    detail = "The attitudes do not jump."
+    if worst:
+        frames = frame_pairs[first].frame_index, frame_pairs[first + 1].frame_index
+        detail = (
+            f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, and the images "
+            "do not: the attitudes on one side are wrong. Process the GNSS/INS log anew."
+        )
+    return HealthCheck(
+        name="jumps of the attitude", verdict=Verdict.HOLD if worst else Verdict.PASS, value=float(np.degrees(worst)),
+        limit=float(np.degrees(_TURN_RAD)), unit="degrees", detail=detail,
     )  # fmt: skip
