@@ -64,6 +64,11 @@ def drift(metres: float) -> Mutant:
     return displaced(lambda k, count: (metres * k / count, 0.0, 0.0))
 
 
+def spread_jump(metres: float, first: int = 15, last: int = 25) -> Mutant:
+    """A jump east that a filter spreads over these poses."""
+    return displaced(lambda k, _: (metres * float(np.clip((k - first) / (last - first), 0, 1)), 0.0, 0.0))
+
+
 def noise(metres: float, smoothed: float = 0.0) -> Mutant:
     """smoothed: over so many poses, as the errors of a GNSS without a fix are."""
     shifts = np.random.default_rng(1).normal(0.0, 1.0, (1000, 3))

@@ -36,6 +36,7 @@ from tests.mutants.recordings import (
     raised,
     reversed_poses,
     right_late,
+    spread_jump,
     stating,
     turned,
     turned_about_start,
@@ -117,6 +118,12 @@ def _jumps() -> list[WrongRecording]:
         ),
         WrongRecording(
             "height jumps 1.5 m across a gap of 10 pairs", in_turn(raised(1.5, 30), without(20, 30)), cause="jumps by", fast=True
+        ),
+        *(
+            WrongRecording(
+                f"GNSS jumps {m:g} m within a second", spread_jump(m), cause="against the images|contradict", fast=m == 0.3
+            )
+            for m in (0.3, 1.0, 3.0)
         ),
         WrongRecording("10 pairs lost", without(20, 30), fast=True),
         WrongRecording("GNSS jumps 5 m in 8 pairs", in_turn(jump(5.0, 4), without(8, 10**6)), cause="jumps by 5", fast=True),

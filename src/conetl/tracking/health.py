@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -43,6 +44,9 @@ _JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
 _TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
 #: A drift is at least so many metres, and so many sigmas of the change of the log's errors.
 _DRIFT_M, _DRIFT_SIGMAS = 0.1, 6.0
+#: Jumps that a filter spreads are sought over so many intervals, and are at least so many sigmas: good drives have up to 7.6.
+#: Shares of the distance that all motions have in common are computed from longer ones than this (m).
+_SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
 #: A vehicle that drives backwards for more intervals than this reverses; in each it moves so many metres, and so many of the
 #: sigmas of the log's change.
 _MAX_REVERSED, _REVERSED_M, _REVERSED_SIGMAS = 10, 0.05, 3.0
@@ -77,6 +81,7 @@ def check_trajectory(
         *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
         _jumps(frame_pairs, rig, measured, good),
         _turn_jumps(frame_pairs, rig, measured, good),
+        _slow_jumps(frame_pairs, log, measured, good, residual),
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
         *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
@@ -344,6 +349,50 @@ def _jumps(
     return HealthCheck(
         name=JUMPS, verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_JUMP_M, unit="m",
         detail=detail,
+    )  # fmt: skip
+
+
+def _slow_jumps(
+    frame_pairs: Sequence[FramePair],
+    log: LoggedPoses,
+    measured: MeasuredMotions,
+    good: NDArray[np.bool_],
+    residual: Floats,
+) -> HealthCheck:
+    """Whether the log moves against the images within some intervals, by more than its errors change in that time.
+
+    Each interval may agree within its own errors: a filter spreads a jump over a second. What all motions have in common (scale,
+    alignment) is taken out.
+    """
+    off_m, variance, driven_m = (np.full((len(frame_pairs) - 1, n), np.nan) for n in (3, 3, 1))
+    start = measured.start[good]
+    off_m[start], variance[start] = residual[good, 3:], np.diagonal(measured.cov[good], axis1=1, axis2=2)[:, 3:]
+    driven_m[start, 0] = np.linalg.norm(measured.next_SE3_first[good, :3, 3], axis=1)
+    long = driven_m[:, 0] > _LEAST_STEP_M
+    if long.any():
+        off_m = off_m - np.median(off_m[long] / driven_m[long], axis=0) * driven_m
+    worst, value_m, limit_m, frames = 1.0, 0.0, _DRIFT_M, (0, 0)
+    for span in _SPANS:
+        if span > len(off_m):
+            break
+        moved_m, spread = (sliding_window_view(part, span, axis=0).sum(axis=-1) for part in (off_m, variance))
+        kept = sliding_window_view(log.keep[:, :3], span, axis=0).prod(axis=-1)
+        changed = 2 * log.slow[:-span, :3] ** 2 * (1 - kept) + log.white[:-span, :3] ** 2 + log.white[span:, :3] ** 2
+        limits_m = np.maximum(_DRIFT_M, _SLOW_SIGMAS * np.sqrt(spread + changed.max(axis=1, keepdims=True)))
+        ratio = np.nan_to_num(np.abs(moved_m) / limits_m)
+        k, axis = divmod(int(ratio.argmax()), 3)
+        if ratio[k, axis] > worst:
+            worst, value_m, limit_m = float(ratio[k, axis]), float(abs(moved_m[k, axis])), float(limits_m[k, axis])
+            frames = frame_pairs[k].frame_index, frame_pairs[k + span].frame_index
+    detail = "GNSS/INS moves as the images do over some intervals."
+    if value_m:
+        detail = (
+            f"GNSS/INS moves by {value_m:.1f} m against the images between frame pairs {frames[0]} and {frames[1]}, more than "
+            "its stated sigmas allow: a jump that its filter has spread. Process the GNSS/INS log anew, or state its true sigmas."
+        )
+    return HealthCheck(
+        name="slow jumps of the poses", verdict=Verdict.HOLD if value_m else Verdict.PASS, value=value_m, limit=limit_m,
+        unit="m", detail=detail,
     )  # fmt: skip
 
 
