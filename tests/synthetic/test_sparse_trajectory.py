@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from conetl.geometry import pose as se3
 from conetl.model.health import hold_reason
 from conetl.model.params import IngestParams
+from conetl.readers.drives.video_timing import refined_clock
 from conetl.tracking.clock_search import find_clock_offset, rates_of
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.health import check_trajectory
@@ -67,6 +68,21 @@ def test_no_estimator_finds_the_offset_much_better_with_positions_of_0_4_m() -> 
         assert found is not None
         ratios.append(abs(found.offset_s - 5.0) / offset_bound_s(drive, 5.0))
     assert 0.3 < np.median(ratios) < 1.2
+
+
+def test_attitudes_show_the_offset_to_10_ms_before_the_analysis() -> None:
+    """Positions of 0.4 m: heading and speed alone leave up to 17 ms in these drives."""
+    errors_s, sigmas_s = [], []
+    for seed, offset_s in enumerate(np.random.default_rng(3).uniform(-20.0, 20.0, 10)):
+        drive = record(500 + seed, offset_s=offset_s, rate_hz=10.0, sigma_m=0.4, has_attitude=True, seconds=40.0)
+        coarse = drive.offset()
+        assert coarse is not None
+        found = refined_clock(coarse, drive.motions, drive.track, drive.image_ns, RIG)
+        errors_s.append(found.offset_s - offset_s)
+        sigmas_s.append(found.sigma_s)
+    assert np.abs(errors_s).max() < 0.01
+    nees = float(((np.array(errors_s) / sigmas_s) ** 2).sum())
+    assert chi2.ppf(0.001, 10) < nees < chi2.ppf(0.999, 10)
 
 
 def test_what_is_left_of_the_offset_is_found_with_the_poses() -> None:

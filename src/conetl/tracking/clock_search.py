@@ -41,7 +41,7 @@ _GAP_S, _GAP_FACTOR = 0.5, 2.5
 #: Residuals of sparse records are alike over so many of their distances.
 _ALIKE = 2.5
 #: Sigma of the scale of the speeds, and the least and largest one of a result (s): `clock.py` finds what is left within 0.4 s.
-_SCALE, _LEAST_SIGMA_S, _MAX_SIGMA_S = 0.02, 0.002, 0.15
+_SCALE, LEAST_SIGMA_S, _MAX_SIGMA_S = 0.02, 0.002, 0.15
 #: Errors of positions change as slowly as the vehicle moves: on simulated drives residuals show a sigma too small by this.
 _DOUBT = 1.5
 _ITERATIONS, _MOST_PIECES = 12, 2_000_000
@@ -99,7 +99,7 @@ def find_clock_offset(
     rates: of the images (`rates_of`), whose first is of `first_image_ns`. times_ns (K,), rising: of the records, with positions
     (K, 3) in a level frame in metres, their sigmas (K, 3), and rotations (K, 3, 3) from the body to that frame, None where the
     trajectory has no attitude of its own. search_s: the offset is between minus and plus this. The sigma is one of the
-    estimate, `_LEAST_SIGMA_S` at least. None, too, where other offsets fit nearly as well, as on a straight drive at constant
+    estimate, `LEAST_SIGMA_S` at least. None, too, where other offsets fit nearly as well, as on a straight drive at constant
     speed, and where images and trajectory have too little in common.
     """
     times_s = (np.array(times_ns, dtype=np.int64) - first_image_ns) * 1e-9
@@ -132,7 +132,7 @@ def find_clock_offset(
     gain = float((worse * common / counted).sum(axis=1).min())
     if gain < _LEAST_GAIN or abs(offset_s - coarse_s) > _APART_S or sigma_s > _MAX_SIGMA_S:
         return None
-    return ImageClock(float(offset_s), max(sigma_s, _LEAST_SIGMA_S))
+    return ImageClock(float(offset_s), max(sigma_s, LEAST_SIGMA_S))
 
 
 def _searched(target: Floats, padded: Floats, least: Floats) -> tuple[int, Floats, int] | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,18 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.files.documents import read_bytes
+from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.errors import DriveFolderError, InputError
-from conetl.model.records import Rig, Side
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.unguided_odometry import measure_motions
 from conetl.perception.video import Region, VideoIndex
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images, inside
-from conetl.readers.drives.pairs import Couple, Image, Source, pair_by_stamp, time_of
+from conetl.readers.drives.pairs import Couple, Image, PairError, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
+from conetl.readers.drives.sparse_poses import pose_reader
 from conetl.readers.trajectories.times import decimal_ns, parse_timestamp
-from conetl.tracking.clock_search import ImageClock, find_clock_offset, rates_of
+from conetl.tracking.clock import estimate_clock
+from conetl.tracking.clock_search import LEAST_SIGMA_S, ImageClock, find_clock_offset, rates_of
+from conetl.tracking.trajectory import measured_motions, read_log
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +46,8 @@ _MOST_TIME_BYTES = 128_000_000
 _MOST_PARTS = 4
 #: Of an offset that is stated without one (s), as from a flash of light. The poses tell what is left of it.
 _STATED_SIGMA_S = 0.01
+#: Offsets of two methods that differ by more sigmas contradict each other.
+_CONTRADICTS = 4.0
 _STATE_START = f"State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'"
 _log = logging.getLogger(__name__)
 
@@ -290,10 +298,36 @@ def image_clock(
             track.sigma[:, :3], settings.search_s,
         )  # fmt: skip
         if found is not None:
-            return found
+            return found if from_course else refined_clock(found, motions, track, times_ns, rig)
         first = motions[-1].second_frame_index
     raise DriveFolderError(
         f"{track.name}: the offset between the clocks of images and trajectory cannot be determined within "
         f"+-{settings.search_s:g} s: the drive shows too few turns and changes of speed, or images and trajectory are not of the "
         "same time. State it in drive.yaml: 'clock: {offset_s: ..., sigma_s: ...}', the seconds to add to the times of the images"
     )
+
+
+def refined_clock(
+    found: ImageClock, motions: Sequence[RelativeMotion], track: Samples, times_ns: Sequence[int], rig: Rig
+) -> ImageClock:
+    """The same offset from turns about all axes and speeds along them; unchanged where they show it less well, or contradict it.
+
+    The search over many seconds compares heading and speed, but a vehicle pitches and rolls far more quickly than it turns.
+
+    motions: of the images, whose frame indices are numbers in `times_ns`; track: with attitudes of its own.
+    """
+    numbers = sorted({n for m in motions for n in (m.first_frame_index, m.second_frame_index)})
+    offset_ns = round(found.offset_s * 1e9)
+    pose_at = pose_reader(track, [times_ns[n] + offset_ns for n in numbers])
+    pairs = []
+    for n in numbers:
+        with suppress(PairError):  # beyond the trajectory, or in a gap of it
+            pose = pose_at(times_ns[n] + offset_ns)
+            pairs.append(FramePair(frame_index=n, left_path="", right_path="", captured_at_ns=times_ns[n], pose=pose))
+    params = TrajectoryParams()
+    if len(pairs) < 2:
+        return found
+    lag = estimate_clock(pairs, read_log(pairs, rig, params), measured_motions(pairs, motions, params))
+    if lag is None or lag.sigma_s >= found.sigma_s or abs(lag.offset_s) > _CONTRADICTS * found.sigma_s:
+        return found
+    return ImageClock(found.offset_s - lag.offset_s, max(lag.sigma_s, LEAST_SIGMA_S))
