@@ -78,7 +78,7 @@ def _motion(video: VideoIndex, times_s: Floats, from_s: float, to_s: float) -> t
     time_of = dict(zip(video.pts, times_s, strict=True))
     height = max(round(video.height_px * _WIDTH_PX / video.width_px), 2)  # of all, though a stream may change its size
     at_s, shifts, before = [], [], None
-    for pts, image in frames_between(video.path, video.pts[inside[0]], video.pts[inside[-1]], grey=True):
+    for pts, image in frames_between(video.path, video.pts[inside[0]], video.pts[inside[-1]]):
         small = cv2.resize(image, (_WIDTH_PX, height), interpolation=cv2.INTER_AREA).astype(np.float32)
         if before is not None and pts in time_of:
             at_s.append((before[0] + time_of[pts]) / 2)

@@ -134,7 +134,7 @@ def _small_images(video: VideoIndex, numbers: Sequence[int], count: Callable[[in
     wanted = {video.pts[number] for number in numbers}
     found: dict[int, NDArray[np.uint8]] = {}
     size = (_WIDTH_PX, max(1, round(_WIDTH_PX * video.height_px / video.width_px)))
-    for pts, image in frames_between(video.path, min(wanted), max(wanted), grey=True):
+    for pts, image in frames_between(video.path, min(wanted), max(wanted)):
         if pts in wanted:
             found[pts] = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8).ravel()
             count(len(found))
