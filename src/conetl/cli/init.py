@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from conetl.cli.console import JsonOption, print_json, say, spinner
-from conetl.files.atomic import atomic_text_file
+from conetl.files.atomic import atomic_files
+from conetl.files.yaml_model import validated
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
-from conetl.model.records import utc_from_ns
+from conetl.model.records import Rig, utc_from_ns
 from conetl.readers.drives import find_format, plain
-from conetl.readers.drives.drive_yaml import DRIVE_YAML
-from conetl.readers.drives.proposal import Proposal, Question, propose
-from conetl.readers.drives.video import NAME, read_timing
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
+from conetl.readers.drives.proposal import Proposal, Question, answers_in, propose, still_valid
+from conetl.readers.drives.video import NAME, Preview, preview
 from conetl.readers.drives.video_timing import Timing, UnknownTimeError
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
 from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 
 _TIME_QUESTIONS = {
+    "timestamps": "Which file has the time of every left image, one per line (UTC, or nanoseconds since 1970)",
     "start": "When was the first frame of the left camera taken (UTC, like 2026-03-02 10:00:00.250)",
     "right-offset": "By how many seconds does the right file begin after the left one (0: both begin with one trigger)",
 }
@@ -51,10 +54,17 @@ def init(
             help="Seconds to add to the right file's times to have the left one's; else found from the images."
         ),
     ] = None,
-    every: Annotated[int, typer.Option(min=1, help="Use every n-th frame pair.")] = 1,
+    timestamps: Annotated[
+        str | None,
+        typer.Option(help="File with the time of every left image, one per line, where their names are none."),
+    ] = None,
+    right_timestamps: Annotated[
+        str | None, typer.Option(help="The same of the right images, where they have other times.")
+    ] = None,
+    every: Annotated[int | None, typer.Option(min=1, help="Use every n-th frame pair.")] = None,
     from_s: Annotated[
-        float, typer.Option("--from", min=0.0, help="Use the recording from this second of the left file ...")
-    ] = 0.0,
+        float | None, typer.Option("--from", min=0.0, help="Use the recording from this second of the left file ...")
+    ] = None,
     to_s: Annotated[float | None, typer.Option("--to", min=0.0, help="... to this one.")] = None,
     trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
     date: Annotated[str | None, typer.Option(help="Day of the recording, for logs without a date.")] = None,
@@ -77,7 +87,10 @@ def init(
     yes: Annotated[
         bool, typer.Option("--yes", "-y", help="Ask nothing: take what is clear, fail where something is missing.")
     ] = False,
-    force: Annotated[bool, typer.Option(help="Replace an existing drive.yaml.")] = False,
+    force: Annotated[
+        bool,
+        typer.Option(help="Write an existing drive.yaml anew; what it states stays, unless an option says otherwise."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Look at a folder, ask for what is missing, and write drive.yaml.
@@ -94,58 +107,90 @@ def init(
         _finish(folder, f"{folder} is a drive already ({kind.NAME}); nothing has to be written.", {}, as_json)
         return
     if (root / DRIVE_YAML).exists() and not force:
-        raise InputError(f"{root / DRIVE_YAML} exists: edit it, or replace it with --force")
-    given = {
+        raise InputError(f"{root / DRIVE_YAML} exists: edit it, or write it anew with --force")
+    options = {
         "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory,
         "date": date, "time": log_time, "crs": crs, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
+        "timestamps": timestamps, "right-timestamps": right_timestamps,
     }  # fmt: skip
-    answers = _of_zed(root, as_json=as_json) | {key: value for key, value in given.items() if value is not None}
-    if to_s is not None and to_s <= from_s:
+    given = {key: value for key, value in options.items() if value is not None}
+    part = {key: value for key, value in (("every", every), ("from_s", from_s), ("to_s", to_s)) if value is not None}
+    if from_s is not None and to_s is not None and to_s <= from_s:
         raise InputError(f"--to {to_s:g} is not after --from {from_s:g}")
-    part: dict[str, float] = {"every": every} if every > 1 else {}
-    part |= {key: value for key, value in (("from_s", from_s), ("to_s", to_s)) if value}
+    kept = still_valid(_earlier(root), given)
+    if kept and not as_json:
+        say(f"  kept of {DRIVE_YAML}: {_listed(kept)}; delete the file to begin anew")
+    answers = _of_zed(root, as_json=as_json) | answers_in(kept) | given
+    kept["images"] = kept.get("images", {}) | part
     asks = sys.stdin.isatty() and not yes and not as_json
-    settings, timing = _settled(root, answers, part, asks=asks, as_json=as_json)
-    _add_timing(settings, timing)
-    _write(root, settings)
-    pairs = sum(left is not None and right is not None for left, right in timing.couples)
-    text = f"{root / DRIVE_YAML} is written: {pairs:,} frame pairs."
-    if timing.start_ns is not None and timing.clock.sigma_s and "start" not in answers:
+    settings, found, new_rig = _settled(root, answers, kept, asks=asks, as_json=as_json)
+    _add_timing(settings, found.timing)
+    _write(root, settings, new_rig)
+    text = f"{root / DRIVE_YAML} is written: {_counted(found)}"
+    start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s
+    if start_ns is not None and sigma_s and "start" not in answers:
         text += (
-            f"\nBy its images the first left frame is of {_stated(timing.start_ns)}, +-{1000 * timing.clock.sigma_s:.0f} ms. "
+            f"\nBy its images the first left frame is of {_stated(start_ns)}, +-{1000 * sigma_s:.0f} ms. "
             "If its time was noted, state it: --start."
         )
     _finish(folder, text, settings, as_json)
 
 
-def _settled(
-    root: Path, answers: dict[str, str], part: dict[str, float], *, asks: bool, as_json: bool
-) -> tuple[dict[str, Any], Timing]:
-    """Settings that are written, and the times that the drive has by them. part: which of the images are used.
+def _earlier(root: Path) -> dict[str, Any]:
+    """What an earlier drive.yaml states."""
+    try:
+        return read_drive_yaml(root).model_dump(mode="json", exclude_unset=True)
+    except DriveFolderError as error:
+        say(f"{error}\nThe file is written anew without it.")
+        return {}
 
-    Raises InputError where an answer is missing.
+
+def _listed(settings: Mapping[str, Any]) -> str:
+    """Sections of settings with their keys."""
+    return ", ".join(
+        f"{section} ({', '.join(values)})" if isinstance(values, Mapping) else section
+        for section, values in settings.items()
+    )
+
+
+def _counted(found: Preview) -> str:
+    """How many frame pairs can be used, and why others cannot."""
+    usable, total = len(found.drive.frame_pairs), found.drive.expected_frame_count
+    if usable == total:
+        return f"{usable:,} frame pairs."
+    reasons: dict[str, list[str]] = {}
+    for rejection in found.rejections:
+        reasons.setdefault(str(rejection.reason).replace("_", " "), []).append(rejection.detail)
+    lines = [f"  {len(details):,} {reason}: {details[0]}" for reason, details in reasons.items()]
+    return "\n".join([f"{usable:,} of {total:,} frame pairs can be used.", *lines])
+
+
+def _settled(
+    root: Path, answers: dict[str, str], kept: Mapping[str, Any], *, asks: bool, as_json: bool
+) -> tuple[dict[str, Any], Preview, Rig | None]:
+    """Settings, the drive that they make, and the rig that has to be written. Nothing is written while something is missing.
+
+    kept: settings that no answer replaces. Raises InputError where an answer is missing.
     """
-    path = root / DRIVE_YAML
-    before = path.read_bytes() if path.exists() else None
     asked, shown = None, set[str]()
     while True:
         proposal = _complete(root, answers, asked, shown, asks=asks, as_json=as_json)
-        proposal.settings["images"] |= part
-        if proposal.rig is not None:
-            write_rig_yaml(proposal.rig, root / RIG_YAML)
-        _write(root, proposal.settings)
+        settings = dict(kept)
+        for section, values in proposal.settings.items():
+            settings[section] = settings.get(section, {}) | values
+        checked = validated(settings, DriveYaml, "answers")
         try:
             with spinner("finding when the images were taken"):
-                return proposal.settings, read_timing(root)
+                return settings, preview(root, checked, proposal.rig), proposal.rig
         except UnknownTimeError as error:
-            path.unlink() if before is None else path.write_bytes(before)  # nobody may answer
             if not asks:
                 raise InputError(f"{error}; or answer with --{error.key}: {_TIME_QUESTIONS[error.key]}") from error
             say(error.cause)
             asked = Question(error.key, _TIME_QUESTIONS[error.key])
             answers[asked.key] = _answer(asked)
         except ConetlError as error:
-            say(f"{path} is written, but the drive cannot be read yet:")
+            _write(root, settings, proposal.rig)
+            say(f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:")
             say(str(error))
             raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
 
@@ -216,14 +261,21 @@ def _stated(time_ns: int) -> str:
     return f"{utc_from_ns(seconds * 10**9):%Y-%m-%d %H:%M:%S}.{rest:09d}Z"
 
 
-def _write(root: Path, settings: dict[str, Any]) -> None:
-    """drive.yaml with a comment per section."""
-    with atomic_text_file(root / DRIVE_YAML) as file:
-        file.write("# How conetl reads this drive, written by 'conetl init'; all keys: docs/reference/drives.md\n")
-        for section, values in settings.items():
-            if values:
-                file.write(f"\n{section}:  # {_COMMENTS[section]}\n")
-                file.writelines(f"  {key}: {json.dumps(value)}\n" for key, value in values.items())
+def _write(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> None:
+    """drive.yaml with a comment per section, and rig.yaml where there is a rig: both or neither."""
+    text = "# How conetl reads this drive, written by 'conetl init'; all keys: docs/reference/drives.md\n"
+    for section, values in settings.items():
+        if not isinstance(values, Mapping):
+            text += f"\n{section}: {json.dumps(values)}\n"
+        elif values:
+            comment = f"  # {_COMMENTS[section]}" if section in _COMMENTS else ""
+            keys = "".join(f"  {key}: {json.dumps(value)}\n" for key, value in values.items())
+            text += f"\n{section}:{comment}\n{keys}"
+    names = [DRIVE_YAML] if rig is None else [RIG_YAML, DRIVE_YAML]
+    with atomic_files(*(root / name for name in names)) as unfinished:
+        if rig is not None:
+            write_rig_yaml(rig, unfinished[0])
+        unfinished[-1].write_text(text, encoding="utf-8")
 
 
 def _finish(folder: Path, text: str, settings: dict[str, Any], as_json: bool) -> None:

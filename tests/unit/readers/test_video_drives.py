@@ -25,7 +25,7 @@ from conetl.pipeline.settings import Settings
 from conetl.readers.drives import drive_format, read_drive
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import Image, pair_by_stamp
-from conetl.readers.rigs import read_rig_yaml, write_rig_yaml
+from conetl.readers.rigs import WRITERS, read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
 from tests.unit.readers.drive_formats import SAMPLE, write_ros1_bag
 from tests.unit.readers.trajectory_files import write_csv
@@ -178,6 +178,37 @@ def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive, folders: 
     (root / "drive.yaml").write_text(f"images: {{left: {left}, right: {right}, timestamps: times.txt}}\n")
     with pytest.raises(DriveFolderError, match=rf"times\.txt: 15 time stamps for the 16 images of {left}"):
         read_drive(root)
+    (root / "times.txt").write_text("\n".join(lines))
+    next(iter(sorted((root / right).iterdir()))).unlink()
+    with pytest.raises(
+        DriveFolderError, match=rf"for the 15 images of {right}.*images: \{{right_timestamps: right.txt"
+    ):
+        read_drive(root)
+    (root / "right.txt").write_text("\n".join(lines[1:]))
+    text = f"images: {{left: {left}, right: {right}, timestamps: times.txt, right_timestamps: right.txt}}\n"
+    (root / "drive.yaml").write_text(text)
+    assert len(read_drive(root)[0].frame_pairs) == COUNT - 1
+
+
+def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: Path, sample: Drive) -> None:
+    root = tmp_path / "run"
+    for camera, side in (("image_02", "left"), ("image_03", "right")):
+        (root / side).mkdir(parents=True)
+        for n in range(COUNT):
+            (root / side / f"{n:04d}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
+    write_rig_yaml(sample.rig, root / "rig.yaml")
+    write_csv(root, known_of(sample))
+    (root / "times.txt").write_text("\n".join(f"{p.captured_at_ns}" for p in sample.frame_pairs))
+    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--start", "2026-03-02 09:41:07Z"])
+    said = str(made.exception)
+    assert "names of the images in left (0000.jpg to 0015.jpg) are no times" in said and "--timestamps: " in said
+    assert "images.start is for videos" in said and not (root / "drive.yaml").exists()
+    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--timestamps", "time.txt"])
+    assert "--timestamps time.txt: there is no such file" in str(made.exception)
+    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--timestamps", "times.txt"])
+    assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
+    drive, _ = read_drive(root)
+    assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
 
 
 def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -> None:
@@ -370,6 +401,76 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
         made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", option, value])
         assert isinstance(made.exception, ConetlError | SystemExit), (option, made.exception)
         assert says in f"{made.exception}{made.output}", option
+
+
+def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path, sample: Drive) -> None:
+    start = "2026-03-02 09:41:07Z"
+    copy = with_settings(
+        folder,
+        tmp_path,
+        f"drive_id: ring road\nimages: {{start: '{start}', right_offset_s: 0, every: 2, left: left.mp4, right: right.mp4}}\n"
+        "trajectory: {file: drive.csv}\nclock: {offset_s: 0.0, sigma_s: 0.02}\n"
+        "mount: {forward_m: 1.5, left_m: 0.2, up_m: 0.4, pitch_deg: 10}\n",
+    )
+
+    def renewed(*options: str) -> dict[str, dict[str, object]]:
+        made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--force", *options])
+        assert made.exit_code == 0, made.output
+        assert "kept of drive.yaml: " in made.output
+        return dict(yaml.safe_load((copy / "drive.yaml").read_text()))
+
+    before = yaml.safe_load((copy / "drive.yaml").read_text())
+    after = renewed("--every", "3")
+    assert after.pop("drive_id") == "ring road" and after["images"].pop("every") == 3
+    assert after["images"].pop("start") == "2026-03-02 09:41:07.000000000Z"
+    assert after["images"] == {"left": "left.mp4", "right": "right.mp4", "right_offset_s": 0.0}
+    assert (after["clock"], after["trajectory"]) == (before["clock"], before["trajectory"])
+    assert after["mount"] == before["mount"] | {"yaw_deg": 0.0, "roll_deg": 0.0}
+    # A noted start needs no clock that was found, another mount none of the earlier angles.
+    after = renewed("--start", "2026-03-02 09:41:07.1Z", "--mount", "1,2,3")
+    assert "clock" not in after and after["mount"] == {"forward_m": 1.0, "left_m": 2.0, "up_m": 3.0}
+    (copy / "drive.csv").rename(copy / "other.csv")
+    after = renewed("--trajectory", "other.csv")
+    assert after["trajectory"] == {"file": "other.csv"} and after["images"]["every"] == 3
+    (copy / "right.mp4").rename(copy / "r.mp4")
+    after = renewed("--right", "r.mp4", "--right-offset", "0", "--start", start)
+    assert after["images"]["right"] == "r.mp4" and after["mount"]["up_m"] == 3.0
+    (copy / "drive.yaml").write_text("images: [\n")
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--force", "--right", "r.mp4"])
+    assert "written anew without it" in made.output and "kept" not in made.output
+
+
+def test_init_that_fails_writes_nothing(folder: Path, tmp_path: Path) -> None:
+    """Nor a rig.yaml of the calibration that it found."""
+    copy = with_settings(folder, tmp_path, "")
+    (copy / "drive.yaml").unlink()
+    rig = read_rig_yaml(copy / "rig.yaml")
+    (copy / "rig.yaml").unlink()
+    WRITERS["opencv"](rig, copy / "stereo.yml")
+    files = {path.name: path.read_bytes() for path in copy.iterdir()}
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--mount", "1,0,1"])
+    assert "--start: When was the first frame" in str(made.exception)
+    assert {path.name: path.read_bytes() for path in copy.iterdir()} == files
+
+
+def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample: Drive) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    (copy / "drive.yaml").unlink()
+    rows = (copy / "drive.csv").read_text().splitlines(keepends=True)
+    (copy / "drive.csv").unlink()
+    (copy / "drive.csv").write_text("".join(rows[:-4]))
+    start = f"{np.datetime64(sample.frame_pairs[0].captured_at_ns, 'ns')}Z".replace("T", " ")
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", start])
+    assert made.exit_code == 0, made.output
+    assert "12 of 16 frame pairs can be used." in made.output
+    assert "4 pose missing: drive.csv ended 0." in made.output
+    late = start.replace("2026", "2025")
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", late, "--force"])
+    assert made.exit_code == 1 and "cannot be read yet" in made.output
+    assert (
+        "is images.start wrong?" in made.output
+        and "kept of drive.yaml: images (left, right), trajectory (file);" in made.output
+    )
 
 
 def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tmp_path: Path) -> None:

@@ -37,6 +37,17 @@ _UNSTATED = {
 }
 
 
+#: Section and key of drive.yaml of what an option of `conetl init` answers; those of the mount are one answer.
+_KEYS = {
+    "left": ("images", "left"), "right": ("images", "right"), "layout": ("images", "layout"), "start": ("images", "start"),
+    "right-offset": ("images", "right_offset_s"), "timestamps": ("images", "timestamps"),
+    "right-timestamps": ("images", "right_timestamps"), "trajectory": ("trajectory", "file"), "date": ("trajectory", "date"),
+    "time": ("trajectory", "time"), "crs": ("trajectory", "crs"), "heights": ("trajectory", "heights"),
+    "sigma": ("sigmas", "horizontal_m"),
+}  # fmt: skip
+_MOUNT = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
+
+
 class Question(NamedTuple):
     """What a folder does not say itself."""
 
@@ -69,16 +80,48 @@ def propose(root: Path, answers: Mapping[str, str]) -> Proposal:
     return proposal._replace(rig=rig)
 
 
+def still_valid(settings: Mapping[str, Any], given: Mapping[str, str]) -> dict[str, Any]:
+    """The settings of an earlier drive.yaml without those that new answers replace or make invalid."""
+
+    def changes(*options: str) -> bool:
+        known = ((given[o], settings.get(_KEYS[o][0], {}).get(_KEYS[o][1])) for o in options if o in given)
+        return any(str(value) != answer for answer, value in known)
+
+    kept = {section: dict(value) if isinstance(value, Mapping) else value for section, value in settings.items()}
+    if changes("left", "right", "layout"):
+        kept["images"] = {key: v for key, v in kept.get("images", {}).items() if key in ("every", "from_s", "to_s")}
+        kept.pop("clock", None)
+    if changes("trajectory"):
+        for section in ("trajectory", "sigmas"):
+            kept.pop(section, None)
+        if (
+            kept.pop("clock", None) is not None
+        ):  # the start was found with the other log, or noted by a clock like its own
+            kept.get("images", {}).pop("start", None)
+    if "start" in given:
+        kept.pop("clock", None)
+        for key in ("timestamps", "right_timestamps"):
+            kept.get("images", {}).pop(key, None)
+    if "mount" in given:
+        kept.pop("mount", None)
+    for section, key in (_KEYS[option] for option in given if option in _KEYS):
+        kept.get(section, {}).pop(key, None)
+    return {section: value for section, value in kept.items() if value != {}}
+
+
+def answers_in(settings: Mapping[str, Any]) -> dict[str, str]:
+    """What settings of drive.yaml answer, by `Question.key`."""
+    found = {option: settings.get(section, {}).get(key) for option, (section, key) in _KEYS.items()}
+    if (mount := settings.get("mount")) is not None:
+        found["mount"] = ",".join(str(mount.get(key, 0.0)) for key in _MOUNT)
+    return {option: str(value) for option, value in found.items() if value is not None}
+
+
 def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> tuple[int, int] | None:
     """Size of the images of one camera, where it is known."""
     videos = [root / name for name in names_in(root, VIDEO_SUFFIXES)]
     folders = [path for path in sorted(root.iterdir()) if path.is_dir() and image_files(path)]
-    images: dict[str, Any] = {key: answers[key] for key in ("left", "right", "layout", "start") if key in answers}
-    if "right-offset" in answers:
-        images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
-    if "start" in images:
-        with named("--start"):
-            parse_timestamp(images["start"])
+    images = _stated_images(root, answers)
     proposal.settings["images"] = images
     sources = videos or folders
     if not sources:
@@ -114,6 +157,21 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
         images.get("layout", ""), (1, 1)
     )
     return facts.width_px // across, facts.height_px // down
+
+
+def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
+    """What answers say of the images. Raises InputError."""
+    options = ("left", "right", "layout", "start", "timestamps", "right-timestamps")
+    images: dict[str, Any] = {_KEYS[option][1]: answers[option] for option in options if option in answers}
+    if "right-offset" in answers:
+        images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
+    if "start" in images:
+        with named("--start"):
+            parse_timestamp(images["start"])
+    for option in ("timestamps", "right-timestamps"):
+        if option in answers and not (root / answers[option]).is_file():
+            raise InputError(f"--{option} {answers[option]}: there is no such file in {root}")
+    return images
 
 
 def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) -> None:
@@ -193,8 +251,7 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
     )
     if "mount" in answers:
         values = _numbers("mount", answers["mount"], 3, 6)
-        keys = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
-        proposal.settings["mount"] = dict(zip(keys, values, strict=False))
+        proposal.settings["mount"] = dict(zip(_MOUNT, values, strict=False))
     elif rigs.body_is_left_camera(rig):
         text = (
             "Where is the left camera, seen from the antenna or IMU of the trajectory? Forward, left, up in metres, and "

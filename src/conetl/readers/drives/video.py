@@ -60,7 +60,10 @@ class _Recording(NamedTuple):
 
 def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
-    found = _recording(source)
+    return _drive_of(_recording(source), source)
+
+
+def _drive_of(found: _Recording, source: Source) -> tuple[Drive, list[Rejection]]:
     rig, couples = found.rig, found.timing.couples
 
     def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
@@ -79,15 +82,33 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     return drive.model_copy(update={"clock_sigma_s": found.timing.clock.sigma_s or None}), rejections
 
 
+class Preview(NamedTuple):
+    """What a drive will be, without the content of its images."""
+
+    timing: Timing
+    drive: Drive
+    rejections: list[Rejection]
+
+
+def preview(root: Path, settings: DriveYaml, rig: Rig | None) -> Preview:
+    """The drive of a folder with settings that are not in its drive.yaml yet. rig: likewise; None where rig.yaml has it.
+
+    Raises as `read`.
+    """
+    source = opened(root, headers_only=True)._replace(settings=settings)
+    found = _recording(source, rig)
+    return Preview(found.timing, *_drive_of(found, source))
+
+
 def read_timing(root: Path) -> Timing:
     """When the first left frame was taken, as drive.yaml states it or as the images show it. Raises as `read`."""
     return _recording(opened(root, headers_only=True)).timing
 
 
-def _recording(source: Source) -> _Recording:
+def _recording(source: Source, rig: Rig | None = None) -> _Recording:
     """Rig, images, trajectory and times. Raises DriveFolderError or CalibrationError."""
     root, settings, content = source[1:4]
-    rig, sensor_R_body = _rig(root, settings, content)
+    rig, sensor_R_body = _rig(root, settings, content, rig)
     cameras = _cameras(root, settings.images, rig, content)
     trajectory = _trajectory_file(root, settings)
     _add_files(trajectory, root, content)
@@ -118,16 +139,17 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
             header.set_times([first_ns, first_ns + round(facts.duration_s * 1e9)], root / DRIVE_YAML)
 
 
-def _rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Floats]:
-    """The rectified rig on the body, and sensor_R_body (3, 3). Raises CalibrationError."""
+def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None = None) -> tuple[Rig, Floats]:
+    """The rectified rig on the body, and sensor_R_body (3, 3). rig: instead of rig.yaml's. Raises CalibrationError."""
     path = root / RIG_YAML
-    if not path.is_file():
-        raise CalibrationError(
-            f"{root}: {RIG_YAML} is missing: 'conetl calibrate' makes it from images of a board, 'conetl rig convert' from the "
-            "calibration of another program"
-        )
+    if rig is None:
+        if not path.is_file():
+            raise CalibrationError(
+                f"{root}: {RIG_YAML} is missing: 'conetl calibrate' makes it from images of a board, 'conetl rig convert' from "
+                "the calibration of another program"
+            )
+        rig = read_rig_yaml(path, pair=settings.pair)
     add_settings(content, root)
-    rig = read_rig_yaml(path, pair=settings.pair)
     if settings.mount is not None:
         return rig_on_body(rig, _body_SE3_left(settings.mount), settings, path)
     if rigs.body_is_left_camera(rig):

@@ -29,7 +29,7 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, Dr
 from conetl.readers.drives.pairs import Couple, Image, PairError, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
-from conetl.readers.trajectories.times import decimal_ns, parse_timestamp
+from conetl.readers.trajectories.times import clock_problem, decimal_ns, parse_timestamp
 from conetl.tracking.clock import estimate_clock
 from conetl.tracking.clock_search import LEAST_SIGMA_S, ImageClock, find_clock_offset, rates_of
 from conetl.tracking.trajectory import measured_motions, read_log
@@ -91,8 +91,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
     images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
     search_s = None
     if images.timestamps is not None or left.video is None:
-        names = (images.timestamps, images.right_timestamps or images.timestamps)
-        ours, theirs = (_listed(camera, name, source) for camera, name in zip(cameras, names, strict=True))
+        ours, theirs = _listed(left, images.timestamps, source), _right_listed(left, right, source)
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
         if search_s is not None and search_s > MAX_SEARCH_S:
@@ -151,7 +150,7 @@ def _at(camera: CameraImages, start_ns: int) -> list[Image]:
 def _listed(camera: CameraImages, name: str | None, source: Source) -> list[Image]:
     """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError."""
     if name is None:
-        return [Image(_stamp(path.stem, source.settings), path) for path in camera.paths]
+        return _named(camera, source)
     file = inside(source.root, name, DRIVE_YAML)
     try:
         data = read_bytes(file, _MOST_TIME_BYTES)
@@ -162,8 +161,43 @@ def _listed(camera: CameraImages, name: str | None, source: Source) -> list[Imag
         line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
     ]
     if len(lines) != len(camera.paths):
-        raise DriveFolderError(f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}")
+        raise _CountError(
+            f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}, expected one line per image"
+        )
     return [Image(_stamp(line, source.settings), path) for line, path in zip(lines, camera.paths, strict=True)]
+
+
+class _CountError(DriveFolderError):
+    """A file has more or fewer time stamps than its camera has images."""
+
+
+def _right_listed(left: CameraImages, right: CameraImages, source: Source) -> list[Image]:
+    """The images of the right camera, with the times of the left one's file where it has none of its own."""
+    images = source.settings.images
+    try:
+        return _listed(right, images.right_timestamps or images.timestamps, source)
+    except _CountError as error:
+        if images.right_timestamps is not None:
+            raise
+        raise DriveFolderError(
+            f"{error}: its {len(left.paths)} lines are those of {left.name}. Name the times of the right images in {DRIVE_YAML}, "
+            "too: 'images: {right_timestamps: right.txt}'"
+        ) from error
+
+
+def _named(camera: CameraImages, source: Source) -> list[Image]:
+    """Images with the times that their names are. Raises UnknownTimeError where none is one."""
+    images = [Image(_stamp(path.stem, source.settings), path) for path in camera.paths]
+    if not any(isinstance(image.stamp, int) and clock_problem(image.stamp) is None for image in images):
+        found = f"{camera.paths[0].name} to {camera.paths[-1].name}"
+        raise UnknownTimeError(
+            "timestamps",
+            f"{source.root}: the names of the images in {camera.name} ({found}) are no times since 1970",
+            f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
+            "right_timestamps where the right ones have others"
+            + ("; images.start is for videos" if source.settings.images.start is not None else ""),
+        )
+    return images
 
 
 def _stamp(text: str, settings: DriveYaml) -> int | str:
