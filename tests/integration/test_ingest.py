@@ -298,6 +298,26 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
     desk.ask("db", "audit")
 
 
+def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(desk: Desk, small_drive: Path) -> None:
+    def said(*options: str) -> str:
+        done = desk.run("ingest", small_drive, *options)
+        assert done.code == 0, done.err
+        return " ".join(done.out.split())
+
+    assert "does not count" not in said()
+    decided = json.loads(desk.ask("map", "revert", "1", "--json"))
+    text = said()
+    assert "but it does not count: its changeset 1 was reverted." in text
+    assert "revert that decision with `conetl map revert ID`, and it counts again" in text
+    desk.ask("map", "revert", decided["decision_id"])
+    assert "does not count" not in said()
+    assert "does not count" not in said("--no-refine")
+    text = said()
+    assert "a later analysis or delivery of the same recording (changeset 2) counts in its place" in text
+    desk.ask("map", "revert", "2")
+    assert "does not count" not in said()
+
+
 def remove_key(drive: Path) -> None:
     file = drive / "calib_cam_to_cam.txt"
     lines = [line for line in file.read_text().splitlines() if not line.startswith("P_rect_03")]

@@ -231,6 +231,17 @@ def test_a_report_of_an_ingest_says_each_thing_once(capsys: pytest.CaptureFixtur
     assert done.remarks == (other.sentence,), "it makes the exit code 1"
 
 
+def test_a_report_says_that_no_lane_markings_were_found_where_they_were_searched(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    print_report(report(categories=("traffic_cone",)))
+    assert "marking" not in capsys.readouterr().out
+    print_report(report(categories=("lane_marking", "traffic_cone")))
+    assert "No lane markings found; none changed on the map." in capsys.readouterr().out
+    print_report(report(categories=("lane_marking",), markings=2, line_counts={DeltaKind.ADDED: 3}))
+    assert "2 lane markings; stretches of them: 3 added." in capsys.readouterr().out
+
+
 @pytest.fixture
 def events(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict[str, str]]]:
     """Events that would have gone to Prefect."""

@@ -20,7 +20,7 @@ from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
-from conetl.model.feature_classes import CONE, LINE_CLASSES, known_of
+from conetl.model.feature_classes import CONE, LANE_MARKING, LINE_CLASSES, known_of
 from conetl.model.health import CALIBRATION, Verdict
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
@@ -208,7 +208,7 @@ def print_report(report: IngestReport) -> None:
         elif report.on_hold is not None:
             state = ", but on hold (see `conetl drive held`)"
         else:
-            state = ", but not counted: it was reverted (see `conetl map decisions`) or analysed again since"
+            state = f", but it does not count: {report.not_counted}"
         ui.out.print(f"{drive}: no changes, {known}{state}.")
         return
     changed = counts if report.on_hold is None else "on hold, the map is as it was"
@@ -220,6 +220,9 @@ def print_report(report: IngestReport) -> None:
     )
     if lines:
         ui.out.print(f"{ui.counted(report.markings, 'lane marking')}; stretches of them: {lines}.")
+    elif LANE_MARKING in report.categories and report.on_hold is None:
+        found = ui.counted(report.markings, "lane marking") if report.markings else "No lane markings found"
+        ui.out.print(f"{found}; none changed on the map.")
     if report.trajectory:
         ui.out.print(f"Trajectory: {report.trajectory}.")
     told = {check.name for check in report.health if check.verdict is not Verdict.PASS}

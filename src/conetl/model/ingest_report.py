@@ -69,6 +69,10 @@ class IngestReport(Record):
     """None of a drive that was committed now."""
     counts_on_map: bool = True
     """False for a drive on hold, and for a known one that was reverted or analysed again."""
+    not_counted: str | None = None
+    """Why a known drive that is not on hold does not count, and what makes it count; None where it counts."""
+    categories: tuple[str, ...] = ()
+    """Classes that were searched for; empty for a known drive."""
     health: tuple[HealthCheck, ...] = ()
     """Checks of the recording, and of it against the map; of a known drive those for which it is on hold."""
     on_hold: str | None = None

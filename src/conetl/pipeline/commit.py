@@ -18,7 +18,7 @@ from uuid import UUID, uuid4, uuid5
 
 from conetl.db.connection import Connection, sql_directory, transaction
 from conetl.db.live_store import drop_watched_recording
-from conetl.db.map.decision_store import held_drives, hold_changes, write_holds
+from conetl.db.map.decision_store import held_drives, hold_changes, replaced_by_delivery, write_holds
 from conetl.db.map.map_store import drive_transaction, find_changeset, map_transaction, require_map, system_time
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.db.receipt_store import PendingChangeset
@@ -86,9 +86,22 @@ def already_committed(
         with transaction(conn, "Provisional features cannot be removed"):  # it may have been watched again since
             drop_watched_recording(conn, drive, map_name=settings.map_name)
         held = held_drives(conn, map_name=settings.map_name) if known.hold else []
+        not_counted = None if known.counts or known.hold else _why_not_counted(conn, known)
     report = _no_changes(drive, identity, known, settings)
-    return report.model_copy(
-        update={"health": next((one.checks for one in held if one.changeset_id == known.changeset_id), ())}
+    checks = next((one.checks for one in held if one.changeset_id == known.changeset_id), ())
+    return report.model_copy(update={"health": checks, "not_counted": not_counted})
+
+
+def _why_not_counted(conn: Connection, known: CommittedChangeset) -> str:
+    later = replaced_by_delivery(conn, known.changeset_id)
+    if later is None:
+        return (
+            f"its changeset {known.changeset_no} was reverted. `conetl map decisions` shows by whom and why; revert that "
+            "decision with `conetl map revert ID`, and it counts again"
+        )
+    return (
+        f"a later analysis or delivery of the same recording (changeset {later}) counts in its place. If this one is to count "
+        f"instead, `conetl map revert {later}`"
     )
 
 
@@ -141,6 +154,7 @@ def commit(
             "trajectory": analysed.trajectory.detail,
             "calibration": analysed.calibration.detail,
             "committed_at": None,
+            "categories": params.detection.categories,
             "counts_on_map": hold is None,
             "health": health,
             "on_hold": hold,
