@@ -161,7 +161,7 @@ def _counted(found: Preview) -> str:
     reasons: dict[str, list[str]] = {}
     for rejection in found.rejections:
         reasons.setdefault(str(rejection.reason).replace("_", " "), []).append(rejection.detail)
-    lines = [f"  {len(details):,} {reason}: {details[0]}" for reason, details in reasons.items()]
+    lines = [f"  {reason}: {len(details):,}, the first: {details[0]}" for reason, details in reasons.items()]
     return "\n".join([f"{usable:,} of {total:,} frame pairs can be used.", *lines])
 
 
@@ -191,7 +191,7 @@ def _settled(
         except ConetlError as error:
             _write(root, settings, proposal.rig)
             say(f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:")
-            say(str(error))
+            say(f"{error}\nEdit the file, or run this command again with --force and the options that correct it.")
             raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
 
 

@@ -440,6 +440,43 @@ def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path
     assert "written anew without it" in made.output and "kept" not in made.output
 
 
+def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_images(
+    folder: Path, tmp_path: Path, sample: Drive
+) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    rig = read_rig_yaml(copy / "rig.yaml")
+    for name in ("drive.yaml", "rig.yaml"):
+        (copy / name).unlink()
+    wrong = {s: getattr(rig, s).model_copy(update={"height_px": rig.left.height_px + 2}) for s in ("left", "right")}
+    write_rig_yaml(rig.model_copy(update=wrong), copy / "rig.yaml")
+    WRITERS["opencv"](rig, copy / "stereo.yml")
+    for side, name in (("left", "GX01_L.mp4"), ("right", "GX01_R.mp4")):
+        (copy / f"{side}.mp4").rename(copy / name)
+    start = f"{np.datetime64(sample.frame_pairs[0].captured_at_ns, 'ns')}Z".replace("T", " ")
+    options = ["--yes", "--mount", "1,0,1", "--start", start, "--right-offset", "0"]
+    made = CliRunner().invoke(app, ["init", str(copy), *options])
+    assert "calibration rig.yaml: for images of 960 x 322, these have 960 x 320" in made.output
+    assert "the cameras (stereo.yml)?" in str(made.exception) and "It replaces rig.yaml." in str(made.exception)
+    made = CliRunner().invoke(app, ["init", str(copy), *options, "--rig", "stereo.yml"])
+    assert made.exit_code == 0, made.exception
+    assert read_rig_yaml(copy / "rig.yaml").left.height_px == 320
+    assert yaml.safe_load((copy / "drive.yaml").read_text())["images"]["right"] == "GX01_R.mp4"
+    # Images in folders have a size, too; one file may hold both images, and nobody knows how large they are.
+    for side in ("left", "right"):
+        (copy / side).mkdir()
+        frames = [Path(getattr(pair, f"{side}_path")) for pair in sample.frame_pairs]
+        for pair, path in zip(sample.frame_pairs, frames, strict=True):
+            (copy / side / f"{pair.captured_at_ns}{path.suffix}").hardlink_to(path)
+    (copy / "drive.yaml").unlink()
+    (copy / "GX01_R.mp4").unlink()
+    made = CliRunner().invoke(app, ["init", str(copy), *options])
+    assert "--layout: How do" in str(made.exception) and "--rig" not in str(made.exception)
+    (copy / "GX01_L.mp4").unlink()
+    write_rig_yaml(rig.model_copy(update=wrong), copy / "rig.yaml")
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--mount", "1,0,1"])
+    assert "calibration rig.yaml: for images of 960 x 322, these have 960 x 320" in made.output
+
+
 def test_init_that_fails_writes_nothing(folder: Path, tmp_path: Path) -> None:
     """Nor a rig.yaml of the calibration that it found."""
     copy = with_settings(folder, tmp_path, "")
@@ -463,7 +500,7 @@ def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample:
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", start])
     assert made.exit_code == 0, made.output
     assert "12 of 16 frame pairs can be used." in made.output
-    assert "4 pose missing: drive.csv ended 0." in made.output
+    assert "pose missing: 4, the first: drive.csv ended 0." in made.output
     late = start.replace("2026", "2025")
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", late, "--force"])
     assert made.exit_code == 1 and "cannot be read yet" in made.output

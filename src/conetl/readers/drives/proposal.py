@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +14,8 @@ from conetl.files.documents import named
 from conetl.files.yaml_model import validated
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
-from conetl.model.records import Rig
+from conetl.model.records import Rig, Side
+from conetl.perception.images import ImageFileError, ImageFormatError, ImageTruncatedError, inspect_image, read_bytes
 from conetl.perception.video import VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
@@ -144,19 +146,38 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
             proposal.questions.append(Question("layout", text, "left-right"))
     else:
         for side in ("left", "right"):
-            candidates = [source.name for source in sources if side in source.stem.lower()]
+            candidates = _of_side([source.name for source in sources], side)
             if side not in images and len(candidates) == 1:
                 images[side] = candidates[0]
             elif side not in images:
                 names = ", ".join(source.name for source in sources)
                 proposal.questions.append(Question(side, f"Which is the {side} camera ({names})?"))
-    if not videos or "left" not in images:
+    if "left" not in images or (len(sources) == 1 and "layout" not in images):
         return None
+    if not videos:
+        return _image_size(root / images["left"])
     facts = video_facts(root / images["left"])
     across, down = {"left-right": (2, 1), "right-left": (2, 1), "top-bottom": (1, 2), "bottom-top": (1, 2)}.get(
         images.get("layout", ""), (1, 1)
     )
     return facts.width_px // across, facts.height_px // down
+
+
+def _of_side(names: Sequence[str], side: Side) -> list[str]:
+    """The files or folders that are called left or right, else those with its letter alone, like GX010042_L.MP4."""
+    stems = {name: Path(name).stem.lower() for name in names}
+    return [name for name, stem in stems.items() if side in stem] or [
+        name for name, stem in stems.items() if side[0] in re.split(r"[^a-z]+", stem)
+    ]
+
+
+def _image_size(folder: Path) -> tuple[int, int] | None:
+    """Width and height in pixels of the first image; None where it is broken, which costs its pair only."""
+    try:
+        header = inspect_image(read_bytes(image_files(folder)[0]))
+    except (ImageFileError, ImageFormatError, ImageTruncatedError, IndexError, OSError):
+        return None
+    return header.width_px, header.height_px
 
 
 def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
@@ -231,18 +252,12 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         path = root / answers["rig"]
         rig, kind = read_rig_and_format(path)
     else:
-        found = _rigs(root)
-        for path, rig, _ in found:
-            if size not in (None, (rig.left.width_px, rig.left.height_px)):
-                proposal.found.append(
-                    f"calibration {path.name}: for images of {rig.left.width_px} x {rig.left.height_px}, not of these; 'conetl "
-                    "rig convert --scale-to' fits one to images that were scaled"
-                )
-        found = [item for item in found if size in (None, (item[1].left.width_px, item[1].left.height_px))]
-        if len(found) != 1:
-            names = ", ".join(path.name for path, _, _ in found) or "none was recognised"
+        found = _fitting_rigs(root, size, proposal)
+        replaces = (root / RIG_YAML).is_file() and RIG_YAML not in (path.name for path, _, _ in found)
+        if len(found) != 1 or replaces:  # a file that somebody made is not replaced without being asked
+            names = ", ".join(path.name for path, _, _ in found) or "none was found that fits"
             text = f"Which file is the calibration of the cameras ({names})? 'conetl calibrate' makes one from images of a board."
-            proposal.questions.append(Question("rig", text))
+            proposal.questions.append(Question("rig", text + f" It replaces {RIG_YAML}." * replaces))
             return None
         path, rig, kind = found[0]
     image_size = f"{rig.left.width_px} x {rig.left.height_px}"
@@ -261,18 +276,28 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
     return None if path == root / RIG_YAML else rig
 
 
-def _rigs(root: Path) -> list[tuple[Path, Rig, Any]]:
-    """Calibrations in the folder: rig.yaml if it is there, else those of other tools."""
-    if (root / RIG_YAML).is_file():
-        return [(root / RIG_YAML, *read_rig_and_format(root / RIG_YAML))]
-    found = []
-    for name in names_in(root, _RIG_SUFFIXES):
-        if name != DRIVE_YAML and (root / name).stat().st_size <= _LARGEST_RIG_BYTES:
-            try:
-                rig, kind = read_rig_and_format(root / name)
-            except CalibrationError:
-                continue
-            found.append((root / name, rig, kind))
+def _fitting_rigs(root: Path, size: tuple[int, int] | None, proposal: Proposal) -> list[tuple[Path, Rig, Any]]:
+    """The calibrations for images of this size: rig.yaml, or where it is missing or of another size, those of other tools."""
+    own = [RIG_YAML] if (root / RIG_YAML).is_file() else []
+    others = [name for name in names_in(root, _RIG_SUFFIXES) if name not in (DRIVE_YAML, RIG_YAML)]
+    found: list[tuple[Path, Rig, Any]] = []
+    for path in (root / name for name in (*own, *others)):
+        if (found and found[0][0].name == RIG_YAML) or path.stat().st_size > _LARGEST_RIG_BYTES:
+            continue
+        try:
+            rig, kind = read_rig_and_format(path)
+        except CalibrationError:
+            if path.name == RIG_YAML:
+                raise
+            continue
+        width_px, height_px = rig.left.width_px, rig.left.height_px
+        if size is None or size == (width_px, height_px):
+            found.append((path, rig, kind))
+        else:
+            proposal.found.append(
+                f"calibration {path.name}: for images of {width_px} x {height_px}, these have {size[0]} x {size[1]}; 'conetl rig "
+                "convert --scale-to' fits one to images that were scaled"
+            )
     return found
 
 
