@@ -205,7 +205,11 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     assert "images.start is for videos" in said and not (root / "drive.yaml").exists()
     made = CliRunner().invoke(app, ["init", str(root), "--yes", "--timestamps", "time.txt"])
     assert "--timestamps time.txt: there is no such file" in str(made.exception)
-    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--timestamps", "times.txt"])
+    (root / "local.txt").write_text("\n".join(f"{p.captured_at_ns + 3600 * 10**9}" for p in sample.frame_pairs))
+    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--timestamps", "local.txt"])
+    assert made.exit_code == 1 and "its own are from 2026-03-02T09:41:07" in made.output
+    assert "trajectory.time: Europe/Berlin" in made.output
+    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--force", "--timestamps", "times.txt"])
     assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
     drive, _ = read_drive(root)
     assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
@@ -505,7 +509,7 @@ def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample:
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", late, "--force"])
     assert made.exit_code == 1 and "cannot be read yet" in made.output
     assert (
-        "is images.start wrong?" in made.output
+        "wrong (of videos: images.start)?" in made.output
         and "kept of drive.yaml: images (left, right), trajectory (file);" in made.output
     )
 

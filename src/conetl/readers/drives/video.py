@@ -34,6 +34,7 @@ from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stated_start, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
+from conetl.readers.trajectories.recorded import of_images
 
 Floats = NDArray[np.float64]
 NAME = "video"
@@ -116,6 +117,10 @@ def _recording(source: Source, rig: Rig | None = None) -> _Recording:
     from_course = recorded.rotations is None
     srid, track = placed(with_course(recorded), source, sensor_R_body)
     timing = timed(cameras, track, rig, source, from_course=from_course)
+    stamps = [stamp for couple in timing.couples if (stamp := time_of(couple)) is not None]
+    if stamps and not any(track.times_ns[0] <= stamp <= track.times_ns[-1] for stamp in stamps):
+        records = of_images((min(stamps), max(stamps)), track.times_ns)
+        raise DriveFolderError(f"{trajectory}: there are no records{records}")
     return _Recording(rig, cameras, srid, track, from_course, timing)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -141,7 +141,7 @@ def assembled(
             kept.append(Records(piece.times_ns[inside], piece.positions[inside], turned, piece.sigma[inside], {}))
     if not kept:
         raise DriveFolderError(
-            f"{path}: not one usable pose: {first_problem or 'there are no records' + _of(between_ns, found_ns)}"
+            f"{path}: not one usable pose: {first_problem or 'there are no records' + of_images(between_ns, found_ns)}"
         )
     times = np.concatenate([piece.times_ns for piece in kept])
     order = np.argsort(times, kind="stable")
@@ -187,8 +187,11 @@ def problems(piece: Records, is_local: bool) -> dict[int, str]:
     return wrong
 
 
-def _of(between_ns: tuple[int, int] | None, found_ns: list[int]) -> str:
-    """found_ns: with the first and the last time that the file has."""
+def of_images(between_ns: tuple[int, int] | None, found_ns: Sequence[int]) -> str:
+    """What to add to the message that a trajectory has no records of the time of the images (UTC ns), and what may be wrong.
+
+    found_ns: with the first and the last time that the file has.
+    """
     if between_ns is None or not found_ns:
         return ""
     first, last, own_first, own_last = (
@@ -196,5 +199,5 @@ def _of(between_ns: tuple[int, int] | None, found_ns: list[int]) -> str:
     )
     return (
         f" between {first} and {last} UTC, the time of the images; its own are from {own_first} to {own_last} UTC. Are its times "
-        "local ones (trajectory.time: Europe/Berlin) or GPS time, or is images.start wrong?"
+        "local ones (trajectory.time: Europe/Berlin) or GPS time, or are those of the images wrong (of videos: images.start)?"
     )
