@@ -118,8 +118,10 @@ def init(
     if from_s is not None and to_s is not None and to_s <= from_s:
         raise InputError(f"--to {to_s:g} is not after --from {from_s:g}")
     kept = still_valid(_earlier(root), given)
+    for key in part:
+        kept.get("images", {}).pop(key, None)
     if kept and not as_json:
-        say(f"  kept of {DRIVE_YAML}: {_listed(kept)}; delete the file to begin anew")
+        say(f"  kept from {DRIVE_YAML}: {_listed(kept)}; delete the file to begin anew")
     answers = _of_zed(root, as_json=as_json) | answers_in(kept) | given
     kept["images"] = kept.get("images", {}) | part
     asks = sys.stdin.isatty() and not yes and not as_json

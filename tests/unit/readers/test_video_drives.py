@@ -420,7 +420,8 @@ def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path
     def renewed(*options: str) -> dict[str, dict[str, object]]:
         made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--force", *options])
         assert made.exit_code == 0, made.output
-        assert "kept of drive.yaml: " in made.output
+        assert "kept from drive.yaml: " in made.output
+        assert ("every" in made.output) == ("--every" not in options)
         return dict(yaml.safe_load((copy / "drive.yaml").read_text()))
 
     before = yaml.safe_load((copy / "drive.yaml").read_text())
@@ -510,7 +511,7 @@ def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample:
     assert made.exit_code == 1 and "cannot be read yet" in made.output
     assert (
         "wrong (of videos: images.start)?" in made.output
-        and "kept of drive.yaml: images (left, right), trajectory (file);" in made.output
+        and "kept from drive.yaml: images (left, right), trajectory (file);" in made.output
     )
 
 
