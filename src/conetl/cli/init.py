@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, print_json, say, spinner
+from conetl.cli.console import JsonOption, complain, print_json, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.yaml_model import validated
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
@@ -143,7 +143,7 @@ def _earlier(root: Path) -> dict[str, Any]:
     try:
         return read_drive_yaml(root).model_dump(mode="json", exclude_unset=True)
     except DriveFolderError as error:
-        say(f"{error}\nThe file is written anew without it.")
+        complain(f"{error}\nThe file is written anew without it.")
         return {}
 
 
@@ -192,8 +192,10 @@ def _settled(
             answers[asked.key] = _answer(asked)
         except ConetlError as error:
             _write(root, settings, proposal.rig)
-            say(f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:")
-            say(f"{error}\nEdit the file, or run this command again with --force and the options that correct it.")
+            complain(
+                f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:\n{error}\nEdit the file, or run this command "
+                "again with --force and the options that correct it."
+            )
             raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
 
 

@@ -87,18 +87,17 @@ def still_valid(settings: Mapping[str, Any], given: Mapping[str, str]) -> dict[s
 
     def changes(*options: str) -> bool:
         known = ((given[o], settings.get(_KEYS[o][0], {}).get(_KEYS[o][1])) for o in options if o in given)
-        return any(str(value) != answer for answer, value in known)
+        return any(value is not None and str(value) != answer for answer, value in known)
 
     kept = {section: dict(value) if isinstance(value, Mapping) else value for section, value in settings.items()}
-    if changes("left", "right", "layout"):
+    if changes("left", "right", "layout") or ("layout" in given and "right" in kept.get("images", {})):
         kept["images"] = {key: v for key, v in kept.get("images", {}).items() if key in ("every", "from_s", "to_s")}
         kept.pop("clock", None)
     if changes("trajectory"):
         for section in ("trajectory", "sigmas"):
             kept.pop(section, None)
-        if (
-            kept.pop("clock", None) is not None
-        ):  # the start was found with the other log, or noted by a clock like its own
+        # The start was found with the other log, or noted by a clock like its own.
+        if kept.pop("clock", None) is not None:
             kept.get("images", {}).pop("start", None)
     if "start" in given:
         kept.pop("clock", None)

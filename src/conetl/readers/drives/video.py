@@ -96,7 +96,7 @@ def preview(root: Path, settings: DriveYaml, rig: Rig | None) -> Preview:
 
     Raises as `read`.
     """
-    source = opened(root, headers_only=True)._replace(settings=settings)
+    source = Source(root, root.resolve(), settings, ContentHash(headers_only=True), settings.map_srid)
     found = _recording(source, rig)
     return Preview(found.timing, *_drive_of(found, source))
 
