@@ -30,7 +30,8 @@ from conetl.model.health import hold_reason
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
-from conetl.readers.drives.video import read_timing
+from conetl.readers.drives.drive_yaml import read_drive_yaml
+from conetl.readers.drives.video import preview
 from tests.unit.readers import trajectory_files as logs
 from tests.unit.readers.drive_formats import write_bag, write_ros1_bag
 from tests.video_drives import LOGS, frames_of, known_of, with_log, write_video_drive
@@ -145,7 +146,7 @@ def clock_row(
     }
     found: dict[str, object] = {"found off by ms": None, "sigma ms": None, "after analysis ms": None}
     try:
-        clock = read_timing(root).clock
+        clock = preview(root, read_drive_yaml(root)).timing.clock
         off_ms = 1000 * (clock.offset_s + error_s)
         found |= {"found off by ms": off_ms, "sigma ms": 1000 * clock.sigma_s}
         if error_s == CLOCK_ERRORS_S[-1]:

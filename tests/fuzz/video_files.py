@@ -19,9 +19,10 @@ from conetl.perception.video import Frame, index_video
 from conetl.perception.video_frames import read_frame
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives import read_drive
+from conetl.readers.drives.drive_yaml import read_drive_yaml
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.proposal import propose
-from conetl.readers.drives.video import read_timing
+from conetl.readers.drives.video import preview
 from conetl.readers.rigs import write_rig_yaml
 from conetl.readers.svo2 import copy_video, read_svo2
 from tests.video_drives import write_frames, write_svo2
@@ -91,7 +92,7 @@ def search_times(path: Path, _: Path) -> object:
     with suppress(ConetlError, ImageFileError):
         find_video_lag(index_video(path / "left.mp4"), index_video(path / "right.mp4"))
     with suppress(ConetlError):
-        read_timing(path)
+        preview(path, read_drive_yaml(path))
     return None
 
 

@@ -27,7 +27,7 @@ from conetl.model.records import SIDES, Drive, Rig
 from conetl.model.rejections import Rejection
 from conetl.perception.video import VIDEO_SUFFIXES, Frame, VideoIndex, frame_of, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
-from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, opened, rig_on_body
+from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, Source, check_images, drive_of_couples, time_of
 from conetl.readers.drives.poses import Samples, placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
@@ -91,7 +91,7 @@ class Preview(NamedTuple):
     rejections: list[Rejection]
 
 
-def preview(root: Path, settings: DriveYaml, rig: Rig | None) -> Preview:
+def preview(root: Path, settings: DriveYaml, rig: Rig | None = None) -> Preview:
     """The drive of a folder with settings that are not in its drive.yaml yet. rig: likewise; None where rig.yaml has it.
 
     Raises as `read`.
@@ -99,11 +99,6 @@ def preview(root: Path, settings: DriveYaml, rig: Rig | None) -> Preview:
     source = Source(root, root.resolve(), settings, ContentHash(headers_only=True), settings.map_srid)
     found = _recording(source, rig)
     return Preview(found.timing, *_drive_of(found, source))
-
-
-def read_timing(root: Path) -> Timing:
-    """When the first left frame was taken, as drive.yaml states it or as the images show it. Raises as `read`."""
-    return _recording(opened(root, headers_only=True)).timing
 
 
 def _recording(source: Source, rig: Rig | None = None) -> _Recording:
