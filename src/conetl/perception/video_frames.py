@@ -108,7 +108,7 @@ def _pixels(frame: VideoFrame, region: Region | None, *, grey: bool, left_sited:
 def _at_full_size(frame: VideoFrame, part: tuple[slice, slice]) -> list[Image]:
     """Brightness and both colours (height, width) of a part of a frame in 4:2:0.
 
-    Samples of colour lie in the left one of two columns and between two rows. This and the matrix take a third of the time of the
+    Samples of colour lie in the left one of two columns and between two rows. This and the matrix take 0.4 of the time of the
     library's conversion.
     """
     rows, columns = part
