@@ -112,7 +112,8 @@ def _objects(rng: np.random.Generator) -> tuple[tuple[Cone, ...], tuple[RoadObje
     def add(kind: str, x: float, y: float, height: float, width: float = 1.0, colour: Colour = ORANGE) -> None:
         name = f"O{len(objects) + 1:02d}"
         turn = float(rng.normal(0.0, 0.08))
-        objects.append(RoadObject(kind, x, y, turn, round(height, 3), colour, round(width, 3), name))
+        ground_m = Road().ground_m(y)
+        objects.append(RoadObject(kind, x, y, turn, round(height, 3), colour, round(width, 3), name, ground_m))
 
     x = -4.0
     for kind in blocks:

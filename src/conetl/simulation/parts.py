@@ -96,7 +96,7 @@ def _part(
     x: float = 0.0, y: float = 0.0, z: float = 0.0,
 ) -> Part:  # fmt: skip
     """A mesh at (x, y, z) of the object's frame as a part in the road frame."""
-    stand = motion(item.x_m, item.y_m, 0.0, item.yaw_rad) @ motion(x, y, z)
+    stand = motion(item.x_m, item.y_m, item.ground_m, item.yaw_rad) @ motion(x, y, z)
     return Part(meshes.placed(mesh, stand), surface, roughness)
 
 

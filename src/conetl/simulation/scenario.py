@@ -21,6 +21,8 @@ Colour = tuple[float, float, float]
 
 ORANGE: Colour = (0.95, 0.36, 0.08)
 PAINT_HEIGHT_M = 0.003
+KERB_WIDTH_M, KERB_HEIGHT_M = 0.14, 0.12
+PAVEMENT_HEIGHT_M, VERGE_HEIGHT_M = 0.10, 0.08
 PASS_NUMBERS = (1, 2, 3)
 _SCENE_SEED = 20260302
 """Of the cones' appearance (dirt, lean, shade), not of the noise of cameras and GNSS."""
@@ -61,6 +63,8 @@ class RoadObject:
     """Of plates and boards the width."""
     object_id: str = ""
     """In truth.csv, of kinds that have a class; empty: not surveyed."""
+    ground_m: float = 0.0
+    """Height of the ground on which it stands, above the road."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,19 @@ class Road:
     verge: Colour = (0.30, 0.37, 0.16)
     asphalt: float = 0.42
     """Mean sRGB grey."""
+
+    @property
+    def pavement_edge_m(self) -> float:
+        """y of the pavement's far edge, behind the kerb on the right."""
+        return self.right_m - KERB_WIDTH_M - self.pavement_width_m
+
+    def ground_m(self, y_m: float) -> float:
+        """Height of the ground above the asphalt: of pavement, verge and kerbs."""
+        if self.right_m <= y_m <= self.left_m:
+            return 0.0
+        if self.right_m - KERB_WIDTH_M <= y_m <= self.left_m + KERB_WIDTH_M:
+            return KERB_HEIGHT_M
+        return PAVEMENT_HEIGHT_M if self.pavement_edge_m <= y_m < self.right_m else VERGE_HEIGHT_M
 
 
 @dataclass(frozen=True)

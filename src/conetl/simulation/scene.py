@@ -18,7 +18,15 @@ from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.simulation import meshes, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
-from conetl.simulation.scenario import PAINT_HEIGHT_M, World, painted_lines
+from conetl.simulation.scenario import (
+    KERB_HEIGHT_M,
+    KERB_WIDTH_M,
+    PAINT_HEIGHT_M,
+    PAVEMENT_HEIGHT_M,
+    VERGE_HEIGHT_M,
+    World,
+    painted_lines,
+)
 
 FULL_WELL_ELECTRONS = 9000.0
 READ_NOISE_ELECTRONS = 6.0
@@ -149,16 +157,16 @@ def _ground(world: World) -> list[Part]:
         for line in painted_lines(marking):
             ground.append(Part(meshes.ribbon(line, marking.width_m, PAINT_HEIGHT_M, 2.0), paint))
     for y, outwards in ((road.right_m, -1.0), (road.left_m, 1.0)):
-        kerb = meshes.box([x1 - x0, 0.14, 0.12])
+        kerb = meshes.box([x1 - x0, KERB_WIDTH_M, KERB_HEIGHT_M])
         kerb = kerb._replace(uv=kerb.uv * [(x1 - x0) / 1.0, 0.3])
-        ground.append(Part(meshes.placed(kerb, motion((x0 + x1) / 2, y + outwards * 0.07)), stone))
+        ground.append(Part(meshes.placed(kerb, motion((x0 + x1) / 2, y + outwards * KERB_WIDTH_M / 2)), stone))
     ground.append(Part(_flat(-900.0, 900.0, -900.0, 900.0, -0.05, 25.0), grass))  # up to the horizon
-    pavement_edge = road.right_m - 0.14 - road.pavement_width_m
+    edge, left = road.pavement_edge_m, road.left_m + KERB_WIDTH_M
     if road.pavement_width_m > 0:
         slabs = textures.slabs(seed + 4, (0.60, 0.59, 0.56))
-        ground.append(Part(_flat(x0, x1, pavement_edge, road.right_m - 0.14, 0.10, 1.8), slabs))
-    ground.append(Part(_flat(x0, x1, pavement_edge - 90.0, pavement_edge, 0.08, 7.0), grass))
-    ground.append(Part(_flat(x0, x1, road.left_m + 0.14, road.left_m + 90.0, 0.08, 7.0), grass))
+        ground.append(Part(_flat(x0, x1, edge, road.right_m - KERB_WIDTH_M, PAVEMENT_HEIGHT_M, 1.8), slabs))
+    ground.append(Part(_flat(x0, x1, edge - 90.0, edge, VERGE_HEIGHT_M, 7.0), grass))
+    ground.append(Part(_flat(x0, x1, left, road.left_m + 90.0, VERGE_HEIGHT_M, 7.0), grass))
     return ground
 
 

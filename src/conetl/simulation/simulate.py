@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
+import yaml
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.geodesy import CAMERA_R_BODY
@@ -125,6 +126,8 @@ def simulate_drive(
     out_dir.mkdir(parents=True, exist_ok=True)
     write_calibration(out_dir, rig, scenario.start_utc)
     write_oxts(out_dir, trajectory.oxts_records(places, rpy, times_s), stamps)
+    # OXTS records state one sigma of the position; these are the ones of the noise, in all axes.
+    (out_dir / "drive.yaml").write_text(yaml.safe_dump({"sigmas": trajectory.stated_sigmas()}, sort_keys=False))
     write_truth(out_dir, scenario)
     for number in CAMERAS:
         (out_dir / f"image_{number:02d}" / "data").mkdir(parents=True)

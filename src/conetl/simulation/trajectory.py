@@ -25,6 +25,7 @@ SITE_SLOPE_RAD = -0.006
 """The road climbs by 6 mm per metre."""
 FRAME_PERIOD_S = 0.1
 POS_ACCURACY_M = 0.02
+"""In the records, rounded up as receivers do; `stated_sigmas` has the true ones."""
 GRAVITY_M_S2 = 9.81
 
 
@@ -34,6 +35,11 @@ class DriftModel(NamedTuple):
     drift: float
     correlation_s: float
     white: float
+
+    @property
+    def sigma(self) -> float:
+        """Of one value."""
+        return math.hypot(self.drift, self.white)
 
 
 HORIZONTAL_M = DriftModel(0.015, 20.0, 0.003)
@@ -83,6 +89,13 @@ def measured_poses(poses: Floats, times_s: Floats, rng: np.random.Generator) -> 
     turns = np.stack([gauss_markov(ATTITUDE_RAD, times_s, rng) for _ in range(3)], axis=1)
     ypr = Rotation.from_matrix(poses[:, :3, :3]).as_euler("ZYX")
     return poses[:, :3, 3] + errors, ypr[:, ::-1] + turns
+
+
+def stated_sigmas() -> dict[str, float]:
+    """`sigmas` of drive.yaml: standard deviations of what `measured_poses` adds, metres and degrees."""
+    position = {"horizontal_m": HORIZONTAL_M.sigma, "vertical_m": VERTICAL_M.sigma}
+    attitude = dict.fromkeys(("roll_deg", "pitch_deg", "yaw_deg"), math.degrees(ATTITUDE_RAD.sigma))
+    return {name: round(value, 5) for name, value in (position | attitude).items()}
 
 
 def gauss_markov(model: DriftModel, times_s: Floats, rng: np.random.Generator) -> Floats:

@@ -23,7 +23,15 @@ from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
 from conetl.readers.base_layers.point_tiles import first_in_voxels
 from conetl.simulation.parts import true_shape
-from conetl.simulation.scenario import PAINT_HEIGHT_M, Road, RoadMarking, ScenarioPass, scenario_pass
+from conetl.simulation.scenario import (
+    KERB_HEIGHT_M,
+    PAINT_HEIGHT_M,
+    PAVEMENT_HEIGHT_M,
+    Road,
+    RoadMarking,
+    ScenarioPass,
+    scenario_pass,
+)
 from conetl.simulation.scene import build_scene, load_mitsuba
 from conetl.simulation.trajectory import MAP_SRID, map_SE3_road
 
@@ -54,7 +62,7 @@ def write_truth(folder: Path, scenario: ScenarioPass) -> None:
     for item in scenario.world.objects:
         if item.object_id:
             category, foot_m, height_m = true_shape(item)
-            rows.append((item.object_id, (item.x_m, item.y_m, foot_m), height_m, 1, category))
+            rows.append((item.object_id, (item.x_m, item.y_m, item.ground_m + foot_m), height_m, 1, category))
     columns = len(TRUTH_COLUMNS) - (len(rows) == len(cones))
     with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -168,7 +176,7 @@ def _boundaries(road: Road) -> str:
     for line in road.markings:
         add("line_thin", "solid" if line.dash_m is None else "dashed", line.points_m, PAINT_HEIGHT_M)
     for y in (road.right_m, road.left_m):
-        add("curbstone", "high", ((road.start_m, y), (road.end_m, y)), 0.12)
-    y = road.right_m - 0.14 - road.pavement_width_m
-    add("road_border", "pavement", ((road.start_m, y), (road.end_m, y)), 0.10)
+        add("curbstone", "high", ((road.start_m, y), (road.end_m, y)), KERB_HEIGHT_M)
+    y = road.pavement_edge_m
+    add("road_border", "pavement", ((road.start_m, y), (road.end_m, y)), PAVEMENT_HEIGHT_M)
     return feature_collection(features)

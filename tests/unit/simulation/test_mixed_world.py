@@ -56,7 +56,7 @@ def test_truth_holds_every_class_within_its_heights_where_it_stands(seed: int, t
         x, y, z, _ = in_road @ [row.easting_m, row.northing_m, row.height_ellipsoidal_m, 1.0]
         if (item := by_id.get(row.cone_id)) is not None:
             assert (x, y) == (pytest.approx(item.x_m, abs=1e-3), pytest.approx(item.y_m, abs=1e-3))
-            assert z + row.cone_height_m == pytest.approx(item.height_m, abs=2e-3), "its upper end"
+            assert z + row.cone_height_m == pytest.approx(item.ground_m + item.height_m, abs=2e-3), "its upper end"
     assert len(read_truth_cones(tmp_path / "truth.csv")[0]) == len(rows)
 
 
@@ -94,3 +94,13 @@ def test_dashes_are_whole_and_begin_where_the_pattern_says(dash: float, gap: flo
         assert np.hypot(*np.diff(line, axis=0).T).sum() == pytest.approx(dash)
     (whole,) = painted_lines(RoadMarking("a", points))
     assert whole.tolist() == [list(point) for point in points]
+
+
+@given(st.integers(0, 1000))
+def test_objects_stand_on_the_ground(seed: int) -> None:
+    """Of the asphalt, or of the pavement and the verge, which are higher."""
+    world = mixed_pass(seed, 1).world
+    surveyed = [one for one in world.objects if one.object_id]
+    for one in surveyed:
+        assert one.ground_m == world.road.ground_m(one.y_m), one.object_id
+    assert {0.0, 0.08, 0.10} == {one.ground_m for one in surveyed}

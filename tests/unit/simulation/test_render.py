@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -76,6 +77,11 @@ def test_the_written_files_project_truth_to_its_rendered_position(tiny_drive: Pa
     times = np.arange(scenario.frame_count) * trajectory.FRAME_PERIOD_S
     poses = trajectory.true_poses(scenario, times, float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
     by_id = {cone.cone_id: cone for cone in (*scenario.world.cones, *scenario.removed)}
+    poses_m = np.array([pair.pose.sigma_enu_m for pair in drive.frame_pairs])
+    noise = (trajectory.HORIZONTAL_M, trajectory.HORIZONTAL_M, trajectory.VERTICAL_M)
+    np.testing.assert_allclose(poses_m, [[math.hypot(one.drift, one.white) for one in noise]] * len(poses_m), rtol=1e-3)
+    turned = [np.degrees(pair.pose.sigma_rpy_rad) for pair in drive.frame_pairs]
+    np.testing.assert_allclose(turned, np.full((len(turned), 3), math.hypot(0.02, 0.002)), rtol=1e-3)
     checked = 0
     for row in read_truth(tiny_drive / "truth.csv"):
         cone, truth = by_id[row.cone_id], (row.easting_m, row.northing_m, row.height_ellipsoidal_m)
@@ -112,7 +118,9 @@ def test_tiny_drive_is_whole_and_equal_seeds_give_equal_files(tiny_drive: Path, 
     assert digests[0] == digests[1]
     frames = scenario_pass(2).frame_count
     assert seen == [(n, 2 * frames) for n in range(1, 2 * frames + 1)]
-    assert len(digests[0]) == 2 * frames + frames + 3 + 3 + 2  # images, poses, time stamps, calibration, truth
+    assert (
+        len(digests[0]) == 2 * frames + frames + 3 + 3 + 3
+    )  # images, poses, time stamps, calibration, truth and drive.yaml
     rows = read_truth(again / "truth.csv")
     assert [row.change for row in rows].count("removed") == 1
     assert all(row.present != (row.change == "removed") for row in rows)
@@ -152,6 +160,26 @@ def test_without_mitsuba_the_extra_is_named(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code, str(target)], capture_output=True, text=True, check=True)
     assert "pip install 'conetl[simulate]'" in done.stdout
     assert not target.exists()
+
+
+def test_a_barricade_on_the_verge_is_seen_down_to_its_true_foot() -> None:
+    """Behind a kerb the ground is 8 cm higher than the road."""
+    camera = PinholeCamera(width_px=240, height_px=160, f_px=900.0, cx_px=119.5, cy_px=-30.0)
+    road = Road(markings=())
+    item = RoadObject("type_3", 9.0, 4.6, height_m=1.2, length_m=1.4, ground_m=road.ground_m(4.6))
+    view = _looking_along_x(1.5, 0.0)
+    view[1, 3] = 4.6
+    images = [
+        render(
+            build_scene(World((), objects, sun_elevation_deg=60.0, sun_azimuth_deg=180.0, sun_scale=0.0, road=road)),
+            camera, view, samples_per_pixel=16, seed=4,
+        ).mean(axis=-1)
+        for objects in ((item,), ())
+    ]  # fmt: skip
+    changed = np.abs(images[0] - images[1]) > 0.3 * images[1]  # more than noise, less than grey feet on grass
+    near_end_m = item.x_m - 0.45  # of the feet of a barricade
+    row = camera.cy_px + camera.f_px * (1.5 - 0.08) / near_end_m
+    assert np.flatnonzero(changed.sum(axis=1) >= 3).max() == pytest.approx(row, abs=2.0)
 
 
 def test_objects_of_all_classes_are_rendered_where_their_truth_says() -> None:
