@@ -21,43 +21,66 @@ class FeatureClass:
     neighbour."""
     width_over_height: float
     """Of the box, seen from the front; common road cones have 0.5 to 0.6."""
-    round_foot: bool
-    """Whether the near rim of a round or square base is what the box's lower edge shows; of a flat object it is the object."""
+    round_body: bool
+    """Matched as a body of revolution; False: as a plane."""
     on_road: bool
     """Whether the box ends at the road; of signs and boards it ends above it, so that another object may stand below."""
     in_rows: bool
     """Whether rows of it close a lane: a channelizing device (MUTCD 2023, chapter 6K)."""
+    rim_share: float = 0.0
+    """Distance from the middle of the foot to what the box's lower edge shows, as a share of the box's width: half of it for the
+    near rim of a round or square base, 0 where the box ends at the object itself."""
+    network_share: float = 0.5
+    """Weight of the network's foot against that of the box; their errors have opposite signs on rendered cones."""
     body: tuple[float, float] = (0.10, 0.31)
     """Of round objects: half width of the body at its upper and lower end, as shares of the width of the box, which holds the
     base too."""
+    axis_from_outline: bool = False
+    """Whether the edges of the body in the image, instead of the box, give the axis: those of wide, straight bodies do."""
     outline_share: float | None = 0.02
     """Sigma, as a share of the height of the box, of what all boxes of one object have in common: which part of it they take for
     its foot and axis. Measured on rendered objects; None of cones, whose feet networks give."""
+    shared_disparity: float = 0.3
+    """Sigma of the error that all disparities of one object have in common, as a share of the sigma of each by itself."""
     geometry: Literal["point", "line"] = "point"
     """Point objects are found by the detector, lines by `perception/markings/`, which needs no network."""
 
 
+#: Of planes: their disparities err alike in all images.
+_FLAT = 0.6
+
 FEATURE_CLASSES = {
     CONE: FeatureClass(
-        (0.25, 1.15), (0.15, 1.8), 0.55, round_foot=True, on_road=True, in_rows=True, outline_share=None
+        (0.25, 1.15), (0.15, 1.8), 0.55, round_body=True, on_road=True, in_rows=True, rim_share=0.5, outline_share=None
     ),
     "tubular_marker": FeatureClass(
-        (0.4, 1.4), (0.25, 2.0), 0.3, round_foot=True, on_road=True, in_rows=True, body=(0.20, 0.22)
+        (0.4, 1.4), (0.25, 2.0), 0.3, round_body=True, on_road=True, in_rows=True, rim_share=0.5, body=(0.20, 0.22),
+        outline_share=0.006,
     ),
-    "drum": FeatureClass((0.7, 1.4), (0.45, 2.0), 0.65, round_foot=True, on_road=True, in_rows=True, body=(0.33, 0.39)),
-    "vertical_panel": FeatureClass((0.6, 1.6), (0.4, 2.2), 0.4, round_foot=False, on_road=True, in_rows=True),
+    "drum": FeatureClass(
+        (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, rim_share=0.5, network_share=0.0,
+        body=(0.33, 0.39), axis_from_outline=True, outline_share=0.01,
+    ),
+    "vertical_panel": FeatureClass(
+        (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, rim_share=0.5, outline_share=0.012,
+        shared_disparity=_FLAT,
+    ),
     "barricade": FeatureClass(
-        (0.5, 2.0), (0.35, 2.6), 1.2, round_foot=False, on_road=True, in_rows=True, outline_share=0.04
+        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, outline_share=0.04, shared_disparity=_FLAT
     ),
-    "work_zone_sign": FeatureClass((0.25, 2.2), (0.15, 3.0), 1.0, round_foot=False, on_road=False, in_rows=False),
+    "work_zone_sign": FeatureClass(
+        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False, shared_disparity=_FLAT
+    ),
     "arrow_board": FeatureClass(
-        (0.5, 3.0), (0.3, 4.0), 1.5, round_foot=False, on_road=False, in_rows=False, outline_share=0.05
+        (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, outline_share=0.05, shared_disparity=_FLAT
     ),
-    "traffic_sign": FeatureClass((0.15, 2.5), (0.1, 3.5), 0.9, round_foot=False, on_road=False, in_rows=False),
+    "traffic_sign": FeatureClass(
+        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, outline_share=0.025, shared_disparity=_FLAT
+    ),
     LANE_MARKING: FeatureClass(
-        (0.0005, 0.006), (0.0, 0.02), 30.0, round_foot=False, on_road=True, in_rows=False, geometry="line"
+        (0.0005, 0.006), (0.0, 0.02), 30.0, round_body=False, on_road=True, in_rows=False, geometry="line"
     ),
-}
+}  # fmt: skip
 """By category; of a category that is not here nothing is located. The height of a marking is the thickness of its paint."""
 LINE_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "line")
 

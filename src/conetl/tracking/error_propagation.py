@@ -16,11 +16,12 @@ from conetl.geometry.calibration.covariance import calibration_jacobian, shared_
 from conetl.geometry.camera import pose_jacobian
 from conetl.geometry.motion.chain_solver import cross_covariance, joint_covariance
 from conetl.geometry.motion.pose_graph import POSE, motion_jacobians
+from conetl.geometry.packing import cov_matrix
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Pose, Position, Rig
 from conetl.tracking.association import MotionError
-from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
+from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.trajectory import RefinedTrajectory, log_errors
 
 Floats = NDArray[np.float64]
@@ -185,10 +186,11 @@ def outline_errors(position: Position, rig: Rig) -> Floats:
     """(3, 3) m: change of one position by one sigma of each error common to all observations of a cone; left camera frame.
 
     Columns: to the right and down, the detector's foot and axis (`Position.sigma_outline_m`); along the ray, the cone's shape
-    in matching (`SHARED_DISPARITY_PX`).
+    in matching (`shared_disparity_px`).
     """
     sigma_m, xyz_m = position.sigma_outline_m, np.array(position.camera_xyz_m)
-    away_m = SHARED_DISPARITY_PX * xyz_m[2] ** 2 / (rig.left.fx_px * rig.baseline_m)
+    per_px = xyz_m[2] ** 2 / (rig.left.fx_px * rig.baseline_m)
+    away_m = shared_disparity_px(position.category, cov_matrix(position.camera_cov_m2)[2, 2] ** 0.5 / per_px) * per_px
     return np.column_stack([[sigma_m, 0.0, 0.0], [0.0, sigma_m, 0.0], xyz_m / xyz_m[2] * away_m])
 
 

@@ -22,7 +22,7 @@ from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.records import Pose, Rig, StereoMatch, Track
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
-from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
+from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_sigma_px, shared_disparity_px
 
 Floats = NDArray[np.float64]
 
@@ -103,7 +103,10 @@ def with_variance_factors(matches: Sequence[StereoMatch], variances: VarianceFac
             update={
                 "sigma_pointing_px": match.sigma_pointing_px * variances.columns**0.5,
                 "sigma_v_px": match.sigma_v_px * variances.rows**0.5,
-                "sigma_u_px": ((variances.disparity * _disparity_px2(match) + SHARED_DISPARITY_PX**2) / 2) ** 0.5,
+                "sigma_u_px": (
+                    (variances.disparity * matching_sigma_px(_disparity_px(match)) ** 2 + SHARED_DISPARITY_PX**2) / 2
+                )
+                ** 0.5,
             }
         )
         if _is_usable(match)
@@ -116,9 +119,9 @@ def _is_usable(match: StereoMatch) -> bool:
     return match.refined and match.left.foot_px is not None and match.right.foot_px is not None
 
 
-def _disparity_px2(match: StereoMatch) -> float:
-    """Variance of a disparity without the part common to all observations of the cone, which causes no scatter."""
-    return max(2 * match.sigma_u_px**2 - SHARED_DISPARITY_PX**2, 1e-6)
+def _disparity_px(match: StereoMatch) -> float:
+    """Sigma of a disparity."""
+    return 2**0.5 * match.sigma_u_px
 
 
 def _cone(
@@ -131,8 +134,12 @@ def _cone(
     right[:, :3, 3] -= xyz_m
     computed, jacobian = pair_jacobian(np.zeros(3), left, right, rig)
     observed = np.array([(*m.foot_left_uv_px, *m.foot_right_uv_px) for m in pairs])
-    shared = np.array([(m.sigma_outline_px, m.sigma_outline_px, SHARED_DISPARITY_PX) for m in pairs])
-    stated = np.array([(m.sigma_pointing_px**2, m.sigma_v_px**2 / 2, _disparity_px2(m)) for m in pairs])
+    disparity = np.array([_disparity_px(m) for m in pairs])
+    in_common = np.array([shared_disparity_px(m.left.category, _disparity_px(m)) for m in pairs])
+    shared = np.array([(m.sigma_outline_px, m.sigma_outline_px, px) for m, px in zip(pairs, in_common, strict=True)])
+    # What all observations of an object have in common causes no scatter.
+    own = np.maximum(disparity**2 - in_common**2, 1e-6)
+    stated = np.array([(m.sigma_pointing_px**2, m.sigma_v_px**2 / 2, px2) for m, px2 in zip(pairs, own, strict=True)])
     fixed = np.zeros((len(pairs), 3))
     fixed[:, 0] = [m.sigma_u_px**2 / 2 for m in pairs]
     by_position = _GROUPS @ jacobian

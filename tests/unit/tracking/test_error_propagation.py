@@ -17,7 +17,7 @@ from conetl.geometry.packing import cov_matrix
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import CalibrationCovariance, FramePair, Position
 from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_cov, pose_cov
-from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
+from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.trajectory import log_errors, refine_trajectory
 from tests import records
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
@@ -176,7 +176,9 @@ def test_outline_errors_remain_from_one_side_and_cancel_from_opposite_ones() -> 
     shares = np.stack([0.5 * np.eye(3)] * 2)
     one_side = outline_cov([position, position], shares, left, RIG)
     xyz_m = np.array(position.camera_xyz_m)
-    away = xyz_m * SHARED_DISPARITY_PX * xyz_m[2] / (RIG.left.fx_px * RIG.baseline_m)
+    per_px = xyz_m[2] ** 2 / (RIG.left.fx_px * RIG.baseline_m)
+    sigma_px = cov_matrix(position.camera_cov_m2)[2, 2] ** 0.5 / per_px
+    away = xyz_m / xyz_m[2] * shared_disparity_px("traffic_cone", sigma_px) * per_px
     np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2 + away @ away)
     turned = left[position.frame_index].copy()
     turned[:3, [0, 2]] *= -1  # from the other side: right and left, far and near are exchanged

@@ -5,7 +5,7 @@ import pytest
 
 from conetl.geometry.pose import to_matrix4
 from conetl.model.params import MatchParams
-from conetl.model.records import Camera, Detection, Rig
+from conetl.model.records import Camera, Detection, Rig, StereoMatch
 from conetl.model.rejections import RejectionReason
 from conetl.tracking.matching.matches import foot_image_point, match_pair, with_measured_spread
 from tests.synthetic.cone_images import BASE_M, F_PX, SIZE, cone_pair
@@ -57,7 +57,7 @@ def test_the_foot_is_the_centre_of_the_base_not_its_near_rim(range_m: float, asi
     local = pose[:3, :3].T @ (np.array(cone.foot_m) + np.array([456_000.0, 5_428_000.0, 115.0]) - pose[:3, 3])
     true_v = rig.left.cy_px + rig.left.fy_px * local[1] / local[2]
     axis, bottom = box.x_px + box.w_px / 2 - 0.5, box.y_px + box.h_px - 0.5
-    _, v = foot_image_point((axis, bottom), box.w_px, rig.left, UP)
+    _, v = foot_image_point((axis, bottom), box.w_px / 2, rig.left, UP)
     assert v == pytest.approx(true_v, abs=0.4)
     assert bottom - true_v > 0.5, "without the correction the foot would be too near"
 
@@ -112,6 +112,76 @@ def test_images_determine_the_disparity_and_its_sigma() -> None:
     )
     assert not rough.refined
     assert rough.sigma_u_px > 0.5
+
+
+def test_a_foot_behind_a_nearer_object_is_uncertain_along_the_rows() -> None:
+    """By a share of the box's width, the more of its lower half is hidden; what stands behind hides nothing."""
+    rig, left, right = one_cone()
+
+    def matched(*others: Detection) -> StereoMatch:
+        matches, _ = match_pair([left, *others], [right], rig, MatchParams(), up_left=UP)
+        return next(m for m in matches if m.left == left)
+
+    def beside(share: float, down_px: float) -> Detection:
+        """A box over the right part of the cone's, its foot that much lower."""
+        x_px = left.x_px + (1 - share) * left.w_px
+        return left.model_copy(update={"x_px": x_px, "y_px": left.y_px + down_px, "detection_index": 7})
+
+    alone = matched()
+    assert matched(beside(0.5, -5.0)) == alone
+    half, most = matched(beside(0.5, 5.0)), matched(beside(0.9, 5.0))
+    # One of both images shows the other object, which hides half of the lower half there.
+    expected = np.hypot(alone.sigma_pointing_px, 0.3 * 0.25 * (left.w_px + right.w_px) / 2)
+    assert half.sigma_pointing_px == pytest.approx(expected, rel=0.05)
+    assert most.sigma_pointing_px > half.sigma_pointing_px > alone.sigma_pointing_px
+    assert half.sigma_v_px == alone.sigma_v_px and half.foot_left_uv_px == alone.foot_left_uv_px
+
+
+def test_classes_have_their_own_foot() -> None:
+    """A panel's box shows the near rim of its base plate, a barricade's its foot; of drums the network's foot does not count."""
+    rig, *boxes = one_cone()
+    axis, bottom = boxes[0].x_px + boxes[0].w_px / 2 - 0.5, boxes[0].y_px + boxes[0].h_px - 0.5
+
+    def foot(category: str, above_px: float | None = None) -> tuple[float, float]:
+        tall = {"category": category, "y_px": boxes[0].y_px - 0.4 * boxes[0].h_px, "h_px": 1.4 * boxes[0].h_px}
+        network = {"foot_px": None if above_px is None else (axis + 0.5, bottom + 0.5 - above_px)}
+        pair = [box.model_copy(update=tall | network) for box in boxes]
+        (match,), _ = match_pair(pair[:1], pair[1:], rig, MatchParams(), up_left=UP)
+        return match.foot_left_uv_px
+
+    rim = foot_image_point((axis, bottom), boxes[0].w_px / 2, rig.left, UP)
+    assert foot("vertical_panel") == pytest.approx(rim) and rim[1] < bottom - 0.5
+    assert foot("barricade") == pytest.approx((axis, bottom))
+    assert foot("barricade", above_px=2.0) == pytest.approx((axis, bottom - 1.0))
+    assert foot("drum", above_px=8.0) == pytest.approx(rim)
+
+
+def test_the_edges_of_a_drum_give_its_axis() -> None:
+    """Its box is 4 px too wide on one side, in both images."""
+    rng = np.random.default_rng(3)
+    camera = Camera(width_px=400, height_px=200, fx_px=640.0, fy_px=640.0, cx_px=200.0, cy_px=50.0)
+    right_pose = [[1.0, 0.0, 0.0, 0.54], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    rig = make_rig().model_copy(
+        update={
+            "left": camera, "right": camera,
+            "body_SE3_left": to_matrix4(np.eye(4)), "body_SE3_right": to_matrix4(np.array(right_pose)),
+        }
+    )  # fmt: skip
+    images, boxes = [], []
+    bands = rng.uniform(120, 250, 60).repeat(40).reshape(60, 40) + rng.normal(0, 12, (60, 40))
+    for side, middle in (("left", 240), ("right", 200)):
+        image = rng.normal(60, 2, (200, 400))
+        image[100:160, middle - 20 : middle + 20] = bands
+        images.append(np.repeat(np.clip(image, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2))
+        boxes.append(
+            Detection(
+                frame_index=0, side=side, detection_index=0, category="drum", x_px=middle - 26, y_px=99, w_px=56, h_px=62,
+                score=0.9,
+            )
+        )  # fmt: skip
+    match, _ = match_pair(boxes[:1], boxes[1:], rig, MatchParams(), up_left=UP, images=(images[0], images[1]))
+    assert match[0].refined
+    assert match[0].foot_left_uv_px[0] == pytest.approx(239.5, abs=0.3), "the box's middle is 241.5"
 
 
 @pytest.mark.parametrize(("spread", "low", "high"), [(0.5, 0.55, 0.95), (1.0, 1.0, 1.6), (3.0, 2.0, 2.0)])

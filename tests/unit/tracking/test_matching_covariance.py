@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from conetl.tracking.matching.cone_pixels import SplinePatch
-from conetl.tracking.matching.covariance import matching_cov
+from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_cov, shared_disparity_px, with_shared_part
 
 Floats = NDArray[np.float64]
 ROWS, COLUMNS, MARGIN = 20, 12, 8
@@ -95,3 +95,14 @@ def test_an_error_known_beforehand_enters_with_its_own_size() -> None:
     )  # fmt: skip
     assert cov[1, 1] == pytest.approx(0.3**2)
     assert cov[0, 1] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("sigma_px", [0.03, 0.1, 0.4])
+@pytest.mark.parametrize(("category", "share"), [("traffic_cone", 0.3), ("traffic_sign", 0.6)])
+def test_what_all_observations_share_is_part_of_the_sigma(category: str, share: float, sigma_px: float) -> None:
+    """The rest is that of the matching; objects with low contrast have more in common, and all of them their shape."""
+    by_matching = (sigma_px**2 - SHARED_DISPARITY_PX**2) ** 0.5
+    whole = with_shared_part(category, sigma_px)
+    in_common = shared_disparity_px(category, whole)
+    assert whole**2 - in_common**2 == pytest.approx(by_matching**2)
+    assert in_common == pytest.approx(np.hypot(SHARED_DISPARITY_PX, share * by_matching))

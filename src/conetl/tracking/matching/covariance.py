@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.feature_classes import FEATURE_CLASSES
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
@@ -21,6 +23,29 @@ _REACH_PX = 5
 #: Sigma of the disparity common to all observations of one cone: its shape differs from a body of revolution. Measured as
 #: scatter of the cones' mean disparities beyond noise on the sample drives (docs/explanation/accuracy.md).
 SHARED_DISPARITY_PX = 0.02
+
+
+def with_shared_part(category: str, sigma_px: float) -> float:
+    """Sigma of a disparity from that of its matching, `AreaMatch.sigma_px`, with what all observations of the object share.
+
+    Beside the constant for its shape, which `sigma_px` has, that is a share of the other errors
+    (`FeatureClass.shared_disparity`): the less contrast an object has, the more the same few edges decide, from every distance.
+    Measured as correlation between the errors of successive frames, on the sample drives and mixed worlds 4 and 5.
+    """
+    return float(np.hypot(sigma_px, FEATURE_CLASSES[category].shared_disparity * matching_sigma_px(sigma_px)))
+
+
+def shared_disparity_px(category: str, sigma_px: float) -> float:
+    """The part that all observations share of the sigma that `with_shared_part` gives."""
+    share = FEATURE_CLASSES[category].shared_disparity
+    return float(np.hypot(SHARED_DISPARITY_PX, share / (1 + share**2) ** 0.5 * matching_sigma_px(sigma_px)))
+
+
+def matching_sigma_px(sigma_px: float) -> float:
+    """Of a disparity with this sigma, the part without the constant for the object's shape."""
+    return float(np.sqrt(max(sigma_px**2 - SHARED_DISPARITY_PX**2, 1e-6)))
+
+
 #: Least share of the squared slopes that is signal.
 _LEAST_SIGNAL = 0.1
 

@@ -18,8 +18,10 @@ from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import MatchParams
 from conetl.model.records import Camera, Detection, Rig, StereoMatch, Vec2
 from conetl.model.rejections import Rejection, RejectionReason
+from conetl.tracking.apparent_boxes import hidden_share
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import Outline, find_outline
+from conetl.tracking.matching.covariance import with_shared_part
 from conetl.tracking.matching.plate_pixels import Plate, find_plate
 
 Image = NDArray[np.uint8]
@@ -37,6 +39,9 @@ _EDGE_SIGMA_SHARE = 0.025
 #: Across the rows in each image, along the rows in both alike, and common to all observations of one cone. Measured on the
 #: sample drives (docs/explanation/accuracy.md).
 _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 3.0)
+#: Share of the box's width by which a foot errs along the rows if a nearer object hides all of the box's lower half. Measured on
+#: the sample drives and mixed worlds 4 and 5.
+_FOOT_HIDDEN = 0.3
 #: Ratio of the scatter of feet to the difference of both images, which have errors in common.
 _BOTH_ALIKE = 1.5
 #: Prior weight of the stated scatter, in matches; limit of a difference in sigmas; limits of the factor.
@@ -79,19 +84,22 @@ def match_pair(
     areas: dict[tuple[int, int], AreaMatch | None] = {}
     costs = np.full((len(left_whole), len(right_whole)), np.inf)
     middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole])
+    outlines: list[Outline | Plate | None] = []
     for i, (a, (shift, rows_up)) in enumerate(zip(left_whole, infinity_shift_px(rig, middles).tolist(), strict=True)):
         sought = _Sought(a, shift, -rows_up, [])
         for j, b in enumerate(right_whole):
             candidate = _candidate(sought, b, rig, params, images if params.refine else None, up_left)
             if candidate is not None:
                 costs[i, j], areas[i, j] = candidate
+        outlines.append(sought.outlines[0] if sought.outlines else None)
     # Forbidden pairs cost more than leaving both unmatched.
     rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, 1e6))
     pairs = [pair for pair in zip(rows.tolist(), columns.tolist(), strict=True) if pair in areas]
-    matches = [
-        _stereo_match(index, left_whole[i], right_whole[j], float(costs[i, j]), areas[i, j], rig, up_left)
-        for index, (i, j) in enumerate(pairs)
-    ]
+    matches = []
+    for index, (i, j) in enumerate(pairs):
+        a, b = left_whole[i], right_whole[j]
+        hidden = (_hidden_foot(a, left) + _hidden_foot(b, right)) / 2
+        matches.append(_stereo_match(index, a, b, float(costs[i, j]), areas[i, j], outlines[i], hidden, rig, up_left))
     return matches, rejections
 
 
@@ -122,22 +130,28 @@ def _has_feet(match: StereoMatch) -> bool:
     return match.left.foot_px is not None and match.right.foot_px is not None
 
 
-def foot_image_point(box_bottom: Vec2, box_width_px: float, camera: Camera, up: NDArray[np.float64]) -> Vec2:
+def foot_image_point(box_bottom: Vec2, rim_px: float, camera: Camera, up: NDArray[np.float64]) -> Vec2:
     """Image point of the centre of the foot, from the middle of the box's lower edge.
 
     The lower edge shows the near rim of the base plate, nearer to the camera than the centre by half the plate's apparent
-    width. So the ray to the rim is moved along the ground by that share of its depth. up: unit vector (3,) in the camera's
-    frame.
+    width, `rim_px`. So the ray to the rim is moved along the ground by that share of its depth. up: unit vector (3,) in the
+    camera's frame.
     """
     u, v = box_bottom
     ray = np.array([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, 1.0])
     along_ground = ray - (ray @ up) * up
     along_ground /= np.linalg.norm(along_ground)
-    centre = ray + box_width_px / (2 * camera.fx_px) * along_ground
+    centre = ray + rim_px / camera.fx_px * along_ground
     return (
         float(camera.cx_px + camera.fx_px * centre[0] / centre[2]),
         float(camera.cy_px + camera.fy_px * centre[1] / centre[2]),
     )
+
+
+def _hidden_foot(detection: Detection, others: Sequence[Detection]) -> float:
+    """Share (0 to 1) of the lower half of its box behind the boxes of nearer objects; others: of the same image."""
+    x, y, w, h = detection.x_px, detection.y_px, detection.w_px, detection.h_px
+    return hidden_share((x, y + h / 2, x + w, y + h), others)
 
 
 def _spread(parts: tuple[float, float, float], size_px: float, height_px: float) -> float:
@@ -199,7 +213,7 @@ def _candidate(
     area = None
     if images is not None:
         if not outlines:
-            round_body = FEATURE_CLASSES[a.category].round_foot
+            round_body = FEATURE_CLASSES[a.category].round_body
             outlines.append(find_outline(images[0], a) if round_body else find_plate(a))
         area = match_area(
             images[0], images[1], outlines[0], disparity + at_infinity, max(3.0, 0.3 * a.w_px),
@@ -223,8 +237,20 @@ def disparity_bounds_px(rig: Rig, params: MatchParams, width_px: Number) -> tupl
 
 
 def _stereo_match(
-    index: int, a: Detection, b: Detection, cost: float, area: AreaMatch | None, rig: Rig, up: NDArray[np.float64]
+    index: int,
+    a: Detection,
+    b: Detection,
+    cost: float,
+    area: AreaMatch | None,
+    outline: Outline | Plate | None,
+    hidden: float,
+    rig: Rig,
+    up: NDArray[np.float64],
 ) -> StereoMatch:
+    """The record of a match.
+
+    area, outline: what both images, and the left one, show of it. hidden: share of the lower half of the boxes behind others.
+    """
     foot_left, tip_left, centre_left = _foot_tip_centre(a, rig.left, up)
     foot_right, tip_right, centre_right = _foot_tip_centre(b, rig.right, up)
     pointing_sigma = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.w_px + b.w_px) / 2
@@ -236,14 +262,17 @@ def _stereo_match(
     share = FEATURE_CLASSES[a.category].outline_share
     if share is not None:
         of_cone = _spread((_FOOT_OF_CONE[0], share, 0.0), height, height)
+    along = float(np.hypot(along, _FOOT_HIDDEN * hidden * width))
     axis_left, axis_right = foot_left[0], foot_right[0]
     sigma_u = pointing_sigma
     if area is not None:
         disparity = area.disparity_px
         # The axis is the mean of both images, with the matched disparity between them.
         axis_left = (axis_left + axis_right + disparity) / 2
+        if isinstance(outline, Outline) and FEATURE_CLASSES[a.category].axis_from_outline:
+            axis_left = float(outline.axis(np.array(foot_left[1])))
         axis_right = axis_left - disparity
-        sigma_u = area.sigma_px / 2**0.5
+        sigma_u = with_shared_part(a.category, area.sigma_px) / 2**0.5
     return StereoMatch(
         frame_index=a.frame_index,
         match_index=index,
@@ -267,14 +296,15 @@ def _stereo_match(
 def _foot_tip_centre(detection: Detection, camera: Camera, up: NDArray[np.float64]) -> tuple[Vec2, float, float]:
     """Image point of the foot, row of the tip, row of the box's centre.
 
-    Box edges (0 = the image's edge) become image points (0 = the centre of a pixel). With a foot from the network, the mean of
-    that and the box's is taken: on rendered cones their errors have opposite signs.
+    Box edges (0 = the image's edge) become image points (0 = the centre of a pixel). With a foot from the network, a mean of that
+    and the box's is taken.
     """
+    its = FEATURE_CLASSES[detection.category]
     axis, bottom = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px + detection.h_px - 0.5
     top = detection.y_px - 0.5
-    round_foot = FEATURE_CLASSES[detection.category].round_foot
-    u, v = foot_image_point((axis, bottom), detection.w_px, camera, up) if round_foot else (axis, bottom)
+    u, v = foot_image_point((axis, bottom), its.rim_share * detection.w_px, camera, up)
     if detection.foot_px is not None:
-        u, v = (u + detection.foot_px[0] - 0.5) / 2, (v + detection.foot_px[1] - 0.5) / 2
+        u += its.network_share * (detection.foot_px[0] - 0.5 - u)
+        v += its.network_share * (detection.foot_px[1] - 0.5 - v)
     tip = top if detection.tip_px is None else detection.tip_px[1] - 0.5
     return (u, v), tip, (top + bottom) / 2
