@@ -102,10 +102,20 @@ def test_the_outline_lies_on_the_edges_of_the_body() -> None:
 
 
 @pytest.mark.parametrize(
-    ("category", "turn"), [("work_zone_sign", 0.0), ("traffic_sign", 0.06), ("vertical_panel", -0.06)]
+    ("category", "turn", "pitch_rad"),
+    [
+        ("work_zone_sign", 0.0, 0.0),
+        ("traffic_sign", 0.06, 0.0),
+        ("vertical_panel", -0.06, 0.0),
+        ("traffic_sign", 0.0, 0.2),
+    ],
 )
-def test_disparity_of_a_flat_object_before_a_background(category: str, turn: float) -> None:
-    """A turned plate with a diamond's corners left free: the background behind it has a third of its disparity."""
+def test_disparity_of_a_flat_object_before_a_background(category: str, turn: float, pitch_rad: float) -> None:
+    """A turned plate with a diamond's corners left free: the background behind it has a third of its disparity.
+
+    The disparity is that of its lower edge, which a camera that looks down sees farther away than its middle.
+    """
+    up = np.array([0.0, -np.cos(pitch_rad), -np.sin(pitch_rad)])
     camera = Camera(width_px=400, height_px=200, fx_px=F_PX, fy_px=F_PX, cx_px=200.0, cy_px=80.0)
     box = (180.0, 60.0, 60.0, 60.0)
     detection = Detection(
@@ -114,6 +124,8 @@ def test_disparity_of_a_flat_object_before_a_background(category: str, turn: flo
     )  # fmt: skip
     v, u = np.mgrid[0:200, 0:400].astype(np.float32)
     middle_u, middle_v = box[0] + box[2] / 2 - 0.5, box[1] + box[3] / 2 - 0.5
+    down, foot_down = (v - camera.cy_px) / F_PX, (box[1] + box[3] - 0.5 - camera.cy_px) / F_PX
+    nearness = (1 - np.tan(pitch_rad) * down) / (1 - np.tan(pitch_rad) * foot_down)
     errors = []
     for seed in range(6):
         rng = np.random.default_rng([seed, 5])
@@ -123,7 +135,7 @@ def test_disparity_of_a_flat_object_before_a_background(category: str, turn: flo
         # Where the right image shows a point of the plane: solved by iteration, as the slope is small.
         source = u + disparity
         for _ in range(4):
-            source = u + np.interp(source, u[0], of_plane[0]).astype(np.float32)
+            source = u + (nearness * np.interp(source, u[0], of_plane[0])).astype(np.float32)
         inside = np.abs(u - middle_u) + np.abs(v - middle_v) <= 30.0
         if category == "vertical_panel":
             inside = (np.abs(u - middle_u) <= 30.0) & (np.abs(v - middle_v) <= 30.0)
@@ -133,7 +145,7 @@ def test_disparity_of_a_flat_object_before_a_background(category: str, turn: flo
         moved = cv2.remap(face.astype(np.float32), at, v, cv2.INTER_CUBIC)
         right = seen * moved + (1 - seen) * cv2.remap(behind.astype(np.float32), u + 8, v, cv2.INTER_CUBIC)
         pair = [np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8) for image in (left, right)]
-        found = match_area(pair[0], pair[1], find_plate(detection), disparity + 1.3, 4.0, camera=camera, up=UP)
+        found = match_area(pair[0], pair[1], find_plate(detection), disparity + 1.3, 4.0, camera=camera, up=up)
         assert found is not None
         errors.append((found.disparity_px - disparity) / found.sigma_px)
         assert found.sigma_px < 0.3

@@ -93,7 +93,9 @@ def match_area(
     if left.ndim == 2:
         left, right = left[:, :, None], right[:, :, None]
     pixels = (
-        plate_pixels(left, outline, camera) if isinstance(outline, Plate) else cone_pixels(left, outline, camera, up)
+        plate_pixels(left, outline, camera, up)
+        if isinstance(outline, Plate)
+        else cone_pixels(left, outline, camera, up)
     )
     if pixels is None:
         return None

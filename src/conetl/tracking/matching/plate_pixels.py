@@ -1,8 +1,8 @@
 """Pixels of the left image used to match a flat object: a sign, a board, a panel, a barricade.
 
-Its surface is a plane that faces the camera, with slopes across and down as the unknowns of the matching that for a cone are the
-nearness of its surface and its lean (`area_matching.py`). Only the middle of the box is used: what is in its corners, and between
-the boards of a barricade, lies behind the object, and is down-weighted where it disagrees.
+Its surface is an upright plane that faces the camera, with slopes across and down as the unknowns of the matching that for a cone
+are the nearness of its surface and its lean (`area_matching.py`). Only the middle of the box is used: what is in its corners, and
+between the boards of a barricade, lies behind the object, and is down-weighted where it disagrees.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def find_plate(detection: Detection) -> Plate:
     return Plate(middle - half, middle + half, top + first * height, top + last * height, top + height, elliptic)
 
 
-def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera) -> BodyPixels | None:
-    """The pixels of a plate, with the plane over them; None if there are too few."""
+def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera, up: Floats) -> BodyPixels | None:
+    """The pixels of a plate, with the plane over them; None if there are too few. up: unit vector (3,) in the camera's frame."""
     v = np.arange(max(int(np.ceil(plate.top)), 0), min(int(plate.bottom), left.shape[0] - 1) + 1)
     u = np.arange(max(int(np.ceil(plate.left)), 0), min(int(plate.right), left.shape[1] - 1) + 1)
     if len(v) < 4 or len(u) < 4:
@@ -62,11 +62,16 @@ def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera) -> BodyP
     if chosen is None:
         return None
     i, j = chosen
+    # The plane's normal is the level part of the camera's axis: its rows are at different depths if the camera looks up or down.
+    normal = np.array([0.0, 0.0, 1.0]) - up[2] * up
+    x, y = (u[j] - camera.cx_px) / camera.fx_px, (v[i] - camera.cy_px) / camera.fy_px
+    foot = np.array([(middle - camera.cx_px) / camera.fx_px, (plate.foot_row - camera.cy_px) / camera.fy_px, 1.0])
+    depth = foot @ normal / (normal[0] * x + normal[1] * y + normal[2])
     count = len(i)
     values, *slopes = (part[i, j] for part in smooth(left, v, u))
     none = np.zeros(0)
     return BodyPixels(
-        v[i], u[j], values, np.stack(slopes), depth=np.ones(count), nearer=(u[j] - middle) / camera.fx_px,
+        v[i], u[j], values, np.stack(slopes), depth=depth, nearer=(u[j] - middle) / camera.fx_px,
         height=(plate.foot_row - v[i]) / camera.fy_px, at_edge=np.zeros((count, 2)), edge=np.zeros(count, dtype=np.intp),
         cover=np.zeros(count), beyond=Beyond(none.astype(np.intp), none, none, np.zeros((0, 2, values.shape[1]))),
     )  # fmt: skip
