@@ -18,10 +18,12 @@ from conetl.evaluation.truth import TruthCone
 from conetl.model.params import PositionParams
 from conetl.model.records import Detection, Drive, FramePair, Matrix3, Position, Rig, Side, StereoMatch, Track
 from conetl.tracking.association import MotionError
+from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.positions import locate_positions
 from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, fuse_logged, make_path
 
 SIGMA_U_PX, SIGMA_V_PX, SIGMA_POINTING_PX = 0.3, 0.8, 0.5
+SIGMA_DISPARITY_PX = 2**0.5 * SIGMA_U_PX
 
 
 @dataclass(frozen=True)
@@ -60,11 +62,13 @@ def draw_positions(
     """One drive up to its single positions; match_index is the number of the cone.
 
     noise: what the stated image sigmas are multiplied with to get the true ones. stated_share: of the pose errors.
-    outline_px: sigma of what all sightings of a cone share, along and across the rows.
+    outline_px: sigma of what all sightings of a cone share, along and across the rows; with it they share a part of their
+    disparities' errors too, as stated.
     """
     true_pairs = make_path(frames)
     logged = _logged(rng, true_pairs, errors, stated_share)
-    outlines = rng.normal(0, noise * outline_px, (len(cones), 2)) if outline_px else np.zeros((len(cones), 2))
+    shared_px = [outline_px, outline_px, shared_disparity_px(SIGMA_DISPARITY_PX)]
+    outlines = rng.normal(0, noise * np.array(shared_px), (len(cones), 3)) if outline_px else np.zeros((len(cones), 3))
     matches = [
         match.model_copy(update={"sigma_outline_px": outline_px})
         for pair in true_pairs
@@ -135,32 +139,37 @@ def _match(
     noise: float,
     outline_px: NDArray[np.float64],
 ) -> StereoMatch | None:
-    """Foot, centre and tip in both images, drawn; None where the cone is not wholly in view of both."""
+    """Foot, centre and tip in both images, drawn; None where the cone is not wholly in view of both.
+
+    outline_px (3,): what all sightings share, along and across the rows, and in the disparity.
+    """
     boxes = {side: apparent_box(cone, pair, rig, side) for side in ("left", "right")}
     if boxes["left"] is None or boxes["right"] is None:
         return None
     points = np.outer([0.0, 0.5, 1.0], [0.0, 0.0, cone.height_m]) + np.add(cone.foot_m, ORIGIN_M)
-    uv: dict[str, list[tuple[float, float]]] = {}
+    uv: dict[str, NDArray[np.float64]] = {}
+    own: dict[str, float] = {}
     pointing = rng.normal(0, noise * SIGMA_POINTING_PX)
     for side in ("left", "right"):
         camera, pose = (rig.left if side == "left" else rig.right), camera_pose(pair, rig, side)
         local = (points - pose[:3, 3]) @ pose[:3, :3]
-        u = (
-            outline_px[0]
-            + camera.cx_px
-            + camera.fx_px * local[:, 0] / local[:, 2]
-            + pointing
-            + rng.normal(0, noise * SIGMA_U_PX)
-        )
+        own[side] = rng.normal(0, noise * SIGMA_U_PX)
+        u = outline_px[0] + camera.cx_px + camera.fx_px * local[:, 0] / local[:, 2] + pointing + own[side]
         v = (
             outline_px[1]
             + camera.cy_px
             + camera.fy_px * local[:, 1] / local[:, 2]
             + rng.normal(0, noise * SIGMA_V_PX, 3)
         )
-        uv[side] = list(zip(u.tolist(), v.tolist(), strict=True))
+        uv[side] = np.column_stack([u, v])
+    if outline_px.any():
+        # The stated sigma of a disparity is that of its own and the shared error together.
+        share = (1 - (shared_disparity_px(SIGMA_DISPARITY_PX) / SIGMA_DISPARITY_PX) ** 2) ** 0.5
+        apart = outline_px[2] - (1 - share) * (own["left"] - own["right"])
+        uv["left"][:, 0] += apart / 2
+        uv["right"][:, 0] -= apart / 2
     named = {
-        f"{point}_{side}_uv_px": uv[side][k]
+        f"{point}_{side}_uv_px": (float(uv[side][k, 0]), float(uv[side][k, 1]))
         for k, point in enumerate(("foot", "centre", "tip"))
         for side in ("left", "right")
     }

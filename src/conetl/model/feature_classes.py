@@ -40,14 +40,9 @@ class FeatureClass:
     outline_share: float | None = 0.02
     """Sigma, as a share of the height of the box, of what all boxes of one object have in common: which part of it they take for
     its foot and axis. Measured on rendered objects; None of cones, whose feet networks give."""
-    shared_disparity: float = 0.3
-    """Sigma of the error that all disparities of one object have in common, as a share of the sigma of each by itself."""
     geometry: Literal["point", "line"] = "point"
     """Point objects are found by the detector, lines by `perception/markings/`, which needs no network."""
 
-
-#: Of planes: their disparities err alike in all images.
-_FLAT = 0.6
 
 FEATURE_CLASSES = {
     CONE: FeatureClass(
@@ -63,19 +58,18 @@ FEATURE_CLASSES = {
     ),
     "vertical_panel": FeatureClass(
         (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, rim_share=0.5, outline_share=0.012,
-        shared_disparity=_FLAT,
     ),
     "barricade": FeatureClass(
-        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, outline_share=0.04, shared_disparity=_FLAT
+        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, outline_share=0.04
     ),
     "work_zone_sign": FeatureClass(
-        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False, shared_disparity=_FLAT
+        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False
     ),
     "arrow_board": FeatureClass(
-        (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, outline_share=0.05, shared_disparity=_FLAT
+        (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, outline_share=0.05
     ),
     "traffic_sign": FeatureClass(
-        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, outline_share=0.025, shared_disparity=_FLAT
+        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, outline_share=0.025
     ),
     LANE_MARKING: FeatureClass(
         (0.0005, 0.006), (0.0, 0.02), 30.0, round_body=False, on_road=True, in_rows=False, geometry="line"

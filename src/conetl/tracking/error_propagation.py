@@ -190,7 +190,7 @@ def outline_errors(position: Position, rig: Rig) -> Floats:
     """
     sigma_m, xyz_m = position.sigma_outline_m, np.array(position.camera_xyz_m)
     per_px = xyz_m[2] ** 2 / (rig.left.fx_px * rig.baseline_m)
-    away_m = shared_disparity_px(position.category, cov_matrix(position.camera_cov_m2)[2, 2] ** 0.5 / per_px) * per_px
+    away_m = shared_disparity_px(cov_matrix(position.camera_cov_m2)[2, 2] ** 0.5 / per_px) * per_px
     return np.column_stack([[sigma_m, 0.0, 0.0], [0.0, sigma_m, 0.0], xyz_m / xyz_m[2] * away_m])
 
 

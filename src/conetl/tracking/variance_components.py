@@ -135,7 +135,7 @@ def _cone(
     computed, jacobian = pair_jacobian(np.zeros(3), left, right, rig)
     observed = np.array([(*m.foot_left_uv_px, *m.foot_right_uv_px) for m in pairs])
     disparity = np.array([_disparity_px(m) for m in pairs])
-    in_common = np.array([shared_disparity_px(m.left.category, _disparity_px(m)) for m in pairs])
+    in_common = np.array([shared_disparity_px(_disparity_px(m)) for m in pairs])
     shared = np.array([(m.sigma_outline_px, m.sigma_outline_px, px) for m, px in zip(pairs, in_common, strict=True)])
     # What all observations of an object have in common causes no scatter.
     own = np.maximum(disparity**2 - in_common**2, 1e-6)

@@ -178,7 +178,7 @@ def test_outline_errors_remain_from_one_side_and_cancel_from_opposite_ones() -> 
     xyz_m = np.array(position.camera_xyz_m)
     per_px = xyz_m[2] ** 2 / (RIG.left.fx_px * RIG.baseline_m)
     sigma_px = cov_matrix(position.camera_cov_m2)[2, 2] ** 0.5 / per_px
-    away = xyz_m / xyz_m[2] * shared_disparity_px("traffic_cone", sigma_px) * per_px
+    away = xyz_m / xyz_m[2] * shared_disparity_px(sigma_px) * per_px
     np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2 + away @ away)
     turned = left[position.frame_index].copy()
     turned[:3, [0, 2]] *= -1  # from the other side: right and left, far and near are exchanged

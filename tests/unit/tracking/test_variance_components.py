@@ -9,7 +9,7 @@ from conetl.geometry import pose as se3
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Detection, FramePair, Side, StereoMatch, Track
 from conetl.tracking.error_propagation import PoseCov, pose_cov
-from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
+from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, with_shared_part
 from conetl.tracking.trajectory import refine_trajectory
 from conetl.tracking.variance_components import VarianceFactors, estimate_variance_factors, with_variance_factors
 from tests import records
@@ -53,7 +53,7 @@ def drawn(
                         "frame_index": pair.frame_index, "match_index": number,
                         "left": _box(pair.frame_index, number, "left"), "right": _box(pair.frame_index, number, "right"),
                         "foot_left_uv_px": left, "foot_right_uv_px": right,
-                        "sigma_u_px": float(np.hypot(of_disparity, SHARED_DISPARITY_PX) / 2**0.5),
+                        "sigma_u_px": with_shared_part(float(np.hypot(of_disparity, SHARED_DISPARITY_PX))) / 2**0.5,
                         "sigma_v_px": float(across), "sigma_pointing_px": float(pointing), "sigma_outline_px": OUTLINE_PX,
                     }
                 )

@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.feature_classes import FEATURE_CLASSES
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
@@ -23,22 +21,24 @@ _REACH_PX = 5
 #: Sigma of the disparity common to all observations of one cone: its shape differs from a body of revolution. Measured as
 #: scatter of the cones' mean disparities beyond noise on the sample drives (docs/explanation/accuracy.md).
 SHARED_DISPARITY_PX = 0.02
+#: Sigma of a further part, as a share of that of the matching. Measured as correlation between the errors of successive frames
+#: and as scatter of the objects' mean errors, on the sample drives and mixed worlds 4 and 5.
+_SHARED_SHARE = 0.4
 
 
-def with_shared_part(category: str, sigma_px: float) -> float:
+def with_shared_part(sigma_px: float) -> float:
     """Sigma of a disparity from that of its matching, `AreaMatch.sigma_px`, with what all observations of the object share.
 
-    Beside the constant for its shape, which `sigma_px` has, that is a share of the other errors
-    (`FeatureClass.shared_disparity`): the less contrast an object has, the more the same few edges decide, from every distance.
-    Measured as correlation between the errors of successive frames, on the sample drives and mixed worlds 4 and 5.
+    Beside the constant for its shape, which `sigma_px` has, that is a share of the other errors: the less contrast an object
+    has, the more the same few edges decide, from every distance.
     """
-    return float(np.hypot(sigma_px, FEATURE_CLASSES[category].shared_disparity * matching_sigma_px(sigma_px)))
+    return float(np.hypot(sigma_px, _SHARED_SHARE * matching_sigma_px(sigma_px)))
 
 
-def shared_disparity_px(category: str, sigma_px: float) -> float:
+def shared_disparity_px(sigma_px: float) -> float:
     """The part that all observations share of the sigma that `with_shared_part` gives."""
-    share = FEATURE_CLASSES[category].shared_disparity
-    return float(np.hypot(SHARED_DISPARITY_PX, share / (1 + share**2) ** 0.5 * matching_sigma_px(sigma_px)))
+    share = _SHARED_SHARE / (1 + _SHARED_SHARE**2) ** 0.5
+    return float(np.hypot(SHARED_DISPARITY_PX, share * matching_sigma_px(sigma_px)))
 
 
 def matching_sigma_px(sigma_px: float) -> float:

@@ -272,7 +272,7 @@ def _stereo_match(
         if isinstance(outline, Outline) and FEATURE_CLASSES[a.category].axis_from_outline:
             axis_left = float(outline.axis(np.array(foot_left[1])))
         axis_right = axis_left - disparity
-        sigma_u = with_shared_part(a.category, area.sigma_px) / 2**0.5
+        sigma_u = with_shared_part(area.sigma_px) / 2**0.5
     return StereoMatch(
         frame_index=a.frame_index,
         match_index=index,
