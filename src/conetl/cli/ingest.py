@@ -187,7 +187,7 @@ _CHANGES: ui.Columns = {
     "easting m": lambda line: line.xyz_m[0],
     "northing m": lambda line: line.xyz_m[1],
     "height m": lambda line: line.xyz_m[2],
-    "cone m": lambda line: f"{line.cone_height_m:.2f}",
+    "object m": lambda line: f"{line.cone_height_m:.2f}",
     "sigma m": "sigma_horizontal_m",
     "probability": lambda line: None if line.kind is DeltaKind.REMOVED else line.existence_probability,
     "observations": "observation_count",

@@ -91,7 +91,7 @@ _PROVISIONAL: ui.Columns = {
     "easting m": "easting_m",
     "northing m": "northing_m",
     "height m": "height_m",
-    "cone m": lambda row: f"{row['cone_height_m']:.2f}",
+    "object m": lambda row: f"{row['cone_height_m']:.2f}",
     "sigma m": lambda row: ((row["cov_xx"] + row["cov_yy"]) / 2) ** 0.5,
     "probability": "existence_probability",
     "observations": "observation_count",

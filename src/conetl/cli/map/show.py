@@ -31,7 +31,7 @@ _FEATURES: ui.Columns = {
     "easting m": lambda v: v.feature.xyz_m[0],
     "northing m": lambda v: v.feature.xyz_m[1],
     "height m": lambda v: v.feature.xyz_m[2],
-    "cone m": lambda v: f"{v.feature.cone_height_m:.2f}",
+    "object m": lambda v: f"{v.feature.cone_height_m:.2f}",
     "sigma m": lambda v: ((v.feature.cov_m2[0] + v.feature.cov_m2[3]) / 2) ** 0.5,
     "probability": lambda v: v.feature.existence_probability,
     "observations": lambda v: v.feature.observation_count,
@@ -40,7 +40,7 @@ _FEATURES: ui.Columns = {
     "first seen (UTC)": lambda v: f"{utc_from_ns(v.feature.first_seen_ns):%Y-%m-%d %H:%M}",
 }
 _LINES: ui.Columns = {
-    **{heading: read for heading, read in _FEATURES.items() if heading not in ("class", "cone m", "missed")},
+    **{heading: read for heading, read in _FEATURES.items() if heading not in ("class", "object m", "missed")},
     "length m": lambda v: f"{_length_m(v.feature.marking):.1f}",
     "width m": lambda v: f"{v.feature.marking.width_m:.2f}",
     "paint": lambda v: f"{v.feature.marking.colour}, {v.feature.marking.pattern}",
