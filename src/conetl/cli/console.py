@@ -133,11 +133,13 @@ def _read(record: Any, value: str | Callable[[Any], object]) -> object:
     return record[value] if isinstance(record, Mapping) else attrgetter(value)(record)
 
 
+_NOT_PASSED = {Verdict.HOLD: "On hold", Verdict.WARN: "Warning", Verdict.CORRECTED: "Corrected"}
+
+
 def print_checks(checks: Sequence[HealthCheck]) -> None:
     """The health checks of a recording that did not pass, a line each."""
     for check in checks:
-        if check.verdict is not Verdict.PASS:
-            verdict = "On hold" if check.verdict is Verdict.HOLD else check.verdict.value.capitalize()
+        if verdict := _NOT_PASSED.get(check.verdict):
             out.print(f"[bold]{verdict}[/], {escape(check.name)}: {escape(check.detail)}")
 
 

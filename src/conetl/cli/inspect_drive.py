@@ -20,7 +20,7 @@ from conetl.cli.console import (
 )
 from conetl.files.names import minutes
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
-from conetl.model.health import hold_reason
+from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.settings import read_settings
@@ -55,7 +55,8 @@ def inspect(
     """Show what a drive contains: format, rig, frame pairs and losses, rate, gaps, pose quality, extent, expected time.
 
     Only headers and ends of the images are read, and five pairs are compared; nothing is written to the map. Exit code 2 if the
-    drive cannot be ingested, 1 if it can but too many of its pairs are lost, its poses jump, or a health check would hold it.
+    drive cannot be ingested, 1 if it can but too many of its pairs are lost, its poses jump, or a health check warns or would
+    hold it.
     """
     settings = read_settings()
     found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
@@ -86,7 +87,8 @@ def inspect(
         if page is not None:
             say(f"Page: {page}")
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs
-    doubtful = lost > IngestParams().max_rejected_fraction or summary.poses.jumps or hold_reason(checks)
+    warned = any(check.verdict in (Verdict.WARN, Verdict.HOLD) for check in checks)
+    doubtful = lost > IngestParams().max_rejected_fraction or summary.poses.jumps or warned
     raise typer.Exit(EXIT_NEEDS_ATTENTION if doubtful else EXIT_DONE)
 
 

@@ -291,15 +291,17 @@ def read_hashed_bytes(path: Path, sha256: str) -> bytes:
     """The bytes of an image as they were when its drive was read: from memory, or read again where they are not there any more.
 
     Raises StorageError where they cannot be read again, or are others by now: neither is a property of the drive. Without a hash
-    (only headers were read) they are whatever the file holds.
+    (only headers were read) they are whatever the file holds, and ImageFileError is raised where it cannot be read.
     """
+    if not sha256:
+        return read_bytes(path)
     data = recall(sha256)
     if data is None:
         try:
             data = read_bytes(path)
         except ImageFileError as error:
             raise _changed(path, error) from error
-        if sha256 and hashlib.sha256(data).hexdigest() != sha256:
+        if hashlib.sha256(data).hexdigest() != sha256:
             raise _changed(path, "its bytes are others")
         remember(path, sha256, data)
     return data

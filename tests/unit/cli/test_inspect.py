@@ -11,6 +11,8 @@ import pytest
 from conetl.cli import main
 from conetl.model.records import Rig
 from conetl.readers.drives import read_drive
+from tests.mutants.images import changed as images_changed
+from tests.mutants.images import copy_drive, only_right, shifted, smeared, swapped
 from tests.unit.readers.drive_formats import SAMPLE, WRITERS, Frame, changed, sample_frames, write_euroc, write_kitti
 
 
@@ -76,3 +78,25 @@ def test_inspect_exits_with_2_for_what_cannot_be_ingested(
     assert (code, text) == (2, "")
     assert "georeference" in complaint
     assert run(["inspect", str(tmp_path / "nothing")], capsys)[0] == 2
+
+
+def test_inspect_compares_the_images_of_each_pair(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drive = copy_drive(SAMPLE, tmp_path / "swapped")
+    images_changed(swapped)(drive)
+    code, text, complaint = run(["inspect", str(drive)], capsys)
+    assert (code, text) == (2, "")
+    assert "swapped, mirrored or upside down" in complaint
+    drive = copy_drive(SAMPLE, tmp_path / "rows")
+    images_changed(only_right(shifted(3, 0)))(drive)
+    code, text, _ = run(["inspect", str(drive), "--json"], capsys)
+    rows = {check["name"]: check for check in json.loads(text)["health"]}["rows of the right images"]
+    assert (code, rows["verdict"]) == (0, "corrected")
+    assert rows["value"] == pytest.approx(3.0, abs=0.5)
+
+
+def test_inspect_exits_with_1_for_a_smeared_lens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drive = copy_drive(SAMPLE, tmp_path / "smeared")
+    images_changed(only_right(smeared(7.0)))(drive)
+    code, text, _ = run(["inspect", str(drive)], capsys)
+    assert code == 1
+    assert "Warning, blurred parts of the lenses: " in text and "Clean the lens." in text
