@@ -179,15 +179,15 @@ def test_exports_and_pictures_name_what_stands_on_the_map(conn, conetl, samples,
     line = samples.line_feature(samples.marking([(458_000.0 + k, 5_428_010.0, 114.5) for k in range(5)]), seen_ns=day)
     samples.commit(conn, samples.added(drum), samples.added(line), key="2", start_ns=day)
     conn.commit()
-    assert written().startswith("1 drum, 2 cones ->") and "1 lane marking ->" in written()
+    assert written().startswith("1 drum, 2 cones ->") and "1 stretch of lane markings ->" in written()
     assert all(text in drawn()[1] for text in ("drum, standing (1)", "cone, standing (2)"))
     assert written("--category", "drum").startswith("1 drum ->")
     assert written("--category", "barricade").startswith("0 barricades ->")
-    assert written("--category", "lane_marking").startswith("1 lane marking ->")
+    assert written("--category", "lane_marking").startswith("1 stretch of lane markings ->")
     assert written("--what", "history").startswith("3 versions ->")
     assert "1 drum" in conetl("map", "show", "--category", "all")
     assert "there is no class dromedary; give traffic_cone" in conetl("map", "show", "--category", "dromedary", code=2)
     assert conetl("map", "export", "--out", tmp_path / "map.csv").startswith("1 drum, 2 cones ->")
     said, image = drawn()
-    assert said.startswith("1 drum, 2 cones, 1 lane marking, 0 lane boundaries") and "Map default" in image
+    assert said.startswith("1 drum, 2 cones, 1 stretch of lane markings, 0 lane boundaries") and "Map default" in image
     assert "Traffic cones" not in image

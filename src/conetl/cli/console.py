@@ -25,7 +25,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
-from conetl.model.feature_classes import CONE, noun_of
+from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
 from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, what_to_do
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
@@ -240,14 +240,18 @@ def class_if_mixed(columns: Columns, categories: Collection[str]) -> Columns:
     return {name: value for name, value in columns.items() if name != "class" or set(categories) - {CONE}}
 
 
-def counted(count: int, noun: str) -> str:
+def counted(count: int, noun: str, ending: str = "s") -> str:
     """`1 cone`, `2 cones`."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}{ending}"
 
 
 def counted_by_class(classes: Mapping[str, int]) -> str:
-    """By category: `1 drum, 2 cones`; of nothing `0 cones`."""
-    return ", ".join(counted(count, noun_of(name)) for name, count in sorted(classes.items())) or counted(0, "cone")
+    """By category: `1 drum, 2 cones, 3 stretches of lane markings`; of nothing `0 cones`."""
+    nouns = (
+        counted(count, noun_of(name)) if name != LANE_MARKING else f"{counted(count, 'stretch', 'es')} of lane markings"
+        for name, count in sorted(classes.items())
+    )
+    return ", ".join(nouns) or counted(0, "cone")
 
 
 def parse_instant(text: str | None) -> datetime | None:

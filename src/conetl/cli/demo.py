@@ -34,12 +34,12 @@ _SAMPLES = Path("data/drives")
 _BASE_LAYERS = ("base/street.laz", "base/lane_boundaries.geojson")
 _NEXT_STEPS = """\
   export CONETL_MAP_NAME=demo PATH=$PWD/.venv/bin:$PATH
-  conetl view                             show the map in a browser, with LiDAR points and lane boundaries
-  conetl map show                         list the cones with sigma and existence probability
-  conetl map show --as-of 2026-03-02T23:00 the map before the second drive
-  conetl map log                          list the changesets; conetl map log FEATURE for one cone
-  conetl ingest YOUR_DRIVE                add your own stereo drive; see README.md
-  conetl db down                          stop the database that this command started"""
+  conetl view                                show the map in a browser, with LiDAR points and lane boundaries
+  conetl map show                            list the cones with sigma and existence probability
+  conetl map show --as-of 2026-03-02T23:00   the map before the second drive
+  conetl map log                             list the changesets; conetl map log FEATURE for one cone
+  conetl ingest YOUR_DRIVE                   add your own stereo drive; see README.md
+  conetl db down                             stop the database that this command started"""
 
 
 def demo(

@@ -213,10 +213,10 @@ def print_report(report: IngestReport) -> None:
         return
     changed = counts if report.on_hold is None else "on hold, the map is as it was"
     categories = {change.category for change in report.changes}
-    objects = "objects" if categories - {CONE} else "cones"
+    noun = "object" if categories - {CONE} else "cone"
     ui.out.print(
         f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
-        f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} {objects}."
+        f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}."
     )
     if lines:
         ui.out.print(f"{ui.counted(report.markings, 'lane marking')}; stretches of them: {lines}.")

@@ -8,7 +8,17 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, MapOption, answer, parse_instant, parse_time, print_held, print_hold_events
+from conetl.cli.console import (
+    JsonOption,
+    MapOption,
+    answer,
+    counted,
+    parse_instant,
+    parse_time,
+    print_held,
+    print_hold_events,
+    say,
+)
 from conetl.cli.database import open_map
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.settings import read_settings
@@ -61,6 +71,9 @@ def night(
     if not as_json:
         print_held(facts.held)
         print_hold_events(facts.hold_events)
+        drives = counted(len(facts.drives), "drive") if facts.drives else "No drives"
+        failed = f", {len(facts.failures)} failed" if facts.failures else ""
+        say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.")
     counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
     _print_written(as_json, path, {**period, **counts, "held": facts.held, "hold_events": facts.hold_events})
     if facts.held:
@@ -69,7 +82,7 @@ def night(
 
 def _print_written(as_json: bool, path: Path, facts: dict[str, Any]) -> None:
     size = path.stat().st_size
-    answer(as_json, {"written": str(path), "bytes": size} | facts, f"{path} ({size / 1e6:.1f} MB)")
+    answer(as_json, {"written": str(path), "bytes": size} | facts, f"{path} ({size / 1e3:.0f} kB)")
 
 
 def _period(day: str | None, since: str | None, until: str | None) -> tuple[datetime, datetime]:

@@ -37,7 +37,7 @@ class ChangeFacts(NamedTuple):
     """Nearest and farthest distance from the camera in these frame pairs."""
     shift_m: float | None = None
     sigma_m: float | None = None
-    """Horizontal, after the change."""
+    """Along the major axis of the horizontal error ellipse, after the change."""
     cone_height_m: float | None = None
     """After the change."""
     other_feature_id: UUID | None = None
@@ -61,7 +61,7 @@ def why(facts: ChangeFacts) -> str:
         )
     end = f"existence {_probability(facts.existence_probability)}"
     if facts.sigma_m is not None and not (facts.kind.ends or facts.kind is DeltaKind.MISSED):
-        end += f", horizontal sigma {facts.sigma_m:.3f} m"
+        end += f", largest horizontal sigma {facts.sigma_m:.3f} m"
     if facts.kind is DeltaKind.MISSED:
         end += ", it stays on the map"
     return f"{_HEADS[facts.kind]}: {observed}; {end}."

@@ -298,7 +298,7 @@ def _in_lane(check: _Check) -> Iterator[Finding]:
             rule=Rule.CONE_IN_LANE,
             level=_sure(rules.sources.get("in_lane_tolerance_m")) if sure else Level.CANNOT_TELL,
             norm=rules.sources.get("in_lane_tolerance_m", NO_NORM_IN_LANE),
-            text=f"a cone stands {away:.1f} m from its row towards traffic{doubt}",
+            text=f"a cone stands {away:.2f} m from its row towards traffic{doubt}",
             value=away,
             limit=rules.in_lane_tolerance_m,
             sigma=sigma,

@@ -17,12 +17,12 @@ SEEN_TEXT = "drive x observed it in 12 frame pairs at 6–30 m"
 @pytest.mark.parametrize(
     ("kind", "existence", "facts", "sentence"),
     [
-        ("added", 0.98, SEEN, f"Added: {SEEN_TEXT}; existence 0.98, horizontal sigma 0.021 m."),
+        ("added", 0.98, SEEN, f"Added: {SEEN_TEXT}; existence 0.98, largest horizontal sigma 0.021 m."),
         ("added", 0.5, {}, "Added: drive x observed it; existence 0.50."),
         ("confirmed", 0.9991, {**SEEN, "frames_seen": 1, "range_m": (9.1, 9.4)},
-         "Confirmed: drive x observed it in 1 frame pair at 9 m; existence 0.9991, horizontal sigma 0.021 m."),
+         "Confirmed: drive x observed it in 1 frame pair at 9 m; existence 0.9991, largest horizontal sigma 0.021 m."),
         ("moved", 0.9, {**SEEN, "shift_m": 1.5},
-         f"Moved: {SEEN_TEXT}, 1.50 m from its earlier position; existence 0.90, horizontal sigma 0.021 m."),
+         f"Moved: {SEEN_TEXT}, 1.50 m from its earlier position; existence 0.90, largest horizontal sigma 0.021 m."),
         ("removed", 0.02, {"frames_seen": 0, "frames_empty": 14, "range_m": (6, 30), "sigma_m": 0.02},
          "Removed: drive x passed at 6–30 m, the position was visible in 14 frame pairs, none showed a cone; existence 0.02."),
         ("missed", 0.71, {"frames_seen": 1, "frames_empty": 3},
@@ -37,7 +37,7 @@ SEEN_TEXT = "drive x observed it in 12 frame pairs at 6–30 m"
         ("merged", 0.001, {"other_feature_id": OTHER},
          "Merged: drive x observed one cone where the map had two; 0123abcd remains; existence 0.0010."),
         ("added", 0.9, {"is_import": True, "sigma_m": 0.1},
-         "Added: the imported map x states it; existence 0.90, horizontal sigma 0.100 m."),
+         "Added: the imported map x states it; existence 0.90, largest horizontal sigma 0.100 m."),
     ],
 )  # fmt: skip
 def test_a_sentence_with_numbers_for_each_kind(kind, existence, facts, sentence):

@@ -21,7 +21,7 @@ from conetl.db.map.map_store import Bbox, feature_log, list_changesets, read_fea
 from conetl.exports.text_files import ChangeOrigin, export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
-from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
+from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import FeatureChange, MapFeature
 
 if TYPE_CHECKING:  # what draws and checks takes half a second to load
@@ -285,7 +285,9 @@ def picture(
         "points": points,
         "bbox": extent,
     }
-    shown = f"{ui.counted_by_class(classes)}, " + (f"{ui.counted(painted, noun_of(LANE_MARKING))}, " if painted else "")
+    shown = f"{ui.counted_by_class(classes)}, " + (
+        f"{ui.counted_by_class({LANE_MARKING: painted})}, " if painted else ""
+    )
     ui.answer(as_json, facts, f"{shown}{lines} lane boundaries, {points} points -> {done}")
 
 

@@ -103,13 +103,19 @@ def export(
     with open_map(map_name) as (conn, _):
         manifest = export_map(conn, output, file_format, request)
     rows, lines = manifest["rows"], manifest.get("lane_markings")
+    count_of_lines = 0 if lines is None else lines["rows"]
     first = {name: count for name, count in manifest["rows_by_class"].items() if lines is None or name != LANE_MARKING}
     if what is What.FEATURES:
-        text = f"{counted_by_class(first or {category or CONE: 0})} -> {output}"
+        text, of_lines = (
+            counted_by_class(first or {category or CONE: 0}),
+            counted_by_class({LANE_MARKING: count_of_lines}),
+        )
     else:
-        text = f"{counted(sum(first.values()), 'version' if what is What.HISTORY else 'change')} -> {output}"
+        noun = "version" if what is What.HISTORY else "change"
+        text, of_lines = counted(sum(first.values()), noun), f"{counted(count_of_lines, noun)} of lane markings"
+    text += f" -> {output}"
     if lines is not None:
-        text += f"\n{counted(lines['rows'], noun_of(LANE_MARKING))} -> {output.with_name(lines['file'])}"
+        text += f"\n{of_lines} -> {output.with_name(lines['file'])}"
     answer(as_json, {"written": str(output), what.value: rows, "manifest": manifest}, text)
 
 
