@@ -38,7 +38,6 @@ from conetl.readers.base_layers.opendrive import read_opendrive
 from conetl.readers.drives import bag_messages, read_drive
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import PairError
-from conetl.readers.drives.timestamps import misplaced, parse_timestamps
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.recording import open_arriving
@@ -46,6 +45,7 @@ from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, w
 from conetl.readers.surveyed_points import read_surveyed_points
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.oxts import parse_oxts
+from conetl.readers.trajectories.times import misplaced, parse_timestamps
 from tests.fuzz import video_files as videos
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers

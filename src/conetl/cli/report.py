@@ -22,7 +22,6 @@ from conetl.cli.console import (
 from conetl.cli.database import open_map
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.settings import read_settings
-from conetl.reports.drive_facts import find_drive
 
 
 def drive(
@@ -34,6 +33,7 @@ def drive(
     as_json: JsonOption = False,
 ) -> None:
     """Report one drive: counts, changes with images, residuals, rejected records, times, versions and hashes."""
+    from conetl.reports.drive_facts import find_drive
     from conetl.reports.drive_page import write_drive_page  # matplotlib takes half a second to load
 
     settings = read_settings(map_name)

@@ -16,11 +16,10 @@ from typing import Annotated, Any
 import typer
 
 from conetl.cli.console import JsonOption, MapOption, answer, counted, print_json, print_table, say, spinner
-from conetl.cli.view import login_address, view_token
 from conetl.db.cluster.cluster import cluster_down, cluster_status
 from conetl.db.connection import connect, sqlalchemy_url
 from conetl.db.schema import migrate_once, prefect_database
-from conetl.files.home import PREFECT_LOGIN, home_access, share_home
+from conetl.files.home import PREFECT_LOGIN, home_access, login_address, share_home, view_token
 from conetl.model.errors import EXIT_SERVICE_MISSING, ServiceError
 from conetl.pipeline.database import MapDatabase, database_url
 from conetl.pipeline.settings import (

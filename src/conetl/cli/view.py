@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 import uvicorn
-from pydantic import SecretStr
 
 from conetl.cli.console import JsonOption, MapOption, answer, err
 from conetl.db.connection import connect
 from conetl.db.map.map_store import require_map
 from conetl.db.schema import migrate_once
-from conetl.files.home import VIEW_TOKEN, WRITER_TOKEN, checked_secret, make_secret, read_secret
+from conetl.files.home import WRITER_TOKEN, checked_secret, login_address, make_secret, read_secret, view_token
 from conetl.model.errors import InputError
 from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings
@@ -106,16 +105,6 @@ def _read_places(path: Path | None) -> Gazetteer | None:
     from conetl.readers.maps.gazetteer import read_gazetteer  # GDAL takes seconds to load
 
     return read_gazetteer(path)
-
-
-def view_token(home: Path) -> SecretStr:
-    """The token that readers of the view need, from its file in the home folder, which is made when it is missing."""
-    return read_secret(make_secret(home / VIEW_TOKEN))
-
-
-def login_address(address: str, token: SecretStr | None) -> str:
-    """The address that logs a browser in."""
-    return f"{address.rstrip('/')}/?token={token.get_secret_value()}" if token else address
 
 
 def decision_writer(settings: Settings, url: str, *, on_request: bool, token_file: Path | None) -> Writer | None:

@@ -97,6 +97,16 @@ def read_secret(path: Path) -> SecretStr:
     return checked_secret(SecretStr(text), f"the file {path}")
 
 
+def view_token(home: Path) -> SecretStr:
+    """The token that readers of the web view need, from its file in the home folder, which is made when it is missing."""
+    return read_secret(make_secret(home / VIEW_TOKEN))
+
+
+def login_address(address: str, token: SecretStr | None) -> str:
+    """The address that logs a browser in to the web view."""
+    return f"{address.rstrip('/')}/?token={token.get_secret_value()}" if token else address
+
+
 def checked_secret(secret: SecretStr, source: str) -> SecretStr:
     """The secret, if it is long enough and can be sent in a header. Raises InputError."""
     text = secret.get_secret_value()

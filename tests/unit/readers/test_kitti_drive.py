@@ -19,9 +19,8 @@ from conetl.model.records import Drive, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import oxts, read_drive
 from conetl.readers.drives.drive_yaml import Sigmas
-from conetl.readers.drives.timestamps import misplaced, out_of_order, parse_timestamps
 from conetl.readers.trajectories.oxts import OxtsRecord
-from conetl.readers.trajectories.times import parse_timestamp
+from conetl.readers.trajectories.times import misplaced, out_of_order, parse_timestamp, parse_timestamps
 
 FRAMES = 6
 WIDTH, HEIGHT = 96, 32

@@ -301,7 +301,7 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
     path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
     try:
         if path.is_file() and path.stat().st_size == len(data):
-            path.touch()  # in use: `expiry.old_images` checks its age
+            path.touch()  # in use: `old_images` checks its age
             return path
         path.parent.mkdir(parents=True, exist_ok=True)
         unfinished = aside(path)

@@ -23,9 +23,9 @@ from conetl.model.rejections import Rejection
 from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, small_file
 from conetl.readers.drives.pairs import ContentHash, Source
-from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.rigs.common import Pair, rectified_rig
+from conetl.readers.trajectories.times import misplaced
 
 Array = NDArray[np.float64]
 

@@ -37,10 +37,9 @@ from conetl.readers.drives.pairs import (
     images_ahead,
 )
 from conetl.readers.drives.poses import checked_srid
-from conetl.readers.drives.timestamps import misplaced, parse_timestamps
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 from conetl.readers.trajectories.oxts import OxtsRecord, parse_oxts
-from conetl.readers.trajectories.times import clock_problem
+from conetl.readers.trajectories.times import clock_problem, misplaced, parse_timestamps
 
 NAME = "kitti"
 READS_OBJECTS = True

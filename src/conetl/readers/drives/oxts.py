@@ -59,7 +59,7 @@ def trajectory(
 
 
 def wild_records(track: OxtsTrajectory) -> dict[int, str]:
-    """Frame numbers whose position cannot be true, and why (`trajectories.wild_fixes`)."""
+    """Frame numbers whose position cannot be true, and why (`wild_fixes`)."""
     timed = [i for i, number in enumerate(track.numbers) if number in track.times_ns]
     numbers = [track.numbers[i] for i in timed]
     wild = wild_fixes([track.times_ns[number] for number in numbers], track.map_SE3_body[timed, :3, 3])

@@ -18,7 +18,7 @@ from conetl.model.records import SIDES, Drive, FramePair, Pose, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, inspect_image, read_bytes
 from conetl.readers.drives.drive_yaml import DriveYaml
-from conetl.readers.drives.timestamps import misplaced, wrong_clocks
+from conetl.readers.trajectories.times import misplaced, wrong_clocks
 
 #: The pose of a standing vehicle scatters by less.
 MOVED_M = 0.5

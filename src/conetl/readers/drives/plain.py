@@ -41,10 +41,9 @@ from conetl.readers.drives.pairs import (
     images_ahead,
 )
 from conetl.readers.drives.poses import checked_srid, to_pose, wild_fixes
-from conetl.readers.drives.timestamps import misplaced
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
-from conetl.readers.trajectories.times import parse_timestamp
+from conetl.readers.trajectories.times import misplaced, parse_timestamp
 
 NAME = "plain"
 READS_OBJECTS = True

@@ -17,8 +17,8 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import ConetlError
 from conetl.model.records import FramePair, Rig
-from conetl.readers.drives.timestamps import parse_timestamps
 from conetl.readers.rigs.kitti import IMU_TO_VELO, motion_of, read_numbers
+from conetl.readers.trajectories.times import parse_timestamps
 
 Floats = NDArray[np.float64]
 

@@ -1,4 +1,5 @@
-"""Times of trajectory files -> exact UTC nanoseconds since 1970: texts, seconds since 1970 or 1980, of a GPS week or of a day.
+"""Times of trajectories and images -> exact UTC nanoseconds since 1970: texts, seconds since 1970 or 1980, of a GPS week or of a
+day; and which of them cannot be true.
 
 GPS time has no leap seconds: it was equal to UTC on 1980-01-06 and is ahead of it by one second for each that UTC has had since
 (IS-GPS-200; IERS Bulletin C). Within a leap second, whose nanoseconds UTC counts twice, times repeat those of the second after.
@@ -8,12 +9,14 @@ from __future__ import annotations
 
 import re
 import time
+from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime
 from decimal import Decimal, InvalidOperation
 from functools import lru_cache
 from itertools import islice
+from statistics import median_low
 from typing import Any, Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
@@ -31,6 +34,8 @@ EARLIEST_NS = 946_684_800_000_000_000
 """2000-01-01. A clock that was not set starts in 1970 or 1980; no drive is that old."""
 MAX_AHEAD_NS = DAY_NS
 """A day: this computer's clock may be wrong, too, by a time zone."""
+MAX_FROM_MEDIAN_NS = DAY_NS
+"""A day: no drive is longer; a smaller error of a clock shows in the order of the frames or against the poses."""
 GPS_EPOCH_NS = 315_964_800 * SECOND_NS
 """1980-01-06 00:00 UTC."""
 #: Days that began after a leap second (IERS Bulletin C). No library: those that we found read a file of this computer or of the
@@ -59,6 +64,49 @@ def clock_problem(time_ns: int) -> str | None:
     if time_ns > time.time_ns() + MAX_AHEAD_NS:
         return "is more than a day in the future: another clock"
     return None
+
+
+def misplaced(stamps_ns: Mapping[int, int]) -> dict[int, str]:
+    """What is wrong with the times of some frames, by number: the clock, else the order. To be put after "the time"."""
+    wrong = wrong_clocks(stamps_ns)
+    for number in out_of_order({number: stamp for number, stamp in stamps_ns.items() if number not in wrong}):
+        wrong[number] = "does not rise with the order of recording"
+    return wrong
+
+
+def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
+    """Frames whose clock was not set, or is not that of most others; such stamps may rise nevertheless."""
+    wrong = {n: problem for n, stamp in stamps_ns.items() if (problem := clock_problem(stamp))}
+    others = {number: stamp for number, stamp in stamps_ns.items() if number not in wrong}
+    if others:
+        middle = median_low(others.values())
+        for number, stamp in others.items():
+            if abs(stamp - middle) > MAX_FROM_MEDIAN_NS:
+                days = abs(stamp - middle) / MAX_FROM_MEDIAN_NS
+                wrong[number] = f"is {days:.0f} days from most others of the drive: another clock"
+    return wrong
+
+
+def out_of_order(stamps_ns: Mapping[int, int]) -> set[int]:
+    """Frame numbers whose time does not fit their order: the fewest without which the other times rise strictly.
+
+    By a longest strictly increasing subsequence, so that one wild stamp costs its own frame and not all that follow.
+    """
+    numbers = sorted(stamps_ns)
+    tails: list[int] = []
+    tail_at: list[int] = []
+    before: dict[int, int | None] = {}
+    for number in numbers:
+        end = bisect_left(tails, stamps_ns[number])
+        before[number] = tail_at[end - 1] if end else None
+        tails[end : end + 1] = [stamps_ns[number]]
+        tail_at[end : end + 1] = [number]
+    keep: set[int] = set()
+    at = tail_at[-1] if tail_at else None
+    while at is not None:
+        keep.add(at)
+        at = before[at]
+    return set(numbers) - keep
 
 
 def gps_to_utc(gps_ns: Times) -> Times:
@@ -96,6 +144,17 @@ def parse_timestamp(text: str, zone: str = "UTC", order: Literal["dmy", "mdy"] |
     return (
         _minute_ns(int(year), int(month), int(day), int(hour), int(minute), offset, zone) + int(second) * SECOND_NS + ns
     )
+
+
+def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
+    """Line number, from 0, -> UTC nanoseconds, or what is wrong with that line. Blank lines at the end do not count."""
+    stamps: dict[int, int | str] = {}
+    for number, line in enumerate(text.rstrip().splitlines()):
+        try:
+            stamps[number] = parse_timestamp(line, zone)
+        except ValueError as error:
+            stamps[number] = str(error)
+    return stamps
 
 
 @lru_cache(maxsize=4096)
