@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 import yaml
@@ -391,6 +392,19 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
     made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
     assert made.exit_code != 0 and "--start: When was the first frame" in str(made.exception)
     assert not (copy / "drive.yaml").exists()
+    assert "time of creation" not in str(made.exception)
+    (copy / "left.mp4").unlink()
+    with av.open(str(folder / "left.mp4")) as source, av.open(str(copy / "left.mp4"), "w") as container:
+        container.metadata["creation_time"] = "2026-03-02T09:41:07Z"
+        stream = container.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                container.mux(packet)
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
+    assert "left.mp4 states 2026-03-02 09:41:07 UTC as its time of creation" in str(made.exception)
+    (copy / "left.mp4").unlink()
+    (copy / "left.mp4").hardlink_to(folder / "left.mp4")
     rows = (copy / "drive.csv").read_text().splitlines()
     (copy / "drive.csv").unlink()
     (copy / "drive.csv").write_text("\n".join([*rows, rows[-1].replace("T09:", "T19:", 1)]))

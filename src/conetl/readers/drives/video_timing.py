@@ -98,7 +98,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
             raise UnknownTimeError(
                 "start",
                 f"{root}: {track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} "
-                "was recorded",
+                f"was recorded{_stated_creation(left)}",
                 _STATE_START,
             )
         if search_s is not None:
@@ -126,12 +126,20 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         raise UnknownTimeError(
             "start",
             f"{root}: turns and changes of speed do not show when {left.name} was recorded: there are too few of them in images "
-            f"and {track.name}, or both are not of the same time",
+            f"and {track.name}, or the two are of different times{_stated_creation(left)}",
             _STATE_START,
         ) from error
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
     return Timing(moved, None if start_ns is None else start_ns + offset_ns, shift_s, found)
+
+
+def _stated_creation(left: CameraImages) -> str:
+    """What the container says, as the end of a sentence: a person knows whether its clock was set."""
+    if left.video is None or left.video.created_at is None:
+        return ""
+    stated = f"{left.video.created_at:%Y-%m-%d %H:%M:%S}"
+    return f". {left.name} states {stated} UTC as its time of creation, which may be that of its end, or in local time"
 
 
 def _later(image: Image | None, offset_ns: int) -> Image | None:
