@@ -56,7 +56,8 @@ def url(
                     "params": IngestParams().model_dump_json(),
                     "facts": '{"trajectory": "poses moved by up to 0.07 m", "trajectory_outcome": "not_converged", '
                     '"calibration": "<b>turned</b>", "calibration_outcome": "applied", "code_sha256": "abc", '
-                    '"python": "3.11", "libraries": {"numpy": "2.1"}}',
+                    '"python": "3.11", "libraries": {"numpy": "2.1"}, "health": [{"name": "blurred parts of the lenses", '
+                    '"verdict": "warn", "value": 0.3, "limit": 0.1, "detail": "Clean <b>the lens</b>."}]}',
                 },
             )
             values = {"r": run_id, "c": latest.changeset_id, "name": EVIL, "d": latest.drive_uuid}
@@ -134,8 +135,9 @@ def test_alerts(conn: Any, latest: CommittedChangeset) -> None:
     told = " ".join(f.text for f in alerts(facts))
     assert "1 cone is removed from the map: no. 1" in told
     assert "The trajectory is the logged one" in told and "Calibration: <b>turned</b>" in told
+    assert "Clean <b>the lens</b>." in told
     confirmed = tuple(c for c in facts.changes if c.kind is DeltaKind.CONFIRMED)
-    calm = replace(facts, header=facts.header | {"facts": None}, changes=confirmed)
+    calm = replace(facts, header=facts.header | {"facts": None}, changes=confirmed, checks=())
     assert alerts(calm) == []
     lossy = replace(calm, header=calm.header | {"expected_frame_count": 100})
     assert [f.serious for f in alerts(lossy)] == [True]
@@ -193,7 +195,10 @@ def test_the_report_of_a_night(conn: Any, latest: CommittedChangeset, tmp_path: 
     now = execute(conn, "select count(*) as n from current_feature where map_name = 'default'")[0]["n"]
     assert [count for _, count in facts.sizes][-1] == facts.size_at(until) == now
     assert facts.size_at(since) == 0
-    for told in ("2 drives failed", "not one usable pose", "1 cone vanished", "removed"):
+    assert [row["warnings"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
+    for told in (
+        "2 drives failed", "not one usable pose", "1 cone vanished", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
+    ):  # fmt: skip
         assert told in page
 
 

@@ -17,7 +17,7 @@ from conetl.db.connection import Connection, database_errors, execute, load_sql
 from conetl.db.map.results import CommittedChangeset
 from conetl.mapping.visibility import DriveObservations, observations_of_drive, pairs_in_view
 from conetl.model.errors import StorageError
-from conetl.model.health import what_to_do
+from conetl.model.health import Verdict, what_to_do
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ReconcileParams
 from conetl.model.records import SIDES, Rig, utc_from_ns
@@ -110,6 +110,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(True, f"This changeset is not in effect: {reason}")
     elif facts.hold_events and facts.hold_events[-1].what == "accepted":
         yield Alert(False, f"The drive was on hold, and was {facts.hold_events[-1].sentence}")
+    yield from (Alert(False, check.detail) for check in facts.checks if check.verdict is Verdict.WARN)
     if facts.lost_pairs:
         expected = int(facts.header["expected_frame_count"])
         share, limit = facts.lost_pairs / expected, facts.params.get("max_rejected_fraction")

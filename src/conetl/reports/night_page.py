@@ -107,6 +107,7 @@ def night_page(facts: NightFacts) -> str:
         size_figure=figure,
         drives=facts.drives[:_MAX_ROWS],
         left_out=max(len(facts.drives) - _MAX_ROWS, 0),
+        warned=[row for row in facts.drives if row["warnings"] and row["counts"]],
         worst_residuals=_worst(measured, "residual_px"),
         worst_losses=[row for row in _worst(recorded, "lost_share") if row["lost_pairs"]],
         vanished_total=facts.vanished[0]["total"] if facts.vanished else 0,
