@@ -86,16 +86,13 @@ from steps
 order by at;
 
 -- name: night_drives
--- Changesets of a map that were committed in a time span, oldest first, with figures for a report.
--- Parameters: map_name; since; until.
--- Columns: as below; counts: false where on hold, reverted or superseded; residual_px and sigma_m (horizontal): medians of its cones,
--- null without cones; warnings: what its health checks warn of, null without any; seconds: of its ingest, null without a receipt.
+-- Changesets of a map that were committed in a time span, oldest first, with figures for a report beside those of
+-- history.changesets. Parameters: map_name; since; until.
+-- Columns: as below; residual_px and sigma_m (horizontal): medians of its cones, null without cones; warnings: what its health
+-- checks warn of, null without any; seconds: of its ingest, null without a receipt.
 select
     c.changeset_no, c.changeset_id, d.drive_id, d.kind, d.captured_from_ns, c.committed_at,
-    exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id)
-    and not exists (select from conetl.on_hold h where h.changeset_id = c.changeset_id) as counts,
-    c.added_count, c.confirmed_count, c.moved_count, c.removed_count, c.missed_count, c.height_changed_count, c.split_count,
-    c.merged_count, c.frame_pair_count, c.position_count, c.track_count, c.rejection_count, d.expected_frame_count,
+    c.frame_pair_count, c.position_count, c.track_count, c.rejection_count, d.expected_frame_count,
     t.residual_px, t.sigma_m,
     (
         select array_agg(k ->> 'detail')

@@ -282,6 +282,13 @@ def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
     assert "The drive was on hold, and was accepted by Ada: seen" in page and "not in effect" not in page
     assert "Holds and releases" in page
     assert json.loads(conetl("report", "night", "--out", tmp_path / "night.html", "--json"))["held"] == []
+    conn_of_test.rollback()
+    night = read_night(
+        conn_of_test, map_name="default", since=datetime(2000, 1, 1, tzinfo=UTC), until=datetime.now(UTC)
+    )
+    logged = list_changesets(conn_of_test)[0]
+    assert night.drives[1]["counts"] and logged.confirmed_count
+    assert night.drives[1]["confirmed_count"] == logged.confirmed_count
     log = [line.split()[-1] for line in conetl("map", "log").splitlines()[1:]]
     assert log[0] == "seen" and len(log) == 4
     [decision] = json.loads(conetl("map", "decisions", "--json"))

@@ -10,7 +10,7 @@ from typing import Any
 
 from conetl.db.connection import Connection, database_errors, execute, load_sql
 from conetl.db.map.decision_store import held_drives, hold_events
-from conetl.db.map.map_store import require_map
+from conetl.db.map.map_store import list_changesets, require_map
 from conetl.model.errors import InputError
 from conetl.model.health import HeldDrive, HoldEvent, what_to_do
 from conetl.model.map_records import DeltaKind
@@ -21,6 +21,7 @@ from conetl.reports.html import render, write_page
 #: Rows of a table; the rest is counted.
 _MAX_ROWS = 400
 _WORST = 8
+_COUNTS = {kind: f"{kind.value}_count" for kind in DeltaKind}
 Row = dict[str, Any]
 
 
@@ -32,7 +33,8 @@ class NightFacts:
     since: datetime
     until: datetime
     drives: list[Row]
-    """Committed changesets, oldest first (`report/night_drives`), with lost_pairs and lost_share."""
+    """Committed changesets, oldest first (`reports.night_drives`), with lost_pairs and lost_share, and of `history.changesets`
+    whether they count and the number of changes of each kind."""
     held: list[HeldDrive]
     """Drives that went on hold before the end of the period and are on hold now."""
     hold_events: list[HoldEvent]
@@ -59,6 +61,7 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     period = {"map_name": map_name, "since": since, "until": until}
     with database_errors(f"The map {map_name} cannot be read"):
         drives = execute(conn, load_sql("reports.night_drives"), period)
+        changesets = {one.changeset_id: one for one in list_changesets(conn, map_name=map_name)}
         sizes = execute(conn, load_sql("reports.map_size"), {"map_name": map_name})
         failures = execute(conn, load_sql("reports.night_failures"), period)
         vanished = execute(conn, load_sql("reports.night_removed"), period | {"max_rows": _MAX_ROWS})
@@ -70,6 +73,8 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     for row in drives:
         row["captured_at"] = utc_from_ns(row["captured_from_ns"])
         row["lost_pairs"] = row["expected_frame_count"] - row["frame_pair_count"]
+        changeset = changesets[row["changeset_id"]]
+        row |= {name: getattr(changeset, name) for name in ("counts", *_COUNTS.values())}
         row["lost_share"] = row["lost_pairs"] / max(row["expected_frame_count"], 1)
     for row in vanished:
         row["first_seen_at"] = utc_from_ns(row["first_seen_ns"])
@@ -99,7 +104,7 @@ def night_page(facts: NightFacts) -> str:
         made_at=datetime.now(UTC),
         facts=facts,
         what_to_do=what_to_do,
-        totals=[(kind, sum(row[f"{kind.value}_count"] for row in facts.drives)) for kind in DeltaKind],
+        totals=[(kind, sum(row[name] for row in facts.drives)) for kind, name in _COUNTS.items()],
         frame_pairs=sum(row["frame_pair_count"] for row in recorded),
         lost=sum(row["lost_pairs"] for row in recorded),
         size_before=facts.size_at(facts.since),
