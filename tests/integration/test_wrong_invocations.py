@@ -51,6 +51,7 @@ FILES = {
 WRONG: list[tuple[str, int, str]] = [
     ("map dif 1 2", 2, "did you mean diff"),
     ("ingst drive", 2, "did you mean ingest"),
+    ("export --format gpkg", 2, "did you mean map export"),
     ("map diff 1", 2, "after"),
     ("map diff --outt x 1 2", 2, "--outt"),
     ("ingest --map-srid UTM plain", 2, "--map-srid.*'UTM'.*whole number"),

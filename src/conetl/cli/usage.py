@@ -27,7 +27,7 @@ def _problem(error: Any, context: Any) -> str:
     if text.startswith("No such command"):
         name = text.split("'")[1]
         known = context.command.list_commands(context)
-        near = get_close_matches(name, known, n=2, cutoff=0.5)
+        near = _in_groups(name, context) or get_close_matches(name, known, n=2, cutoff=0.5)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands are {', '.join(known)}"
         return f"there is no command {name!r}; {hint}"
     if text.startswith("No such option"):
@@ -38,3 +38,9 @@ def _problem(error: Any, context: Any) -> str:
     if text.startswith("Got unexpected extra argument"):
         return f"unexpected argument {text.partition('(s) (')[2].rstrip(')')}"
     return text[:1].lower() + text[1:]
+
+
+def _in_groups(name: str, context: Any) -> list[str]:
+    """`map export` for `export`: commands of this name in the groups of the command that was given."""
+    groups = [group for group, target in getattr(context.command, "targets", {}).items() if not target]
+    return [f"{group} {name}" for group in groups if name in context.command.get_command(context, group).targets]

@@ -187,7 +187,8 @@ def finish(conn: Connection, decided: DecisionOutcome, map_name: str, as_json: b
         ui.print_json(decided._asdict() | {"conflicts": [conflict._asdict() for conflict in decided.conflicts]})
     else:
         ui.say(
-            f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): {decided.versions_written} feature versions written, "
+            f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): "
+            f"{ui.counted(decided.versions_written, 'feature version')} written, "
             f"{ui.counted(decided.replayed, 'drive')} compared with the map again."
         )
         if decided.replaced_by is not None:

@@ -103,7 +103,7 @@ def _not_a_drive(path: Path) -> DriveFolderError:
     if drives:
         return DriveFolderError(
             f"{path}: this folder holds {len(drives)} drives ({', '.join(drives[:3])}{', ...' if len(drives) > 3 else ''}); "
-            f"name the drives themselves: conetl ingest {path}/*"
+            f"name one of them, or all: conetl ingest {path}/*"
         )
     return DriveFolderError(
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt), a "
