@@ -74,7 +74,7 @@ class DriveFacts:
     map_name: str
     changeset: CommittedChangeset
     header: Row
-    """The row of `report/changeset`."""
+    """The row of `reports.changeset`."""
     rig: Rig
     frame_pairs: list[FramePair]
     tracks: list[Track]
