@@ -31,11 +31,14 @@ from conetl.reports.drive_facts import find_drive, read_drive_facts
 from conetl.reports.drive_page import alerts, drive_page, images_of, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
 from conetl.web.app import create_app
+from tests.chromium import chromium
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import merge, survey
 from tests.view_map import two_drives
 
 EVIL = "<img src=x onerror=alert(1)>"
+#: Width of an A4 sheet without the margins of `base.html.j2`, at 96 px per inch.
+A4_PX = 703
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +148,17 @@ def test_alerts(conn: Any, latest: CommittedChangeset) -> None:
     assert [f.serious for f in alerts(blurred)] == [True]
     reverted = replace(calm, changeset=replace(latest, counts=False))
     assert "not in effect" in alerts(reverted)[0].text
+
+
+def test_the_page_of_a_drive_fits_a_sheet(conn: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
+    path = tmp_path / "drive.html"
+    write_drive_page(conn, latest, path, map_name="default")
+    with chromium() as browser:
+        tab = browser.new_page(viewport={"width": A4_PX, "height": 1000})
+        tab.emulate_media(media="print")
+        tab.goto(path.as_uri())
+        right_px = tab.evaluate("[...document.querySelectorAll('table')].map((t) => t.getBoundingClientRect().right)")
+    assert len(right_px) > 3 and max(right_px) <= A4_PX
 
 
 def test_drives_are_found_by_id_and_by_number(conn: Any, latest: CommittedChangeset) -> None:
