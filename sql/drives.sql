@@ -178,38 +178,64 @@ and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_
 order by d.changeset_no;
 
 -- name: adjoining_drives
--- The drives of other recordings that ended right before, or began right after, one: those that count, and those on hold for a check.
--- Parameters: map_name; drive_id, content_sha256; captured_from_ns, captured_to_ns (UTC); within_ns; before_ns; check (JSON: a
--- list of an object with its name). Columns: as AdjoiningDrive.
+-- The drives of other recordings that count, or are held by the map, and that ended right before, or began right after, some
+-- drives; and these drives themselves where they do.
+-- Parameters: drive_uuids (uuid[], of one map); within_ns; check (JSON: a list of an object with its name).
+-- Columns: of_uuid (one of drive_uuids), then as AdjoiningDrive.
 select
-    d.drive_uuid, c.changeset_id, d.drive_id, d.content_sha256, d.rig, d.captured_from_ns, h.changeset_id is not null as on_hold,
-    exists (
-        select from conetl.active_decision a where a.changeset_id = c.changeset_id and a.kind = 'accept'
-    ) as accepted,
-    (
+    q.drive_uuid as of_uuid, d.drive_uuid, d.drive_id, d.rig, d.captured_from_ns,
+    exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id and h.checks @> %(check)s::jsonb) as on_hold
+from conetl.drive q
+cross join lateral (
+    select l.drive_uuid
+    from conetl.drive l
+    where l.map_id = q.map_id and l.rig is not null
+    and (
+        l.captured_to_ns between q.captured_from_ns - %(within_ns)s and q.captured_from_ns
+        or l.captured_from_ns between q.captured_to_ns and q.captured_to_ns + %(within_ns)s
+    )
+    and l.drive_id <> q.drive_id and l.content_sha256 <> q.content_sha256
+    union all
+    select q.drive_uuid where q.rig is not null
+    offset 0
+) near
+cross join lateral (select a.* from conetl.active_drive a where a.drive_uuid = near.drive_uuid offset 0) d
+where q.drive_uuid = any(%(drive_uuids)s)
+order by d.captured_from_ns, d.content_sha256 collate "C";
+
+-- name: trusted_drives
+-- Those of some drives that a person accepted, or that confirm least_confirmed objects which were on the map before_ns before them.
+-- Parameters: drive_uuids (uuid[]); least_confirmed; before_ns. Columns: drive_uuid.
+select d.drive_uuid
+from conetl.active_drive d
+where d.drive_uuid = any(%(drive_uuids)s) and (
+    exists (select from conetl.active_decision a where a.changeset_id = d.changeset_id and a.kind = 'accept')
+    or (
         select count(*)
         from conetl.delta x
-        where x.changeset_id = c.changeset_id and upper_inf(x.system_period) and x.kind in ('confirmed', 'height_changed')
-        and exists (
-            select from conetl.feature_version v
-            where v.cell = x.cell and v.feature_id = x.feature_id and v.first_seen_ns < d.captured_from_ns - %(before_ns)s
-        )
-    ) as confirmed
-from conetl.map m
-join conetl.drive d using (map_id)
-join conetl.changeset c using (drive_uuid)
-left join conetl.on_hold h using (changeset_id)
-where m.map_name = %(map_name)s and d.rig is not null
-and d.drive_id <> %(drive_id)s and d.content_sha256 <> %(content_sha256)s
-and (
-    d.captured_to_ns between %(captured_from_ns)s - %(within_ns)s and %(captured_from_ns)s
-    or d.captured_from_ns between %(captured_to_ns)s and %(captured_to_ns)s + %(within_ns)s
-)
-and case
-    when h.changeset_id is null then exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id)
-    else h.checks @> %(check)s::jsonb
-end
-order by d.captured_from_ns, c.changeset_no;
+        join conetl.feature_version v on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.old_version
+        where x.changeset_id = d.changeset_id and x.kind in ('confirmed', 'height_changed') and not x.of_line
+        and upper_inf(x.system_period) and upper_inf(v.system_period)
+        and v.first_seen_ns < d.captured_from_ns - %(before_ns)s
+    ) >= %(least_confirmed)s
+);
+
+-- name: frame_pairs_at_ends
+-- The first and the last frame pairs of some drives. Parameters: drive_uuids (uuid[]); count (at each end).
+-- Columns: as frame_pairs, then drive_uuid; in the order of their time.
+select
+    p.frame_index, p.left_path, p.right_path, p.captured_at_ns, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom),
+    p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad, p.detail, p.drive_uuid
+from (
+    select
+        f.*,
+        row_number() over (partition by f.drive_uuid order by f.captured_at_ns, f.frame_index) as from_first,
+        row_number() over (partition by f.drive_uuid order by f.captured_at_ns desc, f.frame_index desc) as from_last
+    from conetl.frame_pair f
+    where f.drive_uuid = any(%(drive_uuids)s)
+) p
+where p.from_first <= %(count)s or p.from_last <= %(count)s
+order by p.drive_uuid, p.captured_at_ns, p.frame_index;
 
 -- name: other_deliveries
 -- Changesets of the same recording with other content that count: equal id, and the first or the last frame pair at the

@@ -98,7 +98,7 @@ event as (
         and jsonb_path_query_array(p.checks, '$[*].name') = jsonb_path_query_array(h.checks, '$[*].name')
     )
     union all
-    select h.changeset_id, upper(h.system_period), 3, 'released', 'The map does not contradict it any more.', null, '[]'
+    select h.changeset_id, upper(h.system_period), 3, 'released', 'Nothing contradicts it any more.', null, '[]'
     from conetl.hold h
     where not upper_inf(h.system_period)
     and not exists (

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from hashlib import sha256
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import SecretStr
 
-from conetl.db.connection import connect
+from conetl.db.connection import connect, execute
 from conetl.db.map.decision_store import held_drives
-from conetl.db.map.map_store import read_current_features
+from conetl.db.map.map_store import list_changesets, read_current_features
+from conetl.model.errors import DatabaseError
 from conetl.model.health import ADJOINING
 from conetl.model.records import Drive
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
-from conetl.pipeline.maps.decisions import accept_drive
+from conetl.pipeline.maps.decisions import accept_drive, revert
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
+from tests.conftest import cloned_database
+from tests.integration.drives_of_days import failed_audits, valid_time_map
 from tests.integration.small_drives import SAMPLES
 from tests.mutants.recordings import jump
 
@@ -39,7 +44,8 @@ def part(drive: Drive, name: str, first: int, last: int, later_ns: int = 0) -> D
 
 @pytest.fixture(scope="module")
 def parts(sample_settings: Settings) -> dict[str, AnalysedDrive]:
-    """Three parts of a drive, the same ones with a jump of 50 m before the second, and the whole drive a day before."""
+    """Three parts of a drive, the same ones with a jump of 50 m before the second, and the whole drive a day before;
+    corrected_1 is the second one delivered again without the jump."""
     good = read_drive(SAMPLES[0])[0]
     wrong = jump(50.0, 15)(good)
     cut = ((0, 15), (15, 27), (27, 39))
@@ -47,8 +53,10 @@ def parts(sample_settings: Settings) -> dict[str, AnalysedDrive]:
         *(part(good, f"good_{k}", *ends) for k, ends in enumerate(cut)),
         *(part(wrong, f"wrong_{k}", *ends) for k, ends in enumerate(cut)),
         part(good, "day_before", 0, 39, -_DAY_NS),
+        part(good, "corrected_1", *cut[1]).model_copy(update={"drive_id": "wrong_1"}),
     ]
-    return {drive.drive_id: analyse(drive, settings=sample_settings) for drive in drives}
+    names = [drive.drive_id for drive in drives[:-1]] + ["corrected_1"]
+    return {name: analyse(drive, settings=sample_settings) for name, drive in zip(names, drives, strict=True)}
 
 
 @pytest.fixture
@@ -104,3 +112,99 @@ def test_the_part_that_the_map_confirms_counts(settings: Settings, parts: dict[s
     for name in ("day_before", "wrong_0", "wrong_1"):
         commit(parts[name], settings)
     assert held(settings) == {"wrong_1"} and cones(settings) == 9
+
+
+WRONG = ("wrong_0", "wrong_1", "wrong_2")
+
+
+def in_database(settings: Settings, of: Any) -> Any:
+    """What a function says of the map."""
+    assert settings.database_url is not None
+    with closing(connect(settings.database_url.get_secret_value())) as conn:
+        found = of(conn)
+        conn.rollback()
+        assert failed_audits(conn) == []
+        return found
+
+
+def accept(settings: Settings, drive_id: str) -> Any:
+    return in_database(settings, partial(accept_drive, drive=drive_id, map_name="default"))
+
+
+def number_of(settings: Settings, drive_id: str) -> str:
+    return in_database(
+        settings, lambda conn: next(str(c.changeset_no) for c in list_changesets(conn) if c.drive_id == drive_id)
+    )
+
+
+@pytest.fixture(scope="module")
+def map_of(cluster_url: str, template_database: str, sample_settings: Settings, parts: dict[str, AnalysedDrive]) -> Any:
+    """The map and the drives on hold after some steps: names of parts to commit, or functions of the settings."""
+
+    def make(*steps: Any) -> Any:
+        with cloned_database(cluster_url, template_database) as url:
+            settings = sample_settings.model_copy(update={"database_url": SecretStr(url)})
+            for step in steps:
+                step(settings) if callable(step) else commit(parts[step], settings)
+            return held(settings), in_database(settings, valid_time_map)
+
+    return make
+
+
+@pytest.mark.parametrize("order", [*permutations(("day_before", *WRONG))], ids="-".join)
+def test_the_map_is_the_same_in_every_order(map_of: Any, order: Sequence[str]) -> None:
+    on_hold, found = map_of(*order)
+    assert on_hold == {"wrong_1", "wrong_2"}
+    assert found == map_of("day_before", *WRONG)[1]
+
+
+@pytest.mark.parametrize("order", [*permutations(WRONG)], ids="-".join)
+def test_a_corrected_part_ends_the_holds(map_of: Any, order: Sequence[str]) -> None:
+    """With the last part as it was, the jump is one part later."""
+    assert map_of(*order, "corrected_1")[0] == set(WRONG)
+    on_hold, found = map_of(*(name for name in order if name != "wrong_2"), "corrected_1")
+    assert on_hold == set()
+    assert found["versions"] and found == map_of("wrong_0", "wrong_1", "corrected_1")[1]
+
+
+def test_a_reverted_part_ends_the_holds(map_of: Any) -> None:
+    def revert_it(settings: Settings) -> None:
+        number = number_of(settings, "wrong_1")
+        in_database(settings, partial(revert, what=number, map_name="default"))
+
+    on_hold, found = map_of("wrong_1", "wrong_0", revert_it)
+    assert on_hold == set() and found["versions"]
+    assert found == map_of("wrong_0")[1]
+
+
+@pytest.mark.parametrize("order", [*permutations(WRONG)], ids="-".join)
+def test_what_continues_an_accepted_part_counts(map_of: Any, order: Sequence[str]) -> None:
+    on_hold, found = map_of(*order, partial(accept, drive_id="wrong_1"))
+    assert on_hold == {"wrong_0"}
+    early = [name for name in order if name != "wrong_2"]
+    assert (on_hold, found) == map_of(*early, partial(accept, drive_id="wrong_1"), "wrong_2")
+
+    def withdraw(settings: Settings) -> None:
+        outcome = accept(settings, "wrong_1")
+        in_database(settings, partial(revert, what=str(outcome.decision_id), map_name="default"))
+
+    assert map_of(*order, withdraw)[0] == set(WRONG)
+
+
+def test_a_part_is_held_in_the_transaction_of_the_one_that_contradicts_it(
+    settings: Settings, parts: dict[str, AnalysedDrive]
+) -> None:
+    """What would be left by a kill in between: a wrong part that counts, and that nothing looks at again."""
+    first = commit(parts["wrong_0"], settings)
+    in_database(
+        settings,
+        lambda conn: execute(
+            conn,
+            "create function conetl.fail() returns trigger language plpgsql as $$ begin raise exception 'killed'; end $$; "
+            "create trigger fail before insert on conetl.hold for each row "
+            f"when (new.changeset_id = '{first.changeset.changeset_id}') execute function conetl.fail(); commit",
+        ),
+    )
+    with pytest.raises(DatabaseError, match="killed"):
+        commit(parts["wrong_1"], settings)
+    assert in_database(settings, lambda conn: len(list_changesets(conn))) == 1

@@ -46,9 +46,18 @@ _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
 _MAX_NEAR, _MAX_TRIED = 150, 300
 #: Fewer removals, or cones that were moved, need no second look.
 _LEAST_REMOVED, _LEAST_MOVED = 3, 3
+#: A drive that confirms so many objects which were on the map an hour before is where the map has it.
+LEAST_CONFIRMED, BEFORE_NS = 3, 3_600_000_000_000
 _STRETCHES = "stretches of lane markings"
 #: Prior that a drive is blind to what the model card says it sees, and the posterior from which a person decides.
 _BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
+
+
+def is_confirmed(deltas: Sequence[Delta], captured_from_ns: int) -> bool:
+    """Whether a drive agrees with what was on the map an hour before it began. deltas: of point objects."""
+    kinds = DeltaKind.CONFIRMED, DeltaKind.HEIGHT_CHANGED
+    known = [d for d in deltas if d.kind in kinds and d.old and d.old.first_seen_ns < captured_from_ns - BEFORE_NS]
+    return len(known) >= LEAST_CONFIRMED
 
 
 def contradiction(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from conetl.mapping.agreement import contradiction, marking_contradiction
+from conetl.mapping.agreement import contradiction, is_confirmed, marking_contradiction
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import VisibilityCheck, reconcile
 from conetl.mapping.existence_update import summarize_miss
@@ -65,6 +65,8 @@ class DriveEvidence:
     """What the drive had in view of lane markings."""
     imported: Sequence[ImportedFeature] = ()
     """Features of an imported map, instead of tracks; it removes nothing."""
+    doubt: HealthCheck | None = None
+    """Why its position is in doubt, so that it goes on hold unless the map confirms it; None where it is not."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +203,8 @@ def apply_drive(
             )
         hold = None
         if drive.changeset_id not in decisions.accepted:
-            hold = contradiction(drive.tracks, points, deltas, drive.params)
+            hold = None if is_confirmed(deltas, drive.key[0]) else drive.doubt
+            hold = hold or contradiction(drive.tracks, points, deltas, drive.params)
             hold = hold or marking_contradiction(drive.markings, lines, line_deltas, drive.params)
         if hold is not None:
             return MapUpdate([], [], [], around, hold)

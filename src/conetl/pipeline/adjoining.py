@@ -1,118 +1,156 @@
 """Drives that one vehicle recorded one after the other must fit together.
 
 A recording that was cut where GNSS jumps gives drives of which each agrees with itself, and one lies in the wrong place. Which
-one is not known, unless the map as other drives left it agrees with one of them, or a person accepted it: the others go on hold,
-and so do the drives that continue them.
+one is not known, unless the map as other drives left it agrees with one of them, or a person accepted one: the others go on hold,
+and so do the drives that continue them; what continues a trusted one counts. Who is in doubt follows from the drives of the map
+and from which of them are trusted: it is the same whatever order they come in, and ends when nothing contradicts them any more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 from uuid import UUID
 
 import numpy as np
 
 from conetl.db.connection import Connection
-from conetl.db.map.drive_store import AdjoiningDrive, adjoining_drives, read_frame_pairs
+from conetl.db.map.drive_store import AdjoiningDrive, adjoining_drives, read_ends, trusted_drives
 from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.rig import map_SE3_left
+from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
 from conetl.model.health import ADJOINING, HealthCheck, Verdict
-from conetl.model.map_records import Delta, DeltaKind
 from conetl.model.records import Drive, FramePair, Rig
 
 #: Drives that begin so many seconds after another ended may be parts of one recording; of longer ones nothing can be said.
-_WITHIN_S = 5.0
+WITHIN_NS = 5_000_000_000
 #: So many frame pairs of each say how fast the vehicle was; it drives on in about the same direction.
 _PAIRS, _LEAST_COSINE = 5, 0.8
 #: Jumps are at least so many metres and sigmas.
 _JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
-#: A drive that confirms so many objects which were on the map an hour before is where the map has it.
-_LEAST_CONFIRMED, _BEFORE_NS = 3, 3_600_000_000_000
 
 
 class Doubt(NamedTuple):
-    """Which drives may lie in the wrong place."""
+    """Whether a drive may lie in the wrong place."""
 
-    own: HealthCheck | None
-    """Why the drive itself goes on hold; None where it counts."""
-    others: tuple[tuple[UUID, UUID, HealthCheck], ...]
-    """Drives on the map that go on hold: drive_uuid, changeset and why."""
+    check: HealthCheck | None
+    """Why it goes on hold, unless it is trusted itself; None where nothing contradicts it, or it continues a trusted one."""
+    contested: bool
+    """Whether it, or one that it continues, is contradicted at all."""
+    trusted: bool
+    """Whether a person or the map says that it is right itself."""
+    on_hold: bool
+    """Whether it is on hold for this already."""
+
+    @property
+    def is_settled(self) -> bool:
+        return self.on_hold == (self.check is not None and not self.trusted)
+
+
+class Newcomer(NamedTuple):
+    """A drive that is placed on the map (`place_drive`) and has no changeset yet."""
+
+    drive_uuid: UUID
+    drive: Drive
+    replaces: frozenset[UUID]
+    """Earlier analyses and deliveries of the recording."""
 
 
 class _Part(NamedTuple):
-    drive_id: str
-    content_sha256: str
     rig: Rig
     pairs: Sequence[FramePair]
-    """In the order of their time."""
+    """Of both ends at least, in the order of their time."""
 
 
-def find_doubt(conn: Connection, drive: Drive, deltas: Sequence[Delta], *, map_name: str) -> Doubt:
-    """Compare a drive with those of the same rig that were recorded right before and after it.
+def find_doubts(
+    conn: Connection,
+    drive_uuids: Collection[UUID],
+    newcomer: Newcomer | None = None,
+    trusted: Mapping[UUID, bool] | None = None,
+) -> dict[UUID, Doubt]:
+    """Which of some drives, and of those that they contradict or continue, may lie in the wrong place.
 
-    deltas: what the comparison with the map made of it. Raises DatabaseError from the surrounding transaction.
+    drive_uuids: of one map; those that do not count any more are not in the result, but what they held is. trusted: whether the
+    map confirms some drives, where that is known better than it is stored. Raises DatabaseError from the surrounding transaction.
     """
-    part = _Part(drive.drive_id, drive.content_sha256, drive.rig, _in_time(drive.frame_pairs))
-    trusted = is_confirmed(deltas, part.pairs[0].captured_at_ns)
-    own: HealthCheck | None = None
-    doubted: dict[UUID, tuple[AdjoiningDrive, HealthCheck]] = {}
-    reached: list[_Part] = []
-    for other, its_part, off_m in _neighbours(conn, part, map_name):
-        if off_m:
-            if not trusted:
-                own = own or _contradiction(other.drive_id, off_m)
-            if not other.is_trusted(_LEAST_CONFIRMED) and not other.on_hold:
-                doubted[other.drive_uuid] = other, _contradiction(drive.drive_id, off_m)
-                reached.append(its_part)
-        elif other.on_hold and not trusted:
-            own = own or _continuation(other.drive_id)
-    if own is not None:
-        reached.append(part)
-    while reached:
-        start = reached.pop()
-        for other, its_part, off_m in _neighbours(conn, start, map_name):
-            known = other.drive_uuid in doubted or other.on_hold or other.is_trusted(_LEAST_CONFIRMED)
-            if not off_m and not known and other.drive_id != drive.drive_id:
-                doubted[other.drive_uuid] = other, _continuation(start.drive_id)
-                reached.append(its_part)
-    return Doubt(own, tuple((other.drive_uuid, other.changeset_id, check) for other, check in doubted.values()))
-
-
-def is_confirmed(deltas: Sequence[Delta], captured_from_ns: int) -> bool:
-    """Whether a drive agrees with what was on the map an hour before it began."""
-    kinds = DeltaKind.CONFIRMED, DeltaKind.HEIGHT_CHANGED
-    known = [d for d in deltas if d.kind in kinds and d.old and d.old.first_seen_ns < captured_from_ns - _BEFORE_NS]
-    return len(known) >= _LEAST_CONFIRMED
-
-
-def _neighbours(conn: Connection, part: _Part, map_name: str) -> list[tuple[AdjoiningDrive, _Part, float]]:
-    """Drives of the same vehicle right before and after a part, and by how many metres they do not fit; 0 where they do."""
-    first_ns, last_ns = part.pairs[0].captured_at_ns, part.pairs[-1].captured_at_ns
-    found = []
-    for other in adjoining_drives(
-        conn,
-        part.drive_id,
-        part.content_sha256,
-        (first_ns, last_ns),
-        round(_WITHIN_S * 1e9),
-        _BEFORE_NS,
-        map_name=map_name,
-    ):
-        if (other.rig.rig_id, other.rig.left) != (part.rig.rig_id, part.rig.left):
-            continue
-        theirs = _Part(
-            other.drive_id, other.content_sha256, other.rig, _in_time(read_frame_pairs(conn, other.drive_uuid))
+    drives: dict[UUID, AdjoiningDrive] = {}
+    parts: dict[UUID, _Part] = {}
+    links: dict[UUID, dict[UUID, float]] = {}
+    trust = dict(trusted or {})
+    gone = frozenset[UUID]() if newcomer is None else newcomer.replaces
+    if newcomer is not None:
+        drive, pairs = newcomer.drive, sorted(newcomer.drive.frame_pairs, key=lambda pair: pair.captured_at_ns)
+        drives[newcomer.drive_uuid] = AdjoiningDrive(
+            newcomer.drive_uuid, drive.drive_id, drive.rig, pairs[0].captured_at_ns, False
         )
-        earlier, later = (part, theirs) if other.captured_from_ns >= last_ns else (theirs, part)
-        off_m = _misfit_m(earlier, later)
-        if off_m is not None:
-            found.append((other, theirs, off_m))
-    return found
+        parts[newcomer.drive_uuid] = _Part(drive.rig, pairs)
+        trust.setdefault(newcomer.drive_uuid, False)
+    todo, explored, reached = set(drive_uuids), set[UUID](), set[UUID]()
+    while todo:
+        found = [(of, other) for of, other in adjoining_drives(conn, todo, WITHIN_NS) if other.drive_uuid not in gone]
+        drives |= {other.drive_uuid: other for _, other in found}
+        near = [
+            (of, other.drive_uuid)
+            for of, other in found
+            if of != other.drive_uuid and of in drives and _same_cameras(drives[of].rig, other.rig)
+        ]
+        ends = read_ends(conn, {drive_uuid for pair in near for drive_uuid in pair} - parts.keys(), _PAIRS)
+        parts |= {drive_uuid: _Part(drives[drive_uuid].rig, pairs) for drive_uuid, pairs in ends.items()}
+        for one, other in near:
+            off_m = _misfit_m(parts[one], parts[other])
+            if off_m is not None:
+                links.setdefault(one, {})[other] = links.setdefault(other, {})[one] = off_m
+        explored |= todo
+        reached |= {of for of in explored & links.keys() if any(links[of].values())}
+        asked = (reached & drives.keys()) - trust.keys()
+        if asked:
+            by_map = trusted_drives(conn, asked, LEAST_CONFIRMED, BEFORE_NS)
+            trust |= {drive_uuid: drive_uuid in by_map for drive_uuid in asked}
+        held = {other.drive_uuid for _, other in found if other.on_hold}
+        doubted = {of for of in explored & reached if not trust[of]} | (held & explored)
+        continued = {other for of in doubted for other in links.get(of, {})}
+        reached |= continued
+        todo = (
+            held | continued | {other for of in explored for other in links.get(of, {}) if links[of][other]}
+        ) - explored
+    spread = _spread(drives, links, trust)
+    return {of: spread[of] for of in explored & spread.keys()}
 
 
-def _misfit_m(earlier: _Part, later: _Part) -> float | None:
+def _spread(
+    drives: Mapping[UUID, AdjoiningDrive], links: Mapping[UUID, Mapping[UUID, float]], trust: Mapping[UUID, bool]
+) -> dict[UUID, Doubt]:
+    """The doubts about drives: those that contradict each other, and all that continue them."""
+    in_order = sorted(drives, key=lambda one: (drives[one].captured_from_ns, drives[one].drive_id))
+    doubts: dict[UUID, Doubt] = {}
+    for first in in_order:
+        if first in doubts:
+            continue
+        chain = [first]  # of drives of which each continues another one
+        for one in chain:
+            chain += [other for other in in_order if links.get(one, {}).get(other) == 0 and other not in chain]
+        contradicted = {
+            one: _contradiction(drives[other].drive_id, links[one][other])
+            for one in sorted(chain, key=in_order.index)
+            if (other := next((other for other in in_order if links.get(one, {}).get(other)), None)) is not None
+        }
+        trusted = {one for one in chain if trust.get(one)}
+        for one in chain:
+            check = None
+            if contradicted and not trusted - {one}:
+                check = contradicted.get(one) or _continuation(drives[next(iter(contradicted))].drive_id)
+            doubts[one] = Doubt(check, bool(contradicted), one in trusted, drives[one].on_hold)
+    return doubts
+
+
+def _same_cameras(rig: Rig, other: Rig) -> bool:
+    return (rig.rig_id, rig.left) == (other.rig_id, other.left)
+
+
+def _misfit_m(one: _Part, other: _Part) -> float | None:
     """By how much the later part begins elsewhere than where the earlier one led; None where another vehicle made it."""
+    is_first = one.pairs[-1].captured_at_ns <= other.pairs[0].captured_at_ns
+    earlier, later = (one, other) if is_first else (other, one)
     pairs = [*earlier.pairs[-_PAIRS:], *later.pairs[:_PAIRS]]
     rigs = [*[earlier.rig] * len(earlier.pairs[-_PAIRS:]), *[later.rig] * len(later.pairs[:_PAIRS])]
     last = len(earlier.pairs[-_PAIRS:]) - 1
@@ -132,15 +170,11 @@ def _misfit_m(earlier: _Part, later: _Part) -> float | None:
     return misfit.unexplained_m((float(horizontal_m), float(vertical_m)))
 
 
-def _in_time(pairs: Sequence[FramePair]) -> list[FramePair]:
-    return sorted(pairs, key=lambda pair: pair.captured_at_ns)
-
-
 def _contradiction(other_id: str, off_m: float) -> HealthCheck:
     detail = (
         f"It and drive {other_id}, recorded right before or after it by the same cameras, lie {off_m:.1f} m apart where one "
-        "continues the other: GNSS/INS jumps there, and which of them is right is unknown. Process the GNSS/INS log anew, or "
-        "accept the one that is right."
+        "continues the other: GNSS/INS jumps there, and which of them is right is unknown. Process the GNSS/INS log anew and "
+        "deliver the wrong one again, or accept the one that is right."
     )
     return HealthCheck(
         name=ADJOINING, verdict=Verdict.HOLD, value=round(off_m, 3), limit=_JUMP_M, unit="m", detail=detail
@@ -150,6 +184,6 @@ def _contradiction(other_id: str, off_m: float) -> HealthCheck:
 def _continuation(other_id: str) -> HealthCheck:
     detail = (
         f"It continues drive {other_id}, which is on hold because GNSS/INS jumps between it and another drive: it has the same "
-        "position error, if there is one. Process the GNSS/INS log anew, or accept it if that drive is right."
+        "position error, if there is one. It counts as soon as that drive does."
     )
     return HealthCheck(name=ADJOINING, verdict=Verdict.HOLD, value=None, detail=detail)

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,23 +18,21 @@ from uuid import UUID, uuid4, uuid5
 
 from conetl.db.connection import Connection, sql_directory, transaction
 from conetl.db.live_store import drop_watched_recording
-from conetl.db.map.decision_store import held_drives, hold_changes, replaced_by_delivery, write_holds
-from conetl.db.map.map_store import drive_transaction, find_changeset, map_transaction, require_map, system_time
+from conetl.db.map.decision_store import held_drives, replaced_by_delivery
+from conetl.db.map.map_store import drive_transaction, find_changeset
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.db.receipt_store import PendingChangeset
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
-from conetl.model.health import AGREES, HoldChange, hold_reason, holding
+from conetl.model.health import AGREES, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.records import Drive, Record, utc_from_ns
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
-from conetl.pipeline.adjoining import Doubt
 from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.maps.decisions import judge_drives
 from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings
 
@@ -135,8 +133,6 @@ def commit(
                 run=run,
                 hold=holding(analysed.health),
             )
-        # Drives far away may have to be compared again: the whole map is locked, and the drive itself is safe by now.
-        held_now = _hold_others(conn, merged.doubt, settings.map_name)
     if not merged.result.committed:
         known = merged.result.changeset
         return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
@@ -159,24 +155,11 @@ def commit(
             "health": health,
             "on_hold": hold,
             "replayed_drives": merged.replayed,
-            "hold_changes": (*merged.hold_changes, *held_now),
+            "hold_changes": merged.hold_changes,
         }
     )
     untouched = tuple(feature for feature in merged.extension.untouched if feature.marking is None)
     return CommittedDrive(merged.result.changeset, drive, points, untouched, report)
-
-
-def _hold_others(conn: Connection, doubt: Doubt, map_name: str) -> tuple[HoldChange, ...]:
-    """Put the drives on hold that a drive which was committed contradicts; the holds that began or ended by it."""
-    if not doubt.others:
-        return ()
-    with map_transaction(conn, map_name):
-        info, before = require_map(conn, map_name), held_drives(conn, map_name=map_name)
-        at = system_time(conn, info)
-        checks = {changeset_id: (check,) for _, changeset_id, check in doubt.others}
-        hold = partial(write_holds, conn, checks, at, by_map=False)
-        judge_drives(conn, info, [drive_uuid for drive_uuid, _, _ in doubt.others], hold, at, None)
-        return hold_changes(conn, before, map_name=map_name)
 
 
 def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo:

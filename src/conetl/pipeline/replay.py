@@ -8,6 +8,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import NamedTuple
 from uuid import UUID
@@ -20,6 +21,8 @@ from conetl.db.map.decision_store import held_drives, hold_changes, read_decisio
 from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.map_store import require_map
 from conetl.db.map.replay_store import (
+    Neighbourhood,
+    affected_drives,
     lock_neighbourhood,
     read_deltas,
     read_doubts_around,
@@ -29,6 +32,7 @@ from conetl.db.map.replay_store import (
 )
 from conetl.db.map.results import CommitResult, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
+from conetl.mapping.agreement import is_confirmed
 from conetl.mapping.changes import VisibilityCheck
 from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, replay_drives
 from conetl.mapping.markings import ViewCheck
@@ -44,11 +48,13 @@ from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MissedObservation
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, ReconcileParams
-from conetl.model.records import DriveRecords, Rig
-from conetl.pipeline.adjoining import Doubt, find_doubt
+from conetl.model.records import Drive, DriveRecords, Rig
+from conetl.pipeline.adjoining import WITHIN_NS, Newcomer, find_doubts
 
 #: Views of drives are large; the fold needs one after the other.
 _VIEWS_IN_MEMORY = 2
+#: The map may confirm other drives once some are held. Which are trusted hardly depends on that: they confirm older objects.
+_MOST_ROUNDS = 5
 
 
 @contextmanager
@@ -79,8 +85,6 @@ class Merged(NamedTuple):
     result: CommitResult
     hold_changes: tuple[HoldChange, ...]
     """Other drives that went on hold because of it, or are on hold no longer."""
-    doubt: Doubt = Doubt(None, ())
-    """What it says of the drives that adjoin it, which are still to be put on hold (`commit`)."""
 
 
 @no_cycle_search()
@@ -116,23 +120,35 @@ def merge_drive(
         figures=figures,
     )  # fmt: skip
     path = None if hold else path_wkt(drive)
+
+    def is_in_doubt(found: Neighbourhood) -> bool:
+        """Whether adjoining drives contradict some of those that are compared; drives far away may have to be, too, then."""
+        compared = [*found.aside, *(ref.drive_uuid for ref in found.later)]
+        doubts = find_doubts(conn, compared, _newcomer(found, drive)).values()
+        return any(doubt.contested or not doubt.is_settled for doubt in doubts)
+
     near = lock_neighbourhood(
-        conn, map_name, drive, changeset.idempotency_key, place, path_wkt=path, influence_m=reach_m
+        conn,
+        map_name,
+        drive,
+        changeset.idempotency_key,
+        place,
+        path_wkt=path,
+        influence_m=reach_m,
+        adjoining_ns=WITHIN_NS,
+        reaches_far=is_in_doubt,
     )
     if isinstance(near, CommittedChangeset):  # another ingest of the same drive was faster
         return Merged(changeset, MapUpdate([], [], [], []), 0, CommitResult(False, near, 0), ())
     changeset = with_free_id(conn, changeset, near.drive_uuid)
     affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
 
-    def held(checks: Sequence[HealthCheck], doubt: Doubt) -> Merged:
-        result = commit_changeset(
-            conn, records, changeset, map_name=map_name, run=run, hold=checks, placed=near.drive_uuid
-        )
-        changes = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-        return Merged(changeset, MapUpdate([], [], [], [], doubt.own), 0, result, changes, doubt)
-
     if hold:
-        return held(hold, Doubt(None, ()))
+        result = commit_changeset(
+            conn, records, changeset, map_name=map_name, run=run, hold=hold, placed=near.drive_uuid
+        )
+        others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
+        return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
     spots = [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
     view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
     visible, in_view = _checks_of(lambda: view, records.markings, params.reconcile)
@@ -151,17 +167,14 @@ def merge_drive(
     decisions = read_decisions(conn, map_name=map_name)
     aside, later = near.aside, near.later
     replay = None
-    if later or len(aside) > 1:
-        folded, replay = replay_of(conn, [*aside, *(ref.drive_uuid for ref in later)], later, decisions, own=[own])
+    if later or len(aside) > 1 or near.reaches_far:
+        again = [*aside, *(ref.drive_uuid for ref in later)]
+        folded, replay = replay_of(conn, again, later, decisions, own=[own], newcomer=_newcomer(near, drive))
         extension = folded.updates[changeset.changeset_id]
+        affected = [*replay.holds]
     else:
         standing, summaries = read_standing_around(conn, near.drive_uuid), read_doubts_around(conn, near.drive_uuid)
         extension = apply_drive(standing, own, decisions, summaries)
-    doubt = find_doubt(conn, drive, extension.deltas, map_name=map_name)
-    if extension.hold is None and doubt.own is not None:
-        return held([doubt.own], doubt)
-    if extension.hold is not None:  # the map says that it is this drive which is wrong
-        doubt = Doubt(None, ())
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     result = commit_changeset(
         conn,
@@ -175,10 +188,14 @@ def merge_drive(
         held_by_map=True,
         placed=near.drive_uuid,
     )
-    others: tuple[HoldChange, ...] = ()
+    others = ()
     if held_before or affected:  # else there is no drive whose hold could begin or end
         others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-    return Merged(changeset, extension, len(later), result, others, doubt)
+    return Merged(changeset, extension, 0 if replay is None else len(replay.holds), result, others)
+
+
+def _newcomer(near: Neighbourhood, drive: Drive) -> Newcomer:
+    return Newcomer(near.drive_uuid, drive, frozenset(near.aside) - {near.drive_uuid})
 
 
 def replay_of(
@@ -189,20 +206,65 @@ def replay_of(
     *,
     own: Sequence[DriveEvidence] = (),
     around: Sequence[UUID] = (),
+    newcomer: Newcomer | None = None,
 ) -> tuple[MapHistory, Replay]:
     """A neighbourhood of the map, computed again.
 
     aside: the drives whose changes are set aside; again: those of them that are compared again, from what is stored; own: drives
-    that are compared for the first time. What all other drives did to the features around `aside` and `around` stays, except for
-    their suppression.
+    that are compared for the first time; newcomer: the recorded one of them. What all other drives did to the features around
+    `aside` and `around` stays, except for their suppression. Drives that go on hold because adjoining ones contradict them, or
+    are on hold no longer, are compared again, too.
     """
+    again_ids = {ref.drive_uuid for ref in again}
+    fixed = [one for one in aside if one not in again_ids]
+    trusted: dict[UUID, bool] = {}
+    for _ in range(_MOST_ROUNDS):
+        doubts = find_doubts(conn, aside, newcomer, trusted)
+        while more := [one for one, doubt in doubts.items() if not doubt.is_settled and one not in aside]:
+            again = [ref for ref in affected_drives(conn, [*aside, *more]) if ref.drive_uuid not in fixed]
+            aside = [*fixed, *(ref.drive_uuid for ref in again)]
+            doubts = find_doubts(conn, aside, newcomer, trusted)
+        compared = [*own, *stored_evidence(conn, again)]
+        changesets = {ref.drive_uuid: ref.changeset_id for ref in again}
+        if newcomer is not None:
+            changesets[newcomer.drive_uuid] = own[0].changeset_id
+        checks = {changesets[one]: doubt.check for one, doubt in doubts.items() if one in changesets}
+        folded, replay = _folded(
+            conn, aside, around, again,
+            [replace(one, doubt=checks.get(one.changeset_id)) for one in compared], decisions,
+        )  # fmt: skip
+        # Whether the map confirms a drive is known only now; what continues it follows.
+        confirmed = {one.changeset_id: _is_confirmed(folded.updates[one.changeset_id], one.key[0]) for one in compared}
+        known = {
+            one: changesets[one] in decisions.accepted or confirmed[changesets[one]]
+            for one, doubt in doubts.items()
+            if doubt.contested and one in changesets
+        }
+        if all(doubts[one].trusted == is_trusted for one, is_trusted in known.items()):
+            break
+        trusted |= known
+    return folded, replay
+
+
+def _is_confirmed(update: MapUpdate, captured_from_ns: int) -> bool:
+    return is_confirmed([delta for delta in update.deltas if not delta.is_of_line], captured_from_ns)
+
+
+def _folded(
+    conn: Connection,
+    aside: Sequence[UUID],
+    around: Sequence[UUID],
+    again: Sequence[DriveRef],
+    evidence: Sequence[DriveEvidence],
+    decisions: Decisions,
+) -> tuple[MapHistory, Replay]:
     versions = read_versions(conn, [*aside, *around])
     deltas = read_deltas(conn, aside)
     out = set(aside)
     given: list[tuple[DriveOrder, FeatureVersion | MissedObservation]] = []
     given += [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in out]
     given += read_misses(conn, [*aside, *around], without=out)
-    folded = replay_drives([*own, *stored_evidence(conn, again)], decisions, given=given)
+    folded = replay_drives(evidence, decisions, given=given)
     replay = Replay(
         versions_before=versions,
         deltas_before=deltas,

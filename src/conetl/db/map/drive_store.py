@@ -5,6 +5,7 @@ Numbers come back to the last bit, so the result of another comparison is that o
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 from uuid import UUID
@@ -124,51 +125,51 @@ def drives_at_the_same_time(
 
 
 class AdjoiningDrive(NamedTuple):
-    """A drive that counts, or is on hold for its neighbours, recorded right before or after another one."""
+    """A drive that counts, or that the map holds, recorded right before or after another one."""
 
     drive_uuid: UUID
-    changeset_id: UUID
     drive_id: str
-    content_sha256: str
     rig: Rig
     captured_from_ns: int
     on_hold: bool
-    accepted: bool
-    confirmed: int
-    """Objects of the map that it confirmed, and that were there long before it."""
-
-    def is_trusted(self, least_confirmed: int) -> bool:
-        """Whether a person or the map says that it is right."""
-        return self.accepted or self.confirmed >= least_confirmed
+    """For the check of adjoining drives."""
 
 
 def adjoining_drives(
-    conn: Connection,
-    drive_id: str,
-    content_sha256: str,
-    captured_ns: tuple[int, int],
-    within_ns: int,
-    before_ns: int,
-    *,
-    map_name: str,
-) -> list[AdjoiningDrive]:
-    """Drives that ended at most within_ns before, or began after, a drive with these instants of its first and last frame pair.
+    conn: Connection, drive_uuids: Collection[UUID], within_ns: int
+) -> list[tuple[UUID, AdjoiningDrive]]:
+    """Drives that ended at most within_ns before, or began after, some drives; and these themselves, unless they are not active.
 
-    before_ns: objects that were on the map so long before a drive began count as confirmed by it.
+    Each comes with the one of drive_uuids that it adjoins; in the order of the fold.
     """
     parameters = {
-        "map_name": map_name,
-        "drive_id": drive_id,
-        "content_sha256": content_sha256,
-        "captured_from_ns": captured_ns[0],
-        "captured_to_ns": captured_ns[1],
+        "drive_uuids": list(drive_uuids),
         "within_ns": within_ns,
-        "before_ns": before_ns,
         "check": json_text([{"name": ADJOINING}]),
     }
     with database_errors("The drives of the map cannot be read"):
         rows = execute(conn, load_sql("drives.adjoining_drives"), parameters)
-    return [AdjoiningDrive(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
+    return [(row.pop("of_uuid"), AdjoiningDrive(**row | {"rig": Rig.model_validate(row["rig"])})) for row in rows]
+
+
+def trusted_drives(
+    conn: Connection, drive_uuids: Collection[UUID], least_confirmed: int, before_ns: int
+) -> frozenset[UUID]:
+    """Those of some drives that a person accepted, or that the map confirms (`mapping.agreement.is_confirmed`, as stored)."""
+    parameters = {"drive_uuids": list(drive_uuids), "least_confirmed": least_confirmed, "before_ns": before_ns}
+    with database_errors("The drives of the map cannot be read"):
+        rows = execute(conn, load_sql("drives.trusted_drives"), parameters)
+    return frozenset(row["drive_uuid"] for row in rows)
+
+
+def read_ends(conn: Connection, drive_uuids: Collection[UUID], count: int) -> dict[UUID, list[FramePair]]:
+    """The first and the last `count` frame pairs of some drives, in the order of their time."""
+    parameters = {"drive_uuids": list(drive_uuids), "count": count}
+    found: dict[UUID, list[FramePair]] = {}
+    with database_errors("The drives of the map cannot be read"):
+        for row in stream(conn, load_sql("drives.frame_pairs_at_ends"), parameters):
+            found.setdefault(row[11], []).append(_frame_pair(row))
+    return found
 
 
 def read_view(conn: Connection, drive_uuid: UUID, near: Square | None = None) -> StoredView:

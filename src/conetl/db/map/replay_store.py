@@ -178,6 +178,8 @@ class Neighbourhood(NamedTuple):
     """The drive, and the analyses and deliveries of its recording that it replaces."""
     affected: list[DriveRef]
     """Active drives of `aside`, and the later drives that must be compared again, in the order of the fold."""
+    reaches_far: bool = False
+    """Whether other drives may have to be compared again; the whole map is locked then."""
 
     @property
     def later(self) -> list[DriveRef]:
@@ -193,16 +195,27 @@ def lock_neighbourhood(
     *,
     path_wkt: str | None,
     influence_m: float,
+    adjoining_ns: int = 0,
+    reaches_far: Callable[[Neighbourhood], bool] = lambda found: False,
 ) -> Neighbourhood | CommittedChangeset:
     """Take the locks of a drive in an open transaction, which must not have written before, and add it to the map.
 
     place: adds it (`place_drive`). path_wkt: its path (line, map CRS), of which it may change everything within influence_m;
-    None: it changes nothing, because its recording is on hold. The result is a changeset, and nothing was added, where
-    the drive is on the map already.
+    None: it changes nothing, because its recording is on hold. adjoining_ns: no other drive of the rig that was recorded within
+    this time before or after it is merged meanwhile. reaches_far: whether drives of which nothing is known yet may have to be
+    compared again, too. The result is a changeset, and nothing was added, where the drive is on the map already.
     """
     recording = {f"{map_name}/drive/{drive.drive_id}", f"{map_name}/content/{drive.content_sha256}"}
+    if path_wkt is not None and adjoining_ns:
+        times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+        slots = {
+            (at_ns + off_ns) // (2 * adjoining_ns)
+            for at_ns in (min(times_ns), max(times_ns))
+            for off_ns in (-adjoining_ns, adjoining_ns)
+        }
+        recording |= {f"{map_name}/rig/{drive.rig.rig_id}/{slot}" for slot in slots}
     regions = set[str]() if path_wkt is None else regions_of(conn, [], path_wkt=path_wkt, influence_m=influence_m)
-    whole = False
+    whole = far = False
     while True:
         execute(conn, "savepoint neighbourhood")
         map_lock(conn, map_name, shared=not whole)
@@ -221,10 +234,12 @@ def lock_neighbourhood(
                 found = Neighbourhood(drive_uuid, aside, affected_drives(conn, aside))
             near = regions_of(conn, [*found.aside[1:], *(ref.drive_uuid for ref in found.later)])
             if whole or near <= regions:
-                execute(conn, "release savepoint neighbourhood")
-                return found
+                far = path_wkt is not None and reaches_far(found)
+                if whole or not far:
+                    execute(conn, "release savepoint neighbourhood")
+                    return found._replace(reaches_far=far)
             regions |= near  # another drive was there meanwhile, or a late one affects drives farther away
-        whole = len(regions) > MAX_REGIONS or info is None or not info.counts
+        whole = far or len(regions) > MAX_REGIONS or info is None or not info.counts
         execute(conn, "rollback to savepoint neighbourhood")  # frees the locks, too
 
 
