@@ -13,21 +13,25 @@ from typing import NamedTuple
 from uuid import UUID
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conetl.db.connection import Connection
 from conetl.db.map.drive_store import AdjoiningDrive, adjoining_drives, read_ends, trusted_drives
-from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
 from conetl.model.health import ADJOINING, HealthCheck, Verdict
 from conetl.model.records import Drive, FramePair, Rig
 
+Floats = NDArray[np.float64]
 #: Drives that begin so many seconds after another ended may be parts of one recording; of longer ones nothing can be said.
 WITHIN_NS = 5_000_000_000
-#: So many frame pairs of each say how fast the vehicle was; it drives on in about the same direction.
-_PAIRS, _LEAST_COSINE = 5, 0.8
+#: The frame pairs of half a second, at most so many and at least two, say how fast the vehicle was; it drives on in about the
+#: same direction.
+_PAIRS, _NEAR_NS, _LEAST_COSINE = 10, 500_000_000, 0.8
 #: Jumps are at least so many metres and sigmas.
 _JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
+#: m/s^2, horizontal and vertical: how far acceleration departs from an even one.
+_UNEVEN = np.array([4.0, 1.0])
 
 
 class Doubt(NamedTuple):
@@ -148,26 +152,57 @@ def _same_cameras(rig: Rig, other: Rig) -> bool:
 
 
 def _misfit_m(one: _Part, other: _Part) -> float | None:
-    """By how much the later part begins elsewhere than where the earlier one led; None where another vehicle made it."""
+    """By how much the later part begins elsewhere than where the earlier one led; None where another vehicle made it.
+
+    Between two instants at which its velocity is known, a vehicle whose acceleration is nowhere farther than a from an even one
+    is at most a t^2 / 4 from the mean velocity's path.
+    """
     is_first = one.pairs[-1].captured_at_ns <= other.pairs[0].captured_at_ns
     earlier, later = (one, other) if is_first else (other, one)
-    pairs = [*earlier.pairs[-_PAIRS:], *later.pairs[:_PAIRS]]
-    rigs = [*[earlier.rig] * len(earlier.pairs[-_PAIRS:]), *[later.rig] * len(later.pairs[:_PAIRS])]
-    last = len(earlier.pairs[-_PAIRS:]) - 1
-    left = np.array([map_SE3_left(pair.pose, rig) for pair, rig in zip(pairs, rigs, strict=True)])
-    if left[last, :3, 2] @ left[last + 1, :3, 2] < _LEAST_COSINE:
+    end, begin = _motion(earlier.rig, earlier.pairs[: -_PAIRS - 1 : -1]), _motion(later.rig, later.pairs[:_PAIRS])
+    if end is None or begin is None or end.forward @ begin.forward < _LEAST_COSINE:
         return None
-    times_s = np.array([pair.captured_at_ns - pairs[0].captured_at_ns for pair in pairs]) * 1e-9
-    times_s = np.maximum.accumulate(times_s + 1e-6 * np.arange(len(pairs)))
-    steps_m = np.diff(left[:, :3, 3], axis=0)
-    speeds = steps_m / np.diff(times_s)[:, None]
-    speeds[last] = np.nan
-    misfit = step_misfit(steps_m, speeds, times_s, last)
-    if misfit is None:
+    apart_s = (begin.at_ns - end.at_ns) * 1e-9
+    off = begin.xyz_m - end.xyz_m - (begin.velocity + end.velocity) / 2 * apart_s
+    off_m = np.array([np.hypot(off[0], off[1]), abs(off[2])])
+    sigma_m = np.hypot(np.hypot(end.sigma_m, begin.sigma_m), np.hypot(end.sigma_speed, begin.sigma_speed) * apart_s / 2)
+    limit_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * sigma_m) + _UNEVEN * apart_s**2 / 4
+    return float(np.hypot(*off_m)) if (off_m > limit_m).any() else 0.0
+
+
+class _Motion(NamedTuple):
+    """Of the left camera in the middle of a few frame pairs; sigmas horizontal and vertical."""
+
+    at_ns: float
+    xyz_m: Floats
+    velocity: Floats
+    forward: Floats
+    """Its direction in the nearest frame pair."""
+    sigma_m: Floats
+    sigma_speed: Floats
+
+
+def _motion(rig: Rig, pairs: Sequence[FramePair]) -> _Motion | None:
+    """By a line through the positions in time. pairs: the nearest one first; None of fewer than two instants."""
+    near_ns = [abs(pair.captured_at_ns - pairs[0].captured_at_ns) for pair in pairs]
+    pairs = [pair for k, (pair, off_ns) in enumerate(zip(pairs, near_ns, strict=True)) if k < 2 or off_ns <= _NEAR_NS]
+    at_ns = np.array([pair.captured_at_ns for pair in pairs], np.int64)
+    if at_ns.min() == at_ns.max():
         return None
-    sigma_m = np.array([pairs[k].pose.sigma_enu_m for k in (last, last + 1)])
-    horizontal_m, vertical_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * np.hypot(*sigma_m))[1:]
-    return misfit.unexplained_m((float(horizontal_m), float(vertical_m)))
+    left = np.array([map_SE3_left(pair.pose, rig) for pair in pairs])
+    off_s = (at_ns - at_ns[0]) * 1e-9
+    middle_s, off_s = off_s.mean(), off_s - off_s.mean()
+    xyz_m, spread_s = left[:, :3, 3], float(np.sqrt(off_s @ off_s))
+    sigma_m = np.max([pair.pose.sigma_enu_m for pair in pairs], axis=0)
+    sigma_m = np.array([sigma_m[:2].max(), sigma_m[2]])
+    return _Motion(
+        float(at_ns[0]) + middle_s * 1e9,
+        xyz_m.mean(0),
+        off_s @ xyz_m / spread_s**2,
+        left[0, :3, 2],
+        sigma_m,
+        sigma_m / spread_s,
+    )
 
 
 def _contradiction(other_id: str, off_m: float) -> HealthCheck:
