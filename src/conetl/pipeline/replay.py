@@ -6,6 +6,7 @@ All of it runs inside the caller's transaction: `drive_transaction`, or `map_tra
 from __future__ import annotations
 
 import gc
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -51,6 +52,7 @@ from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import Drive, DriveRecords, Rig
 from conetl.pipeline.adjoining import WITHIN_NS, Newcomer, find_doubts
 
+_log = logging.getLogger(__name__)
 #: Views of drives are large; the fold needs one after the other.
 _VIEWS_IN_MEMORY = 2
 #: The map may confirm other drives once some are held. Which are trusted hardly depends on that: they confirm older objects.
@@ -142,7 +144,6 @@ def merge_drive(
         return Merged(changeset, MapUpdate([], [], [], []), 0, CommitResult(False, near, 0), ())
     changeset = with_free_id(conn, changeset, near.drive_uuid)
     affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
-
     if hold:
         result = commit_changeset(
             conn, records, changeset, map_name=map_name, run=run, hold=hold, placed=near.drive_uuid
@@ -243,6 +244,10 @@ def replay_of(
         if all(doubts[one].trusted == is_trusted for one, is_trusted in known.items()):
             break
         trusted |= known
+    else:
+        _log.warning(
+            "After %d rounds it is not settled which drives the map confirms: see `conetl drive held`.", _MOST_ROUNDS
+        )
     return folded, replay
 
 
