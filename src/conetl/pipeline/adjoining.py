@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import Connection
 from conetl.db.map.drive_store import AdjoiningDrive, adjoining_drives, read_ends, trusted_drives
+from conetl.geometry.motion.steps import driven_apart_m
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
 from conetl.model.health import ADJOINING, HealthCheck, Verdict
@@ -30,8 +31,6 @@ WITHIN_NS = 5_000_000_000
 _PAIRS, _NEAR_NS, _LEAST_COSINE = 10, 500_000_000, 0.8
 #: Jumps are at least so many metres and sigmas.
 _JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
-#: m/s^2, horizontal and vertical: how far acceleration departs from an even one.
-_UNEVEN = np.array([4.0, 1.0])
 
 
 class Doubt(NamedTuple):
@@ -152,11 +151,7 @@ def _same_cameras(rig: Rig, other: Rig) -> bool:
 
 
 def _misfit_m(one: _Part, other: _Part) -> float | None:
-    """By how much the later part begins elsewhere than where the earlier one led; None where another vehicle made it.
-
-    Between two instants at which its velocity is known, a vehicle whose acceleration is nowhere farther than a from an even one
-    is at most a t^2 / 4 from the mean velocity's path.
-    """
+    """By how much the later part begins elsewhere than where the earlier one led; None where another vehicle made it."""
     is_first = one.pairs[-1].captured_at_ns <= other.pairs[0].captured_at_ns
     earlier, later = (one, other) if is_first else (other, one)
     end, begin = _motion(earlier.rig, earlier.pairs[: -_PAIRS - 1 : -1]), _motion(later.rig, later.pairs[:_PAIRS])
@@ -166,7 +161,7 @@ def _misfit_m(one: _Part, other: _Part) -> float | None:
     off = begin.xyz_m - end.xyz_m - (begin.velocity + end.velocity) / 2 * apart_s
     off_m = np.array([np.hypot(off[0], off[1]), abs(off[2])])
     sigma_m = np.hypot(np.hypot(end.sigma_m, begin.sigma_m), np.hypot(end.sigma_speed, begin.sigma_speed) * apart_s / 2)
-    limit_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * sigma_m) + _UNEVEN * apart_s**2 / 4
+    limit_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * sigma_m) + driven_apart_m(apart_s)
     return float(np.hypot(*off_m)) if (off_m > limit_m).any() else 0.0
 
 

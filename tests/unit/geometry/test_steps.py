@@ -33,6 +33,24 @@ def test_braking_within_a_gap_is_no_jump(rate: float) -> None:
     assert unexplained_m(np.column_stack([braking(TIMES_S, rate), 0 * TIMES_S, 0 * TIMES_S])) == 0.0
 
 
+@pytest.mark.parametrize("gap_s", [3.0, 4.5])
+@pytest.mark.parametrize("before_s", np.arange(0.0, 2.0, 0.1).tolist())
+def test_a_stop_within_a_long_gap_is_no_jump(gap_s: float, before_s: float) -> None:
+    """Braking from 8 m/s at 2.5 m/s^2, and pulling away at once at the same rate."""
+    times_s = np.concatenate([np.arange(6) * 0.1 - 0.5, gap_s + np.arange(6) * 0.1])
+    rate, stop_s = 2.5, before_s + 8.0 / 2.5
+    fine_s = np.arange(-1.0, 20.0, 0.001)
+    speed = np.where(
+        fine_s < stop_s, np.clip(rate * (stop_s - fine_s), 0, 8.0), np.clip(rate * (fine_s - stop_s), 0, 8.0)
+    )
+    along = np.interp(times_s, fine_s, np.cumsum(speed) * 0.001)
+    steps_m = np.diff(np.column_stack([along, 0 * along, 0 * along]), axis=0)
+    speeds = steps_m / np.diff(times_s)[:, None]
+    speeds[5] = np.nan
+    misfit = step_misfit(steps_m, speeds, times_s, 5)
+    assert misfit is not None and misfit.unexplained_m((0.3, 0.3)) == 0.0
+
+
 @pytest.mark.parametrize("radius_m", [12.0, 50.0])
 def test_a_bend_within_a_gap_is_no_jump(radius_m: float) -> None:
     speed = np.sqrt(4.0 * radius_m)

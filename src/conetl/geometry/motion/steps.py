@@ -13,6 +13,8 @@ _NEIGHBOURS = 4
 #: m/s^2: what a vehicle may gain or lose in speed at once, by how much its horizontal acceleration departs from an even one
 #: within a few seconds of driving, and by how much its vertical one does on a road.
 _ACCELERATION, _UNEVEN, _UNEVEN_UP = 8.0, 3.5, 1.0
+#: The same where it may brake, wait and pull away, m/s^2: horizontal and vertical.
+_STOP_AND_GO = np.array([4.0, 1.0])
 
 
 class StepMisfit(NamedTuple):
@@ -31,6 +33,14 @@ class StepMisfit(NamedTuple):
         return float(np.hypot(*self.off_m)) if beyond else 0.0
 
 
+def driven_apart_m(apart_s: float) -> Floats:
+    """(2,) m, horizontal and vertical: how far a vehicle may be from where the mean of two velocities leads in the time between.
+
+    If its acceleration is nowhere farther than a from an even one, that is at most a t^2 / 4.
+    """
+    return _STOP_AND_GO * apart_s**2 / 4
+
+
 def step_misfit(steps_m: Floats, speeds: Floats, times_s: Floats, k: int) -> StepMisfit | None:
     """Compare a step with the speeds of its neighbours; None where fewer than two of them are known.
 
@@ -47,7 +57,9 @@ def step_misfit(steps_m: Floats, speeds: Floats, times_s: Floats, k: int) -> Ste
     reach_s = float(times_s[last] - times_s[first])
     if min((near < k).sum(), (near > k).sum()) >= 2:
         speed = np.polynomial.polynomial.polyfit(middle_s[near] - middle_s[k], speeds[near], 1)[0]
-        driven_m = _UNEVEN * step_s * reach_s / 8, _UNEVEN_UP * step_s * reach_s / 8
+        within_reach_m = np.array([_UNEVEN, _UNEVEN_UP]) * step_s * reach_s / 8
+        horizontal_m, vertical_m = np.maximum(within_reach_m, driven_apart_m(step_s)).tolist()
+        driven_m = horizontal_m, vertical_m
     else:
         speed = np.median(speeds[near], axis=0)
         driven_m = _ACCELERATION * step_s * reach_s / 2, _UNEVEN_UP * step_s * reach_s / 2
