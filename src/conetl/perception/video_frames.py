@@ -9,6 +9,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,6 +31,8 @@ Image = NDArray[np.uint8]
 #: Decoders that stay open between two reads, and bytes of decoded frames that stay in memory: searches read the middle of five
 #: pairs first, and odometry and detector read the same pairs at about the same time.
 _MAX_DECODERS, _KEPT_BYTES = 8, 256 * 2**20
+#: Up to here frames are decoded one after another, whether or not a key frame is on the way.
+_NEAR_S = 0.5
 #: Without these the library rounds down, by more than one grey level.
 _EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
 _reformatters: list[VideoReformatter] = []
@@ -64,8 +67,8 @@ def frames_between(path: Path, first_pts: int, last_pts: int) -> Iterator[tuple[
     ImageFileError."""
     decoder = _Decoder(_File(path, 0, 0))
     try:
-        decoder.seek(first_pts)
-        for pts, frame in decoder.decoded():
+        decoder.go_to(first_pts)
+        for pts, frame in decoder.frames:
             if pts > last_pts:
                 break
             if pts >= first_pts:
@@ -195,13 +198,15 @@ class _Decoder:
         }  # of later frames, too
         self.left_sited = self._stream.codec_context.name in _LEFT_SITED
         self._packets: dict[int, bytes] = {}
-        self._frames = self.decoded()
+        self._base = float(self._stream.time_base or 0)
+        self.frames: Iterator[tuple[int, VideoFrame]] = self._decoded()
+        """From where it stands on."""
         self.at: int | None = None
         """Time stamp of the last frame that was decoded."""
         self.thread = threading.current_thread()
         """The last one that used it."""
 
-    def decoded(self) -> Iterator[tuple[int, VideoFrame]]:
+    def _decoded(self) -> Iterator[tuple[int, VideoFrame]]:
         """Frames and their time stamps from here on, without damaged ones.
 
         The decoder fills what is damaged from the frames before it, and all frames up to the next key frame build on that.
@@ -221,32 +226,40 @@ class _Decoder:
                 if not damaged and frame.pts is not None:
                     yield frame.pts, frame
 
-    def seek(self, pts: int) -> None:
-        """Go to the last key frame that is not after a time stamp."""
-        self._container.seek(pts, stream=self._stream, backward=True)
-        self._packets.clear()
-        self._frames, self.at = self.decoded(), None
+    def go_to(self, pts: int) -> None:
+        """To a key frame from which a frame can be decoded, the nearest one before it."""
+        first = None
+        for start in (pts, self._key_frame(pts) - 1, 0):
+            self._container.seek(start, stream=self._stream, backward=True)
+            self._packets.clear()
+            self.frames, self.at = self._decoded(), None
+            # Files list when a key frame is decoded; frames that are shown before it may come after it, and need the one before.
+            first = next(self.frames, None)
+            if first is None or first[0] <= pts:
+                break
+        self.frames = chain([] if first is None else [first], self.frames)
 
-    def leads_to(self, pts: int) -> bool:
-        """Whether a frame is reached from here without a detour: there is no key frame on the way."""
-        if self.at is None or self.at >= pts:
-            return False
+    def _key_frame(self, pts: int) -> int:
+        """When the last key frame before a time stamp is decoded, or that time stamp where the file does not tell."""
         entries = self._stream.index_entries
         k = entries.search_timestamp(pts, backward=True) if len(entries) else -1
-        return k >= 0 and entries[k].timestamp <= self.at
+        return entries[k].timestamp if k >= 0 else pts
 
-    def forward(self, pts: int, keep: Callable[[int, _Decoded], None]) -> bool:
-        """Decode up to a frame; False where the first one is after it. keep: called for every frame on the way."""
+    def leads_to(self, pts: int) -> bool:
+        """Whether a frame is reached from here without a detour: it is near, or there is no key frame on the way."""
+        if self.at is None or self.at >= pts:
+            return False
+        return (pts - self.at) * self._base <= _NEAR_S or self._key_frame(pts) <= self.at
+
+    def forward(self, pts: int, keep: Callable[[int, _Decoded], None]) -> None:
+        """Decode up to a frame. keep: called for every frame on the way."""
         if not self.leads_to(pts):
-            self.seek(pts)
-        first_pts = None
-        for at, frame in self._frames:
-            first_pts = at if first_pts is None else first_pts
+            self.go_to(pts)
+        for at, frame in self.frames:
             keep(at, _Decoded(frame, self._packets.pop(at, b""), self.left_sited))
             self.at = at
             if at >= pts:
                 break
-        return first_pts is None or first_pts <= pts
 
     def close(self) -> None:
         self._container.close()
@@ -281,9 +294,7 @@ class _Decoders:
                 wanted.append(decoded)
 
         try:
-            if not decoder.forward(frame.pts, keep):
-                decoder.seek(0)  # frames that are shown before their key frame need the one before it
-                decoder.forward(frame.pts, keep)
+            decoder.forward(frame.pts, keep)
         except av.FFmpegError as error:
             decoder.close()
             raise ImageFileError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import pytest
 from av.video.reformatter import Interpolation
 
 from conetl.model.errors import InputError, StorageError
+from conetl.perception import video_frames
 from conetl.perception.images import ImageFileError
 from conetl.perception.video import Frame, frame_of, index_video, video_facts
 from conetl.perception.video_frames import frames_between, read_frame
@@ -63,7 +64,34 @@ def test_every_frame_by_its_time_stamp_in_any_order(video: Path) -> None:
         image = read_frame(Frame(video, index.pts[n]), index.sha256(n))
         assert abs(float(image.mean()) - (5 + 5 * n)) < 2.4
         assert abs(float(read_frame(Frame(video, index.pts[n]), grey=True).mean()) - (5 + 5 * n)) < 2.4
-    assert [pts for pts, _ in frames_between(video, index.pts[20], index.pts[30])] == list(index.pts[20:31])
+    for first in range(46):
+        assert [pts for pts, _ in frames_between(video, index.pts[first], index.pts[first + 4])] == list(
+            index.pts[first : first + 5]
+        )
+
+
+def test_frames_that_are_read_in_order_are_decoded_once(video: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files list when a key frame is decoded: before frames that are shown before it."""
+    decoded: list[int] = []
+
+    def counted(self: video_frames._Decoder) -> Iterator[tuple[int, av.VideoFrame]]:
+        for pts, frame in decode(self):
+            decoded.append(pts)
+            yield pts, frame
+
+    decode = video_frames._Decoder._decoded
+    monkeypatch.setattr(video_frames._Decoder, "_decoded", counted)
+    index = index_video(video)
+    for pts in index.pts:
+        read_frame(Frame(video, pts))
+    assert decoded == list(index.pts)
+    for pts in index.pts[40:]:  # of another reader, from the next key frame on
+        with video_frames._decoders._lock:
+            video_frames._decoders._idle.clear()
+            video_frames._decoders._kept.clear()
+        decoded.clear()
+        read_frame(Frame(video, pts))
+        assert len(decoded) <= 24
 
 
 def test_threads_read_the_same_frames_at_once(tmp_path: Path) -> None:
