@@ -24,8 +24,8 @@ from flows import artifacts
 #: Name of each step's task, and of its runs.
 _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     ingest.read: ("read drive", "read {folder}"),
-    odometry.odometry: ("odometry", "odometry {chunk.frame_pairs[0].frame_index}"),
-    odometry.motions: ("motions", None),
+    odometry.odometry: ("odometry", "odometry {chunk.frame_pairs[0].frame_index} {part}"),
+    odometry.motions_again: ("motions", None),
     odometry.self_calibrate: ("self-calibrate", None),
     odometry.refine: ("refine", None),
     detect.detect: ("detect", "detect {chunk.frame_pairs[0].frame_index} {part}"),

@@ -51,12 +51,12 @@ def half(path: Path) -> bytes:
 
 
 def detected(chunk: Chunk) -> bool:
-    found, rejections = load_result(detect(chunk, 0, None), Detection)
+    found, rejections = load_result(detect(chunk, 0, None).detections, Detection)
     return bool(found) and not rejections
 
 
 def followed(chunk: Chunk) -> bool:
-    found, _ = load_result(odometry(chunk).tracks, StereoTracks)
+    found, _ = load_result(odometry(chunk, 0).tracks, StereoTracks)
     return found[0].missing is None
 
 
@@ -77,7 +77,7 @@ def test_nothing_is_kept_of_images_that_were_not_read(
 def test_an_image_that_changed_since_it_was_hashed_is_not_used(chunk: Chunk) -> None:
     image = Path(chunk.frame_pairs[0].left_path)
     image.write_bytes(half(image))
-    for work in (lambda: detect(chunk, 0, None), lambda: odometry(chunk)):
+    for work in (lambda: detect(chunk, 0, None), lambda: odometry(chunk, 0)):
         with pytest.raises(StorageError, match="changed"):
             work()
     image.unlink()
@@ -90,9 +90,9 @@ def test_an_image_that_no_decoder_accepts_is_a_rejection_that_is_kept(tmp_path: 
     drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-04-01")
     spoil_huffman_table(sorted((drive / "image_02" / "data").iterdir())[0])
     chunk = chunk_of(drive, tmp_path / "results")
-    _, rejections = load_result(detect(chunk, 0, None), Detection)
+    _, rejections = load_result(detect(chunk, 0, None).detections, Detection)
     assert [rejection.reason for rejection in rejections] == ["image_unreadable"]
-    found, _ = load_result(odometry(chunk).tracks, StereoTracks)
+    found, _ = load_result(odometry(chunk, 0).tracks, StereoTracks)
     assert found[0].missing == "image_unreadable"
 
 

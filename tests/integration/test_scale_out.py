@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import cloudpickle
@@ -20,12 +21,16 @@ from conetl.cli.ingest import ingest_drives
 from conetl.db.connection import connect, execute
 from conetl.files.parquet_store import load_result
 from conetl.files.storage import as_path
+from conetl.geometry.motion.stereo_tracks import StereoTracks
 from conetl.model.errors import InputError, ModelFileError
-from conetl.model.params import IngestParams
+from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import StereoMatch
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.chunks import Chunk, chunks_of, parts_of
-from conetl.pipeline.detect import detect, match
+from conetl.pipeline.detect import NOTHING, Along, Detected, detect, match
+from conetl.pipeline.executor import ThreadExecutor
+from conetl.pipeline.markings import marking_points
+from conetl.pipeline.odometry import odometry
 from conetl.pipeline.settings import Settings, prefect_environment
 from conetl.readers.drives import read_drive
 from flows.tasks import PrefectExecutor, task_runner
@@ -75,8 +80,8 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
         )
         assert heard[-1] == (8, 8), "6 images and 2 motions, whoever counted them"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind / "results").iterdir()}
-    assert len(written["threads"]) == 16, (
-        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions; points followed, motions, "
+    assert len(written["threads"]) == 20, (
+        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions, 3 of points followed, 3 of motions; "
         "self-calibration"
     )
     assert written["processes"] == written["threads"]
@@ -94,6 +99,43 @@ def test_matches_are_the_same_from_images_in_memory_and_read_again(chunks: list[
         assert any(match.refined for match in matches)
         written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})
     assert written[0] == written[1]
+
+
+def test_what_is_found_along_with_detections_is_what_its_own_step_finds(chunks: list[Chunk], tmp_path: Path) -> None:
+    written: list[dict[str, bytes]] = []
+    for along in (Along(odometry=True, markings=True), NOTHING):
+        chunk = chunks[0].model_copy(update={"results_folder": tmp_path / str(along.odometry)})
+        for part in range(len(parts_of(chunk))):
+            found = detect(chunk, part, chunk.rig, along)
+            apart = found._replace(
+                odometry=odometry(chunk, part), marking_points=marking_points(chunk, part, chunk.rig)
+            )
+            assert found == (apart if along.odometry else Detected(found.detections))
+        written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})
+    assert written[0] == written[1]
+    points = [load_result(odometry(chunk, part).tracks, StereoTracks)[0] for part in range(len(parts_of(chunk)))]
+    at = [(each.first_frame_index, each.second_frame_index) for part in points for each in part]
+    pairs = [pair.frame_index for other in chunks for pair in other.frame_pairs]
+    assert at == list(pairwise(pairs)), "the last motion is that to the next chunk"
+
+
+@pytest.mark.parametrize(("chunk_pairs", "steps"), [(256, 1), (8, 4), (2, 39)])
+def test_self_calibration_follows_a_part_of_a_drive_or_all_where_that_shows_too_little(
+    chunk_pairs: int, steps: int, tmp_path: Path
+) -> None:
+    """Parts of one motion each, of which two of five are followed first, hold no span of two metres."""
+    drive, _ = read_drive(SAMPLES[0])
+    few = TrajectoryParams(self_calibration_min_spans=4, self_calibration_max_spans=4)
+    settings, heard = Settings(home=tmp_path), [(0, 0)]
+    with ThreadExecutor(2) as executor:
+        found = analyse(
+            drive, IngestParams(chunk_pairs=chunk_pairs, trajectory=few), settings=settings, executor=executor,
+            progress=lambda done, total: heard.append((done, total)),
+        )  # fmt: skip
+        assert {time.step: time.task_count for time in executor.times()}["odometry"] == steps
+    assert found.calibration.span_count == 4
+    assert len(found.trajectory.frame_pairs) == 39 and found.trajectory.outcome == "refined"
+    assert heard[-1] == (116, 116)
 
 
 def test_another_machines_model_is_no_answer(chunks: list[Chunk], tmp_path: Path) -> None:

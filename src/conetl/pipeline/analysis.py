@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +20,15 @@ from conetl.perception.detections import with_detail, without_unread
 from conetl.perception.model_card import read_model_card
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
-from conetl.pipeline.detect import detail_path, detect, match
-from conetl.pipeline.executor import Executor, Progress, ProgressCount, ThreadExecutor, results
+from conetl.pipeline.detect import Along, Detected, detail_path, detect, match
+from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
 from conetl.pipeline.markings import mark, marking_points
 from conetl.pipeline.odometry import (
-    Odometry,
     check_poses,
-    motions,
+    motions_again,
     moved,
     odometry,
-    odometry_chunks,
+    parts_to_follow,
     refine,
     self_calibrate,
     with_rig,
@@ -146,49 +144,65 @@ def _run_chunks(
     """Detections, matches, motions and points of markings of all chunks; what the drive says about its calibration, and its rig
     after that.
 
-    Matching waits for the calibration, which needs the odometry of the whole drive. So the odometry comes first, and while Python
-    itself works out the calibration in the caller's own thread, detections, which leave the interpreter to others, keep
-    the cores busy. Once the rig is known, matches are computed along with the detections, from images that are in memory; only
-    for those that were found meanwhile are images decoded again.
+    Matching waits for the calibration, which needs the odometry of many parts of the drive. So that comes first, and while Python
+    itself works out the calibration in the caller's own thread, detections of some of these parts, which leave the interpreter to
+    others, keep the cores busy. Once the rig is known, the rest is computed along with the detections, from images that are in
+    memory; only matches and markings of what was found meanwhile need them again.
     """
     params = chunks[0].params.trajectory
-    overlapping = list(odometry_chunks(chunks)) if params.refine else []
-    steps = 2 * sum(len(chunk.frame_pairs) for chunk in chunks) + sum(len(o.frame_pairs) - 1 for o in overlapping)
-    count = ProgressCount(executor, steps, progress)
-    followed = [executor.submit(odometry, chunk, count.tick) for chunk in overlapping]
-    for chunk, step in zip(overlapping, followed, strict=True):
-        count.follow(step, len(chunk.frame_pairs) - 1)
-    parts = iter([(k, part) for k, chunk in enumerate(chunks) for part in range(len(parts_of(chunk)))])
-    detected: list[list[Any]] = [[] for _ in chunks]
+    of_chunk: list[Sequence[int]] = []
+    parts: list[tuple[Chunk, int]] = []
+    for chunk in chunks:
+        of_chunk.append(range(len(parts), len(parts) + len(parts_of(chunk))))
+        parts += [(chunk, part) for part in range(len(parts_of(chunk)))]
+    pairs = [len(chunk.frame_pairs[parts_of(chunk)[part]]) for chunk, part in parts]
+    intervals = [*pairs[:-1], pairs[-1] - 1] if params.refine else [0] * len(parts)
+    count = ProgressCount(executor, 2 * sum(pairs) + sum(intervals), progress)
+    followed: dict[int, Submitted] = {}
+    detected: dict[int, Submitted] = {}
 
-    def submit_detections(number: int, rig: Rig | None) -> None:
-        """Of so many parts more."""
-        for k, part in islice(parts, number):
-            step = executor.submit(detect, chunks[k], part, rig, count.tick)
-            count.follow(step, 2 * len(chunks[k].frame_pairs[parts_of(chunks[k])[part]]))
-            detected[k].append(step)
+    def submit_odometry(numbers: Iterable[int]) -> None:
+        for k in numbers:
+            if k not in followed:
+                followed[k] = executor.submit(odometry, *parts[k], count.tick)
+                count.follow(followed[k], intervals[k])
 
-    # Steps begin in the order in which they are submitted: one part for every core, and matching as many parts later, which so
-    # waits for nothing.
-    submit_detections(os.cpu_count() or 1, None if params.self_calibrate else drive.rig)
+    def submit_detections(numbers: Iterable[int], rig: Rig | None) -> None:
+        for k in numbers:
+            if k not in detected:
+                along = Along(odometry=params.refine and k not in followed, markings=with_markings)
+                detected[k] = executor.submit(detect, *parts[k], rig, along, count.tick)
+                count.follow(detected[k], 2 * pairs[k] + (intervals[k] if along.odometry else 0))
+
     calibration: SelfCalibration = SWITCHED_OFF
-    found: list[Odometry] = []
     if params.self_calibrate:
-        found = results(followed)
-        tracks, measured = [each.tracks for each in found], [each.motions for each in found]
-        calibration = executor.run(self_calibrate, drive, tracks, measured, chunks[0])
+        needed = parts_to_follow(parts, params) if params.refine else []
+        submit_odometry(needed)
+        submit_detections(needed[: os.cpu_count() or 1], None)
+        calibration = executor.run(self_calibrate, drive, _in_order(followed), chunks[0])
+        if 0 < len(followed) < len(parts) and calibration.span_count < params.self_calibration_max_spans / 2:
+            submit_odometry(range(len(parts)))
+            calibration = executor.run(self_calibrate, drive, _in_order(followed), chunks[0])
     rig = self_calibrated_rig(drive.rig, calibration, params)
-    moving = executor.submit(motions, with_rig(overlapping, rig), found) if rig != drive.rig else None
-    matched, marked = [], []
-    for k, chunk in enumerate(chunks):
-        submit_detections(len(parts_of(chunk)), rig)
-        if with_markings:
-            [corrected] = with_rig([chunk], rig)
-            marked += [executor.submit(marking_points, corrected, part) for part in range(len(parts_of(chunk)))]
-        matched.append(executor.submit(match, chunk, rig, *detected[k]))
-    paths = results([step for halves in detected for step in halves])
-    motion_paths = [step.result().motions for step in followed] if moving is None else moving.result()
-    return paths, results(matched), motion_paths, results(marked), calibration, rig
+    early, motions = sorted(detected), _in_order(followed)
+    moving = None
+    if followed and rig != drive.rig:
+        moving = executor.submit(motions_again, [parts[k] for k in sorted(followed)], rig, motions)
+    marked = {k: executor.submit(marking_points, *parts[k], rig) for k in early if with_markings}
+    matched = []
+    for chunk, own, following in zip(chunks, of_chunk, [*of_chunk[1:], ()], strict=True):
+        submit_detections([*own, *following], rig)  # steps begin in this order, so that matching waits for nothing
+        matched.append(executor.submit(match, chunk, rig, *(detected[k] for k in own)))
+    found: list[Detected] = _in_order(detected)
+    by_number = dict(zip(sorted(followed), motions if moving is None else moving.result(), strict=True))
+    motion_paths = [(found[k].odometry or by_number[k]).motions for k in range(len(parts))] if params.refine else []
+    marking_paths = [each.marking_points or marked[k].result() for k, each in enumerate(found)] if with_markings else []
+    return [each.detections for each in found], results(matched), motion_paths, marking_paths, calibration, rig
+
+
+def _in_order(steps: Mapping[int, Submitted]) -> list[Any]:
+    """Results of the steps of some parts, in the order of the drive."""
+    return results([steps[k] for k in sorted(steps)])
 
 
 def locate(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:

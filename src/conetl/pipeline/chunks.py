@@ -25,6 +25,8 @@ class Chunk(Record):
     detections_sha256: str
     """Of the model's sidecar: what model, and how it is used."""
     params: IngestParams
+    next_pair: FramePair | None = None
+    """The first one of the next chunk: the motion to it is this chunk's."""
 
 
 def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Chunk]:
@@ -44,6 +46,7 @@ def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Ch
         Chunk(
             rig=drive.rig,
             frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
+            next_pair=next(iter(drive.frame_pairs[first + params.chunk_pairs :]), None),
             results_folder=settings.results_folder.resolve(),
             model_path=settings.model_path and settings.model_path.resolve(),
             detections_sha256=card.detections_sha256,
@@ -54,7 +57,7 @@ def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Ch
 
 
 def parts_of(chunk: Chunk) -> list[slice]:
-    """The frame pairs of a chunk that one detection step searches: halves, so that the last ones keep all cores busy."""
+    """The frame pairs of a chunk that one step reads: halves, so that the last ones keep all cores busy."""
     count = len(chunk.frame_pairs)
     half = (count + 1) // 2
     return [slice(first, min(first + half, count)) for first in range(0, count, half)]

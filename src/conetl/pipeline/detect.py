@@ -1,11 +1,12 @@
-"""Steps that search images for cones: detections of parts of a chunk, and stereo matches while the images are in memory."""
+"""Steps that search images for objects: detections of parts of a chunk, and what else these images are read for meanwhile."""
 
 from __future__ import annotations
 
 import socket
 import threading
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections import defaultdict, deque
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,6 +28,8 @@ from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
+from conetl.pipeline.markings import find_marking_points, marking_points
+from conetl.pipeline.odometry import Odometry, follow, motions
 from conetl.pipeline.settings import read_settings
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
@@ -34,14 +37,50 @@ from conetl.tracking.matching.matches import match_pair, with_measured_spread
 _per_thread = threading.local()
 
 
-def detect(chunk: Chunk, part: int, rig: Rig | None, tick: Tick | None = None) -> Path:
-    """Detections in both images of one of the parts of a chunk; returns the Parquet file.
+class Detected(NamedTuple):
+    """Parquet files of one part of a chunk."""
+
+    detections: Path
+    odometry: Odometry | None = None
+    marking_points: Path | None = None
+
+
+class Along(NamedTuple):
+    """What a part is searched for along with its detections, as long as its images are in memory."""
+
+    odometry: bool = False
+    markings: bool = False
+
+
+NOTHING = Along()
+
+
+def detect(chunk: Chunk, part: int, rig: Rig | None, along: Along = NOTHING, tick: Tick | None = None) -> Detected:
+    """Detections in both images of one of the parts of a chunk.
 
     The right image is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`).
     rig: of the drive after its self-calibration, None where that is not known yet. Where it is, the matches are computed along
-    with the detections, while the images are in memory, and stored where `match` finds them. tick: called for every image.
+    with the detections, while the images are in memory, and stored where `match` finds them; so is the rest (`along`), which
+    needs it. tick: called for every image and every motion.
     """
-    pairs, tick = chunk.frame_pairs[parts_of(chunk)[part]], tick or ignore
+    steps: list[Iterator[None]] = []
+    if along.odometry:
+        steps.append(follow(chunk, part, tick))
+    if along.markings and rig is not None:
+        steps.append(find_marking_points(chunk, part, rig))
+    together = zip_longest(*steps)
+    detections = _detections(chunk, part, rig, together, tick or ignore)
+    deque(together, maxlen=0)
+    return Detected(
+        detections,
+        motions(chunk, part, rig or chunk.rig) if along.odometry else None,
+        marking_points(chunk, part, rig) if along.markings and rig is not None else None,
+    )
+
+
+def _detections(chunk: Chunk, part: int, rig: Rig | None, along: Iterator[object], tick: Tick) -> Path:
+    """Detections of a part; along: takes one step for every frame pair."""
+    pairs = chunk.frame_pairs[parts_of(chunk)[part]]
     params, reconcile = chunk.params.detection, chunk.params.reconcile
     key = result_key(
         RESULTS_VERSION,
@@ -72,6 +111,7 @@ def detect(chunk: Chunk, part: int, rig: Rig | None, tick: Tick | None = None) -
             if k != middle:
                 seen[k] = _search(chunk, pairs[k], first_rows, rig, tick, everywhere=everywhere)
         found += [seen[k] for k in block]
+        deque(islice(along, len(block)), maxlen=0)
     save_result(chunk.results_folder, _detail_key(key), [d for f in found for d in f.details], [])
     detected = save_result(
         chunk.results_folder, key, [d for f in found for d in f.detections], [r for f in found for r in f.rejections]
@@ -160,16 +200,17 @@ def _detect(
     return image, *check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params, categories=names)
 
 
-def match(chunk: Chunk, rig: Rig, *detected: Path) -> Path:
+def match(chunk: Chunk, rig: Rig, *detected: Detected) -> Path:
     """Stereo matches of a chunk from the detections of its parts; returns the Parquet file.
 
     chunk: with the rig by which its images were read; rig: the same after self-calibration.
     """
-    keys = [_match_key(chunk, path, rig) for path in detected]
+    files = [part.detections for part in detected]
+    keys = [_match_key(chunk, path, rig) for path in files]
     key = result_key(RESULTS_VERSION, "matches", *keys)
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
-    paths = [_match_part(chunk, part, path, rig) for part, path in enumerate(detected)]
+    paths = [_match_part(chunk, part, path, rig) for part, path in enumerate(files)]
     matches, rejections = load_results(paths, StereoMatch)
     return save_result(chunk.results_folder, key, with_measured_spread(matches), rejections)
 

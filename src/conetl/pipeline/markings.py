@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import spaced
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import Drive
+from conetl.model.records import Drive, FramePair, Rig
 from conetl.perception.images import ImageFileError
 from conetl.perception.markings.crossings import find_points
 from conetl.perception.markings.points import MarkingPoints
@@ -27,29 +29,44 @@ _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
 
 
-def marking_points(chunk: Chunk, part: int) -> Path:
+def marking_points(chunk: Chunk, part: int, rig: Rig) -> Path:
     """Points of lane markings in one of the parts of a chunk; returns the Parquet file.
 
-    chunk: with the rig after self-calibration. A pair is searched for every `pair_spacing_m` of the path; one that cannot be
+    rig: the chunk's after self-calibration. A pair is searched for every `pair_spacing_m` of the path; one that cannot be
     decoded shows nothing, the detection reports it.
     """
-    params = chunk.params.marking
-    key = result_key(RESULTS_VERSION, "marking-points", params_sha256(params), geometry_key(chunk), str(part))
+    deque(find_marking_points(chunk, part, rig), maxlen=0)
+    return result_path(chunk.results_folder, _points_key(chunk, part, rig))
+
+
+def find_marking_points(chunk: Chunk, part: int, rig: Rig) -> Iterator[None]:
+    """Search one frame pair of a part at each step; the end stores what was found."""
+    key = _points_key(chunk, part, rig)
     if has_result(chunk.results_folder, key):
-        return result_path(chunk.results_folder, key)
+        return
     set_up_worker()
-    whole = chunk.frame_pairs[parts_of(chunk)[part]]
-    pairs = [whole[k] for k in spaced(np.array([pair.pose.map_t_body_m for pair in whole]), params.pair_spacing_m)]
+    params, pairs = chunk.params.marking, chunk.frame_pairs[parts_of(chunk)[part]]
+    chosen = set(spaced(np.array([pair.pose.map_t_body_m for pair in pairs]), params.pair_spacing_m))
     found = []
-    for number, pair in enumerate(pairs):
-        if number % _PAIRS_AT_ONCE == 0:
-            fetch_pairs(pairs[number : number + _PAIRS_AT_ONCE])
-        try:
-            left, right = (read_pair_image(pair, side, chunk.rig) for side in ("left", "right"))
-        except ImageFileError:
-            continue
-        found.append(find_points(pair.frame_index, left, right, chunk.rig, params))
-    return save_result(chunk.results_folder, key, found, [])
+    for k, pair in enumerate(pairs):
+        if k % _PAIRS_AT_ONCE == 0:
+            fetch_pairs([pairs[n] for n in range(k, min(k + _PAIRS_AT_ONCE, len(pairs))) if n in chosen])
+        if k in chosen and (images := _both_images(pair, rig)) is not None:
+            found.append(find_points(pair.frame_index, *images, rig, params))
+        yield
+    save_result(chunk.results_folder, key, found, [])
+
+
+def _both_images(pair: FramePair, rig: Rig) -> tuple[NDArray[np.uint8], NDArray[np.uint8]] | None:
+    try:
+        return read_pair_image(pair, "left", rig), read_pair_image(pair, "right", rig)
+    except ImageFileError:
+        return None
+
+
+def _points_key(chunk: Chunk, part: int, rig: Rig) -> str:
+    params = params_sha256(chunk.params.marking)
+    return result_key(RESULTS_VERSION, "marking-points", params, geometry_key(chunk, rig), str(part))
 
 
 def mark(

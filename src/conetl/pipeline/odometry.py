@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Iterator, Sequence
+from math import ceil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +22,7 @@ from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.visual_odometry import follow_drive, follow_spans
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.health import check_trajectory
@@ -30,14 +32,6 @@ from conetl.tracking.trajectory import RefinedTrajectory
 
 _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
-
-
-def odometry_chunks(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
-    """The chunks of a drive, each with the first frame pair of the next, so that no interval between two is lost."""
-    for k, chunk in enumerate(chunks):
-        following = chunks[k + 1].frame_pairs[:1] if k + 1 < len(chunks) else ()
-        if len(chunk.frame_pairs) + len(following) > 1:
-            yield chunk.model_copy(update={"frame_pairs": (*chunk.frame_pairs, *following)})
 
 
 def moved(chunks: Sequence[Chunk], trajectory: RefinedTrajectory) -> list[Chunk]:
@@ -55,59 +49,97 @@ def with_rig(chunks: Sequence[Chunk], rig: Rig) -> list[Chunk]:
 
 
 class Odometry(NamedTuple):
-    """Parquet files of one chunk."""
+    """Parquet files of one part of a chunk."""
 
     tracks: Path
-    """Points followed between its frame pairs ..."""
+    """Points followed between its frame pairs, and to the first one after it ..."""
     motions: Path
     """... and the motions that they tell."""
 
 
-def odometry(chunk: Chunk, tick: Tick | None = None) -> Odometry:
-    """Points followed between the frame pairs of a chunk, and its motions by the rig as it is. tick: called for every motion."""
-    key = result_key(RESULTS_VERSION, "tracks", params_sha256(chunk.params.trajectory), geometry_key(chunk))
-    tick = tick or ignore
-    path, intervals = result_path(chunk.results_folder, key), len(chunk.frame_pairs) - 1
+def odometry(chunk: Chunk, part: int, tick: Tick | None = None) -> Odometry:
+    """Points followed in one of the parts of a chunk, and its motions by the chunk's rig. tick: called for every motion."""
+    deque(follow(chunk, part, tick), maxlen=0)
+    return motions(chunk, part, chunk.rig)
+
+
+def follow(chunk: Chunk, part: int, tick: Tick | None = None) -> Iterator[None]:
+    """Follow points in one of the parts of a chunk, from one frame pair to the next at each step; the end stores them."""
+    part_of_chunk, tick = _part(chunk, part), tick or ignore
+    key = _tracks_key(part_of_chunk)
     if has_result(chunk.results_folder, key):
-        tick(intervals)
-        return Odometry(path, _motions(chunk, path))
+        tick(len(part_of_chunk.frame_pairs) - 1)
+        return
     set_up_worker()
+    pairs, rig = part_of_chunk.frame_pairs, chunk.rig
     tracks: list[StereoTracks] = []
-    for found in follow_drive(
-        chunk.frame_pairs, chunk.rig, grey_reader(chunk.rig, chunk.frame_pairs), chunk.params.trajectory
-    ):
+    for found in follow_drive(pairs, rig, grey_reader(rig, pairs), chunk.params.trajectory):
         tracks.append(found)
         tick(1)
+        yield
     save_result(chunk.results_folder, key, tracks, [])
-    return Odometry(path, _motions(chunk, path, tracks))
 
 
-def motions(chunks: Sequence[Chunk], odometry: Sequence[Odometry]) -> list[Path]:
-    """Motions between a drive's frame pairs by its rig after self-calibration; returns the Parquet files, chunk by chunk.
+def motions(chunk: Chunk, part: int, rig: Rig, earlier: Odometry | None = None) -> Odometry:
+    """Motions of one of the parts of a chunk from the points that were followed in it.
 
-    chunks: `odometry_chunks` with that rig. odometry: points followed, and motions by the rig as it was, a start that spares the
-    search. One step for all chunks: 3 ms per frame pair, and a task costs Prefect 40.
+    chunk: with the rig by which points were followed; rig: the same after self-calibration. earlier: by the rig as it was, a
+    start that spares the search.
     """
-    return [_motions(chunk, found.tracks, earlier=found.motions) for chunk, found in zip(chunks, odometry, strict=True)]
+    part_of_chunk, params = _part(chunk, part), chunk.params.trajectory
+    tracks = _tracks_key(part_of_chunk)
+    start = earlier.motions.stem if earlier else "none"
+    key = result_key(RESULTS_VERSION, "motions", tracks, params_sha256(params), geometry_key(part_of_chunk, rig), start)
+    folder = chunk.results_folder
+    if not has_result(folder, key):
+        followed = load_result(result_path(folder, tracks), StereoTracks)[0]
+        starts = load_result(earlier.motions, RelativeMotion)[0] if earlier else None
+        found = motions_of(followed, part_of_chunk.frame_pairs, rig, params, starts)
+        save_result(folder, key, list(found), [])
+    return Odometry(result_path(folder, tracks), result_path(folder, key))
 
 
-def _motions(
-    chunk: Chunk, tracks: Path, known: Sequence[StereoTracks] | None = None, *, earlier: Path | None = None
-) -> Path:
-    """known: what `tracks` holds, where that is in memory."""
-    params, pairs = chunk.params.trajectory, chunk.frame_pairs
-    start = earlier.stem if earlier else "none"
-    key = result_key(RESULTS_VERSION, "motions", tracks.stem, params_sha256(params), geometry_key(chunk), start)
-    if not has_result(chunk.results_folder, key):
-        followed = load_result(tracks, StereoTracks)[0] if known is None else known
-        starts = load_result(earlier, RelativeMotion)[0] if earlier else None
-        save_result(chunk.results_folder, key, list(motions_of(followed, pairs, chunk.rig, params, starts)), [])
-    return result_path(chunk.results_folder, key)
+def motions_again(parts: Sequence[tuple[Chunk, int]], rig: Rig, found: Sequence[Odometry]) -> list[Odometry]:
+    """Motions by a drive's rig after self-calibration.
+
+    One step for all parts: 3 ms per frame pair, and a task costs Prefect 40.
+    """
+    return [motions(chunk, part, rig, earlier) for (chunk, part), earlier in zip(parts, found, strict=True)]
 
 
-def self_calibrate(drive: Drive, tracks: list[Path], motions: list[Path], chunk: Chunk) -> SelfCalibration:
-    """What the whole drive says about its rig's calibration; chunk: any of the drive's, for parameters and results folder."""
-    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for path in (*tracks, *motions)))
+def _part(chunk: Chunk, part: int) -> Chunk:
+    """One of the parts of a chunk and the first frame pair after it, so that no interval between two is lost."""
+    within = parts_of(chunk)[part]
+    pairs = chunk.frame_pairs[within.start : within.stop + 1]
+    if within.stop == len(chunk.frame_pairs) and chunk.next_pair is not None:
+        pairs += (chunk.next_pair,)
+    return chunk.model_copy(update={"frame_pairs": pairs})
+
+
+def _tracks_key(part_of_chunk: Chunk) -> str:
+    params = params_sha256(part_of_chunk.params.trajectory)
+    return result_key(RESULTS_VERSION, "tracks", params, geometry_key(part_of_chunk))
+
+
+def parts_to_follow(parts: Sequence[tuple[Chunk, int]], params: TrajectoryParams) -> list[int]:
+    """Numbers of the parts of a drive that self-calibration needs: evenly spread, with twice the length of all its spans.
+
+    The length is that of the logged poses, so there may be fewer spans.
+    """
+    poses = [[pair.pose.map_t_body_m for pair in _part(*part).frame_pairs] for part in parts]
+    length_m = sum(float(np.linalg.norm(np.diff(each, axis=0), axis=1).sum()) for each in poses if len(each) > 1)
+    share = 2 * params.self_calibration_span_m * params.self_calibration_max_spans / max(length_m, 1e-9)
+    count = ceil(len(parts) * min(share, 1.0))
+    return [round(k) for k in np.linspace(0, len(parts) - 1, count)]
+
+
+def self_calibrate(drive: Drive, followed: Sequence[Odometry], chunk: Chunk) -> SelfCalibration:
+    """What a drive says about its rig's calibration.
+
+    followed: of parts of it, in its order. chunk: any of the drive's, for parameters and results folder.
+    """
+    motions = [each.motions for each in followed]
+    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for each in followed for path in each))
     if has_result(chunk.results_folder, key):
         return load_result(result_path(chunk.results_folder, key), SelfCalibration)[0][0]
     found = _calibration(drive, load_results(motions, RelativeMotion)[0], chunk.params.trajectory)
@@ -127,7 +159,9 @@ def calibrate_drive(
 
 def _calibration(drive: Drive, measured: Sequence[RelativeMotion], params: TrajectoryParams) -> SelfCalibration:
     pairs, read, wide = drive.frame_pairs, grey_reader(drive.rig), span_params(params)
-    spans = spread_spans(choose_spans(measured, params.self_calibration_span_m), params.self_calibration_max_spans)
+    by_start = {motion.first_frame_index: motion for motion in measured}
+    in_order = [by_start.get(pair.frame_index) for pair in pairs[:-1]]
+    spans = spread_spans(choose_spans(in_order, params.self_calibration_span_m), params.self_calibration_max_spans)
     if len(spans) < params.self_calibration_min_spans:
         spans = []  # no image needs to be decoded again
     followed = list(follow_spans(spans, pairs, drive.rig, read, wide))

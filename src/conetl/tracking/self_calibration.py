@@ -91,14 +91,14 @@ def span_params(params: TrajectoryParams) -> TrajectoryParams:
     )
 
 
-def choose_spans(motions: Sequence[RelativeMotion], span_m: float) -> list[Span]:
-    """Consecutive parts of a drive of about `span_m` each; motions: one per interval, in order.
+def choose_spans(motions: Sequence[RelativeMotion | None], span_m: float) -> list[Span]:
+    """Consecutive parts of a drive of about `span_m` each; motions: one per interval, in order; None: not followed.
 
     Parts in which the car does not move far enough and intervals without a measured motion give no span.
     """
     spans, start, pose = [], 0, np.eye(4)
     for k, motion in enumerate(motions):
-        if motion.second_SE3_first is None:
+        if motion is None or motion.second_SE3_first is None:
             start, pose = k + 1, np.eye(4)
             continue
         pose = se3.compose(np.array(motion.second_SE3_first), pose)
