@@ -79,7 +79,7 @@ bench-fleet: setup  ## one and eight writers on one map, and a month of 200 vehi
 bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no lock, no file left (KILLS=20 for fewer)
 	@$(BIN)/python benchmarks/bench_kills.py --kills $(or $(KILLS),200)
 
-bench-overhead: setup  ## what Prefect costs on a drive of 1,000 pairs, beside the same steps in a plain loop (ARGS='--pairs 200' ...)
+bench-overhead: setup  ## what Prefect costs on a drive of 1,000 pairs, beside the same steps in a plain loop (ARGS='--pairs 200', ARGS='--dask 4' ...)
 	@$(BIN)/python benchmarks/bench_overhead.py $(ARGS)
 
 bench-ingest: setup  ## the whole job beside decoding and the network alone: pairs per second, memory (ARGS='--pairs 150 --stages' ...)

@@ -4,7 +4,10 @@ Processor time of this process, of the Prefect server and of PostGIS. First both
 map of its own; then both again with the results of all chunks on disk ("warm"), where orchestration is most of the work, so
 that other load of the machine does not hide it. The result is the warm difference over the cold run without Prefect.
 
-    python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--chunk-pairs 128]
+With `--dask 4` also from images by as many workers of a Dask cluster on this machine, in turn with threads. Each worker has
+loaded its libraries: all have worked on another drive.
+
+    python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--chunk-pairs 128] [--dask 4]
 """
 
 from __future__ import annotations
@@ -15,11 +18,13 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import datetime
 from pathlib import Path
 
 from benchmarks.harness import arguments_of, load, own_home, processor_s, write_json
+from conetl.model.params import IngestParams
 
 IMPORTS = {
     "the steps alone": "import conetl.pipeline.ingest",
@@ -38,6 +43,20 @@ def cpu_of_import(statement: str) -> float:
     return min(took)
 
 
+@contextmanager
+def warm_workers(home: Path, source: Path, count: int, params: IngestParams) -> Iterator[str]:
+    """Address of a cluster whose workers have all worked on another drive."""
+    from benchmarks import whole_job as job
+    from tests.dask_cluster import dask_workers
+
+    other = job.make_long_drive(source, home / "other", 32 * count, start=datetime(2026, 5, 2, 8))
+    with dask_workers(home, count) as (address, _):
+        changed = {"task_runner": "dask", "dask_address": address}
+        settings = job.settings_in(home, "other").model_copy(update=changed)
+        job.prefect_ingest(other, settings, params.model_copy(update={"chunk_pairs": 16}))
+        yield address
+
+
 def main() -> None:
     parser = arguments_of(__doc__)
     parser.add_argument("--pairs", type=int, default=1000)
@@ -45,6 +64,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="warm rounds of each variant")
     parser.add_argument("--chunk-pairs", type=int, help="frame pairs per task")
     parser.add_argument("--no-refine", action="store_true")
+    parser.add_argument("--dask", type=int, metavar="WORKERS")
     arguments = parser.parse_args()
     with own_home() as home, ExitStack() as stack:
         from benchmarks import whole_job as job
@@ -61,19 +81,27 @@ def main() -> None:
         stack.enter_context(prefect_server(home))
         start_s = processor_s(os.getpid()) - before
 
-        def took(run: Callable[..., object], map_name: str) -> tuple[float, float]:
+        def took(run: Callable[..., object], map_name: str, **changed: object) -> tuple[float, float]:
+            if not map_name.startswith("warm"):
+                shutil.rmtree(settings_in(home).results_folder, ignore_errors=True)
             cpu, wall = processor_s(os.getpid(), database), time.monotonic()
-            run(drive, settings_in(home, map_name), params)
+            run(drive, settings_in(home, map_name).model_copy(update=changed), params)
             return processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
 
         cold: dict[str, tuple[float, float]] = {}
         cold["plain"] = took(plain_ingest, "cold_plain")
-        shutil.rmtree(settings_in(home).results_folder)
         cold["prefect"] = took(prefect_ingest, "cold_prefect")
         warm: dict[str, list[float]] = {"plain": [], "prefect": []}
         for k in range(arguments.rounds):
             warm["plain"].append(took(plain_ingest, f"warm_plain_{k}")[0])
             warm["prefect"].append(took(prefect_ingest, f"warm_prefect_{k}")[0])
+        beside: list[tuple[float, float]] = []
+        if arguments.dask:
+            address = stack.enter_context(warm_workers(home, source, arguments.dask, params))
+            cluster = {"task_runner": "dask", "dask_address": address}
+            for k in range(arguments.rounds):
+                by_dask = took(prefect_ingest, f"dask_{k}", **cluster)[0]
+                beside.append((took(prefect_ingest, f"threads_{k}")[0], by_dask))
         print(f"{arguments.pairs} pairs of {source.name}, refinement {params.trajectory.refine}, "
               f"{workers} detection tasks at a time, load {load():.1f}")  # fmt: skip
         for way, (cpu, wall) in cold.items():
@@ -85,7 +113,12 @@ def main() -> None:
         print(f"cold against cold: {100 * (cold['prefect'][0] / cold['plain'][0] - 1):+.2f} %")
         print(f"once per command: start of the server {start_s:.1f} s; "
               + "; ".join(f"import of {name} {cpu_of_import(text):.1f} s" for name, text in IMPORTS.items()))  # fmt: skip
-        write_json(arguments.json, {"cold_s": cold, "warm_s": warm, "prefect_s": extra, "server_start_s": start_s})
+        for times in beside:
+            threads, dask = (1000 * took_s / arguments.pairs for took_s in times)
+            print(f"from images by threads {threads:.1f} ms of processor time per pair, by {arguments.dask} workers of Dask "
+                  f"{dask:.1f}: {100 * (dask / threads - 1):+.1f} %")  # fmt: skip
+        figures = {"cold_s": cold, "warm_s": warm, "prefect_s": extra, "server_start_s": start_s}
+        write_json(arguments.json, {**figures, "threads_and_dask_s": beside})
 
 
 if __name__ == "__main__":
