@@ -23,7 +23,7 @@ _INVISIBLE = 1e-6
 
 @dataclass(frozen=True)
 class Nees:
-    """A sum of squared normalised errors and the degrees of freedom that it has if the covariance is right."""
+    """A NEES and its degrees of freedom: chi-square distributed if the covariance is right."""
 
     value: float
     dof: int

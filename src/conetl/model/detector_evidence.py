@@ -39,7 +39,7 @@ class ScoreCalibration(Record):
         if len(self.scores) != len(self.probabilities):
             raise ValueError(f"{len(self.scores)} scores, but {len(self.probabilities)} probabilities")
         if any(b <= a for a, b in pairwise(self.scores)) or any(b < a for a, b in pairwise(self.probabilities)):
-            raise ValueError("scores must rise and probabilities must not fall")
+            raise ValueError("scores must increase, and probabilities must not decrease")
         return self
 
 

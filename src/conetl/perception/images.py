@@ -183,7 +183,7 @@ def check_image_bytes(
 
 
 def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> ImageHeader:
-    """Like `check_image_bytes` from a file's first and last bytes only: damage in between goes unseen. Raises ImageFileError."""
+    """Like `check_image_bytes`, but reads only the ends of the file and misses damage in between. Raises ImageFileError."""
     data, file_bytes = b"", None
     with _asking(path):
         if (

@@ -130,7 +130,7 @@ def test_a_miss_is_evidence_against_cones_that_are_found_more_often(height: floa
         ("hidden_bands", [0.1, 0.25], "begin at 0"),
         ("reference_score", 0.35, "reference_score"),
         ("look_correlation", {"near": 0.4, "far": 0.5, "decay_octaves": 0.5}, "is above near"),
-        ("calibration", {"method": "platt", "scores": [0.1, 0.9], "probabilities": [0.5, 0.4]}, "must not fall"),
+        ("calibration", {"method": "platt", "scores": [0.1, 0.9], "probabilities": [0.5, 0.4]}, "must not decrease"),
         ("calibration", {"method": "platt", "scores": [0.1, 0.9], "probabilities": [0.2, 0.5, 0.7]}, "2 scores, but 3"),
     ],
 )

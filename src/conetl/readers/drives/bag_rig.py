@@ -88,8 +88,8 @@ def _cameras(types: Mapping[str, str], streams: Streams, source: Path) -> tuple[
         if len(sides[0]) == 1 and len(sides[1]) == 1:
             return streams.left or sides[0][0], streams.right or sides[1][0]
     raise DriveFolderError(
-        f"{source}: which two topics are the left and the right camera? Expected one {COMPRESSED} or {RAW} topic each with left "
-        f"and right in its name; name them in drive.yaml (streams.left, streams.right); {_listing(types)}"
+        f"{source}: the topics of the left and the right camera are unknown: expected one {COMPRESSED} or {RAW} topic each "
+        f"with left and right in its name; name them in drive.yaml (streams.left, streams.right); {_listing(types)}"
     )
 
 

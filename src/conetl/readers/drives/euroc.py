@@ -139,7 +139,7 @@ def _rows(path: Path, root: Path, content: ContentHash) -> Iterator[tuple[int, l
             if words and words[0].strip() and not words[0].lstrip().startswith("#"):
                 yield reader.line_num, words
     except csv.Error as error:
-        raise DriveFolderError(f"{path}: this is not CSV: {error}") from error
+        raise DriveFolderError(f"{path}: not a CSV file: {error}") from error
 
 
 def _stamp(text: str, where: str) -> int | str:

@@ -87,7 +87,7 @@ class Rows:
         try:
             self._add(text)
         except csv.Error as error:
-            raise DriveFolderError(f"{self.path}: this is not CSV: {error}") from error
+            raise DriveFolderError(f"{self.path}: not a CSV file: {error}") from error
 
     def _add(self, text: str) -> None:
         reader = csv.DictReader(io.StringIO(text, newline=""), fieldnames=self._columns)
