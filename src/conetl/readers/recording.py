@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import FramePair, Pose, Rig
 from conetl.model.rejections import RejectionReason
@@ -289,12 +288,7 @@ class ArrivingKitti(ArrivingDrive):
         if before is not None and before_at is not None and pose_at is not None:
             records[number - 1], times[number - 1] = before, before_at
         track = oxts.trajectory(records, times, srid, self.settings.sigmas)
-        pose = track.map_SE3_body[-1]
-        if len(track.numbers) == 2 and pose_at is not None and before_at is not None:
-            step = pose_at - before_at
-            if 0 < step <= oxts.MAX_GAP_NS:
-                pose = se3.interpolate(track.map_SE3_body[0], pose, (captured - before_at) / step)
-        return oxts.pose_record(pose, track.sigma_enu_m[-1], self.settings.sigmas)
+        return oxts.poses_at(track, {number: captured}, self.settings.sigmas)[number]
 
     def _record_of(self, name: str) -> OxtsRecord | None:
         """An OXTS record; None until it is complete."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -75,52 +76,37 @@ def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int], sigmas: Sig
     number is used, and the distance that the body may have driven is added to the sigma of its position. A record without a
     time is used as it is.
     """
-    index = track.rows
-    poses = {number: track.map_SE3_body[index[number]] for number in exposures_ns}
-    sigma_enu_m = {number: track.sigma_enu_m[index[number]] for number in exposures_ns}
-    moving: dict[int, tuple[Array, float]] = {}
-    for number, time_ns in exposures_ns.items():
-        if time_ns == track.times_ns.get(number, time_ns):
-            continue
-        neighbour = _neighbour(track, index[number], time_ns)
-        if neighbour is not None:
-            moving[number] = neighbour
-        else:
-            late_s = abs(time_ns - track.times_ns[number]) * 1e-9
-            sigma_enu_m[number] = np.hypot(sigma_enu_m[number], late_s * _speed_m_s(track, index[number]))
-    ends, weights = [end for end, _ in moving.values()], [weight for _, weight in moving.values()]
-    found = se3.interpolate_each([poses[number] for number in moving], ends, weights)
-    poses |= dict(zip(moving, found, strict=True))
-    return {number: pose_record(pose, sigma_enu_m[number], sigmas) for number, pose in poses.items()}
+    if not exposures_ns:
+        return {}
+    rows = [track.rows[number] for number in exposures_ns]
+    late_ns = [time_ns - track.times_ns.get(number, time_ns) for number, time_ns in exposures_ns.items()]
+    ends, weights, apart_m = zip(*map(partial(_neighbour, track), rows, late_ns), strict=True)
+    poses = se3.interpolate_each([*track.map_SE3_body[rows]], [*track.map_SE3_body[[*ends]]], weights)
+    sigma_enu_m = np.hypot(track.sigma_enu_m[rows], np.array(apart_m)[:, None])
+    return {
+        number: pose_record(pose, sigma, sigmas)
+        for number, pose, sigma in zip(exposures_ns, poses, sigma_enu_m, strict=True)
+    }
 
 
-def _neighbour(track: OxtsTrajectory, index: int, time_ns: int) -> tuple[Array, float] | None:
-    """The record (4, 4) to interpolate with from the one at `index`, and its weight at the time: 0 at `index`, 1 at it.
+def _neighbour(track: OxtsTrajectory, row: int, late_ns: int) -> tuple[int, float, float]:
+    """The row to interpolate with from `row`, and its weight so long after `row`: 0 at `row`, 1 at it.
 
-    The record beyond the time, else that on the other side with a negative weight, down to -1; None where both are unusable.
+    The record beyond the time, else that on the other side with a negative weight, down to -1. Where both are unusable `row`
+    itself, and the distance (m) that the body may have driven.
     """
-    t0 = track.times_ns[track.numbers[index]]
-    towards = 1 if time_ns > t0 else -1
-    for step, least, most in ((towards, 0.0, 1.0), (-towards, -1.0, 0.0)):
-        other = index + step
-        if not 0 <= other < len(track.numbers) or track.numbers[other] not in track.times_ns:
+    if not late_ns:
+        return row, 0.0, 0.0
+    t0, speed = track.times_ns[track.numbers[row]], 0.0
+    for other in (row + 1, row - 1) if late_ns > 0 else (row - 1, row + 1):
+        step_ns = track.times_ns.get(track.numbers[other], t0) - t0 if 0 <= other < len(track.numbers) else 0
+        if not step_ns:
             continue
-        t1 = track.times_ns[track.numbers[other]]
-        if t0 != t1 and abs(t1 - t0) <= MAX_GAP_NS and least <= (weight := (time_ns - t0) / (t1 - t0)) <= most:
-            return track.map_SE3_body[other], weight
-    return None
-
-
-def _speed_m_s(track: OxtsTrajectory, index: int) -> float:
-    """Largest mean speed between a record and its neighbours with a time; 0 without one."""
-    found = [0.0]
-    for other in (index - 1, index + 1):
-        if 0 <= other < len(track.numbers) and track.numbers[other] in track.times_ns:
-            apart_ns = abs(track.times_ns[track.numbers[other]] - track.times_ns[track.numbers[index]])
-            distance_m = np.linalg.norm(track.map_SE3_body[other, :3, 3] - track.map_SE3_body[index, :3, 3])
-            if apart_ns:
-                found.append(float(distance_m) / (apart_ns * 1e-9))
-    return max(found)
+        if abs(late_ns) <= abs(step_ns) <= MAX_GAP_NS:
+            return other, late_ns / step_ns, 0.0
+        moved_m = np.linalg.norm(track.map_SE3_body[other, :3, 3] - track.map_SE3_body[row, :3, 3])
+        speed = max(speed, float(moved_m) / abs(step_ns))
+    return row, 0.0, speed * abs(late_ns)
 
 
 def pose_record(pose: Array, sigma_enu_m: Array, sigmas: Sigmas) -> Pose:
