@@ -22,13 +22,13 @@ import lz4.frame  # type: ignore[import-untyped]
 import mcap.stream_reader
 import numpy as np
 from mcap.reader import McapReader, make_reader
-from mcap.records import Schema
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader, anyreader
 from rosbags.rosbag1 import reader as rosbag1_reader
 from rosbags.rosbag2 import reader as rosbag2_reader
 from rosbags.rosbag2 import storage_mcap as rosbag2_mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.msg import normalize_msgtype
 from rosbags.typesys.store import Typestore
 
 from conetl.files.atomic import aside
@@ -191,10 +191,10 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     store = get_typestore(Stores.EMPTY)
     for schema in summary.schemas.values():
         if schema.encoding == "ros2msg" and schema.name not in store.types:
-            found = get_types_from_msg(schema.data.decode("utf-8"), _ros_name(schema))
+            found = get_types_from_msg(schema.data.decode("utf-8"), normalize_msgtype(schema.name))
             store.register({name: fields for name, fields in found.items() if name not in store.types})
     types = {
-        channel.topic: _type_name(store, _ros_name(summary.schemas[channel.schema_id]), _ros_types())
+        channel.topic: _type_name(store, normalize_msgtype(summary.schemas[channel.schema_id].name), _ros_types())
         for channel in summary.channels.values()
         if channel.message_encoding == "cdr" and channel.schema_id in summary.schemas
     }
@@ -249,12 +249,6 @@ def _ros1_types() -> Typestore:
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register({TRANSFORMS: _ros_types().fielddefs[TRANSFORMS]})
     return store
-
-
-def _ros_name(schema: Schema) -> str:
-    """sensor_msgs/msg/Image, also where the recorder wrote sensor_msgs/Image."""
-    words = schema.name.split("/")
-    return schema.name if len(words) != 2 else f"{words[0]}/msg/{words[1]}"
 
 
 def image_bytes(content: Any, name: str) -> bytes:

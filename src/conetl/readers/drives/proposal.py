@@ -15,10 +15,10 @@ from conetl.files.yaml_model import validated
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Rig, Side
-from conetl.perception.images import ImageFileError, ImageFormatError, ImageTruncatedError, inspect_image, read_bytes
 from conetl.perception.video import VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
+from conetl.readers.drives.pairs import first_size
 from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, read_rig_and_format
 from conetl.readers.trajectories import (
     RecordedTrajectory,
@@ -154,7 +154,8 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     if "left" not in images or (len(sources) == 1 and "layout" not in images):
         return None
     if not videos:
-        return _image_size(root / images["left"])
+        folder = root / images["left"]
+        return first_size(image_files(folder)) if folder.is_dir() else None
     facts = video_facts(root / images["left"])
     across, down = {"left-right": (2, 1), "right-left": (2, 1), "top-bottom": (1, 2), "bottom-top": (1, 2)}.get(
         images.get("layout", ""), (1, 1)
@@ -168,15 +169,6 @@ def _of_side(names: Sequence[str], side: Side) -> list[str]:
     return [name for name, stem in stems.items() if side in stem] or [
         name for name, stem in stems.items() if side[0] in re.split(r"[^a-z]+", stem)
     ]
-
-
-def _image_size(folder: Path) -> tuple[int, int] | None:
-    """Width and height in pixels of the first image; None where it is broken, which costs its pair only."""
-    try:
-        header = inspect_image(read_bytes(image_files(folder)[0]))
-    except (ImageFileError, ImageFormatError, ImageTruncatedError, IndexError, OSError):
-        return None
-    return header.width_px, header.height_px
 
 
 def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -60,6 +61,15 @@ def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator
         yield found
 
 
+@contextmanager
+def _proj_errors(what: str) -> Iterator[None]:
+    """PROJ's errors as DriveFolderError."""
+    try:
+        yield
+    except (ProjError, ValueError) as error:
+        raise DriveFolderError(f"{what}: {shown(str(error))}") from error
+
+
 def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
     """From the frame of the positions to that of the map, where a file begins (3,). Raises DriveFolderError."""
     if settings.frame is None or settings.map_frame is None:
@@ -73,10 +83,8 @@ def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
             raise DriveFolderError(f"drive.yaml: trajectory.{key}: {shown(crs.name)} is not the name of a frame")
     source, target = (crs.to_3d() for crs in known.values())
     lat, lon = (float(value) for value in start[:2])
-    try:
+    with _proj_errors("drive.yaml: trajectory.frame, map_frame"):
         group = geodesy.operations(source, target, geodesy.around(lon, lat))
-    except (ProjError, CRSError, ValueError) as error:
-        raise DriveFolderError(f"drive.yaml: trajectory.frame, map_frame: {shown(str(error))}") from error
     if not group.transformers or not group.best_available:
         raise DriveFolderError(
             f"drive.yaml: trajectory.frame, map_frame: PROJ has no transformation from {shown(source.name)} to "
@@ -89,10 +97,8 @@ def _shifted(shift: Transformer, piece: Records) -> Records:
     """The records in another frame, each at its own time."""
     years = 1970 + piece.times_ns / _YEAR_NS
     lat, lon, height = piece.positions.T
-    try:
+    with _proj_errors("drive.yaml: trajectory.frame, map_frame"):
         lon, lat, height = shift.transform(lon, lat, height, years)[:3]
-    except ProjError as error:
-        raise DriveFolderError(f"drive.yaml: trajectory.frame, map_frame: {shown(str(error))}") from error
     positions = np.column_stack([lat, lon, height])
     positions[~np.isfinite(positions)] = np.nan
     return piece._replace(positions=positions)
@@ -113,11 +119,9 @@ def _transformed(steps: list[Transformer], axes: Axes, piece: Records, settings:
     x, y, z = piece.positions.T
     if axes == "geodetic":
         x, y = y, x
-    try:
+    with _proj_errors("trajectory.crs, heights"):
         for step in steps:
             x, y, z = step.transform(x, y, z)
-    except ProjError as error:
-        raise DriveFolderError(f"trajectory.crs, heights: {shown(str(error))}") from error
     positions = np.column_stack([y, x, z])
     lost = np.isfinite(piece.positions).all(axis=1) & ~np.isfinite(positions).all(axis=1)
     positions[~np.isfinite(positions)] = np.nan
@@ -185,16 +189,12 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
         source = source.to_3d()
     if geoid is not None and geoid.lower().endswith(_GRID_SUFFIXES):
         after.append(_grid(geoid, path))
-    try:
+    with _proj_errors(f"{path}: no transformation from {shown(source.name)} to WGS 84"):
         x, y = (start[1], start[0]) if axes == "geodetic" else (start[0], start[1])
         lon, lat = Transformer.from_crs(
             flat, CRS(4979) if flat.is_geocentric else flat.geodetic_crs, always_xy=True
         ).transform(x, y, start[2])[:2]
         group = geodesy.operations(source, CRS(4979), geodesy.around(lon, lat))
-    except (ProjError, CRSError, ValueError) as error:
-        raise DriveFolderError(
-            f"{path}: no transformation from {shown(source.name)} to WGS 84: {shown(str(error))}"
-        ) from error
     missing = geodesy.missing_grids(group)
     if not group.transformers or (missing and not group.best_available):
         raise DriveFolderError(_missing(path, source.name, missing))
@@ -221,10 +221,8 @@ def _grid(name: str, path: Path) -> Transformer:
         f'vgridshift +grids="{found}" +multiplier=1',
         "unitconvert +xy_in=rad +xy_out=deg",
     )
-    try:
+    with _proj_errors(f"{found}: PROJ cannot read this geoid grid"):
         return Transformer.from_pipeline("+proj=pipeline " + " ".join(f"+step +proj={step}" for step in steps))
-    except (ProjError, CRSError) as error:
-        raise DriveFolderError(f"{found}: PROJ cannot read this geoid grid ({shown(str(error))})") from error
 
 
 def _missing(path: Path, what: str, grids: list[str]) -> str:

@@ -10,6 +10,8 @@ import re
 from array import array
 from collections.abc import Iterator
 from datetime import date
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +77,7 @@ class _Log:
         if match is None:
             return
         body = match[1]
-        if not body.isascii() or _checksum(body.encode()) != int(match[4], 16):
+        if not body.isascii() or reduce(xor, body.encode()) != int(match[4], 16):
             self.damaged += 1
             return
         words = body.split(",")
@@ -135,14 +137,6 @@ class _Log:
         for times in (self.gga_ns, self.gst_ns, self.turn_ns):
             for i in range(len(times)):
                 times[i] += days * DAY_NS
-
-
-def _checksum(data: bytes) -> int:
-    """Exclusive or of all bytes (at most 128), folded as one number."""
-    folded = int.from_bytes(data.ljust(128, b"\0"), "little")
-    for bits in (512, 256, 128, 64, 32, 16, 8):
-        folded ^= folded >> bits
-    return folded & 0xFF
 
 
 def _time_of_day(text: str) -> int:

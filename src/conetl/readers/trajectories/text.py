@@ -51,16 +51,13 @@ def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number of the first line, from 1, and lines of consecutive pieces of a file, too long ones cut. Raises DriveFolderError."""
     encoding = encoding_of(head_bytes(path))
     number, rest = 1, ""
-    try:
-        with path.open(encoding=encoding, errors="replace") as file:
-            while block := file.read(_BLOCK):
-                *lines, rest = (rest + block).split("\n")
-                rest = rest[: MAX_LINE + 1]
-                if lines:
-                    yield number, lines
-                    number += len(lines)
-    except OSError as error:
-        raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
+    with named(path, DriveFolderError), path.open(encoding=encoding, errors="replace") as file:
+        while block := file.read(_BLOCK):
+            *lines, rest = (rest + block).split("\n")
+            rest = rest[: MAX_LINE + 1]
+            if lines:
+                yield number, lines
+                number += len(lines)
     if rest:
         yield number, [rest]
 

@@ -13,7 +13,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime
-from decimal import Decimal, InvalidOperation
+from decimal import ROUND_DOWN, Context, Decimal, InvalidOperation
 from functools import lru_cache
 from itertools import islice
 from statistics import median_low
@@ -47,8 +47,8 @@ _AFTER_LEAP_SECONDS = (
 _LEAPS_UTC_NS = np.array(_AFTER_LEAP_SECONDS, "datetime64[ns]").astype(np.int64)
 #: The same instants counted in GPS time.
 _LEAPS_GPS_NS = _LEAPS_UTC_NS + SECOND_NS * np.arange(1, len(_LEAPS_UTC_NS) + 1)
-#: Of a number of seconds as a text: plain digits, which are converted without rounding.
-_PLAIN = re.compile(r"(\d{1,18})(?:\.(\d*))?", re.ASCII)
+#: More digits than any time has in ns.
+_TRUNCATED = Context(prec=40, rounding=ROUND_DOWN)
 _VOTES = 9
 _OFFSET = re.compile(r"(?:Z|UTC|:\d\d(?:\.\d*)?[+-]\d\d(?::?\d\d)?)\s*$")
 _STAMP = re.compile(
@@ -176,18 +176,14 @@ def decimal_ns(text: str, digits: int = 9) -> int:
 
     Raises ValueError unless it is between 0 and 2**63 ns.
     """
-    match = _PLAIN.fullmatch(text)
-    if match is not None:
-        ns = int(match[1]) * int(10**digits) + (int((match[2] or "")[:digits].ljust(digits, "0")) if digits else 0)
-    else:
-        try:
-            value = Decimal(text)
-            # The exponent is checked before 10**exponent is computed.
-            if not value.is_finite() or value < 0 or value.adjusted() > 20:
-                raise ValueError
-            ns = int(value.scaleb(digits))
-        except (InvalidOperation, ValueError):
-            raise ValueError(f"{text.strip()[:40]!r} is not a time; expected a number above 0") from None
+    try:
+        value = Decimal(text)
+        # The exponent is checked before 10**exponent is computed.
+        if not value.is_finite() or value < 0 or value.adjusted() > 20:
+            raise ValueError
+        ns = int(value.scaleb(digits, _TRUNCATED))
+    except (InvalidOperation, ValueError):
+        raise ValueError(f"{text.strip()[:40]!r} is not a time; expected a number above 0") from None
     if ns >= 2**63 - WEEK_NS:
         raise ValueError(f"{text.strip()[:40]!r} is not a time: it is too large")
     return ns
