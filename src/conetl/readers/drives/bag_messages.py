@@ -129,14 +129,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """The bag of `bag_files`. Raises DriveFolderError where it is cut off or damaged."""
     with ExitStack() as opened:
         with library_errors(path):
-            if path.is_dir():
+            if path.is_dir() or path.suffix == ROS1_SUFFIX:
                 if (path / METADATA).is_file():
                     read_yaml(path / METADATA)  # within the limits, before rosbags builds it
-                reader = opened.enter_context(AnyReader([path], default_typestore=_ros_types()))
-                bag = _bag_of_rosbags(reader, path)
-            elif path.suffix == ROS1_SUFFIX:
-                reader = opened.enter_context(AnyReader([path], default_typestore=_ros1_types()))
-                bag = _bag_of_rosbags(reader, path)
+                types = _ros_types() if path.is_dir() else _ros1_types()
+                bag = _bag_of_rosbags(opened.enter_context(AnyReader([path], default_typestore=types)), path)
             else:
                 bag = _bag_of_file(make_reader(opened.enter_context(path.open("rb")), validate_crcs=True), path)
         yield bag._replace(types={topic: kind for topic, kind in bag.types.items() if len(topic) <= MAX_TOPIC})

@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterator
 from io import BytesIO
 from operator import attrgetter
 from pathlib import Path
-from typing import NoReturn
 
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag1.reader import Chunk, Header, IndexData, Reader, RecordType, read_bytes, read_uint32
@@ -42,9 +41,9 @@ class BoundedReader(Reader):
         chunk = super().read_chunk()
         self._chunk_bytes += chunk.datasize
         if chunk.datasize > self._max_chunk_bytes:
-            _refuse(f"a chunk is larger than {self._max_chunk_bytes >> 20} MB: record smaller chunks")
+            raise ValueError(f"a chunk is larger than {self._max_chunk_bytes >> 20} MB: record smaller chunks")
         if chunk.datapos + chunk.datasize > self._file_bytes or self._chunk_bytes > self._file_bytes:
-            _refuse("its index names chunks beyond the end of the file, or twice")
+            raise ValueError("its index names chunks beyond the end of the file, or twice")
         return chunk
 
     def read_index_data(self, pos: int, indexes: dict[int, list[IndexData]]) -> None:
@@ -54,9 +53,11 @@ class BoundedReader(Reader):
         super().read_index_data(pos, indexes)
         self._index_bytes += self.bio.tell() - start
         if self._index_bytes > self._file_bytes:
-            _refuse("its index names messages twice")
+            raise ValueError("its index names messages twice")
         if self._index_bytes > 12 * MAX_MESSAGES:
-            _refuse(f"it has more than {MAX_MESSAGES:,} messages; 'rosbag filter' keeps the topics that are needed")
+            raise ValueError(
+                f"it has more than {MAX_MESSAGES:,} messages; 'rosbag filter' keeps the topics that are needed"
+            )
 
     def messages(  # type: ignore[override]  # a generator is an iterator
         self, connections: Collection[Connection] = (), start: int | None = None, stop: int | None = None
@@ -78,24 +79,20 @@ class BoundedReader(Reader):
                 plain = named.decompressor(read_bytes(self.bio, named.datasize))
                 left -= len(plain)
                 if left < 0:
-                    _refuse(f"it grows to more than {MAX_GROWTH} times its size")
+                    raise ValueError(f"it grows to more than {MAX_GROWTH} times its size")
                 chunk = BytesIO(plain)
             if entry.offset < end:
-                _refuse("its index names messages twice")
+                raise ValueError("its index names messages twice")
             chunk.seek(entry.offset)
             header = Header.read(chunk)
             while header.get_uint8("op") == RecordType.CONNECTION:
                 chunk.seek(read_uint32(chunk), 1)
                 header = Header.read(chunk)
             if header.get_uint8("op") != RecordType.MSGDATA:
-                _refuse("its index does not point to messages")
+                raise ValueError("its index does not point to messages")
             data = read_bytes(chunk, read_uint32(chunk))
             end = chunk.tell()
             connection = wanted.get(header.get_uint32("conn"))
             if connection is None:
-                _refuse("its index names messages of other topics")
+                raise ValueError("its index names messages of other topics")
             yield connection, entry.time, data
-
-
-def _refuse(why: str) -> NoReturn:
-    raise ValueError(why)

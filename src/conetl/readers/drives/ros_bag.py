@@ -294,26 +294,22 @@ def _trajectory(
 
 def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Array:
     """(3,) the antenna in the IMU's frame. Raises DriveFolderError."""
-    antenna_m = (
-        _recorded_antenna(topics, found, source) if settings.antenna_t_m is None else np.array(settings.antenna_t_m)
-    )
+    imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.fix or "", "")
+    if settings.antenna_t_m is not None:
+        antenna_m = np.array(settings.antenna_t_m)
+    elif (pose := found.frames.find(imu, antenna)) is not None:
+        antenna_m = pose[:3, 3]
+    else:
+        raise DriveFolderError(
+            f"{source}: {TF_STATIC} does not connect the antenna '{antenna}' with '{imu}'; put antenna_t_m: [x, y, z] into "
+            "drive.yaml ([0, 0, 0] where the receiver's driver reduces its positions to the IMU)"
+        )
     if not np.all(np.abs(antenna_m) <= MAX_LEVER_ARM_M):  # NaN fails too
         raise DriveFolderError(
             f"{source}: the antenna is at {antenna_m} m in the IMU's frame, expected at most {MAX_LEVER_ARM_M:g} m; put "
             "antenna_t_m: [x, y, z] into drive.yaml"
         )
     return antenna_m
-
-
-def _recorded_antenna(topics: Topics, found: _Recorded, source: Path) -> Array:
-    imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.fix or "", "")
-    pose = found.frames.find(imu, antenna)
-    if pose is None:
-        raise DriveFolderError(
-            f"{source}: {TF_STATIC} does not connect the antenna '{antenna}' with '{imu}'; put antenna_t_m: [x, y, z] into "
-            "drive.yaml ([0, 0, 0] where the receiver's driver reduces its positions to the IMU)"
-        )
-    return np.asarray(pose[:3, 3])
 
 
 def _read_images(
