@@ -19,13 +19,14 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from conetl.cli.inspect_drive import FORMAT_NAMES
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Rig
 from conetl.model.rejections import Rejection
 from conetl.model.rejections import RejectionReason as R
-from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives import FORMATS, drive_format, read_drive
 from conetl.readers.drives.header import find_drives, read_header
 from conetl.readers.rigs import write_rig_yaml
 from tests.unit.readers.drive_formats import (
@@ -42,7 +43,10 @@ from tests.unit.readers.drive_formats import (
 )
 
 OTHERS = [name for name in WRITERS if name != "kitti"]
-FORMATS = {"kitti": "kitti", "plain": "plain", "euroc": "euroc"}
+#: Other samples are bags.
+FORMAT_OF = {"kitti": "kitti", "plain": "plain", "euroc": "euroc"}
+#: A video changes its images: `test_video_drives.py` has tests of its own.
+ELSEWHERE = {"video"}
 
 
 @pytest.fixture(scope="module")
@@ -64,12 +68,17 @@ def read(path: Path, cache: Path) -> tuple[Drive, list[Rejection]]:
     return read_drive(path, images_folder=cache)
 
 
+def test_every_format_is_tested() -> None:
+    tested = {FORMAT_OF.get(name, "bag") for name in WRITERS} | ELSEWHERE
+    assert tested == {found.NAME for found in FORMATS} == FORMAT_NAMES.keys()
+
+
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_format_gives_the_same_drive(
     name: str, tmp_path: Path, frames: list[Frame], rig: Rig, reference: Drive
 ) -> None:
     path = WRITERS[name](tmp_path / "run", frames, rig)
-    assert drive_format(path) == FORMATS.get(name, "bag")
+    assert drive_format(path) == FORMAT_OF.get(name, "bag")
     drive, rejections = read(path, tmp_path / "cache")
     assert rejections == []
     assert (drive.drive_id, drive.map_srid, drive.expected_frame_count) == ("run", reference.map_srid, len(frames))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ from conetl.model.errors import DriveFolderError
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.drives.poses import placed
-from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
-from conetl.readers.trajectories.settings import TrajectoryFile
+from conetl.readers.trajectories import READERS, find_trajectories, read_trajectory, trajectory_format
+from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.times import (
     SECOND_NS,
     TimeFormat,
@@ -54,6 +54,10 @@ def true_rotations(rph: Any) -> Any:
     # The right side goes down.
     right = level_right * np.cos(r)[:, None] - right_up * np.sin(r)[:, None]
     return np.stack([forward, -right, np.cross(forward, -right)], axis=-1)
+
+
+def test_every_format_has_a_sample() -> None:
+    assert {sample.format for sample in files.SAMPLES.values()} == READERS.keys() == {*get_args(FormatName)}
 
 
 @pytest.mark.parametrize("name", files.SAMPLES)
