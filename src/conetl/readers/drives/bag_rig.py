@@ -29,15 +29,15 @@ _MAX_LISTED = 600
 
 
 class Topics(NamedTuple):
-    """Topics of one drive; None where the bag has no such topic."""
+    """Topics of one drive."""
 
     left: str
     right: str
     left_info: str | None
     right_info: str | None
-    fix: str | None
+    trajectory: str
+    """NavSatFix with `imu`, Odometry without."""
     imu: str | None
-    odometry: str | None
 
 
 def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> Topics:
@@ -52,7 +52,6 @@ def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> T
             )
     left, right = _cameras(types, streams, source)
     infos = {t for t, kind in types.items() if kind == CAMERA_INFO}
-    imu = None
     trajectory = (
         streams.trajectory or _only(types, FIX, "trajectory", source) or _only(types, ODOMETRY, "trajectory", source)
     )
@@ -65,17 +64,14 @@ def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> T
         raise DriveFolderError(
             f"{source}: drive.yaml: streams.trajectory: {trajectory} is a {kind}, expected {FIX} or {ODOMETRY}"
         )
-    fix, odometry = (trajectory, None) if kind == FIX else (None, trajectory)
-    if fix is not None:
-        imu = streams.imu or _only(types, IMU, "imu", source)
-        if imu is None:
-            raise DriveFolderError(
-                f"{source}: {fix} has positions but no attitude, and the bag has no {IMU}; with an {ODOMETRY} topic name it in "
-                "drive.yaml (streams.trajectory) and add a georeference"
-            )
-    return Topics(
-        left, right, streams.left_info or _info_of(left, infos), streams.right_info or _info_of(right, infos), fix, imu, odometry
-    )  # fmt: skip
+    imu = (streams.imu or _only(types, IMU, "imu", source)) if kind == FIX else None
+    if kind == FIX and imu is None:
+        raise DriveFolderError(
+            f"{source}: {trajectory} has positions but no attitude, and the bag has no {IMU}; with an {ODOMETRY} topic name it "
+            "in drive.yaml (streams.trajectory) and add a georeference"
+        )
+    left_info, right_info = streams.left_info or _info_of(left, infos), streams.right_info or _info_of(right, infos)
+    return Topics(left, right, left_info, right_info, trajectory, imu)
 
 
 def _cameras(types: Mapping[str, str], streams: Streams, source: Path) -> tuple[str, str]:

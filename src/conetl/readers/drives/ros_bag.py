@@ -61,6 +61,7 @@ from conetl.readers.drives.pairs import (
     pair_by_stamp,
 )
 from conetl.readers.drives.poses import (
+    Samples,
     at,
     attitude_sigmas,
     checked_srid,
@@ -161,8 +162,7 @@ def _stamp_ns(message: Message) -> int | str:
 
 def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentHash) -> _Recorded:
     """All messages of the drive except its images."""
-    candidates = ((topics.fix, _fix), (topics.imu, _attitude), (topics.odometry, _odometry))
-    readers = {topic: reader for topic, reader in candidates if topic is not None}
+    readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
     transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
     found = _Recorded({t: {} for t in readers}, {t: {} for t in readers}, {}, {}, Frames())
@@ -243,7 +243,7 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
     if given is not None:
         return rig_on_body(*given, settings, rig_path)
     rig = rig_of_infos(topics, found.infos, source)
-    sensor = found.frame_ids.get(topics.imu or topics.odometry or "", "")
+    sensor = found.frame_ids.get(topics.imu or topics.trajectory, "")
     left_info = topics.left_info or ""
     camera = found.frame_ids[left_info]
     sensor_SE3_left = found.frames.find(sensor, camera)
@@ -264,22 +264,22 @@ def _trajectory(
     """EPSG code of the map, and the body's pose at a time. Raises DriveFolderError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
-    if topics.odometry is not None:
-        own = samples(f"{path}: {topics.odometry}", found.records[topics.odometry], found.bad[topics.odometry])
-        srid, placed = georeferenced(source, topics.odometry, own.map_SE3_body)
-        track = without_wild_fixes(
-            own._replace(name=topics.odometry, map_SE3_body=se3.compose(placed, sensor_SE3_body))
-        )
+
+    def samples_of(topic: str) -> Samples:
+        return samples(f"{path}: {topic}", found.records[topic], found.bad[topic])._replace(name=topic)
+
+    raw = samples_of(topics.trajectory)
+    if topics.imu is None:
+        srid, placed = georeferenced(source, raw.name, raw.map_SE3_body)
+        track = without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
         return srid, lambda time_ns: to_pose(*at(track, time_ns, gap_ns))
-    fix, imu = topics.fix or "", topics.imu or ""
     antenna_m = _antenna(topics, found, source.settings, path)
-    raw = samples(f"{path}: {fix}", found.records[fix], found.bad[fix])
-    attitude = samples(f"{path}: {imu}", found.records[imu], found.bad[imu])._replace(name=imu)
+    attitude = samples_of(topics.imu)
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
     srid = checked_srid(source.map_srid, float(lat[0]), float(lon[0]), path)
     with named(path, DriveFolderError):
         antenna = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
-    track = without_wild_fixes(raw._replace(name=fix, map_SE3_body=antenna))
+    track = without_wild_fixes(raw._replace(map_SE3_body=antenna))
 
     def pose_at(time_ns: int) -> Pose:
         fixed, fix_sigma = at(track, time_ns, gap_ns)
@@ -294,7 +294,7 @@ def _trajectory(
 
 def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Array:
     """(3,) the antenna in the IMU's frame. Raises DriveFolderError."""
-    imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.fix or "", "")
+    imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.trajectory, "")
     if settings.antenna_t_m is not None:
         antenna_m = np.array(settings.antenna_t_m)
     elif (pose := found.frames.find(imu, antenna)) is not None:
