@@ -68,19 +68,27 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
         raise DriveFolderError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
     size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
-    stamps = _stamps(root, f"{settings.cameras.left}/timestamps.txt", settings, content)
+    name = f"{settings.cameras.left}/timestamps.txt"
+    stamps = _stamps(root, name, settings, content)
+    times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}
     split = _split_triggers(root, settings, stamps, content)
     oxts_stamps = _stamps(root, OXTS_STAMPS, settings, content) if (root / OXTS_STAMPS).is_file() else {}
     srid, track, bad_records = _trajectory(source, oxts_stamps)
 
     usable: dict[int, tuple[ImageFile, ImageFile, int]] = {}
-    wrong_times = misplaced({n: t for n in numbers if isinstance(t := stamps.get(n), int) and n not in split})
+    misplaced_at = misplaced({number: times[number] for number in numbers if number in times and number not in split})
+    wrong = {number: str(stamp) for number, stamp in stamps.items() if number not in times}
+    wrong |= {number: f"the time {text}" for number, text in misplaced_at.items()}
+    wrong_times = {number: f"{name}, line {number + 1}: {text}" for number, text in wrong.items()} | split
     for number in images_ahead(numbers, left, right, content):
         try:
             images = check_images(left.get(number, []), right.get(number, []), rig, content, root)
-            captured = _captured_at(number, stamps, wrong_times, settings)
-            if number in split:
-                raise PairError(RejectionReason.TIMESTAMP_INVALID, split[number])
+            if number not in stamps:
+                lines = f"{name} has {len(stamps)} lines, line {number + 1} is needed for this frame"
+                raise PairError(RejectionReason.TIMESTAMP_MISSING, lines)
+            if number in wrong_times:
+                raise PairError(RejectionReason.TIMESTAMP_INVALID, wrong_times[number])
+            captured = times[number]
             _check_pose(number, captured, bad_records, track, root)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
@@ -278,24 +286,6 @@ def _no_poses(folder: Path) -> DriveFolderError:
         f"{folder}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
         "'conetl locate' on single pairs"
     )
-
-
-def _captured_at(
-    number: int, stamps: Mapping[int, int | str], wrong_times: Mapping[int, str], settings: DriveYaml
-) -> int:
-    """Time of the left image, UTC nanoseconds. Raises PairError."""
-    name = f"{settings.cameras.left}/timestamps.txt"
-    stamp = stamps.get(number)
-    if stamp is None:
-        raise PairError(
-            RejectionReason.TIMESTAMP_MISSING,
-            f"{name} has {len(stamps)} lines, line {number + 1} is needed for this frame",
-        )
-    if isinstance(stamp, str):
-        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {stamp}")
-    if number in wrong_times:
-        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: the time {wrong_times[number]}")
-    return stamp
 
 
 def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.OxtsTrajectory, root: Path) -> None:
