@@ -114,7 +114,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("map import swapped.csv", 2, "swapped.csv, row 1.*swapped"),
     ("map import probability.csv", 2, "row 1: existence_probability is .?1.2.?, expected at most 1"),
     ("map import good.csv --sigma-m -1", 2, "--sigma-m.*more than 0"),
-    ("map import good.csv --crs UTM", 2, "--crs UTM"),
+    ("map import good.csv --crs UTM", 2, "--crs.*'UTM'"),
     ("map check-points points.csv", 2, "points.csv"),
     ("map check-points missing.csv", 2, "missing.csv"),
     ("map check-layout --rules rules.yaml", 2, "rules.yaml: layout.spacing"),

@@ -6,15 +6,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
-from pyproj.exceptions import CRSError
 
-from conetl.files.documents import shown
+from conetl.files.documents import named, shown
 from conetl.files.names import printable
 from conetl.geometry import geodesy
 from conetl.geometry.packing import vec3
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import SurveyedPoint
+from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.maps.tables import MapTable, read_table
 from conetl.readers.trajectories.earth import in_wgs84
 from conetl.readers.trajectories.recorded import Reading, Records
@@ -43,10 +42,8 @@ def read_surveyed_points(
         row = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0]) + 1
         raise InputError(f"{path}, row {row}: a point needs east, north and a height ({', '.join(_HEIGHTS)})")
     settings = TrajectoryFile(crs=source, heights=heights)
-    try:
-        geographic = CRS.from_user_input(source).is_geographic
-    except CRSError as error:
-        raise InputError(f"{path}: the crs {source[:60]} is not known to PROJ; expected one like EPSG:25832") from error
+    with named(f"{path}: crs"):
+        geographic = parse_crs(source).is_geographic
     own = xyz[:, [1, 0, 2]] if geographic else xyz
     count = len(own)
     records = Records(np.zeros(count, np.int64), own, None, np.full((count, 6), np.nan), {})

@@ -75,7 +75,7 @@ def test_points_in_another_crs_are_the_same_points(tmp_path: Path) -> None:
         (
             "name,easting,northing,height_m,sigma_e_m,sigma_n_m,sigma_u_m",
             {"crs": "mine"},
-            "the crs mine is not known to PROJ",
+            "crs: 'mine' is not a coordinate reference system",
         ),
         (
             "name,easting,northing,height_m,sigma_e_m,sigma_n_m,sigma_u_m",

@@ -49,7 +49,7 @@ def parse_crs(text: str) -> CRS:
     """A CRS from `EPSG:25832`, `25832`, WKT or a PROJ string. Raises ValueError."""
     try:
         return CRS.from_user_input(int(text) if text.strip().isdigit() else text)
-    except CRSError as error:
+    except (CRSError, OverflowError) as error:
         raise ValueError(
             f"{shown(text)} is not a coordinate reference system; write it like 25832 or EPSG:25832"
         ) from error

@@ -12,12 +12,12 @@ import numpy as np
 import pyogrio
 import pyogrio.raw
 import shapely
-from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError
+from pyproj import Transformer
 
 from conetl.files.documents import MAX_SHOWN, shown
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import LaneLine
+from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.base_layers.lines import (
     LANELET2_BOUNDARIES,
     MAX_LINES,
@@ -64,8 +64,8 @@ def read_vector_file(path: Path) -> LineFile:
             f"{path}: its layers have different CRSs ({', '.join(systems)[:MAX_SHOWN]}): write one file for each"
         )
     try:
-        return LineFile(lines, CRS.from_user_input(next(iter(systems))) if systems else None, refused)
-    except CRSError:
+        return LineFile(lines, parse_crs(next(iter(systems))) if systems else None, refused)
+    except ValueError:
         return LineFile(lines, None, refused)
 
 

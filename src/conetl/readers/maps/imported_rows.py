@@ -14,9 +14,8 @@ from uuid import UUID, uuid5
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError
 
-from conetl.files.documents import expectation, key_of, shown
+from conetl.files.documents import expectation, key_of, named, shown
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import to_ellipsoidal, utm_srid
 from conetl.model.arrays import Floats
@@ -24,7 +23,7 @@ from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc
-from conetl.readers.base_layers.georeferencing import in_area
+from conetl.readers.base_layers.georeferencing import in_area, parse_crs
 from conetl.readers.maps.tables import MapTable, read_table
 from conetl.readers.trajectories.times import clock_problem
 
@@ -254,12 +253,8 @@ def _require_all(
 
 
 def _file_crs(table: MapTable, stated: str | None) -> CRS:
-    try:
-        wanted = None if stated is None else CRS.from_user_input(stated)
-    except CRSError as error:
-        raise InputError(
-            f"--crs {stated} is not a known coordinate reference system; write it like EPSG:32632"
-        ) from error
+    with named("--crs"):
+        wanted = None if stated is None else parse_crs(stated)
     crs = table.crs or wanted
     if crs is None:
         raise InputError(f"{table.path} does not have a CRS of its coordinates: state it (--crs EPSG:...)")

@@ -22,10 +22,11 @@ import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from conetl.files.documents import MAX_SHOWN, shown
+from conetl.files.documents import MAX_SHOWN, named, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
+from conetl.readers.base_layers.georeferencing import parse_crs
 
 #: Larger files are not cone maps and do not fit into memory.
 MAX_ROWS = 1_000_000
@@ -114,7 +115,9 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
         layer = _choose_layer(path, layers, layer)
         info = pyogrio.read_info(path, layer=layer)
         _check_claim(path, info["features"], "features", len(info["fields"]))
-        table = MapTable(path, _crs_of(path, info["crs"]), layers=layers, layer=layer)
+        with named(path):
+            crs = None if info["crs"] is None else parse_crs(info["crs"])
+        table = MapTable(path, crs, layers=layers, layer=layer)
         source: Path | bytes = path
         options = {"layer": layer, **_OPEN_OPTIONS.get(info["driver"], {})}
         if _is_sequence(path, info):
@@ -311,15 +314,6 @@ def _too_many(path: Path) -> InputError:
     return InputError(
         f"{path} has more than {MAX_ROWS:,} rows or {MAX_VALUES:,} values: that is not a cone map; import it in parts"
     )
-
-
-def _crs_of(path: Path, text: str | None) -> CRS | None:
-    if text is None:
-        return None
-    try:
-        return CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(f"{path} has an unknown CRS: {text[:80]}") from error
 
 
 def _line(error: BaseException) -> str:
