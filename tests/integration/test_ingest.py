@@ -318,6 +318,33 @@ def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(desk
     assert "does not count" not in said()
 
 
+def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
+    """Of the drive itself, and of another one that goes on hold because of it."""
+    lower = part_of(DRIVES[1], tmp_path / "lower", 16, skip=4)
+    for path in (lower / "oxts" / "data").iterdir():
+        lat_deg, lon_deg, height_m, *others = path.read_text().split()
+        path.write_text(" ".join([lat_deg, lon_deg, f"{float(height_m) - 0.6:.4f}", *others]))
+    assert desk.run("ingest", lower).code == 0
+    done = desk.run("ingest", small_drive)
+    assert done.code == 1
+    assert (done.out + done.err).count("lower than the same cones of the map") == 1
+    assert done.err.splitlines()[-1].startswith(
+        "conetl: On hold now: drive lower (changeset 1). Its cones lie 0.6 m lower"
+    )
+
+    jumping = part_of(DRIVES[2], tmp_path / "jumping", 16, skip=4)
+    for path in sorted((jumping / "oxts" / "data").iterdir())[8:]:
+        lat_deg, *others = path.read_text().split()
+        path.write_text(" ".join([f"{float(lat_deg) + 4e-5:.12f}", *others]))
+    done = desk.run("ingest", jumping)
+    assert done.code == 1
+    assert "jumping (2026-03-04 15:22 UTC): on hold (jumps of the poses), the map is as it was." in done.out
+    assert (done.out + done.err).count("GNSS/INS jumps by") == 1
+    last = done.err.splitlines()[-1]
+    assert last.startswith("conetl: Drive jumping is on hold and changes nothing on the map. GNSS/INS jumps by")
+    assert last.endswith("conetl drive accept jumping --note REASON")
+
+
 def remove_key(drive: Path) -> None:
     file = drive / "calib_cam_to_cam.txt"
     lines = [line for line in file.read_text().splitlines() if not line.startswith("P_rect_03")]

@@ -21,7 +21,7 @@ from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
 from conetl.model.feature_classes import CONE, LANE_MARKING, LINE_CLASSES, known_of
-from conetl.model.health import CALIBRATION, Verdict
+from conetl.model.health import CALIBRATION, Verdict, holding
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams
@@ -196,7 +196,7 @@ _CHANGES: ui.Columns = {
 
 
 def print_report(report: IngestReport) -> None:
-    """What one drive changed."""
+    """What one drive changed. Why it, or another drive, went on hold is left to the complaints, which come last."""
     kinds = [kind for kind in DeltaKind if kind in _USUAL or report.counts[kind]]
     counts = ", ".join(f"{report.counts[kind]} {kind.replace('_', ' ')}" for kind in kinds)
     lines = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in report.line_counts.items())
@@ -211,7 +211,8 @@ def print_report(report: IngestReport) -> None:
             state = f", but it does not count: {report.not_counted}"
         ui.out.print(f"{drive}: no changes, {known}{state}.")
         return
-    changed = counts if report.on_hold is None else "on hold, the map is as it was"
+    failed = ", ".join(check.name for check in holding(report.health))
+    changed = counts if report.on_hold is None else f"on hold ({failed}), the map is as it was"
     categories = {change.category for change in report.changes}
     noun = "object" if categories - {CONE} else "cone"
     ui.out.print(
@@ -228,12 +229,13 @@ def print_report(report: IngestReport) -> None:
     told = {check.name for check in report.health if check.verdict is not Verdict.PASS}
     if report.calibration and CALIBRATION not in told:
         ui.out.print(f"Calibration: {report.calibration}.")
-    ui.print_checks(report.health)
+    ui.print_checks([check for check in report.health if check.verdict is not Verdict.HOLD])
     if report.replayed_drives:
         later = ui.counted(report.replayed_drives, "later drive")
         ui.out.print(f"{later} over the same roads compared with the map again.")
     for change in report.hold_changes:
-        ui.say(change.sentence)
+        if change.sentence not in report.remarks:
+            ui.say(change.sentence)
     ui.print_records("", ui.class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
     rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]
     ui.print_table("Quarantined", ("reason", "records"), rows)
