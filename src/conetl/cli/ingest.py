@@ -162,8 +162,8 @@ def read_params(path: Path | None, categories: Sequence[str] | None, settings: S
     if not categories:
         return params
     card = read_model_card(settings.model_path)
+    card.require_categories(categories, besides=(*LINE_CLASSES, "all"))
     wanted = known_of({*card.class_names, *LINE_CLASSES}) if "all" in categories else categories
-    card.require_categories(set(wanted) - set(LINE_CLASSES))
     try:
         detection = DetectionParams.model_validate(params.detection.model_dump() | {"categories": wanted})
     except ValidationError as error:

@@ -88,11 +88,12 @@ class ModelCard(BaseModel):
     evidence: DetectorEvidence | None = None
     """Meaning of scores, boxes and misses of this file, measured by `training/calibrate_scores.py`; None: not measured."""
 
-    def require_categories(self, categories: Iterable[str]) -> None:
-        """Raise InputError for classes that the model does not know."""
-        if unknown := sorted(set(categories) - set(self.class_names)):
+    def require_categories(self, categories: Iterable[str], *, besides: Iterable[str] = ()) -> None:
+        """Raise InputError for classes that the model does not know, unless they are among `besides`."""
+        accepted = (*self.class_names, *besides)
+        if unknown := sorted(set(categories) - set(accepted)):
             raise InputError(
-                f"the model {self.name} knows no category {', '.join(unknown)}: choose from {', '.join(self.class_names)}"
+                f"the model {self.name} knows no category {', '.join(unknown)}: choose from {', '.join(accepted)}"
             )
 
     @property

@@ -77,12 +77,12 @@ def show(
     with open_map(map_name) as (conn, info):
         summary = map_summary(conn, info.map_name)
         versions = list(read_features_as_of(conn, ui.parse_instant(as_of), map_name=info.map_name, lines=True))
-    if category and "all" not in category:
+    if category:
         there = {version.feature.category for version in versions}
-        if unknown := set(category) - there - set(FEATURE_CLASSES):
+        if unknown := set(category) - there - {*FEATURE_CLASSES, "all"}:
             known = ", ".join(FEATURE_CLASSES)
             raise InputError(f"--category: there is no class {', '.join(sorted(unknown))}; give {known} or all")
-        versions = [version for version in versions if version.feature.category in category]
+        versions = [version for version in versions if "all" in category or version.feature.category in category]
     if as_json:
         features = [
             v.feature.model_dump(mode="json") | {"seen_count": v.seen_count, "missed_count": v.missed_count}
