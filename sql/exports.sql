@@ -13,6 +13,12 @@ set local work_mem = %(work_mem)s;
 -- Whether a map has or had lane markings. Parameters: map_id. Columns: found.
 select exists (select from conetl.feature_version v where v.map_id = %(map_id)s and v.line is not null) as found;
 
+-- name: has_class
+-- Whether a map has or had objects of a class. Parameters: map_id, category. Columns: found.
+select exists (
+    select from conetl.feature_version v where v.map_id = %(map_id)s and v.category = %(category)s
+) as found;
+
 -- name: facts
 -- What a manifest states about a map. Parameters: map_name.
 -- Columns: licence (null where none was set), changeset_count, schema_version (the last migration).

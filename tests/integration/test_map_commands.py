@@ -182,8 +182,12 @@ def test_exports_and_pictures_name_what_stands_on_the_map(conn, conetl, samples,
     assert written().startswith("1 drum, 2 cones ->") and "1 stretch of lane markings ->" in written()
     assert all(text in drawn()[1] for text in ("drum, standing (1)", "cone, standing (2)"))
     assert written("--category", "drum").startswith("1 drum ->")
+    assert written("--category", "all").startswith("1 drum, 2 cones ->")
     assert written("--category", "barricade").startswith("0 barricades ->")
     assert written("--category", "lane_marking").startswith("1 stretch of lane markings ->")
+    nowhere = tmp_path / "nowhere.geojson"
+    said = conetl("map", "export", "--out", nowhere, "--category", "dromedary", code=2)
+    assert "there is no class dromedary; give traffic_cone" in said and not nowhere.exists()
     assert written("--what", "history").startswith("3 versions ->")
     assert "1 drum" in conetl("map", "show", "--category", "all")
     assert "there is no class dromedary; give traffic_cone" in conetl("map", "show", "--category", "dromedary", code=2)

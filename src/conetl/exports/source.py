@@ -25,7 +25,7 @@ from conetl.exports import Order
 from conetl.geometry.geodesy import compound_crs, system_name, to_crs, turns
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import LINE_CLASSES
+from conetl.model.feature_classes import FEATURE_CLASSES, LINE_CLASSES
 from conetl.model.params import ReconcileParams
 
 Integers = NDArray[np.int64]
@@ -263,10 +263,11 @@ def _turned(columns: dict[str, pa.Array], turn: Floats) -> dict[str, pa.Array]:
 def open_source(conn: Connection, request: ExportRequest, order: Order = Order.BY_ID) -> Iterator[list[Source]]:
     """The rows of a request by type of geometry: points, then lines where the map has any; of one class, its own.
 
-    Raises InputError for a request that contradicts itself, and for an unknown map.
+    Raises InputError for a request that contradicts itself, and for an unknown map or class.
     """
     _check(request)
     points = Source(conn, require_map(conn, request.map_name), request, order)
+    _require_class(points)
     sources = [points, replace(points, lines=True)]
     if request.category is not None:
         sources = [sources[request.category in LINE_CLASSES]]
@@ -276,6 +277,17 @@ def open_source(conn: Connection, request: ExportRequest, order: Order = Order.B
         for source in sources:
             stack.enter_context(closing(source.batches))
         yield sources
+
+
+def _require_class(source: Source) -> None:
+    """Raise InputError for a class that neither conetl nor the map knows: imported maps may hold any."""
+    category = source.request.category
+    if category is None or category in FEATURE_CLASSES:
+        return
+    if not execute(source.conn, load_sql("exports.has_class"), {"map_id": source.info.map_id, "category": category})[0][
+        "found"
+    ]:
+        raise InputError(f"--category: there is no class {category}; give {', '.join(FEATURE_CLASSES)} or all")
 
 
 def _check(request: ExportRequest) -> None:

@@ -60,7 +60,8 @@ def export(
         ),
     ] = None,
     category: Annotated[
-        str | None, typer.Option("--category", help="Only objects of this class, e.g. traffic_cone or lane_marking.")
+        str | None,
+        typer.Option("--category", help="Only objects of this class, e.g. traffic_cone or lane_marking; default: all."),
     ] = None,
     feed: work_zones.FeedOption = None,
     publisher: work_zones.PublisherOption = None,
@@ -76,6 +77,7 @@ def export(
     FlatGeobuf, which hold one type of geometry, in a second one, FILE_lane_markings.
     """
     file_format = _format_by_name(output) if file_format is None else file_format
+    category = None if category == "all" else category
     if file_format in (WZDX, WZDX_DEVICES):
         if what is not What.FEATURES or believed_at or since or until or crs or category:
             raise InputError(
