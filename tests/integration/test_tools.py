@@ -17,6 +17,7 @@ from typer.testing import CliRunner, Result
 
 from conetl.cli.app import app
 from conetl.cli.tools.calibrate import calibrate
+from conetl.evaluation.markings import TRUTH_FILE
 from conetl.model.errors import CalibrationError, InputError
 from conetl.readers.rigs import read_rig
 from tests.command import ROOT
@@ -154,6 +155,27 @@ def test_two_drives_are_judged_together(drive: Path, home: Path, tmp_path: Path)
     assert "2 drives against truth" in (tmp_path / "out" / "index.html").read_text()
 
 
+def test_lane_markings_are_evaluated_alone(drive: Path, home: Path, tmp_path: Path) -> None:
+    """Without surveyed objects, by one drive and by two; the figures are those of the tables."""
+    first, second = (shutil.copytree(drive, tmp_path / name) for name in ("first", "second"))
+    for folder in (first, second):
+        shutil.copy(SAMPLE / TRUTH_FILE, folder)
+    only = ("--category", "lane_marking")
+    refused = evaluate_all([drive], home, *only).exception
+    assert isinstance(refused, InputError) and f"has no {TRUTH_FILE}" in str(refused)
+    assert "omit it" in str(evaluate(drive, SAMPLE / "truth.csv", home, *only).exception)
+    done = evaluate_all([first], home, *only, "--out", str(tmp_path / "one"), "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["cones"] == [] and found["files"] == [str(tmp_path / "one" / "index.html")]
+    assert found["lane_markings"]["completeness"] > 0.5 and found["lane_markings"]["lateral_median_m"] < 0.05
+    done = evaluate_all([first, second], home, *only, "--out", str(tmp_path / "two"))
+    assert done.exit_code == 0, done.output
+    assert "Lane markings, drive by drive" in done.output and "cones" not in done.output
+    page = (tmp_path / "two" / "index.html").read_text()
+    assert "Lane markings, drive by drive" in page and "cones found" not in page
+
+
 def test_a_drive_without_truth_or_given_twice_is_refused(drive: Path, home: Path, tmp_path: Path) -> None:
     """Before anything is computed, also of the drives that are fine."""
     (tmp_path / "bare").mkdir()
@@ -181,6 +203,8 @@ def test_truth_of_another_drive_without_cones_or_with_two_systems_is_refused(
     assert "no cone is present" in str(evaluate(drive, tmp_path / "truth.csv", home).exception)
     (tmp_path / "truth.csv").write_text("\n".join([*rows[:2], rows[2].replace("32632", "32633")]) + "\n")
     assert "32632, 32633" in str(evaluate(drive, tmp_path / "truth.csv", home).exception)
+    drums = str(evaluate(drive, SAMPLE / "truth.csv", home, "--category", "drum").exception)
+    assert "no object of the classes drum, but of traffic_cone" in drums
     assert "no such drive folder" in str(evaluate(tmp_path / "none", SAMPLE / "truth.csv", home).exception)
 
 

@@ -85,7 +85,11 @@ class DriveEvaluation:
         return [line.truth.cone_id for line in self.lines if line.feature is None]
 
     def tables(self) -> list[Section]:
-        """Objects, errors, errors by range, and NEES; figures by class where there are several; lane markings."""
+        """Objects, errors, errors by range, and NEES; figures by class where there are several; lane markings. Of lane markings
+        alone, the last."""
+        of_markings = self.markings.tables() if self.markings else []
+        if not self.lines:
+            return of_markings
         cones = table_3_rows(self.lines, missing="missed")
         errors = [
             (name, f.count, *(f"{value:.3f}" for value in (f.median_3d_m, f.rmse_3d_m, *f.rmse_enu_m)),
@@ -112,7 +116,7 @@ class DriveEvaluation:
             ),
             Section("Do the stated sigmas hold?", NEES_TEXT, NEES_COLUMNS, nees_rows(nees_of([self]))),
             *_class_section([self]),
-            *(self.markings.tables() if self.markings else []),
+            *of_markings,
         ]
 
     def as_dict(self) -> dict[str, object]:
@@ -174,11 +178,12 @@ def evaluate_drive(
 ) -> DriveEvaluation:
     """Compare the tracks of a drive with surveyed cones at most within_m from the drive path.
 
-    motion, poses: how the errors of the drive's poses are correlated. Raises InputError if there is no cone near the path.
+    cones: empty where lane markings alone were searched for. motion, poses: how the errors of the drive's poses are correlated.
+    Raises InputError if none of the cones is near the path.
     """
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
     lines, false = compare_with_truth(cones, tracks, path_m, within_m=within_m)
-    if not lines:
+    if cones and not lines:
         raise InputError(
             f"none of the {len(cones)} cones of the truth is within {within_m:g} m of the path of {drive.drive_id}; does it "
             "belong to another drive?"
@@ -228,7 +233,9 @@ def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
 
 
 def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequence[str]) -> list[Path]:
-    """Write the plots and, last, the page. Raises InputError if the folder cannot be written."""
+    """Write the plots and, last, the page; the page alone of lane markings. Raises InputError if the folder cannot be written."""
+    if not evaluation.lines:
+        return [_write_page(folder, f"{evaluation.drive_id} against truth", summary, evaluation.tables(), {})]
     from conetl.reports import accuracy_plots  # matplotlib takes half a second to load
 
     name, tracks, singles = evaluation.drive_id, evaluation.tracks, evaluation.singles
@@ -271,20 +278,23 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
 
 
 def pooled_tables(drives: Sequence[DriveEvaluation]) -> list[Section]:
-    """One row per drive and one for all; NEES of all drives."""
+    """One row per drive and one for all; NEES of all drives. Of lane markings alone, their own."""
+    of_markings = pooled_markings(_markings_of(drives))
+    if not any(drive.lines for drive in drives):
+        return of_markings
     rows = [*(_drive_row(drive.drive_id, [drive]) for drive in drives), _drive_row("all drives", drives)]
     return [
         Section("Drive by drive", _DRIVES_TEXT, _DRIVES, rows),
         Section("Do the stated sigmas hold for all drives together?", "", NEES_COLUMNS, nees_rows(nees_of(drives))),
         *_class_section(drives),
-        *pooled_markings(_markings_of(drives)),
+        *of_markings,
     ]
 
 
 def write_pooled_page(folder: Path, drives: Sequence[DriveEvaluation]) -> Path:
     """Write all drives on one page. Raises InputError if it cannot be written."""
     found, cones = sum(d.found for d in drives), sum(len(d.lines) for d in drives)
-    summary = [f"{found} of {cones} cones found, {sum(len(d.false) for d in drives)} false ones."]
+    summary = [f"{found} of {cones} cones found, {sum(len(d.false) for d in drives)} false ones."] if cones else []
     if figures := figures_of(drives).get(KINDS[0]):
         summary.append(
             f"Median 3D error of the tracks {figures.median_3d_m:.3f} m, CE90 {figures.ce90_m:.3f} m, "

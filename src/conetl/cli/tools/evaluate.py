@@ -25,7 +25,7 @@ from conetl.evaluation.marking_evaluation import evaluate_markings
 from conetl.evaluation.markings import TRUTH_FILE, read_truth_markings
 from conetl.evaluation.truth import TABLE_3_COLUMNS, TruthCone, median_error, read_truth_cones
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import LANE_MARKING
+from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES, known_of
 from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.odometry import calibrate_drive
@@ -64,7 +64,8 @@ def evaluate(
 ) -> None:
     """Compare the cones of drives with surveyed truth: the paper's Table 3, errors over range, and whether sigmas hold.
 
-    Lane markings are compared with truth_markings.geojson of a drive where they are searched for (--category lane_marking).
+    Lane markings are compared with truth_markings.geojson of a drive where they are searched for (--category lane_marking,
+    which may be given alone).
     Several drives are evaluated one by one and together: one value in twenty is outside its 95 % band by chance. Nothing is
     written to the map, and no database is needed.
     """
@@ -116,26 +117,37 @@ def evaluate(
 
 def _truths_of(
     drives: Sequence[Path], truth: Path | None, categories: Collection[str]
-) -> dict[Path, tuple[Path, list[TruthCone], int]]:
+) -> dict[Path, tuple[Path, list[TruthCone], int | None]]:
     """File, objects of these categories and EPSG code of the truth of each drive, all read before the first drive is analysed.
 
+    Where lane markings alone are searched for, their file, no objects, and None, as its coordinates are longitudes and latitudes.
     Raises InputError if a drive is given twice or has no truth.
     """
-    truths: dict[Path, tuple[Path, list[TruthCone], int]] = {}
+    only_lines = set(categories) <= set(LINE_CLASSES)
+    if only_lines and truth is not None:
+        raise InputError(
+            f"--truth names surveyed objects, and the true lane markings are {TRUTH_FILE} of each drive: omit it, or search for "
+            "objects too, with --category"
+        )
+    truths: dict[Path, tuple[Path, list[TruthCone], int | None]] = {}
     for drive in drives:
         if any(drive.resolve() == other.resolve() for other in truths):
             raise InputError(f"{drive} is given twice")
         if not drive.is_dir():
             raise InputError(f"no such drive folder: {drive}")
+        if only_lines:
+            if not (drive / TRUTH_FILE).is_file():
+                raise InputError(f"{drive} has no {TRUTH_FILE}: see data/README.md")
+            truths[drive] = (drive / TRUTH_FILE, [], None)
+            continue
         file = truth or drive / "truth.csv"
         if not file.is_file() and truth is None:
             raise InputError(f"{drive} has no truth.csv: give the surveyed cones with --truth")
         known, srid = read_truth_cones(file)
         searched = [cone for cone in known if cone.category in categories]
         if not searched:
-            raise InputError(
-                f"{file} has no object of the classes that are searched for: choose others with --category"
-            )
+            wanted, present = (", ".join(known_of(names)) for names in (categories, {cone.category for cone in known}))
+            raise InputError(f"{file} has no object of the classes {wanted}, but of {present}: choose with --category")
         truths[drive] = (file, searched, srid)
     return truths
 
@@ -155,9 +167,12 @@ def analyse_folder(
 
 
 def _summary(results: AnalysedDrive, evaluation: DriveEvaluation, within_m: float) -> list[str]:
-    sentences = [
+    cones = (
         f"{evaluation.found} of {len(evaluation.lines)} cones within {within_m:g} m of the drive path found, "
-        f"{len(evaluation.false)} false ones.",
+        f"{len(evaluation.false)} false ones."
+    )
+    sentences = [
+        *([cones] if evaluation.lines else []),
         f"{len(results.drive.frame_pairs)} frame pairs, {len(results.records.positions)} positions, "
         f"{len(results.records.rejections)} rejections.",
         results.trajectory.detail,
