@@ -130,7 +130,7 @@ def drive_past_a_bollard(folder: Path) -> np.ndarray:
 def test_a_row_and_a_network_bring_a_new_class_onto_the_map(
     monkeypatch: pytest.MonkeyPatch, database_url: str, tmp_path: Path
 ) -> None:
-    row = FeatureClass((0.5, 1.3), (0.3, 2.0), 0.22, round_body=False, on_road=True, in_rows=False)
+    row = FeatureClass((0.5, 1.3), (0.3, 2.0), 0.22, round_body=False, on_road=True, in_rows=False, letter="L")
     monkeypatch.setitem(FEATURE_CLASSES, "bollard", row)
     settings = Settings(
         home=tmp_path / "home",

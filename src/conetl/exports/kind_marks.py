@@ -36,14 +36,6 @@ KIND_MARKS = {
     DeltaKind.ADDED: KindMark("P", "#002e9a", "new"),
 }
 STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")
-#: Of standing objects that are no cones: letters, because shapes stand for kinds of changes.
-CLASS_MARKERS = {
-    category: rf"$\mathbf{{{letter}}}$"
-    for category, letter in {
-        "tubular_marker": "T", "drum": "D", "vertical_panel": "V", "barricade": "B", "work_zone_sign": "W", "arrow_board": "A",
-        "traffic_sign": "S",
-    }.items()
-}  # fmt: skip
 #: Muted, so that cones come first: LiDAR points of low and of high intensity, lane boundaries, drive paths.
 DARK_POINT, BRIGHT_POINT, LANE, DRIVE_PATH = "#a9a294", "#dcd7cc", "#8a7443", "#4a5560"
 #: #rrggbb of the paint by `Marking.colour`.

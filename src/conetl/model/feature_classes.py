@@ -27,6 +27,8 @@ class FeatureClass:
     """Whether the box ends at the road; of signs and boards it ends above it, so that another object may stand below."""
     in_rows: bool
     """Whether rows of it close a lane: a channelizing device (MUTCD 2023, chapter 6K)."""
+    letter: str
+    """Beside the symbol on plans. Cones, of which there are most, have none; lines are drawn as lines."""
     rim_share: float = 0.0
     """Distance from the middle of the foot to what the box's lower edge shows, as a share of the box's width: half of it for the
     near rim of a round or square base, 0 where the box ends at the object itself."""
@@ -46,33 +48,34 @@ class FeatureClass:
 
 FEATURE_CLASSES = {
     CONE: FeatureClass(
-        (0.25, 1.15), (0.15, 1.8), 0.55, round_body=True, on_road=True, in_rows=True, rim_share=0.5, outline_share=None
+        (0.25, 1.15), (0.15, 1.8), 0.55, round_body=True, on_road=True, in_rows=True, letter="", rim_share=0.5, outline_share=None
     ),
     "tubular_marker": FeatureClass(
-        (0.4, 1.4), (0.25, 2.0), 0.3, round_body=True, on_road=True, in_rows=True, rim_share=0.5, body=(0.20, 0.22),
-        outline_share=0.006,
+        (0.4, 1.4), (0.25, 2.0), 0.3, round_body=True, on_road=True, in_rows=True, letter="T", rim_share=0.5,
+        body=(0.20, 0.22), outline_share=0.006,
     ),
     "drum": FeatureClass(
-        (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, rim_share=0.5, network_share=0.0,
-        body=(0.33, 0.39), axis_from_outline=True, outline_share=0.01,
+        (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, letter="D", rim_share=0.5,
+        network_share=0.0, body=(0.33, 0.39), axis_from_outline=True, outline_share=0.01,
     ),
     "vertical_panel": FeatureClass(
-        (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, rim_share=0.5, outline_share=0.012,
+        (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_share=0.5,
+        outline_share=0.012,
     ),
     "barricade": FeatureClass(
-        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, outline_share=0.04
+        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B", outline_share=0.04
     ),
     "work_zone_sign": FeatureClass(
-        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False
+        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False, letter="W"
     ),
     "arrow_board": FeatureClass(
-        (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, outline_share=0.05
+        (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, letter="A", outline_share=0.05
     ),
     "traffic_sign": FeatureClass(
-        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, outline_share=0.025
+        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, letter="S", outline_share=0.025
     ),
     LANE_MARKING: FeatureClass(
-        (0.0005, 0.006), (0.0, 0.02), 30.0, round_body=False, on_road=True, in_rows=False, geometry="line"
+        (0.0005, 0.006), (0.0, 0.02), 30.0, round_body=False, on_road=True, in_rows=False, letter="", geometry="line"
     ),
 }  # fmt: skip
 """By category; of a category that is not here nothing is located. The height of a marking is the thickness of its paint."""
@@ -88,6 +91,11 @@ def known_of(categories: Iterable[str]) -> tuple[str, ...]:
 def width_over_height(category: str) -> float:
     """As of `FeatureClass`; objects of unknown classes are drawn like cones."""
     return FEATURE_CLASSES.get(category, FEATURE_CLASSES[CONE]).width_over_height
+
+
+def letter_of(category: str) -> str:
+    """As of `FeatureClass`; `?` of unknown classes."""
+    return FEATURE_CLASSES[category].letter if category in FEATURE_CLASSES else "?"
 
 
 def noun_of(category: str) -> str:

@@ -19,7 +19,7 @@ from conetl.db.serve_store import read_rows
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
-from conetl.model.map_records import DeltaKind
+from conetl.model.map_records import DeltaKind, MapFeature
 from conetl.model.records import FramePair, Rig, Track
 from conetl.reports.drive_passes import reasons_of
 from conetl.reports.figures import MarkingChange, change_of_row, changes_of
@@ -92,8 +92,8 @@ class DriveFacts:
     """(N,)"""
     path_m: Floats
     """(F, 2) of the left camera."""
-    others_m: Floats
-    """(M, 2): point objects around the path without a change, in the database state after the commit."""
+    others: tuple[MapFeature, ...]
+    """Point objects around the path without a change, in the database state after the commit."""
     markings: tuple[MarkingChange, ...]
     """Lane markings that the drive evaluated, and those around the path that it did not."""
 
@@ -193,7 +193,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         range_m=residuals[:, 1],
         residual_px=residuals[:, 2],
         path_m=path_m,
-        others_m=np.array([one.xyz_m[:2] for one in others if one.marking is None]).reshape(-1, 2),
+        others=tuple(one for one in others if one.marking is None),
         markings=(*markings, *changes_of((), others)),
     )
 

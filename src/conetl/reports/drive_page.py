@@ -56,8 +56,11 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
     """The page as text."""
     facts = read_drive_facts(conn, changeset, map_name=map_name)
     confirmed = [c for c in facts.changes if c.is_confirmation]
-    marks = [
-        figures.PlanMark(c.kind, c.xyz_m[:2], c.old_xy_m if c.kind is DeltaKind.MOVED else None, str(c.number))
+    marks = [figures.PlanMark(one.category, None, one.xyz_m[:2]) for one in facts.others]
+    marks += [
+        figures.PlanMark(
+            c.category, c.kind, c.xyz_m[:2], c.old_xy_m if c.kind is DeltaKind.MOVED else None, str(c.number)
+        )
         for c in facts.changes
     ]
     probabilities = np.array([t.existence_probability for t in facts.tracks])
@@ -78,9 +81,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         max_illustrated=MAX_ILLUSTRATED,
         confirmed=confirmed[:_MAX_CONFIRMED],
         confirmed_left_out=max(len(confirmed) - _MAX_CONFIRMED, 0),
-        plan=figures.png(
-            figures.plan(facts.path_m, marks, facts.others_m, facts.markings, others_label="not evaluated")
-        ),
+        plan=figures.png(figures.plan(facts.path_m, marks, facts.markings, others_label="not evaluated")),
         markings=counted_by_kind(facts.markings),
         residual_figure=figures.residuals(facts.range_m, facts.residual_px, nearest)
         if len(facts.residual_px)

@@ -13,11 +13,15 @@ from matplotlib import dates
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.transforms import ScaledTranslation
 from numpy.typing import ArrayLike, NDArray
 
-from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT, dashes_of
+from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT, STANDING, KindMark, dashes_of
 from conetl.files.atomic import atomic_files
+from conetl.model.feature_classes import FEATURE_CLASSES, known_of, letter_of, noun_of
 from conetl.model.map_records import Delta, DeltaKind, FeatureChange, MapFeature
 from conetl.model.markings import Marking
 
@@ -36,6 +40,10 @@ DPI = 130
 _MARGIN_M = 5.0
 #: Labels of more changes than this cannot be read.
 _MAX_LABELS = 80
+_INK = "#1d2733"
+_LETTER_PT = 6.0
+#: Of objects without a change, below those that have one.
+_UNCHANGED = STANDING._replace(colour="#bbbbbb")
 _PAINT_PT, _CASING_PT, _CHANGE_PT = 1.3, 2.4, 2.6
 #: Of lines that are gone, in units of their width.
 _GONE = (0, (1.6, 1.1))
@@ -44,13 +52,19 @@ _QUIET = (None, DeltaKind.CONFIRMED, DeltaKind.MISSED)
 
 
 class PlanMark(NamedTuple):
-    """One change on a plan; metres of the map's CRS."""
+    """One object on a plan; metres of the map's CRS."""
 
-    kind: DeltaKind
+    category: str
+    kind: DeltaKind | None
+    """None: no change."""
     xy_m: ArrayLike
-    old_xy_m: ArrayLike | None
-    """Of moved cones."""
+    old_xy_m: ArrayLike | None = None
+    """Of moved objects."""
     label: str = ""
+
+
+#: An entry of a legend: the symbol, or letter and symbol; the last has the text.
+Handle = Line2D | tuple[Line2D, ...]
 
 
 def draw_plan_view(
@@ -67,27 +81,25 @@ def draw_plan_view(
     trajectory_m: (F, 2) easting, northing of the left camera in order of time, (0, 2) without one. untouched: features without a
     change.
     """
-    marks = []
+    marks = [PlanMark(one.category, None, one.xyz_m[:2]) for one in untouched if one.marking is None]
     lines = changes_of(deltas, untouched)
     for delta in deltas:
         if delta.is_of_line:
             continue
         *old, at = (np.array(side.xyz_m[:2]) for side in (delta.old, delta.new) if side is not None)
         moved = delta.kind is DeltaKind.MOVED
-        marks.append(PlanMark(delta.kind, at, old[0] if moved else None, f"{delta.shift_m:.2f} m" if moved else ""))
-    others = np.array([feature.xyz_m[:2] for feature in untouched if feature.marking is None]).reshape(-1, 2)
-    figure = plan(trajectory_m, marks, others, lines, others_label=untouched_label)
+        shift = f"{delta.shift_m:.2f} m" if moved else ""
+        marks.append(PlanMark(delta.state_after.category, delta.kind, at, old[0] if moved else None, shift))
+    figure = plan(trajectory_m, marks, lines, others_label=untouched_label)
     figure.suptitle(title)
     return save_figure(figure, path)
 
 
-def plan(
-    path_m: Floats, marks: Sequence[PlanMark], others_m: Floats, lines: Sequence[MarkingChange], *, others_label: str
-) -> Figure:
-    """Drive path (F, 2), changes, objects without a change (M, 2), and lane markings, in the map's CRS."""
+def plan(path_m: Floats, marks: Sequence[PlanMark], lines: Sequence[MarkingChange], *, others_label: str) -> Figure:
+    """Drive path (F, 2), objects, and lane markings, in the map's CRS. others_label: of objects without a change."""
     olds = [mark.old_xy_m for mark in marks if mark.old_xy_m is not None]
     at_m = np.reshape([*(mark.xy_m for mark in marks), *olds], (-1, 2))
-    everything = np.concatenate([path_m, others_m, at_m, ends_of(lines)])
+    everything = np.concatenate([path_m, at_m, ends_of(lines)])
     origin = np.floor(everything.min(axis=0))
     low, high = everything.min(axis=0) - origin - _MARGIN_M, everything.max(axis=0) - origin + _MARGIN_M
     height = 10 * (high[1] - low[1]) / (high[0] - low[0]) + 1.0
@@ -98,25 +110,71 @@ def plan(
         axes.plot(x, y, zorder=1, color=GREY, linewidth=1.4, label="path of the left camera")
     if len(path_m) > 1:
         draw_arrow(axes, path_m[-2] - origin, path_m[-1] - origin, GREY, "-|>")
-    if len(others_m):
-        others = others_m - origin
-        axes.scatter(others[:, 0], others[:, 1], s=14, color="#bbbbbb", label=f"{others_label} ({len(others)})")
-    for kind, (marker, colour, label) in KIND_MARKS.items():
+    handles: list[Handle] = [*axes.get_lines()]
+    by_class = any(letter_of(mark.category) for mark in marks)
+    for kind, style in [(None, _UNCHANGED._replace(label=others_label)), *KIND_MARKS.items()]:
         group = [mark for mark in marks if mark.kind is kind]
-        if group:
-            at = np.array([mark.xy_m for mark in group]) - origin
-            axes.scatter(
-                at[:, 0], at[:, 1], marker=marker, s=46, color=colour, label=f"{label} ({len(group)})", zorder=3
-            )
-    for mark in sorted(marks, key=lambda mark: mark.kind is DeltaKind.CONFIRMED)[:_MAX_LABELS]:
+        at = np.array([mark.xy_m for mark in group]).reshape(-1, 2) - origin
+        size_pt = 3.7 if kind is None else 6.8
+        handles += draw_objects(
+            axes, at, [mark.category for mark in group], style, by_class=by_class, size_pt=size_pt, zorder=3
+        )
+    changes = [mark for mark in marks if mark.kind is not None]
+    for mark in sorted(changes, key=lambda mark: mark.kind is DeltaKind.CONFIRMED)[:_MAX_LABELS]:
         at = np.asarray(mark.xy_m) - origin
         if mark.kind is DeltaKind.MOVED and mark.old_xy_m is not None:
             draw_arrow(axes, np.asarray(mark.old_xy_m) - origin, at, KIND_MARKS[mark.kind].colour)
         axes.annotate(mark.label, xy=at, xytext=(5, 5), textcoords="offset points", fontsize=8)
-    handles = [*axes.get_legend_handles_labels()[0], *draw_markings(axes, lines, origin)]
+    handles += draw_markings(axes, lines, origin)
     frame_plan(axes, low, high, origin)
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    add_legend(figure, handles, loc="outside lower center", ncols=4, fontsize=8)
     return figure
+
+
+def draw_objects(
+    axes: Axes,
+    xy: Floats,
+    categories: Sequence[str],
+    mark: KindMark,
+    *,
+    by_class: bool,
+    size_pt: float,
+    zorder: float,
+    edge: str | None = None,
+) -> list[Handle]:
+    """Draw objects of one kind at (N, 2) in the coordinates of the axes, each with the letter of its class to the left of it; the
+    entries of the legend with their counts.
+
+    by_class: an entry for each class, instead of one for all. edge: colour of the symbol's edge; None: that of the symbol.
+    """
+    marker, colour, label = mark
+    edge = colour if edge is None or marker.startswith("$") else edge  # another edge would cover thin signs
+    halo = [withStroke(linewidth=2, foreground="white")]
+    left = axes.transData + ScaledTranslation(-(_LETTER_PT + size_pt / 2) / 72, 0, axes.figure.dpi_scale_trans)
+    handles: list[Handle] = []
+    present = set(categories)
+    for category in (*known_of(present), *sorted(present - set(FEATURE_CLASSES))):
+        x, y = xy[[one == category for one in categories]].T
+        axes.scatter(x, y, marker=marker, s=size_pt**2, color=colour, edgecolors=edge, linewidths=0.8, zorder=zorder)
+        text = f"{noun_of(category)}, {label} ({len(x)})" if by_class else f"{label} ({len(categories)})"
+        style: dict[str, Any] = {"color": colour, "markeredgecolor": edge, "markeredgewidth": 0.8, "linestyle": ""}
+        symbols = [Line2D([], [], marker=marker, markersize=max(size_pt, 5), label=text, **style)]
+        if letter := letter_of(category):
+            sign = rf"$\mathbf{{{letter}}}$"
+            beside = axes.scatter(x, y, marker=sign, s=_LETTER_PT**2, color=_INK, linewidths=0, transform=left)
+            beside.set(path_effects=halo, zorder=zorder + 0.5)
+            style = {"color": _INK, "markeredgewidth": 0, "linestyle": ""}
+            symbols.insert(0, Line2D([], [], marker=sign, markersize=_LETTER_PT, **style))
+        handles.append(tuple(symbols))
+    return handles if by_class else handles[:1]
+
+
+def add_legend(figure: Figure, handles: Sequence[Handle], **style: Any) -> None:
+    """The legend of a plan, if there is anything to explain; style: of `Figure.legend`."""
+    if handles:
+        texts = [str((one[-1] if isinstance(one, tuple) else one).get_label()) for one in handles]
+        together = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
+        figure.legend(handles, texts, handler_map=together, frameon=False, **style)  # type: ignore[arg-type]
 
 
 def residuals(range_m: Floats, residual_px: Floats, tracks: Sequence[tuple[float, float]]) -> bytes:

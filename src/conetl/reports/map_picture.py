@@ -26,16 +26,26 @@ from conetl.db.map.map_store import list_changesets, read_paths
 from conetl.db.serve_store import read_base_tile, read_rows
 from conetl.exports import kind_marks as marks
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import FEATURE_CLASSES, known_of, noun_of
+from conetl.model.feature_classes import letter_of
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
-from conetl.reports.figures import changes_of, draw_arrow, draw_markings, new_figure, save_figure
+from conetl.reports.figures import (
+    Handle,
+    add_legend,
+    changes_of,
+    draw_arrow,
+    draw_markings,
+    draw_objects,
+    new_figure,
+    save_figure,
+)
 
 Array = NDArray[np.float64]
 Bbox = tuple[float, float, float, float]
 SUFFIXES = (".png", ".svg", ".pdf")
 
 _INK = "#1d2733"
+_SYMBOL_PT = 7.5
 _MARGIN = 0.06
 _MIN_SPAN_M = 12.0
 _MAX_ARROW_LABELS = 40
@@ -167,13 +177,12 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     axes.set_ylim(south, north)
     axes.set_autoscale_on(False)
     axes.set_aspect("equal")
-    handles = [*_cones(axes, content, box), *_markings(axes, content, box), *_ground(axes, content)]
+    handles = [*_objects(axes, content, box), *_markings(axes, content, box), *_ground(axes, content)]
     _frame(axes)
     _scale_bar(axes, box)
     _north(axes)
     figure.suptitle(title, x=0.012, ha="left", fontsize=13, fontweight="bold", color=_INK)
-    if handles:
-        figure.legend(handles=handles, loc="outside right upper", fontsize=8.5, frameon=False, handletextpad=0.6)
+    add_legend(figure, handles, loc="outside right upper", fontsize=8.5, handletextpad=0.6)
     crs = CRS.from_epsg(content.srid)
     figure.supxlabel(
         f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=marks.DRIVE_PATH
@@ -229,42 +238,27 @@ def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     return draw_markings(axes, shown)
 
 
-def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
-    """Draw cones and changes; their lines of the legend."""
+def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[Handle]:
+    """Draw cones and other objects, and changes; their entries of the legend count those inside the picture."""
     changes = [change for change in content.changes or () if not change.is_of_line]
     changed = {change.feature_id for change in content.changes or ()}
     rest = [feature for feature in content.standing if feature.feature_id not in changed and feature.marking is None]
     label = "unchanged" if content.changes is not None else marks.STANDING.label
-    present = {feature.category for feature in rest}
-    classes = [*sorted(present - set(FEATURE_CLASSES)), *reversed(known_of(present))]  # the legend begins with the last
-    handles = []
-    for one in classes:
-        name = label if len(classes) == 1 else f"{noun_of(one)}, {label}"
-        style = marks.STANDING._replace(marker=marks.CLASS_MARKERS.get(one, marks.STANDING.marker), label=name)
-        handles.append(_mark(axes, [feature for feature in rest if feature.category == one], style, box, 4))
-    for level, (kind, style) in enumerate(marks.KIND_MARKS.items(), 5):
-        these = [change for change in changes if change.kind == kind]
-        handles.append(_mark(axes, [c.state_after for c in these], style, box, level))
-        if kind is DeltaKind.MOVED:
-            _arrows(axes, these, style.colour, box)
-    return [handle for handle in reversed(handles) if handle is not None]
-
-
-def _mark(axes: Axes, cones: Sequence[MapFeature], style: marks.KindMark, box: Bbox, level: int) -> Line2D | None:
-    """Draw the markers of one kind; its line of the legend counts those inside the picture."""
-    positions = np.array([cone.xyz_m[:2] for cone in cones]).reshape(-1, 2)
-    inside = positions[_inside(positions, box)]
-    if not len(inside):
-        return None
-    marker, colour, label = style
-    edge = colour if marker.startswith("$") else "white"  # a white edge would cover thin signs
-    axes.scatter(
-        inside[:, 0], inside[:, 1], marker=marker, s=42, color=colour, edgecolors=edge, linewidths=0.8, zorder=level
-    )
-    label = f"{label} ({len(inside)})"
-    return Line2D(
-        [], [], marker=marker, color=colour, markeredgecolor=edge, markersize=8, linestyle="", label=label
-    )  # fmt: skip
+    groups = [(marks.STANDING._replace(label=label), rest)]
+    for kind, style in marks.KIND_MARKS.items():
+        groups.append((style, [change.state_after for change in changes if change.kind == kind]))
+    by_class = any(letter_of(feature.category) for _, some in groups for feature in some)
+    handles: list[Handle] = []
+    for level, (style, features) in enumerate(groups, 4):
+        positions = np.array([feature.xyz_m[:2] for feature in features]).reshape(-1, 2)
+        inside = _inside(positions, box)
+        classes = [feature.category for feature, kept in zip(features, inside.tolist(), strict=True) if kept]
+        handles[:0] = draw_objects(
+            axes, positions[inside], classes, style, by_class=by_class, size_pt=_SYMBOL_PT, zorder=level, edge="white"
+        )
+    moved = [change for change in changes if change.kind is DeltaKind.MOVED]
+    _arrows(axes, moved, marks.KIND_MARKS[DeltaKind.MOVED].colour, box)
+    return handles
 
 
 def _arrows(axes: Axes, moved: Sequence[FeatureChange], colour: str, box: Bbox) -> None:

@@ -10,9 +10,13 @@ import pytest
 
 from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LINE_CLASSES, letter_of
+from conetl.model.map_records import DeltaKind
+from conetl.reports.figures import PlanMark, plan
 from conetl.reports.map_picture import PlanContent, draw_map_picture, plan_extent
 
 ADDED, MOVED, REMOVED, STANDING, LANE = map(bytes.fromhex, ("002e9a", "821773", "1f2933", "7c93a2", "8a7443"))
+INK = bytes.fromhex("1d2733")
 NO_POINTS = (np.empty((0, 2)), np.empty(0, np.uint8))
 
 
@@ -63,6 +67,58 @@ def test_points_are_drawn_below_and_the_outside_is_left_out(samples, tmp_path):
     assert len(pixels(path, bytes.fromhex("a9a294"))) > 1_000
     standing = pixels(path, STANDING)
     assert len(standing) > 60 and np.ptp(standing[:, 0]) < 40  # the far one is not there
+
+
+def test_each_class_has_its_letter_and_its_line_in_the_legend(samples, tmp_path):
+    def one(name, category, east_m):
+        return cone(samples, name, east_m, 0).model_copy(update={"category": category})
+
+    before = [one("a", "traffic_cone", 0), one("b", "drum", 10)]
+    after = [*before, one("c", "traffic_sign", 20), one("d", "bollard", 30), one("e", "traffic_sign", 5_000)]
+    made = content(after, diff(before, after))
+    bbox = (457_990.0, 5_427_990.0, 458_040.0, 5_428_020.0)
+    path = draw(tmp_path / "map.png", made, bbox)
+    for colour, letters in ((STANDING, [False, True]), (ADDED, [True, True])):
+        symbols = pixels(path, colour)
+        groups = np.split(symbols[np.argsort(symbols[:, 0])], 1 + np.flatnonzero(np.diff(np.sort(symbols[:, 0])) > 50))
+        assert len(groups) == 2
+        for group, has_letter in zip(groups, letters, strict=True):
+            ink = pixels(path, INK) - group.mean(axis=0)
+            beside = (ink[:, 0] < 0) & (ink[:, 0] > -40) & (np.abs(ink[:, 1]) < 12)
+            assert (np.count_nonzero(beside) > 20) == has_letter
+    text = draw(tmp_path / "map.svg", made, bbox).read_text()
+    for entry in ("cone, unchanged (1)", "drum, unchanged (1)", "traffic sign, new (1)", "bollard, new (1)"):
+        assert text.count(f"<!-- {entry} -->") == 1
+
+
+def test_of_cones_alone_the_legend_names_no_class(samples, tmp_path):
+    made = content([cone(samples, "a", 0, 0), cone(samples, "b", 5, 0)])
+    assert "<!-- standing (2) -->" in draw(tmp_path / "map.svg", made).read_text()
+
+
+def test_the_plan_of_a_drive_tells_classes_apart():
+    marks = [
+        PlanMark("traffic_cone", DeltaKind.ADDED, (0.0, 0.0)),
+        PlanMark("traffic_cone", DeltaKind.MOVED, (5.0, 0.0), (5.0, 1.0), "1.00 m"),
+        PlanMark("work_zone_sign", DeltaKind.ADDED, (9.0, 3.0)),
+        PlanMark("work_zone_sign", None, (12.0, 3.0)),
+    ]
+
+    def legend(*shown):
+        figure = plan(np.array([[0.0, -3.0], [12.0, -3.0]]), shown, [], others_label="not evaluated")
+        return [text.get_text() for text in figure.legends[0].get_texts()]
+
+    assert legend(*marks) == [
+        "path of the left camera", "work zone sign, not evaluated (1)", "cone, moved (1)", "cone, new (1)",
+        "work zone sign, new (1)",
+    ]  # fmt: skip
+    assert legend(*marks[:2]) == ["path of the left camera", "moved (1)", "new (1)"]
+
+
+def test_every_class_of_points_but_cones_has_a_letter_of_its_own():
+    letters = {name: one.letter for name, one in FEATURE_CLASSES.items() if name not in (CONE, *LINE_CLASSES)}
+    assert all(len(letter) == 1 for letter in letters.values()) and len(set(letters.values())) == len(letters)
+    assert not letter_of(CONE) and letter_of("bollard") == "?"
 
 
 @pytest.mark.parametrize(("suffix", "begin"), [(".svg", b"<?xml"), (".pdf", b"%PDF")])
