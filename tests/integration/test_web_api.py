@@ -73,6 +73,7 @@ def test_maps_and_timeline(client, samples):
     assert timeline["origin_m"] == [458_000.0, 5_428_000.0, 100.0]
     counts = ("added_count", "confirmed_count", "moved_count", "removed_count")
     assert [[c[n] for n in counts] for c in timeline["changesets"]] == [[3, 0, 0, 0], [1, 1, 1, 1]]
+    assert [c["line_counts"] for c in timeline["changesets"]] == [{}, {}]
 
 
 def test_features_of_every_instant(client, features, samples):

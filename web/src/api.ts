@@ -52,6 +52,8 @@ export interface TimelineItem {
   height_changed_count: number;
   split_count: number;
   merged_count: number;
+  /** Changes of stretches of lane markings; the counts above are of objects. */
+  line_counts: Partial<Record<ChangeKind, number>>;
   frame_pair_count: number;
   rejection_count: number;
   /** False if it was reverted, or a later analysis of the same recording replaced it. */

@@ -23,7 +23,7 @@ import { formatState, parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
 import { themeSwitch } from "./theme";
-import { createTimeline } from "./timeline";
+import { createTimeline, lineChanges } from "./timeline";
 import { createTools } from "./tools";
 import { createViewer, type Start } from "./viewer";
 
@@ -304,7 +304,7 @@ async function newChangeset(no: number): Promise<void> {
     const item = timeline?.changesets.at(-1);
     if (!item) return;
     void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
-    const counts = [`${item.added_count} new`, `${item.moved_count} moved`, `${item.removed_count} removed`].join(", ");
+    const counts = [`${item.added_count} new`, `${item.moved_count} moved`, `${item.removed_count} removed`, ...lineChanges([item]).map((change) => change.text)].join(", ");
     const follows = state.mode === "drive" && state.changeset === null;
     const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} does not count: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
     layout.toast(said, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });

@@ -1,5 +1,5 @@
 // Below: one drive before and after, two drives compared, or any point in time.
-import type { Decision, TimelineItem } from "./api";
+import type { ChangeKind, Decision, TimelineItem } from "./api";
 import { createDecider, revertChoice, withdrawChoice, type Choice } from "./decisions";
 import { el, fill, plural, utc } from "./dom";
 import { STYLES, type Kind } from "./kinds";
@@ -22,14 +22,25 @@ export interface TimelineActions {
 
 const MODES: [Mode, string][] = [["drive", "Drive by drive"], ["compare", "Compare two"], ["instant", "Any time"]];
 const SIDES: [Side, string][] = [["before", "Before"], ["changes", "Changes"], ["after", "After"]];
-const CHANGED: [Kind, (t: TimelineItem) => number][] = [
-  ["added", (t) => t.added_count], ["moved", (t) => t.moved_count], ["removed", (t) => t.removed_count],
-  ["split", (t) => t.split_count], ["merged", (t) => t.merged_count], ["height_changed", (t) => t.height_changed_count],
-  ["missed", (t) => t.missed_count], ["confirmed", (t) => t.confirmed_count],
-];
+type Changed = Exclude<ChangeKind, "unchanged">;
+const CHANGED: Changed[] = ["added", "moved", "removed", "split", "merged", "height_changed", "missed", "confirmed"];
 const BAR_PX = 30;
 
-const changesOf = (t: TimelineItem) => CHANGED.flatMap(([kind, count]) => (count(t) ? [{ kind, count: count(t), text: `${count(t)} ${STYLES[kind].label}` }] : []));
+const objectsOf = (t: TimelineItem, kind: Changed) => t[`${kind}_count`];
+const linesOf = (t: TimelineItem, kind: Changed) => t.line_counts[kind] ?? 0;
+const bothOf = (t: TimelineItem, kind: Changed) => objectsOf(t, kind) + linesOf(t, kind);
+
+function changes(items: TimelineItem[], count: (t: TimelineItem, kind: Changed) => number, noun: (sum: number) => string) {
+  return CHANGED.flatMap((kind) => {
+    const sum = items.reduce((all, t) => all + count(t, kind), 0);
+    return sum ? [{ kind, count: sum, text: `${noun(sum)} ${STYLES[kind].label}` }] : [];
+  });
+}
+
+/** Of lane markings, by kind. */
+export const lineChanges = (items: TimelineItem[]) => changes(items, linesOf, (sum) => plural(sum, "lane marking"));
+/** Of objects, then of lane markings. */
+const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, String), ...lineChanges(items)];
 
 export function createTimeline(host: HTMLElement, actions: TimelineActions) {
   const modeTabs = segmented("View mode", MODES, (mode) => actions.change({ mode }));
@@ -57,19 +68,15 @@ function segmented<T extends string>(label: string, choices: [T, string][], choo
 
 /** The changes of some drives: a bar per kind, as high as its share of `most`. */
 function barsOf(items: TimelineItem[], most: number): { bars: Node[]; title: string } {
-  const sums = new Map<Kind, number>();
-  for (const t of items) for (const { kind, count } of changesOf(t)) sums.set(kind, (sums.get(kind) ?? 0) + count);
-  const bars: Node[] = CHANGED.flatMap(([kind]) => {
-    const count = sums.get(kind);
-    if (!count) return [];
+  const bars: Node[] = changes(items, bothOf, String).map(({ kind, count }) => {
     const bar = el("i", {});
     bar.style.height = `${Math.max(2, (count / most) * BAR_PX).toFixed(1)}px`;
     bar.style.background = colourVariable(kind);
-    return [bar];
+    return bar;
   });
   const held = items.filter((t) => t.hold !== null);
   if (held.length) bars.push(el("i", { class: "held" }));
-  const counts = CHANGED.flatMap(([kind]) => (sums.get(kind) ? [`${sums.get(kind)} ${STYLES[kind].label}`] : [])).join(", ");
+  const counts = changesOf(items).map((change) => change.text).join(", ");
   const [only] = items;
   if (items.length === 1 && only) return { bars, title: `${only.drive_id}, ${utc(only.captured_from)} UTC: ${only.hold === null ? counts : `on hold. ${only.hold}`}` };
   return { bars, title: `${counts || "no changes"}${held.length ? `, ${held.length} on hold` : ""}` };
@@ -77,7 +84,7 @@ function barsOf(items: TimelineItem[], most: number): { bars: Node[]; title: str
 
 function driveAxis(items: () => TimelineItem[], choose: (index: number) => void, zoomed?: () => void) {
   const drives = (indices: number[]) => indices.flatMap((i) => items()[i] ?? []);
-  const total = (t: TimelineItem) => CHANGED.reduce((sum, [, count]) => sum + count(t), 0);
+  const total = (t: TimelineItem) => CHANGED.reduce((sum, kind) => sum + bothOf(t, kind), 0);
   return createTimeAxis({
     choose,
     zoomed,
@@ -136,7 +143,7 @@ function driveView(actions: TimelineActions) {
         text,
         el("strong", { textContent: t.drive_id }),
         el("span", { textContent: `drive ${index + 1} of ${items.length} · recorded ${utc(t.captured_from)} UTC · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
-        el("span", { class: "chips" }, ...changesOf(t).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(kind))),
+        el("span", { class: "chips" }, ...changesOf([t]).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(kind))),
           !t.counts && notCounted(about, t.hold),
           t.hold !== null && el("span", { class: "hold-reason", title: t.hold, textContent: t.hold })),
       ); // prettier-ignore

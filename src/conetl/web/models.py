@@ -100,6 +100,8 @@ class TimelineItem(Answer):
     height_changed_count: int
     split_count: int
     merged_count: int
+    line_counts: dict[DeltaKind, int]
+    """Changes of stretches of lane markings, of each kind that there is; the counts above are of point objects."""
     frame_pair_count: int
     detection_count: int
     track_count: int
