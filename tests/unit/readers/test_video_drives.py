@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -560,6 +561,7 @@ def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tm
     assert made.returncode != 0
     assert "(0: both begin with one trigger): " in made.stdout and "When was the first frame" in made.stdout
     assert made.stdout.count("trajectory drive.csv") == 1 and "images: {start" not in made.stdout
+    assert re.search(r"\d\d:\d\d:\d\d\.\d{3} UTC for", made.stdout), "precise enough to answer"
     assert not (copy / "drive.yaml").exists()
 
 

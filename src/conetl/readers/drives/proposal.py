@@ -226,14 +226,14 @@ def _recorded(path: Path, settings: str) -> RecordedTrajectory:
 def _described(recorded: RecordedTrajectory, kind: str) -> str:
     times_s = (recorded.times_ns - recorded.times_ns[0]) * 1e-9
     rate = f"{1 / np.median(np.diff(times_s)):.3g} Hz" if len(times_s) > 1 else "one record"
-    first = np.datetime64(int(recorded.times_ns[0]), "ns").astype("datetime64[s]").item()
+    first = str(np.datetime64(int(recorded.times_ns[0]), "ns").astype("datetime64[ms]")).replace("T", " ")
     attitude = "with attitude" if recorded.rotations is not None else "positions only"
     known = recorded.sigma[np.isfinite(recorded.sigma[:, :2]).all(axis=1), :2]
     sigma = f"sigma {np.median(known):.3g} m" if len(known) else "no sigmas"
     bad = f", {len(recorded.bad):,} bad records" if recorded.bad else ""
     return (
         f"trajectory {recorded.name} ({kind}): {len(times_s):,} records, {rate}, {attitude}, {sigma}, "
-        f"{first:%Y-%m-%d %H:%M:%S} UTC for {times_s[-1]:.0f} s{bad}"
+        f"{first} UTC for {times_s[-1]:.0f} s{bad}"
     )
 
 
