@@ -73,7 +73,8 @@ def night(
         print_hold_events(facts.hold_events)
         drives = counted(len(facts.drives), "drive") if facts.drives else "No drives"
         failed = f", {len(facts.failures)} failed" if facts.failures else ""
-        say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.")
+        hint = "" if facts.drives or failed else " Drives are listed by when they were processed, not recorded."
+        say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")
     counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
     _print_written(as_json, path, {**period, **counts, "held": facts.held, "hold_events": facts.hold_events})
     if facts.held:
