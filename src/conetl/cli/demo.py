@@ -38,7 +38,7 @@ _NEXT_STEPS = """\
   conetl map show                            list the cones with sigma and existence probability
   conetl map show --as-of 2026-03-02T23:00   the map before the second drive
   conetl map log                             list the changesets; conetl map log FEATURE for one cone
-  conetl ingest YOUR_DRIVE                   add your own stereo drive; see README.md
+  conetl ingest --map mine YOUR_DRIVE        your own stereo drive, on a map of its own; see README.md
   conetl db down                             stop the database that this command started"""
 
 
