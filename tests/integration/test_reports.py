@@ -262,7 +262,9 @@ def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert json.loads(night.stdout)["drives"] == 1
     said = [runner.invoke(app, ["report", "night", day]).stdout for day in ("2026-03-01", "2026-02-01")]
     assert said[0].startswith("1 drive processed from 2026-03-01 00:00 to 2026-03-02 00:00 UTC.")
-    assert said[1].startswith("No drives processed from 2026-02-01 00:00 to 2026-02-02 00:00 UTC. Drives are listed by when")
+    assert said[1].startswith(
+        "No drives processed from 2026-02-01 00:00 to 2026-02-02 00:00 UTC. Drives are listed by when"
+    )
     assert "Drives are listed by when" not in said[0]
     for wrong in (
         ["2026-03-01", "--since", "2026-03-01"],

@@ -79,9 +79,9 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
         )
         assert heard[-1] == (8, 8), "6 images and 2 motions, whoever counted them"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind / "results").iterdir()}
-    assert len(written["threads"]) == 20, (
-        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions, 3 of points followed, 3 of motions; "
-        "self-calibration"
+    assert len(written["threads"]) == 23, (
+        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions, 3 of points followed, 3 of motions, "
+        "3 of spans; self-calibration"
     )
     assert written["processes"] == written["threads"]
     assert written["dask"] == written["threads"]
@@ -107,24 +107,25 @@ def test_what_is_found_along_with_detections_is_what_its_own_step_finds(chunks: 
         for part in range(len(parts_of(chunk))):
             found = detect(chunk, part, chunk.rig, along)
             apart = found._replace(
-                odometry=odometry(chunk, part), marking_points=marking_points(chunk, part, chunk.rig)
+                odometry=odometry(chunk, part)._replace(spans=None),
+                marking_points=marking_points(chunk, part, chunk.rig),
             )
             assert found == (apart if along.odometry else Detected(found.detections))
         written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})
-    assert written[0] == written[1]
+    assert written[0] == written[1]  # both with the spans of self-calibration, from `odometry`
     points = [load_result(odometry(chunk, part).tracks, StereoTracks)[0] for part in range(len(parts_of(chunk)))]
     at = [(each.first_frame_index, each.second_frame_index) for part in points for each in part]
     pairs = [pair.frame_index for other in chunks for pair in other.frame_pairs]
     assert at == list(pairwise(pairs)), "the last motion is that to the next chunk"
 
 
-@pytest.mark.parametrize(("chunk_pairs", "steps"), [(256, 1), (8, 4), (2, 39)])
+@pytest.mark.parametrize(("chunk_pairs", "steps"), [(256, 1), (8, 5), (6, 14)])
 def test_self_calibration_follows_a_part_of_a_drive_or_all_where_that_shows_too_little(
     chunk_pairs: int, steps: int, tmp_path: Path
 ) -> None:
-    """Parts of one motion each, of which two of five are followed first, hold no span of two metres."""
+    """Parts of four motions hold a span of two metres each, not all of those of three do."""
     drive, _ = read_drive(SAMPLES[0])
-    few = TrajectoryParams(self_calibration_min_spans=4, self_calibration_max_spans=4)
+    few = TrajectoryParams(self_calibration_max_spans=10)
     settings, heard = Settings(home=tmp_path), [(0, 0)]
     with ThreadExecutor(2) as executor:
         found = analyse(
@@ -132,7 +133,7 @@ def test_self_calibration_follows_a_part_of_a_drive_or_all_where_that_shows_too_
             progress=lambda done, total: heard.append((done, total)),
         )  # fmt: skip
         assert {time.step: time.task_count for time in executor.times()}["odometry"] == steps
-    assert found.calibration.span_count == 4
+    assert found.calibration.span_count >= 8
     assert len(found.trajectory.frame_pairs) == 39 and found.trajectory.outcome == "refined"
     assert heard[-1] == (116, 116)
 

@@ -180,8 +180,8 @@ class TrajectoryParams(Params):
     """Correct the right camera where the drive's own images contradict the calibration; requires `refine`."""
     self_calibration_span_m: Positive = 2.0
     """Points are compared over this distance: longer spans determine depth better, but fewer points survive."""
-    self_calibration_min_spans: int = Field(default=8, ge=4)
-    self_calibration_max_spans: int = Field(default=120, ge=4)
+    self_calibration_min_spans: int = Field(default=8, ge=8)
+    self_calibration_max_spans: int = Field(default=120, ge=8)
     """At most so many spans, evenly spread over the drive: more cost time without lowering the error floor."""
     self_calibration_row_tolerance_px: Positive = 2.5
     """Like `epipolar_tolerance_px`, for these points, whose row error is to be estimated."""
@@ -278,7 +278,8 @@ class IngestParams(Params):
     trajectory: TrajectoryParams = TrajectoryParams()
     marking: MarkingParams = MarkingParams()
     chunk_pairs: int = Field(default=256, ge=1)
-    """Frame pairs per chunk, half of which are one detection task: a task costs Prefect about 10 ms."""
+    """Frame pairs per chunk, half of which are one detection task: a task costs Prefect about 10 ms. Self-calibration compares
+    frame pairs of the same half."""
     max_rejected_fraction: Fraction = 0.10
     """With a larger share of rejected frame pairs the command ends with exit code 1."""
 

@@ -144,10 +144,10 @@ def _run_chunks(
     """Detections, matches, motions and points of markings of all chunks; what the drive says about its calibration, and its rig
     after that.
 
-    Matching waits for the calibration, which needs the odometry of many parts of the drive. So that comes first, and while Python
-    itself works out the calibration in the caller's own thread, detections of some of these parts, which leave the interpreter to
-    others, keep the cores busy. Once the rig is known, the rest is computed along with the detections, from images that are in
-    memory; only matches and markings of what was found meanwhile need them again.
+    Matching waits for the calibration, which needs the odometry of some parts of the drive. So that comes first, and while Python
+    itself works out the calibration in the caller's own thread, detections of these parts, which leave the interpreter to others,
+    keep the cores busy. Once the rig is known, the rest is computed along with the detections, from images that are in memory;
+    only matches and markings of what was found meanwhile need them again.
     """
     params = chunks[0].params.trajectory
     of_chunk: list[Sequence[int]] = []
@@ -175,14 +175,14 @@ def _run_chunks(
                 count.follow(detected[k], 2 * pairs[k] + (intervals[k] if along.odometry else 0))
 
     calibration: SelfCalibration = SWITCHED_OFF
-    if params.self_calibrate:
-        needed = parts_to_follow(parts, params) if params.refine else []
+    if params.self_calibrate and params.refine:
+        needed = parts_to_follow(parts, params)
         submit_odometry(needed)
         submit_detections(needed[: os.cpu_count() or 1], None)
-        calibration = executor.run(self_calibrate, drive, _in_order(followed), chunks[0])
-        if 0 < len(followed) < len(parts) and calibration.span_count < params.self_calibration_max_spans / 2:
+        calibration = executor.run(self_calibrate, chunks[0], _in_order(followed))
+        if len(followed) < len(parts) and calibration.span_count < params.self_calibration_max_spans / 2:
             submit_odometry(range(len(parts)))
-            calibration = executor.run(self_calibrate, drive, _in_order(followed), chunks[0])
+            calibration = executor.run(self_calibrate, chunks[0], _in_order(followed))
     rig = self_calibrated_rig(drive.rig, calibration, params)
     early, motions = sorted(detected), _in_order(followed)
     moving = None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Iterator, Sequence
+from itertools import tee
 from math import ceil
 from pathlib import Path
 from typing import NamedTuple
@@ -26,12 +26,14 @@ from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_o
 from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.health import check_trajectory
-from conetl.tracking.self_calibration import SelfCalibration, choose_spans, span_params, spread_spans
+from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, span_params, spread_spans
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
 from conetl.tracking.trajectory import RefinedTrajectory
 
 _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
+#: Some spans cannot be followed, and parts end within one.
+_SPARE = 1.25
 
 
 def moved(chunks: Sequence[Chunk], trajectory: RefinedTrajectory) -> list[Chunk]:
@@ -55,29 +57,46 @@ class Odometry(NamedTuple):
     """Points followed between its frame pairs, and to the first one after it ..."""
     motions: Path
     """... and the motions that they tell."""
+    spans: Path | None = None
+    """Points followed over spans of self-calibration, where they were."""
 
 
 def odometry(chunk: Chunk, part: int, tick: Tick | None = None) -> Odometry:
-    """Points followed in one of the parts of a chunk, and its motions by the chunk's rig. tick: called for every motion."""
-    deque(follow(chunk, part, tick), maxlen=0)
-    return motions(chunk, part, chunk.rig)
+    """Points followed in one of the parts of a chunk, also over spans of self-calibration, and its motions by the chunk's rig.
+
+    tick: called for every motion.
+    """
+    own, params, folder = _part(chunk, part), chunk.params.trajectory, chunk.results_folder
+    pairs, rig = own.frame_pairs, chunk.rig
+    key = result_key("spans", _tracks_key(own))
+    if has_result(folder, key):
+        (tick or ignore)(len(pairs) - 1)
+    else:
+        set_up_worker()
+        # One after the other, so that the images that end a span are still in memory.
+        tracks, all_tracks = tee(_followed(own, tick))
+        moves, all_moves = tee(motions_of(tracks, pairs, rig, params))
+        spans = choose_spans(moves, params.self_calibration_span_m)
+        found = list(follow_spans(spans, pairs, rig, grey_reader(rig), span_params(params)))
+        save_result(folder, _tracks_key(own), list(all_tracks), [])
+        save_result(folder, _motions_key(own, rig), list(all_moves), [])
+        save_result(folder, key, found, [])
+    return motions(chunk, part, rig)._replace(spans=result_path(folder, key))
 
 
 def follow(chunk: Chunk, part: int, tick: Tick | None = None) -> Iterator[None]:
     """Follow points in one of the parts of a chunk, from one frame pair to the next at each step; the end stores them."""
-    part_of_chunk, tick = _part(chunk, part), tick or ignore
-    key = _tracks_key(part_of_chunk)
+    own = _part(chunk, part)
+    key = _tracks_key(own)
     if has_result(chunk.results_folder, key):
-        tick(len(part_of_chunk.frame_pairs) - 1)
+        (tick or ignore)(len(own.frame_pairs) - 1)
         return
     set_up_worker()
-    pairs, rig = part_of_chunk.frame_pairs, chunk.rig
-    tracks: list[StereoTracks] = []
-    for found in follow_drive(pairs, rig, grey_reader(rig, pairs), chunk.params.trajectory):
-        tracks.append(found)
-        tick(1)
+    found: list[StereoTracks] = []
+    for tracks in _followed(own, tick):
+        found.append(tracks)
         yield
-    save_result(chunk.results_folder, key, tracks, [])
+    save_result(chunk.results_folder, key, found, [])
 
 
 def motions(chunk: Chunk, part: int, rig: Rig, earlier: Odometry | None = None) -> Odometry:
@@ -86,15 +105,12 @@ def motions(chunk: Chunk, part: int, rig: Rig, earlier: Odometry | None = None) 
     chunk: with the rig by which points were followed; rig: the same after self-calibration. earlier: by the rig as it was, a
     start that spares the search.
     """
-    part_of_chunk, params = _part(chunk, part), chunk.params.trajectory
-    tracks = _tracks_key(part_of_chunk)
-    start = earlier.motions.stem if earlier else "none"
-    key = result_key(RESULTS_VERSION, "motions", tracks, params_sha256(params), geometry_key(part_of_chunk, rig), start)
-    folder = chunk.results_folder
+    own, folder = _part(chunk, part), chunk.results_folder
+    tracks, key = _tracks_key(own), _motions_key(own, rig, earlier)
     if not has_result(folder, key):
         followed = load_result(result_path(folder, tracks), StereoTracks)[0]
         starts = load_result(earlier.motions, RelativeMotion)[0] if earlier else None
-        found = motions_of(followed, part_of_chunk.frame_pairs, rig, params, starts)
+        found = motions_of(followed, own.frame_pairs, rig, chunk.params.trajectory, starts)
         save_result(folder, key, list(found), [])
     return Odometry(result_path(folder, tracks), result_path(folder, key))
 
@@ -116,33 +132,52 @@ def _part(chunk: Chunk, part: int) -> Chunk:
     return chunk.model_copy(update={"frame_pairs": pairs})
 
 
-def _tracks_key(part_of_chunk: Chunk) -> str:
-    params = params_sha256(part_of_chunk.params.trajectory)
-    return result_key(RESULTS_VERSION, "tracks", params, geometry_key(part_of_chunk))
+def _followed(own: Chunk, tick: Tick | None) -> Iterator[StereoTracks]:
+    """Points between the frame pairs of `_part`."""
+    pairs, rig = own.frame_pairs, own.rig
+    for tracks in follow_drive(pairs, rig, grey_reader(rig, pairs), own.params.trajectory):
+        (tick or ignore)(1)
+        yield tracks
+
+
+def _tracks_key(own: Chunk) -> str:
+    return result_key(RESULTS_VERSION, "tracks", params_sha256(own.params.trajectory), geometry_key(own))
+
+
+def _motions_key(own: Chunk, rig: Rig, earlier: Odometry | None = None) -> str:
+    start = earlier.motions.stem if earlier else "none"
+    params = params_sha256(own.params.trajectory)
+    return result_key(RESULTS_VERSION, "motions", _tracks_key(own), params, geometry_key(own, rig), start)
 
 
 def parts_to_follow(parts: Sequence[tuple[Chunk, int]], params: TrajectoryParams) -> list[int]:
-    """Numbers of the parts of a drive that self-calibration needs: evenly spread, with twice the length of all its spans.
+    """Numbers of the parts of a drive that self-calibration needs: evenly spread, somewhat longer than all its spans.
 
     The length is that of the logged poses, so there may be fewer spans.
     """
     poses = [[pair.pose.map_t_body_m for pair in _part(*part).frame_pairs] for part in parts]
     length_m = sum(float(np.linalg.norm(np.diff(each, axis=0), axis=1).sum()) for each in poses if len(each) > 1)
-    share = 2 * params.self_calibration_span_m * params.self_calibration_max_spans / max(length_m, 1e-9)
-    count = ceil(len(parts) * min(share, 1.0))
+    needed_m = _SPARE * params.self_calibration_span_m * params.self_calibration_max_spans
+    count = ceil(len(parts) * min(needed_m / max(length_m, 1e-9), 1.0))
     return [round(k) for k in np.linspace(0, len(parts) - 1, count)]
 
 
-def self_calibrate(drive: Drive, followed: Sequence[Odometry], chunk: Chunk) -> SelfCalibration:
+def self_calibrate(chunk: Chunk, followed: Sequence[Odometry]) -> SelfCalibration:
     """What a drive says about its rig's calibration.
 
-    followed: of parts of it, in its order. chunk: any of the drive's, for parameters and results folder.
+    chunk: any of the drive's, for rig, parameters and results folder. followed: parts of the drive, in its order.
     """
-    motions = [each.motions for each in followed]
-    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for each in followed for path in each))
+    files = [path for each in followed for path in (each.motions, each.spans) if path is not None]
+    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for path in files))
     if has_result(chunk.results_folder, key):
         return load_result(result_path(chunk.results_folder, key), SelfCalibration)[0][0]
-    found = _calibration(drive, load_results(motions, RelativeMotion)[0], chunk.params.trajectory)
+    params = chunk.params.trajectory
+    spans: list[tuple[Span, StereoTracks]] = []
+    for each in followed:
+        if each.spans is not None:
+            chosen = choose_spans(load_result(each.motions, RelativeMotion)[0], params.self_calibration_span_m)
+            spans += zip(chosen, load_result(each.spans, StereoTracks)[0], strict=True)
+    found = _calibration(chunk.rig, spread_spans(spans, params.self_calibration_max_spans), params)
     save_result(chunk.results_folder, key, [found], [])
     _log.info("Self-calibration: %s", found.detail)
     return found
@@ -152,20 +187,16 @@ def calibrate_drive(
     drive: Drive, params: TrajectoryParams, tracks: list[StereoTracks] | None = None
 ) -> SelfCalibration:
     """Self-calibration of a drive in one thread; tracks: of its intervals, where they are known already."""
-    if tracks is None:
-        tracks = list(follow_drive(drive.frame_pairs, drive.rig, grey_reader(drive.rig, drive.frame_pairs), params))
-    return _calibration(drive, list(motions_of(tracks, drive.frame_pairs, drive.rig, params)), params)
+    pairs, rig, read = drive.frame_pairs, drive.rig, grey_reader(drive.rig, drive.frame_pairs)
+    followed = follow_drive(pairs, rig, read, params) if tracks is None else tracks
+    chosen = list(choose_spans(motions_of(followed, pairs, rig, params), params.self_calibration_span_m))
+    spans = spread_spans(chosen, params.self_calibration_max_spans)
+    wide = follow_spans(spans, pairs, rig, read, span_params(params))
+    return _calibration(rig, list(zip(spans, wide, strict=True)), params)
 
 
-def _calibration(drive: Drive, measured: Sequence[RelativeMotion], params: TrajectoryParams) -> SelfCalibration:
-    pairs, read, wide = drive.frame_pairs, grey_reader(drive.rig), span_params(params)
-    by_start = {motion.first_frame_index: motion for motion in measured}
-    in_order = [by_start.get(pair.frame_index) for pair in pairs[:-1]]
-    spans = spread_spans(choose_spans(in_order, params.self_calibration_span_m), params.self_calibration_max_spans)
-    if len(spans) < params.self_calibration_min_spans:
-        spans = []  # no image needs to be decoded again
-    followed = list(follow_spans(spans, pairs, drive.rig, read, wide))
-    return estimate_calibration(drive.rig, spans, followed, params)
+def _calibration(rig: Rig, spans: Sequence[tuple[Span, StereoTracks]], params: TrajectoryParams) -> SelfCalibration:
+    return estimate_calibration(rig, [span for span, _ in spans], [tracks for _, tracks in spans], params)
 
 
 def refine(drive: Drive, motions: list[Path], matches: list[Path], params: IngestParams) -> RefinedTrajectory:

@@ -9,9 +9,9 @@ images, so that such rigs are only turned.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ Floats = NDArray[np.float64]
 _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
 #: The tangential coefficient of brown and rational lenses that moves columns by (3 x^2 + y^2) of it.
 _DECENTRING = "lens.3"
+_Item = TypeVar("_Item")
 
 
 class Span(NamedTuple):
@@ -91,24 +92,23 @@ def span_params(params: TrajectoryParams) -> TrajectoryParams:
     )
 
 
-def choose_spans(motions: Sequence[RelativeMotion | None], span_m: float) -> list[Span]:
-    """Consecutive parts of a drive of about `span_m` each; motions: one per interval, in order; None: not followed.
+def choose_spans(motions: Iterable[RelativeMotion], span_m: float) -> Iterator[Span]:
+    """Consecutive parts of a drive of about `span_m` each; motions: one per interval, in order.
 
     Parts in which the car does not move far enough and intervals without a measured motion give no span.
     """
-    spans, start, pose = [], 0, np.eye(4)
+    start, pose = 0, np.eye(4)
     for k, motion in enumerate(motions):
-        if motion is None or motion.second_SE3_first is None:
+        if motion.second_SE3_first is None:
             start, pose = k + 1, np.eye(4)
             continue
         pose = se3.compose(np.array(motion.second_SE3_first), pose)
         if float(np.linalg.norm(pose[:3, 3])) >= span_m:
-            spans.append(Span(start, k + 1, pose))
+            yield Span(start, k + 1, pose)
             start, pose = k + 1, np.eye(4)
-    return spans
 
 
-def spread_spans(spans: Sequence[Span], most: int) -> list[Span]:
+def spread_spans(spans: Sequence[_Item], most: int) -> list[_Item]:
     """At most `most` of the spans, evenly spread over the drive, including its first and last."""
     if len(spans) <= most:
         return list(spans)

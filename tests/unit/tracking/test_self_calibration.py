@@ -229,7 +229,7 @@ def test_infinity_is_where_a_turned_camera_projects_it() -> None:
 
 
 def test_a_long_drive_is_represented_by_spans_from_all_of_it() -> None:
-    spans = choose_spans(moves(*[2.0] * 1000), 2.0)
+    spans = list(choose_spans(moves(*[2.0] * 1000), 2.0))
     assert len(spans) == 1000
     chosen = spread_spans(spans, 120)
     assert (len(chosen), chosen[0], chosen[-1]) == (120, spans[0], spans[-1])
@@ -239,14 +239,14 @@ def test_a_long_drive_is_represented_by_spans_from_all_of_it() -> None:
 
 
 def test_spans_are_consecutive_and_restart_after_a_gap() -> None:
-    spans = choose_spans(moves(0.8, 0.8, 0.8, 0.8, None, 1.5, 1.5), 2.0)
+    spans = list(choose_spans(moves(0.8, 0.8, 0.8, 0.8, None, 1.5, 1.5), 2.0))
     assert [(s.first, s.last) for s in spans] == [(0, 3), (5, 7)]
     assert np.linalg.norm(spans[0].last_SE3_first[:3, 3]) == pytest.approx(2.4, abs=0.05)
 
 
 def test_a_standing_or_turning_car_gives_no_estimate() -> None:
     for turn in (0.0, 0.1):
-        spans = choose_spans(moves(*[0.0] * 40, turn_rad=turn), 2.0)
+        spans = list(choose_spans(moves(*[0.0] * 40, turn_rad=turn), 2.0))
         assert spans == []
     found = self_calibrate(RIG, [], [], PARAMS)
     assert found.outcome is SelfCalibrationOutcome.NO_ESTIMATE
