@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -28,7 +29,12 @@ def command_line(home: Path, database_url: str, map_name: str = "default") -> Ca
     environment = {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url, "CONETL_MAP_NAME": map_name}
 
     def run(*arguments: object, code: int = 0) -> str:
-        done = CliRunner().invoke(app, list(map(str, arguments)), env=environment)
+        ours = dict(os.environ)
+        try:
+            done = CliRunner().invoke(app, list(map(str, arguments)), env=environment)
+        finally:  # commands set variables for Prefect
+            os.environ.clear()
+            os.environ.update(ours)
         if isinstance(done.exception, ConetlError):
             assert done.exception.exit_code == code, done.exception
             return str(done.exception)

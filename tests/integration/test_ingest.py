@@ -1,4 +1,7 @@
-"""The main job end to end, through the command line, on the sample drives: a real PostGIS and a real Prefect server."""
+"""The main job end to end on the sample drives: a real PostGIS, and a real Prefect server where the command needs one.
+
+What a drive does to the map is the same through the command line and through Python, which spares the start of a process.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,18 @@ import httpx
 import numpy as np
 import pytest
 
+from conetl.cli.ingest import print_report
 from conetl.db.connection import connect, execute
 from conetl.db.live_store import read_provisional
 from conetl.db.map.map_store import list_changesets
 from conetl.exports.wzdx import schema_faults
+from conetl.model.errors import DriveFolderError, InputError, ServiceError
+from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.model.map_records import DeltaKind
+from conetl.model.params import IngestParams, params_sha256
+from conetl.model.rejections import RejectionReason
+from conetl.pipeline.ingest import ingest
+from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import drive_page
 from tests.integration.conftest import QUIET, command_line
 from tests.integration.small_drives import spoil_huffman_table
@@ -89,6 +99,17 @@ class Desk:
         environment = self.environment
         url, map_name = environment["CONETL_DATABASE_URL"], environment.get("CONETL_MAP_NAME", "default")
         return command_line(Path(environment["CONETL_HOME"]), url, map_name)(*arguments, code=code)
+
+    @property
+    def settings(self) -> Settings:
+        """Those of its commands."""
+        names = {"home": "CONETL_HOME", "database_url": "CONETL_DATABASE_URL", "map_name": "CONETL_MAP_NAME"}
+        values = {field: self.environment[name] for field, name in names.items() if name in self.environment}
+        return Settings.model_validate(values)
+
+    def ingest(self, drive: Path, **params: object) -> IngestReport:
+        """What the command does, in this process and without Prefect."""
+        return ingest(drive, IngestParams.model_validate(params), self.settings)
 
     def features(self, *options: object) -> Any:
         return json.loads(self.ask("map", "show", *options, "--json"))["features"]
@@ -156,25 +177,19 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
     assert outcome["median_error_3d_m"] <= 0.05
 
     before = desk.final_tables()
-    again = desk.run("demo", DRIVES[0].parent, "--json")
-    assert again.code == 0
-    assert [report["status"] for report in again.json["reports"]] == ["no changes"] * 3
+    desk_demo = Desk({**desk.environment, "CONETL_MAP_NAME": "demo"})
+    assert [desk_demo.ingest(drive).status for drive in DRIVES] == ["no changes"] * 3
     assert desk.final_tables() == before
     desk.ask("db", "audit")
 
     check_the_table_of_the_tutorial(outcome["reports"][1]["changes"])
-    check_the_feeds_of_three_days(Desk({**desk.environment, "CONETL_MAP_NAME": "demo"}))
+    check_the_feeds_of_three_days(desk_demo)
 
     # the first drive again under other parameters: its new analysis takes the place of the old one, and later drives follow
-    desk_demo = Desk({**desk.environment, "CONETL_MAP_NAME": "demo"})
-    params = Path(desk.environment["CONETL_HOME"]) / "params.yaml"
-    params.write_text("track: {min_observations: 4}\n")
-    late = desk_demo.run("ingest", DRIVES[0], "--params", params, "--json")
-    assert late.code == 0, late.err
-    assert late.json[0]["replayed_drives"] == len(DRIVES) - 1
+    assert desk_demo.ingest(DRIVES[0], track={"min_observations": 4}).replayed_drives == len(DRIVES) - 1
     desk.ask("db", "audit")
 
-    export = params.with_name("map.geojson")
+    export = Path(desk.environment["CONETL_HOME"]) / "map.geojson"
     desk_demo.ask("map", "export", "--out", export)
     collection = json.loads(export.read_text())
     assert len(collection["features"]) == len(outcome["cones"])
@@ -243,66 +258,60 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
     reasons = report["rejections"]
     assert (reasons["image_truncated"], reasons["image_missing"], reasons["pose_invalid"]) == (1, 1, 1)
     assert report["counts"]["added"] > 0
-    lenient = small_drive.parent / "params.yaml"
-    lenient.write_text("max_rejected_fraction: 0.5\n")
-    assert desk.run("ingest", small_drive, "--params", lenient).code == 0
+    assert desk.ingest(small_drive, max_rejected_fraction=0.5).frame_pairs_rejected == 3
     quarantine = desk.final_tables()["quarantine"]
     assert sum('"pose_invalid"' in line for line in quarantine) == 2, "once for each analysis"
 
 
 def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     """Only decoding finds that out, after the drive was read: no cone may go for it."""
-    (first,) = desk.run("ingest", small_drive, "--json").json
-    assert first["counts"]["added"] > 3
+    assert desk.ingest(small_drive).counts[DeltaKind.ADDED] > 3
     later, last = (part_of(DRIVES[0], tmp_path / name, 16, skip=4) for name in ("later", "last"))
     for drive, day, whole in ((later, "2026-03-12", 4), (last, "2026-03-13", 0)):
         for stamps in drive.glob("*/timestamps.txt"):
             stamps.write_text(stamps.read_text().replace("2026-03-02", day))
         for image in sorted((drive / "image_02" / "data").iterdir())[whole:]:
             spoil_huffman_table(image)
-    result = desk.run("ingest", later, "--json")
-    (report,) = result.json
-    assert result.code == 1
-    assert "12 of 16 frame pairs" in result.err
-    assert (report["frame_pairs"], report["frame_pairs_rejected"]) == (4, 12)
-    assert report["rejections"]["image_unreadable"] == 12
-    assert report["counts"]["removed"] == 0
-    assert len(desk.final_tables()["frame_pair"]) == 16 + 4
+    with pytest.raises(TooManyRejectionsError, match="12 of 16 frame pairs") as doubted:
+        desk.ingest(later)
+    report = doubted.value.report
+    assert (report.frame_pairs, report.frame_pairs_rejected) == (4, 12)
+    assert report.rejections[RejectionReason.IMAGE_UNREADABLE] == 12
+    assert report.counts[DeltaKind.REMOVED] == 0
     before = desk.final_tables()
-    result = desk.run("ingest", last)
-    assert result.code == 2
-    assert "not one of 16 frame pairs has two images that can be decoded" in result.err
+    assert len(before["frame_pair"]) == 16 + 4
+    with pytest.raises(DriveFolderError, match="not one of 16 frame pairs has two images that can be decoded"):
+        desk.ingest(last)
     assert desk.final_tables() == before
 
 
 def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, small_drive: Path) -> None:
     """Poses from post-processing: one recording must not count as two surveys."""
-    assert desk.run("ingest", small_drive).code == 0
+    desk.ingest(small_drive)
     for path in (small_drive / "oxts" / "data").iterdir():
         lat_deg, *others = path.read_text().split()
         path.write_text(" ".join([f"{float(lat_deg) + 4.5e-6:.12f}", *others]))  # half a metre
     before = desk.final_tables()
-    result = desk.run("ingest", small_drive)
-    assert result.code == 2
-    assert "other content (changeset 1)" in result.err
-    assert "conetl map revert 1" in result.err
+    with pytest.raises(InputError, match=r"other content \(changeset 1\).*conetl map revert 1"):
+        desk.ingest(small_drive)
     other_name = shutil.copytree(small_drive, small_drive.with_name("the same again"))
-    result = desk.run("ingest", other_name)
-    assert result.code == 2
-    assert f"this is the recording of drive {small_drive.name} again (changeset 1)" in result.err
+    again = rf"this is the recording of drive {small_drive.name} again \(changeset 1\)"
+    with pytest.raises(InputError, match=again):
+        desk.ingest(other_name)
     assert desk.final_tables() == before
     desk.ask("map", "revert", "1")
-    (report,) = desk.run("ingest", small_drive, "--json").json
-    assert report["status"] == "committed"
-    assert report["counts"]["added"] > 3
+    report = desk.ingest(small_drive)
+    assert report.status == "committed"
+    assert report.counts[DeltaKind.ADDED] > 3
     desk.ask("db", "audit")
 
 
-def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(desk: Desk, small_drive: Path) -> None:
-    def said(*options: str) -> str:
-        done = desk.run("ingest", small_drive, *options)
-        assert done.code == 0, done.err
-        return " ".join(done.out.split())
+def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(
+    desk: Desk, small_drive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def said(**params: object) -> str:
+        print_report(desk.ingest(small_drive, **params))
+        return " ".join(capsys.readouterr().out.split())
 
     assert "does not count" not in said()
     decided = json.loads(desk.ask("map", "revert", "1", "--json"))
@@ -311,7 +320,7 @@ def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(desk
     assert "revert that decision with `conetl map revert ID`, and it counts again" in text
     desk.ask("map", "revert", decided["decision_id"])
     assert "does not count" not in said()
-    assert "does not count" not in said("--no-refine")
+    assert "does not count" not in said(trajectory={"refine": False})
     text = said()
     assert "a later analysis or delivery of the same recording (changeset 2) counts in its place" in text
     desk.ask("map", "revert", "2")
@@ -372,9 +381,14 @@ def test_bad_input_is_named_and_writes_nothing(desk: Desk, tmp_path: Path) -> No
 def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad"
     bad.mkdir()
-    result = desk.run("ingest", bad, small_drive, "--json")
+    params = tmp_path / "params.yaml"
+    params.write_text("track: {min_observations: 4}\n")
+    result = desk.run("ingest", bad, small_drive, "--params", params, "--no-refine", "--json")
     assert result.code == 2
-    assert [report["drive_id"] for report in result.json] == ["small"]
+    [report] = result.json
+    assert report["drive_id"] == "small"
+    options = {"track": {"min_observations": 4}, "trajectory": {"refine": False}}
+    assert report["params_sha256"] == params_sha256(IngestParams.model_validate(options))
 
 
 @pytest.fixture(scope="module")
@@ -384,9 +398,9 @@ def clean_tables(
     """What `small_drive` leaves in an empty database, once or twice."""
     drive = part_of(DRIVES[0], tmp_path_factory.mktemp("clean") / "small", 16, skip=4)
     clean = office.with_database(module_database_url)
-    assert clean.run("ingest", drive).code == 0
+    assert clean.ingest(drive).status == "committed"
     tables = clean.final_tables()
-    assert clean.run("ingest", drive, "--json").json[0]["status"] == "no changes"
+    assert clean.ingest(drive).status == "no changes"
     assert clean.final_tables() == tables
     return tables
 
@@ -405,7 +419,7 @@ def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
     assert process.returncode == -signal.SIGKILL, "it was over before it was killed"
     half = victim.final_tables()
     assert not any(half.values()), "half-written"
-    assert victim.run("ingest", small_drive).code == 0
+    assert victim.ingest(small_drive).status == "committed"
     assert victim.final_tables() == clean_tables
 
 
@@ -481,9 +495,9 @@ def wait_for(point: str, home: Path, database_url: str, process: subprocess.Pope
 
 def test_without_services_nothing_is_written(office: Desk, small_drive: Path) -> None:
     nowhere = office.with_database("postgresql://conetl@127.0.0.1:9/nowhere")
-    result = nowhere.run("ingest", small_drive)
-    assert result.code == 3
-    assert "CONETL_DATABASE_URL" in result.err
+    with pytest.raises(ServiceError, match="CONETL_DATABASE_URL") as missing:
+        nowhere.ingest(small_drive)
+    assert missing.value.exit_code == 3
     no_prefect = Desk({**office.environment, "PREFECT_API_URL": "http://127.0.0.1:9/api"})
     result = no_prefect.run("ingest", small_drive)
     assert result.code == 3
@@ -537,11 +551,7 @@ def test_the_other_half_of_the_real_street_a_day_later_and_half_a_metre_aside_do
 ) -> None:
     even = every_other_pair(tmp_path / "even", 0)
     odd = every_other_pair(tmp_path / "odd", 1, days=1, east_m=0.4, north_m=-0.3)
-    first = desk.run("ingest", even, "--json")
-    assert first.code == 0, first.err
-    second = desk.run("ingest", odd, "--json")
-    assert second.code == 0, second.err
-    counts = [{kind: n for kind, n in result.json[0]["counts"].items() if n} for result in (first, second)]
+    counts = [{kind: n for kind, n in desk.ingest(drive).counts.items() if n} for drive in (even, odd)]
     assert counts[0] == {"added": 4}
     # One of them is hardly more likely a cone than not in the odd pairs: enough to confirm it, not to found it.
     assert counts[1] == {"confirmed": 4}, "none doubled, none moved, none removed"
@@ -558,13 +568,12 @@ def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
     name = "<b>small</b> drive"
     (small_drive / "drive.yaml").write_text(f"drive_id: {name}\n")
     (small_drive / "COMPLETE").touch()
-    watched = desk.run("watch", small_drive, "--json")
-    assert watched.code == 0, watched.err
-    assert watched.json["frame_pairs"] == 16 and watched.json["provisional_features"] >= 2
+    watched = json.loads(desk.ask("watch", small_drive, "--json"))
+    assert watched["frame_pairs"] == 16 and watched["provisional_features"] >= 2
     with closing(connect(desk.environment["CONETL_DATABASE_URL"])) as conn:
         shown = read_provisional(conn, map_name="default")
         assert {row["drive_id"] for row in shown} == {name}
-        assert len(shown) == watched.json["provisional_features"]
+        assert len(shown) == watched["provisional_features"]
         assert execute(conn, "select * from conetl.map") == []  # no part of the map
         conn.rollback()
         done = desk.run("ingest", small_drive, "--json")
