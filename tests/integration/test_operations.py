@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,7 @@ HOST = "127.0.0.2"
 #: Of the drives of a backfill, as a stranger might name them: a picture or a link where a page takes it for HTML or Markdown.
 SMALL = f"_small {HTML_NAME}`](elsewhere)**"
 #: Late, so that it fails once: what failed is tried again when the backfill is taken up.
-POISONED = f"2026-04-06{SMALL}"
+POISONED = f"2026-04-04{SMALL}"
 PATIENCE_S = 600
 DROP_FOLDER = "ingest-drop-folder/ingest-drop-folder"
 
@@ -205,19 +205,21 @@ def test_the_form_of_a_deployment_refuses_what_cannot_be(desk: Desk) -> None:
 
 
 def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tmp_path: Path) -> None:
-    for number in range(1, 7):
+    for number in range(1, 5):
         day = f"2026-04-{number:02d}"
         cut_drive(SAMPLES[number % 3], tmp_path / f"{day}{SMALL}", day, poisoned=f"{day}{SMALL}" == POISONED)
     run_id = desk.start("backfill/backfill", {"root": str(tmp_path), "max_parallel": 2})
     small = lambda: {name: state for name, state in desk.receipts().items() if name.endswith(SMALL)}  # noqa: E731
-    until(lambda: sum(state in {"committed", "failed"} for state, _ in small().values()) >= 3, "half of the drives")
+    until(lambda: any(state == "committed" for state, _ in small().values()), "the first drive")
     busy = until(lambda: worker_at_work(desk), "a drive in work")
     before = {name: service.pid for name, service in read_services(desk.home).items()}
     assert set(before) == {"prefect", "view", "desk", "drives-1", "drives-2"}
     desk.kill_service(busy)
     desk.kill_service("desk")
-    status = desk.run("status", code=3)
+    status = without_the_password(desk).run("status", code=3)
     assert {s["name"] for s in status["services"] if s["state"] == "ended"} == {busy, "desk"}
+    # Recovery leaves a run alone for its first 30 s.
+    nothing_starts_without_the_password(desk, tmp_path)
     until(lambda: _old_enough(desk, run_id), "the grace of a run that just started")
     up = desk.up()
     assert up["up"]
@@ -232,7 +234,7 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     state, reason = receipts.pop(POISONED)
     assert state == "failed"
     assert "not one usable pose" in reason
-    assert sorted(receipts) == [f"2026-04-{n:02d}{SMALL}" for n in range(1, 6)]
+    assert sorted(receipts) == [f"2026-04-{n:02d}{SMALL}" for n in range(1, 4)]
     assert {state for state, _ in receipts.values()} <= {"committed", "known"}
     on_map = desk.rows("select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1")
     assert [row["drive_id"] for row in on_map] == ["2026-03-20_dropped", *sorted(receipts)]
@@ -245,7 +247,7 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     tasks = desk.post("/task_runs/filter", {"task_runs": {"name": {"like_": "detect"}}})
     assert tasks and not any(task["tags"] for task in tasks), "each tag of a task costs a request before it begins"
     kept = [json.loads(p.read_text())["drive_id"] for p in (desk.home / "receipts" / "default").glob("2026-04-*.json")]
-    assert sorted(kept) == [f"2026-04-{n:02d}{SMALL}" for n in range(1, 7)]
+    assert sorted(kept) == [f"2026-04-{n:02d}{SMALL}" for n in range(1, 5)]
 
 
 def worker_at_work(desk: Desk) -> str | None:
@@ -258,8 +260,29 @@ def worker_at_work(desk: Desk) -> str | None:
     return None
 
 
+def without_the_password(desk: Desk) -> Desk:
+    others = {name: value for name, value in desk.environment.items() if name != "PREFECT_SERVER_API_AUTH_STRING"}
+    return replace(desk, environment=others)
+
+
+def nothing_starts_without_the_password(desk: Desk, drives: Path) -> None:
+    """Commands without it, or with another one, name the variable and end."""
+    others = without_the_password(desk).environment
+    guessed = others | {"PREFECT_SERVER_API_AUTH_STRING": "desk:guessed"}
+    up = ("up", "--host", HOST, "--port", desk.port, "--view-port", desk.view_port)
+    for environment, words in (
+        (others, ("ingest", drives / POISONED)),
+        (guessed, ("backfill", drives)),
+        (guessed, up),
+        (others, up),
+    ):
+        refused = conetl(*words, "--json", **environment)
+        assert refused.returncode == 3, (words, refused.stdout, refused.stderr)
+        assert "set PREFECT_SERVER_API_AUTH_STRING" in refused.stderr
+        assert "Traceback" not in refused.stderr
+
+
 def _old_enough(desk: Desk, run_id: str) -> bool:
-    """Recovery leaves a run alone for its first 30 s."""
     return float(desk.get(f"/flow_runs/{run_id}")["estimated_run_time"]) > 31
 
 
@@ -327,7 +350,7 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
         page.keyboard.press("Enter")
         page.get_by_text("Flow Runs").first.wait_for()
         for name, path, words in (
-            ("backfill", f"/runs/flow-run/{backfill['id']}", ["batch-progress", "batch-summary", "6 drives"]),
+            ("backfill", f"/runs/flow-run/{backfill['id']}", ["batch-progress", "batch-summary", "4 drives"]),
             (
                 "drive",
                 f"/runs/flow-run/{drive['id']}",
@@ -349,29 +372,14 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
                     assert page.locator("a[href$=elsewhere]").count() == 0
 
 
-def test_who_knows_the_password_gets_in_and_nobody_else(desk: Desk, tmp_path: Path) -> None:
+def test_who_knows_the_password_gets_in_and_strangers_do_not(desk: Desk, tmp_path: Path) -> None:
     """Last, since it stops the services. A given password is written nowhere."""
     drives = [cut_drive(SAMPLES[n], tmp_path / f"2026-06-0{n + 1}_run", f"2026-06-0{n + 1}") for n in (0, 1)]
-    up = ("up", "--host", HOST, "--port", desk.port, "--view-port", desk.view_port)
-    others = {name: value for name, value in desk.environment.items() if name != "PREFECT_SERVER_API_AUTH_STRING"}
-    assert conetl("status", "--json", **others).returncode == 0
-    guessed = others | {"PREFECT_SERVER_API_AUTH_STRING": "desk:guessed"}
-    for environment, words in (
-        (others, ("ingest", drives[0])),
-        (guessed, ("backfill", tmp_path)),
-        (guessed, up),
-        (others, up),
-    ):
-        refused = conetl(*words, "--json", **environment)
-        assert refused.returncode == 3, (words, refused.stdout, refused.stderr)
-        assert "set PREFECT_SERVER_API_AUTH_STRING" in refused.stderr
-        assert "Traceback" not in refused.stderr
-
     assert [report["status"] for report in desk.run("ingest", drives[0])] == ["committed"]
     by_worker = desk.run("backfill", tmp_path)["drives"]  # it has the password from `up`
     assert [(drive["drive_id"], drive["state"]) for drive in by_worker] == [("2026-06-02_run", "committed")]
-    here = desk.run("backfill", tmp_path, "--here", "--recheck")["drives"]
-    assert [drive["state"] for drive in here] == ["known", "known"]
+    here = desk.run("backfill", tmp_path, "--here", "--recheck", "--since", "2026-06-02")["drives"]
+    assert [drive["state"] for drive in here] == ["known"]
 
     api, view = f"http://{HOST}:{desk.port}/api", f"http://127.0.0.1:{desk.view_port}"
     # Prefect's worker hands a run its environment in a file in TMPDIR, which a worker that is killed leaves there.
