@@ -15,7 +15,7 @@ import pytest
 
 from conetl.geometry.geodesy import to_geodetic
 from conetl.readers.maps.gazetteer import Gazetteer
-from tests.browser.test_view import ADDED, click_cone, open_view, pixels_of, screenshot, settle
+from tests.browser.test_view import ADDED, MOVED, click_cone, open_view, pixels_of, screenshot, settle
 from tests.view_map import commit, cone, serving
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -109,6 +109,11 @@ def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, fea
     wait_for_rows(page, 3)
     page.wait_for_selector('html[data-cones="3"]', state="attached")
     assert page.locator(".legend label[data-kind=moved] input").is_checked() is False
+    settle(page)
+    assert pixels_of(screenshot(page), MOVED) == 0
+    page.fill("#probability", "0.8")
+    wait_for_rows(page, 2)
+    page.fill("#probability", "0")
     page.click("button.filter-more")
     page.fill("[aria-label='Greatest existence probability']", "0.8")
     wait_for_rows(page, 1)
@@ -268,6 +273,8 @@ def test_an_address_that_is_wrong_is_said_so(browser, address):
             assert tab.locator(".drive-text").inner_text() == "No changeset 99"
             tab.click("text=Show the latest")
             tab.wait_for_selector('html[data-cones="4"]', state="attached")
+        if "elsewhere" in hash_:
+            tab.get_by_text("This database holds “default”").first.wait_for()
     tab.close()
 
 

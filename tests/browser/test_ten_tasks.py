@@ -22,7 +22,7 @@ from tests.integration.drives_of_days import merge, survey
 from tests.view_map import serving
 
 MOST = 4
-SIZES = {"desk": (1280, 800), "wide": (1920, 1080), "phone": (390, 844)}
+SIZES = {"desk": (1280, 800), "wide": (1720, 900), "phone": (390, 844)}
 
 
 @pytest.fixture(scope="module", params=SIZES)

@@ -222,26 +222,6 @@ def test_a_choice_is_in_the_address_before_the_next_thing_happens(page, address,
     assert page.evaluate(held) == 1, "browsers refuse an address that changes all the time"
 
 
-def test_filters_hide_cones_and_search_finds_one(page, address, features):
-    open_view(page, address)
-    page.locator(".legend label[data-kind=moved] input").uncheck()
-    page.wait_for_selector('html[data-cones="3"]', state="attached")
-    settle(page)
-    assert pixels_of(screenshot(page), MOVED) == 0
-    page.locator("#probability").fill("0.8")
-    page.wait_for_selector('html[data-cones="2"]', state="attached")
-    page.fill("#search", features["stays"][:9])
-    page.press("#search", "Enter")
-    page.wait_for_selector(f"h2:text-is('{features['stays'][:8]}')")
-
-
-def test_an_unknown_map_differs_from_an_empty_one(page, address):
-    page.goto(f"{address}#map=nowhere")
-    card = page.locator(".card")
-    card.get_by_text("There is no map “nowhere”").wait_for()
-    assert "This database holds “default”" in card.inner_text()
-
-
 def test_a_server_error_is_shown_and_can_be_retried(browser, address):
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     tab.route("**/events", lambda route: route.abort())  # else an event loads the map before the click
