@@ -7,7 +7,6 @@ import json
 import math
 import struct
 from datetime import UTC, datetime
-from itertools import permutations
 from uuid import UUID
 
 import numpy as np
@@ -204,7 +203,7 @@ def cones_csv(path, cones, names=(), values=None):
 
 
 def test_an_import_has_its_place_in_time_whatever_comes_first(cluster_url, template_database, tmp_path):
-    """Two drives and an import between them, in all orders: one map."""
+    """Two drives and an import between them, which comes first, second or last: one map."""
     cones = [*DAYS[0][:5], *DAYS[2][-1:]]
     names = ["feature_id", "sigma_e_m", "sigma_n_m", "sigma_u_m"]
     values = [[f"00000000-0000-4000-8000-00000000000{number}", 0.1, 0.1, 0.1] for number in range(len(cones))]
@@ -216,7 +215,7 @@ def test_an_import_has_its_place_in_time_whatever_comes_first(cluster_url, templ
         "import": lambda conn: take(conn, path, crs="EPSG:32632", stated_at=stated_at),
     }
     maps = []
-    for order in permutations(events):
+    for order in (("import", "b", "a"), ("b", "import", "a"), ("a", "b", "import")):
         with cloned_database(cluster_url, template_database) as url:
             conn = connect(url)
             for name in order:
@@ -526,9 +525,10 @@ def test_a_file_that_claims_gigabytes_is_not_believed(tmp_path):
     """A geometry column of equal bytes: 3 GB of them are a few kB of Parquet."""
     geo = {"primary_column": "geometry", "columns": {"geometry": {"encoding": "WKB"}}}
     schema = pa.schema({"geometry": pa.large_binary()}, {"geo": json.dumps(geo)})
-    with pq.ParquetWriter(tmp_path / "bomb.parquet", schema, compression="zstd", use_dictionary=False) as writer:
+    how = {"compression": "zstd", "use_dictionary": False, "write_statistics": False}
+    with pq.ParquetWriter(tmp_path / "bomb.parquet", schema, **how) as writer:
         page = pa.table([pa.array([b"\0" * (64 << 20)], pa.large_binary())], schema=schema)
-        for _ in range(40):
+        for _ in range(33):
             writer.write_table(page)
     assert (tmp_path / "bomb.parquet").stat().st_size < 1 << 20
     with pytest.raises(InputError, match="states more than 2 GiB"):
@@ -616,24 +616,24 @@ def test_the_browser_shows_a_map_that_began_with_an_import(conn, database_url, s
         assert len(answer.json()["features"]) == len(features)
 
 
-@pytest.mark.parametrize("name", IMPORTABLE)
-def test_an_own_export_adds_no_evidence(conn, surveyed, tmp_path, name):
+def test_an_own_export_adds_no_evidence(conn, surveyed, tmp_path):
     """Of this very map, in any format, and of one that began with an import; another format is not more evidence."""
     for day in range(2):
         merge(conn, survey(day))
     conn.commit()
-    before, features = valid_time_map(conn), read_current_features(conn)
-    for what in ("parquet", name):
-        export_map(conn, tmp_path / f"own-{what}{FORMATS[name].suffix}", name, ExportRequest())
-        conn.rollback()
-        done = take(conn, tmp_path / f"own-{what}{FORMATS[name].suffix}")
-        assert (done.committed, done.own, sum(done.counts.values())) == (False, len(features), 0)
-    assert valid_time_map(conn) == before and len(list_changesets(conn)) == 2
     folder, _ = surveyed
     take(conn, folder / "map.csv", map_name="copy", params=NEW_IDS)
     conn.rollback()
-    export_map(conn, tmp_path / f"copy{FORMATS[name].suffix}", name, ExportRequest("copy"))
-    assert not take(conn, tmp_path / f"copy{FORMATS[name].suffix}", map_name="copy").committed
+    before, features = valid_time_map(conn), read_current_features(conn)
+    for name in IMPORTABLE:
+        own, copy = (tmp_path / f"{what}{FORMATS[name].suffix}" for what in ("own", "copy"))
+        export_map(conn, own, name, ExportRequest())
+        export_map(conn, copy, name, ExportRequest("copy"))
+        conn.rollback()
+        done = take(conn, own)
+        assert (done.committed, done.own, sum(done.counts.values())) == (False, len(features), 0), name
+        assert not take(conn, copy, map_name="copy").committed, name
+    assert valid_time_map(conn) == before and len(list_changesets(conn)) == 2
     assert failed_audits(conn) == []
 
 

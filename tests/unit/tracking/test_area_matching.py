@@ -36,20 +36,13 @@ def test_the_disparity_is_that_of_the_axis_not_of_the_near_cheek(range_m: float,
 
 def test_sigma_is_that_of_the_errors() -> None:
     squares = []
-    for seed in range(60):
+    for seed in range(36):
         pair = cone_pair((7.0, 11.0, 16.0)[seed % 3], 100 + seed, noise=(2.0, 6.0, 12.0)[seed // 3 % 3])
         found = match(pair)
         assert found is not None
         squares.append(((found.disparity_px - pair.disparity_px) / found.sigma_px) ** 2)
     # 0.31: these images know neither JPEG nor leaning cones, for which sigma allows; halved it would be 1.2, doubled 0.08
     assert 0.15 < np.mean(squares) < 0.65
-
-
-def test_noise_makes_sigma_larger() -> None:
-    quiet, loud = (match(cone_pair(18.0, 3, noise=noise)) for noise in (1.0, 25.0))
-    assert quiet is not None
-    assert loud is not None
-    assert loud.sigma_px > 1.3 * quiet.sigma_px
 
 
 def test_brightness_and_contrast_do_not_matter() -> None:
