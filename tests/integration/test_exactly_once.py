@@ -14,7 +14,6 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from functools import cache, partial
 from pathlib import Path
@@ -82,30 +81,6 @@ def test_a_connection_lost_in_the_middle_of_the_commit_writes_nothing(conn, data
         pass
     assert merge(conn, survey(2)) is not None
     assert failed_audits(conn) == []
-
-
-def test_drives_of_one_neighbourhood_at_once_give_the_map_of_any_order(
-    conn, database_url, cluster_url, template_database
-):
-    from tests.conftest import cloned_database
-
-    def ingest(day):
-        own = connect(database_url)
-        try:
-            return merge(own, survey(day)) is not None
-        finally:
-            own.close()
-
-    with ThreadPoolExecutor(4) as pool:  # each twice
-        assert sorted(pool.map(ingest, (0, 1, 2, 1, 0, 2))) == [False] * 3 + [True] * 3
-    assert len(list_changesets(conn)) == 3
-    assert failed_audits(conn) == []
-    with cloned_database(cluster_url, template_database) as url:
-        other = connect(url)
-        for day in range(3):
-            merge(other, survey(day))
-        assert valid_time_map(other) == valid_time_map(conn)
-        other.close()
 
 
 def test_two_maps_are_changed_at_the_same_time(conn, database_url):

@@ -114,61 +114,6 @@ def test_lane_markings_come_back_to_the_last_bit(conn, samples):
     ]  # fmt: skip
 
 
-def test_confirmed_moved_removed_and_the_map_of_every_day(conn, samples):
-    start, day = utc_from_ns(samples.START_NS), samples.DAY_NS
-    v1 = samples.feature()
-    samples.commit(conn, samples.added(v1), key="1", now=start + DAY / 2)
-    confirmed = samples.changed("confirmed", v1, samples.START_NS + day, xyz_m=(458_001.02, 5_428_010.01, 114.5))
-    samples.commit(conn, confirmed, key="2", now=start + DAY * 1.5)
-    moved = samples.changed("moved", confirmed.new, samples.START_NS + 2 * day, xyz_m=(458_002.5, 5_428_010.0, 114.5))
-    samples.commit(conn, moved, key="3", now=start + DAY * 2.5)
-    assert read_current_features(conn) == [moved.new]
-    samples.commit(conn, samples.removed(moved.new, samples.START_NS + 3 * day), key="4", now=start + DAY * 3.5)
-    assert read_current_features(conn) == []
-
-    assert standing(conn, valid_at=start - DAY) == []
-    assert standing(conn, valid_at=start) == [(1, start, start + DAY)]
-    assert standing(conn, valid_at=start + DAY) == [(2, start + DAY, start + 2 * DAY)]
-    assert standing(conn, valid_at=start + 2.9 * DAY) == [(3, start + 2 * DAY, start + 3 * DAY)]
-    assert standing(conn, valid_at=start + 3 * DAY) == []
-    assert standing(conn) == []
-    # what was believed on day 1 about day 2: the cone still stands where it was first seen
-    assert standing(conn, valid_at=start + 2 * DAY, known_at=start + DAY) == [(1, start, None)]
-    assert standing(conn, known_at=start) == []
-
-    log = feature_log(conn, v1.feature_id)
-    assert [(e["kind"], e["old_version"], e["new_version"]) for e in log] == [
-        ("added", None, 1),
-        ("confirmed", 1, 2),
-        ("moved", 2, 3),
-        ("removed", 3, 4),
-    ]
-    assert log[2]["shift_m"] == pytest.approx(1.48, abs=0.001)
-    assert map_summary(conn)["removed_count"] == 1
-
-
-def test_a_feature_keeps_its_cell_wherever_it_is_moved(conn, samples):
-    """Over the border of its cell of 256 m, and out of the area of the drives that say so."""
-    day = samples.DAY_NS
-    first = samples.feature(xyz_m=(458_239.5, 5_428_010.0, 114.5))
-    samples.commit(conn, samples.added(first), key="1")
-    over = samples.changed("moved", first, samples.START_NS + day, xyz_m=(458_240.5, 5_428_010.0, 114.5))
-    samples.commit(conn, over, key="2")
-    away = samples.changed("moved", over.new, samples.START_NS + 2 * day, xyz_m=(468_240.5, 5_428_010.0, 114.5))
-    samples.commit(conn, away, key="3")
-    assert read_current_features(conn) == [away.new]
-    samples.commit(conn, samples.removed(away.new, samples.START_NS + 3 * day), key="4")
-    [found] = execute(
-        conn,
-        "select cell_at(ST_MakePoint(458239.5, 5428010)) as cell, (select cell from feature) as own, "
-        "(select array_agg(distinct cell) from feature_version) as versions, "
-        "(select array_agg(distinct cell) from delta) as deltas",
-    )
-    assert found == {"cell": found["own"], "own": found["own"], "versions": [found["own"]], "deltas": [found["own"]]}
-    assert [entry["kind"] for entry in feature_log(conn, first.feature_id)] == ["added", "moved", "moved", "removed"]
-    assert list(read_features_as_of(conn)) == []
-
-
 def test_a_confirmation_that_changes_nothing_makes_no_version(conn, samples):
     feature = samples.feature()
     samples.commit(conn, samples.added(feature), key="1")

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 from conetl.db.connection import connect, execute
@@ -152,12 +152,13 @@ PLACES = st.integers(-8, 8).map(lambda step: float(round(BORDER_M) + 60 * step))
 
 
 @settings(
-    max_examples=8,
+    max_examples=6,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
     phases=[Phase.explicit, Phase.reuse, Phase.generate],  # shrinking would take minutes
 )
 @given(drives=st.lists(st.tuples(PLACES, st.integers(0, 40)), min_size=4, max_size=8))
+@example(drives=[(float(round(BORDER_M)), hour) for hour in (0, 1, 2, 1, 0, 2)])  # of one neighbourhood, each twice
 def test_random_drives_at_once_on_both_sides_of_a_border_give_the_map_of_any_order(database_url, drives):
     """Drives of one place and hour are the same recording, which counts once."""
     surveys = [drive_at(*one) for one in drives]

@@ -29,7 +29,7 @@ from conetl.pipeline.settings import Settings
 from conetl.pipeline.watch import WatchReport, pause_s, watch_drive
 from conetl.readers.recording import ArrivingPair, ArrivingPlain
 from conetl.web.app import create_app
-from tests.arriving_drives import FRAMES, append, begin, image, row, write_images
+from tests.arriving_drives import FRAMES, SAMPLE, append, begin, image, row, write_images
 
 #: A busy machine must not make a test fail: nothing is too old, and what is written late is waited for.
 PATIENT = {"max_behind_s": 600.0, "patience_s": 600.0}
@@ -98,28 +98,14 @@ def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, co
     assert {r["feature_index"] for r in rows} == set(report.standing)
     assert len(rows) >= 2
     assert all(r["ended_at"] is not None and r["near_feature_id"] is None for r in rows)
+    truth = np.loadtxt(SAMPLE / "truth.csv", delimiter=",", skiprows=1, usecols=(1, 2), dtype=float, encoding="utf-8")
+    for found in rows:
+        assert np.hypot(*(truth - (found["easting_m"], found["northing_m"])).T).min() < 0.3
+        assert found["cov_xx"] ** 0.5 < 0.3
     # They are no part of the map.
     assert find_map(conn, "default") is None
     assert execute(conn, "select count(*) as n from feature_version")[0]["n"] == 0
     assert all(audit.passed for audit in run_audits(conn))
-
-
-def test_the_places_are_those_of_the_cones(settings: Settings, conn: Any, tmp_path: Path) -> None:
-    """Against the truth of the sample drive: provisional features are cones, within what their sigmas say."""
-    folder = begin(tmp_path / "drive")
-    for number in FRAMES:
-        append(folder, row(number))
-        write_images(folder, number)
-    (folder / "COMPLETE").touch()
-    watch(folder, settings)
-    truth = np.loadtxt(
-        next((Path(__file__).resolve().parents[2] / "data" / "drives").glob("*pass1/truth.csv")),
-        delimiter=",", skiprows=1, usecols=(1, 2), dtype=float, encoding="utf-8",
-    )  # fmt: skip
-    for found in read_provisional(conn, map_name="default"):
-        away_m = np.hypot(*(truth - (found["easting_m"], found["northing_m"])).T).min()
-        assert away_m < 0.3
-        assert found["cov_xx"] ** 0.5 < 0.3
 
 
 def test_what_cannot_be_used_costs_its_pair(settings: Settings, tmp_path: Path) -> None:

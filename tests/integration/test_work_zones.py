@@ -141,20 +141,6 @@ def test_the_layout_check_writes_table_layer_and_image(conn, conetl, tmp_path):
     assert sum(f["rule"] != "cone in open lane" for f in strict) > sum(
         f["rule"] != "cone in open lane" for f in found["findings"]
     )
-    rules.write_text("layout: {spacing: 3}\n")
-    assert "layout.spacing" in conetl("map", "check-layout", "--rules", rules, code=2)
-
-
-def test_a_feed_without_its_publisher_is_not_written(conn, conetl, tmp_path):
-    merge(conn, survey(0))
-    path = tmp_path / "feed.geojson"
-    complaint = conetl("map", "export", "--format", "wzdx", "--out", path, code=2)
-    assert "publisher" in complaint
-    assert "--road-name" in complaint
-    assert "no such file" in conetl(
-        "map", "export", "--format", "wzdx", "--out", path, *FEED, "--lanes", tmp_path / "none.gpkg", code=2
-    )
-    assert not path.exists()
 
 
 def test_lane_lines_come_from_a_file_else_base_layers_else_lane_markings(conn, conetl, samples, tmp_path):

@@ -12,8 +12,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-DRIVE = sorted((ROOT / "data" / "drives").iterdir())[0]
-COMMAND = [sys.executable, "-c", "from conetl.cli import main; main()"]
 
 
 def environment(home):
@@ -46,15 +44,3 @@ def test_ctrl_c_is_one_sentence_and_an_exit_code_of_its_own(tmp_path, presses):
     assert "Ctrl-C again to stop at once" in complaint
     assert ("is on the map completely or not at all" in complaint) == (presses == 1)
     assert "Traceback" not in complaint
-
-
-def test_a_home_that_cannot_be_written_to_is_named(tmp_path):
-    home = tmp_path / "home"
-    home.write_text("a file in the way, which stops root as well")
-    done = subprocess.run(
-        [*COMMAND, "ingest", str(DRIVE)], env=environment(home), cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert "cannot be used" in done.stderr
-    assert "CONETL_HOME" in done.stderr
-    assert "Traceback" not in done.stderr

@@ -87,13 +87,10 @@ def test_it_finds_the_optimum_that_scipy_finds(views: int) -> None:
         np.testing.assert_allclose(result.residuals_px[i].ravel(), -(best.fun * sigma[i].ravel()), atol=1e-4)
 
 
-@pytest.mark.parametrize("views", [2, 6])
-def test_the_covariance_is_what_monte_carlo_finds(views: int) -> None:
-    rng = np.random.default_rng(11)
-    if views == 2:
-        rot, centre = STEREO["map_R_cam"], BASE
-    else:
-        rot, centre = ring_of_cameras(rng, views)
+def test_the_covariance_is_what_monte_carlo_finds() -> None:
+    """Of six cameras; of two it is tested with the positions."""
+    rng, views = np.random.default_rng(11), 6
+    rot, centre = ring_of_cameras(rng, views)
     truth = np.array([[1.0, 1.5, 9.0]])
     sigma = rng.uniform(0.15, 0.45, (views, 2))
     draws = 20_000
@@ -158,20 +155,6 @@ def assert_refused(result: IntersectionResult, status: IntersectionStatus) -> No
         assert np.isnan(rows[0]).all(), "a refused point has no numbers"
 
 
-def test_nearly_parallel_rays_are_refused() -> None:
-    uv = project(np.array([[0.0, 1.0, 80.0]]), STEREO["map_R_cam"], BASE)[0]
-    result = status_of(uv)
-    assert_refused(result, IntersectionStatus.RAY_ANGLE_TOO_SMALL)
-    assert result.ray_angle_rad[0] == pytest.approx(0.54 / 80, rel=1e-3)
-    assert status_of(uv, min_ray_angle_rad=0.006).ok[0]
-
-
-def test_too_few_iterations_are_no_convergence() -> None:
-    uv = project(np.array([[3.0, 1.0, 7.0]]), STEREO["map_R_cam"], BASE)[0] + [[0.0, 20.0], [0.0, -20.0]]
-    assert_refused(status_of(uv, max_iterations=1), IntersectionStatus.NOT_CONVERGED)
-    assert status_of(uv).iterations[0] > 1
-
-
 INVALID, NARROW = IntersectionStatus.INVALID_INPUT, IntersectionStatus.RAY_ANGLE_TOO_SMALL
 
 
@@ -189,16 +172,6 @@ INVALID, NARROW = IntersectionStatus.INVALID_INPUT, IntersectionStatus.RAY_ANGLE
 )
 def test_rays_without_a_point_are_refused(uv: Array, changes: dict[str, object], status: IntersectionStatus) -> None:
     assert_refused(status_of(np.array(uv), **changes), status)
-
-
-def test_one_bad_point_costs_only_itself() -> None:
-    truth = points_ahead(np.random.default_rng(1), 6)
-    uv = project(truth, STEREO["map_R_cam"], BASE)
-    uv[2, 1, 0] = np.nan
-    uv[4] = [[600.0, 200.0], [650.0, 200.0]]
-    result = intersect(uv, **STEREO, sigma_uv_px=0.5)
-    assert result.ok.tolist() == [True, True, False, True, False, True]
-    np.testing.assert_allclose(result.xyz_m[result.ok], truth[result.ok], atol=1e-7)
 
 
 def test_shapes_are_checked_at_the_border() -> None:

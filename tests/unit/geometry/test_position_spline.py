@@ -58,23 +58,6 @@ def test_the_sigma_grows_between_the_records_and_with_their_distance() -> None:
     assert middle[0] < middle[1] < middle[2]
 
 
-def test_noise_of_the_records_is_in_the_sigmas() -> None:
-    """Errors of the model, seen from both sides: slow error and white share as stated, any path that the model allows."""
-    times_s, between_s, z2 = np.arange(0.0, 31.0), np.arange(5.0, 25.0, 0.5), []
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        slow = np.empty((31, 3))
-        slow[0] = rng.normal(0, 1, 3)
-        for k in range(1, 31):
-            slow[k] = np.exp(-1 / 20) * slow[k - 1] + rng.normal(0, np.sqrt(1 - np.exp(-0.1)), 3)
-        truth, _ = bend(between_s)
-        error = 0.4 * (np.sqrt(0.99) * slow + 0.1 * rng.normal(0, 1, (31, 3)))
-        moved = at_times(spline(times_s, bend(times_s)[0] + error, 0.4), between_s)
-        own = np.stack([np.interp(between_s, times_s, 0.4 * np.sqrt(0.99) * column) for column in slow.T], axis=1)
-        z2.append(np.mean(((moved.positions_m - truth - own) / moved.sigma_m) ** 2))
-    assert 0.1 < np.mean(z2) < 1.2
-
-
 def test_a_standing_vehicle_keeps_its_heading() -> None:
     times_s = np.arange(0.0, 60.0)
     driven_m = 8.0 * np.minimum(times_s, 20.0) + 8.0 * np.maximum(times_s - 40.0, 0.0)

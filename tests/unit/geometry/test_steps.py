@@ -22,17 +22,6 @@ def unexplained_m(positions_m: Floats) -> float:
     return misfit.unexplained_m((0.1, 0.15))
 
 
-def braking(t: Floats, rate: float) -> Floats:
-    """From 14 m/s, in the middle of the gap."""
-    after = np.clip(t - 0.95, 0.0, 14.0 / rate)
-    return np.asarray(14.0 * np.minimum(t, 0.95 + 14.0 / rate) - rate * after**2 / 2)
-
-
-@pytest.mark.parametrize("rate", [1.0, 2.0, 3.5])
-def test_braking_within_a_gap_is_no_jump(rate: float) -> None:
-    assert unexplained_m(np.column_stack([braking(TIMES_S, rate), 0 * TIMES_S, 0 * TIMES_S])) == 0.0
-
-
 @pytest.mark.parametrize("gap_s", [3.0, 4.5])
 @pytest.mark.parametrize("before_s", np.arange(0.0, 2.0, 0.1).tolist())
 def test_a_stop_within_a_long_gap_is_no_jump(gap_s: float, before_s: float) -> None:
