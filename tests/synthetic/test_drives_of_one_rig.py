@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, shared_errors, unpack_all
+from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, unpack_all
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
@@ -22,8 +22,7 @@ from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import CalibrationCovariance, Rig, Track
 from tests import records
-from tests.synthetic.world import ORIGIN_M, START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
-from tests.synthetic.wrong_rigs import wrong_rig
+from tests.synthetic.world import ORIGIN_M, START_NS, make_path, make_rig
 
 Floats = NDArray[np.float64]
 PARAMS = ReconcileParams()
@@ -32,6 +31,8 @@ NAMES = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m")
 SIGMAS = np.array([0.5, 0.25, 2.5e-4, 1e-3])
 #: GNSS of a drive, and of a cone within it, one axis.
 DRIVE_M, CONE_M = 0.03, 0.01
+#: From which even and odd drives see a cone.
+RANGES_M = (8.0, 8.2)
 
 
 def rig_of(sigmas: Floats) -> Rig:
@@ -40,13 +41,6 @@ def rig_of(sigmas: Floats) -> Rig:
 
 
 RIG = rig_of(SIGMAS)
-#: Calibrated another time, to other sigmas: another calibration.
-OTHERS = [rig_of(SIGMAS * (1 + 0.001 * k)) for k in range(DRIVES)]
-
-
-#: A calibration that makes most of a cone's sigma, also over the frames of a drive.
-POOR = 5 * SIGMAS
-POOR_RIG = rig_of(POOR)
 
 
 def eastwards(_drive: int) -> bool:
@@ -115,12 +109,11 @@ def nees(
     trials: int = 150,
     known: bool = True,
     seen: Callable[[int, int], bool] = lambda _drive, _cone: True,
-    ranges_m: tuple[float, float] = (8.0, 8.2),
     of_cone: int | None = None,
 ) -> tuple[float, float]:
     """Mean NEES over trials and cones (or of one), and the mean sigma along the road in metres.
 
-    known: False as if no drive told its shared_jacobian. seen: whether a drive sees a cone. ranges_m: of even and odd drives.
+    known: False as if no drive told its shared_jacobian. seen: whether a drive sees a cone.
     """
     rng = np.random.default_rng(12)
     cones_m = np.array([[12.0 * k, 2.5 if k % 2 else -2.5, 0.0] for k in range(cones)])
@@ -133,7 +126,7 @@ def nees(
             z = errors[rig.model_dump_json()]
             tracks = [
                 one_track(
-                    k, cone_m, drive, rig, gnss_m + rng.normal(0, CONE_M, 3), z, ranges_m[drive % 2], east=east(drive)
+                    k, cone_m, drive, rig, gnss_m + rng.normal(0, CONE_M, 3), z, RANGES_M[drive % 2], east=east(drive)
                 )
                 for k, cone_m in enumerate(cones_m)
                 if seen(drive, k)
@@ -146,35 +139,12 @@ def nees(
     return float(np.mean(total)), float(np.mean(sigma_m))
 
 
-@pytest.mark.parametrize("cones", [1, 3])
-def test_ten_drives_from_one_side_state_what_they_have_in_common(cones: int) -> None:
-    honest, sigma_m = nees(eastwards, [RIG] * DRIVES, cones=cones)
-    proud, proud_m = nees(eastwards, [RIG] * DRIVES, cones=cones, known=False)
+def test_ten_drives_from_one_side_state_what_they_have_in_common() -> None:
+    honest, sigma_m = nees(eastwards, [RIG] * DRIVES, cones=3)
+    proud, proud_m = nees(eastwards, [RIG] * DRIVES, cones=3, known=False)
     assert 0.8 < honest < 1.25
     assert proud > 2.5
     assert sigma_m > 2 * proud_m
-
-
-@pytest.mark.parametrize("cones", [1, 3])
-def test_drives_from_both_sides_cancel_the_error_of_the_calibration(cones: int) -> None:
-    both, sigma_m = nees(to_and_fro, [RIG] * DRIVES, cones=cones)
-    assert 0.8 < both < 1.25
-    assert sigma_m < 0.5 * nees(eastwards, [RIG] * DRIVES, cones=cones, trials=3)[1]
-
-
-@pytest.mark.parametrize("cones", [1, 3])
-def test_drives_of_other_calibrations_are_averaged_as_ever(cones: int) -> None:
-    apart, sigma_m = nees(eastwards, OTHERS, cones=cones)
-    assert 0.8 < apart < 1.25
-    unaware = nees(eastwards, OTHERS, cones=cones, known=False)
-    assert (apart, sigma_m) == pytest.approx(unaware, rel=0.01)
-
-
-def test_near_and_far_looks_with_one_calibration() -> None:
-    """The far one is off by several times as much: their difference tells which way, and the map may use that."""
-    honest, sigma_m = nees(eastwards, [RIG] * DRIVES, cones=1, ranges_m=(6.0, 11.0))
-    assert 0.8 < honest < 1.25
-    assert sigma_m < nees(eastwards, [RIG] * DRIVES, cones=1, ranges_m=(6.0, 6.0), trials=3)[1]
 
 
 def test_a_cone_that_a_drive_from_the_other_side_adds_is_off_as_the_map_is() -> None:
@@ -182,37 +152,6 @@ def test_a_cone_that_a_drive_from_the_other_side_adds_is_off_as_the_map_is() -> 
     ones."""
     late = nees(to_and_fro, [RIG] * 5, cones=3, seen=lambda drive, cone: cone < 2 or drive >= 3, of_cone=2)[0]
     assert 0.8 < late < 1.25
-
-
-def test_images_of_a_rig_whose_calibration_is_wrong() -> None:
-    """From boxes to the map: a rig drawn from the calibration's sigmas takes the images, the calibration finds cones."""
-    rng = np.random.default_rng(4)
-    cone = Cone((18.0, 3.0, 0.0))
-    honest, proud = [], []
-    for _ in range(40):
-        taken = wrong_rig(POOR_RIG, rng.normal(0, POOR))
-        drives = [drive_past(cone, taken, rng, drive) for drive in range(6)]
-        honest.append(errors_of(after(drives), np.array([cone.foot_m]))[1].mean())
-        unaware = [[track.model_copy(update={"shared_jacobian": None}) for track in tracks] for tracks in drives]
-        proud.append(errors_of(after(unaware), np.array([cone.foot_m]))[1].mean())
-    assert 0.6 < np.mean(honest) < 1.3
-    assert np.mean(proud) > 1.8
-
-
-def drive_past(cone: Cone, taken: Rig, rng: np.random.Generator, drive: int) -> list[Track]:
-    """The tracks of one drive, with a GNSS error and image noise of its own."""
-    true = make_path(12, first_ns=START_NS + drive * records.DAY_NS, sigma_m=DRIVE_M)
-    gnss_m = rng.normal(0, DRIVE_M, 3) * [1, 1, 1.5]
-    logged = [shifted(pair, gnss_m) for pair in true]
-    found, matches, positions = locate(detect([cone], true, taken, noise_px=0.5, rng=rng), logged, POOR_RIG)
-    tracks, _ = fuse_logged(logged, POOR_RIG, found, matches, positions)
-    shared = shared_errors(POOR_RIG)
-    assert shared is not None
-    assert all(
-        track.shared_jacobian is not None and track.shared_jacobian.calibrations == (shared.calibration,)
-        for track in tracks
-    )
-    return tracks
 
 
 CONES_M = np.array([[12.0 * k, 3.0 * (k % 2), 0.0] for k in range(5)])
@@ -266,7 +205,7 @@ def figures(late_from: int, drive_m: float, cone_m: float) -> Figures:
 
 
 @pytest.mark.parametrize(("drive_m", "cone_m"), [(0.05, 0.01), (0.2, 0.02)], ids=["RTK", "no fix"])
-@pytest.mark.parametrize("late_from", [1, 5, 9])
+@pytest.mark.parametrize("late_from", [1, 9])
 def test_the_map_states_its_errors_and_keeps_cones_together(late_from: int, drive_m: float, cone_m: float) -> None:
     """Where a difference was shared out twice, between drive and map and again between place and place, NEES was above 3."""
     found = figures(late_from, drive_m, cone_m)

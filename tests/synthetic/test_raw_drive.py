@@ -8,22 +8,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.geometry.motion.stereo_tracks import motions_of
-from conetl.geometry.rectification import rectify
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import Camera, Drive, FramePair, Lens, Position, Rig, Side
+from conetl.model.params import IngestParams
+from conetl.model.records import Camera, Drive, Lens, Position, Rig
 from conetl.perception.detections import check_boxes
 from conetl.perception.detector import detect_image, load_detector
-from conetl.perception.images import read_image
-from conetl.perception.rectified_image import read_rig_image, rectify_image
-from conetl.perception.visual_odometry import follow_drive
+from conetl.perception.rectified_image import read_rig_image
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import read_kitti_rig
 from conetl.tracking.matching.matches import match_pair
@@ -132,44 +127,3 @@ def test_near_cones_stand_where_the_rectified_drive_puts_them(raw_drive: Path) -
         offsets = [np.linalg.norm(np.subtract(p.xyz_m, position.xyz_m)) for p in same_frame]
         print(f"frame {position.frame_index}, {position.range_m:.2f} m: {100 * min(offsets):.2f} cm apart")
         assert min(offsets) < 0.02
-
-
-def uneven_rig(rectified: Rig) -> Rig:
-    """Two cameras of unlike sizes and principal points that see nothing but the rendered images."""
-    raw = raw_rig(rectified)
-    cameras = {
-        "left": raw.left.model_copy(
-            update={"width_px": 880, "height_px": 290, "fx_px": 830.0, "fy_px": 832.0, "cx_px": 415.0, "cy_px": 141.0}
-        ),
-        "right": raw.right.model_copy(
-            update={"width_px": 810, "height_px": 290, "fx_px": 824.0, "fy_px": 826.0, "cx_px": 435.0, "cy_px": 147.0}
-        ),
-    }
-    return raw.model_copy(update=cameras)
-
-
-@pytest.mark.parametrize("max_width_px", [1280, 700])
-def test_a_raw_rig_of_unlike_cameras_moves_as_the_log_says(max_width_px: int) -> None:
-    """Rectified images of two widths with two principal points: every motion within 3 cm and 0.1 degrees of a log of RTK grade
-    (1.4 m a frame), as that of the rectified images themselves (tests/unit/perception/test_visual_odometry.py)."""
-    original = read_drive(DRIVE)[0]
-    raw = uneven_rig(original.rig)
-    rig = rectify(raw)
-    assert rig.left.width_px - rig.right.width_px > 50
-    assert abs(rig.left.cx_px - rig.right.cx_px) > 20
-    pairs = original.frame_pairs[10:15]
-
-    def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
-        image = read_image(Path(pair.left_path if side == "left" else pair.right_path), grey=True)
-        return rectify_image(take_raw(image, original.rig, raw, side), rig, side)
-
-    params = TrajectoryParams(max_width_px=max_width_px)
-    motions = motions_of(follow_drive(pairs, rig, read, params), pairs, rig, params)
-    for motion, first, second in zip(motions, pairs, pairs[1:], strict=False):
-        logged = se3.compose(se3.invert(map_SE3_left(second.pose, rig)), map_SE3_left(first.pose, rig))
-        assert motion.reason == "ok"
-        off = se3.compose(se3.invert(logged), np.array(motion.second_SE3_first))
-        turn = np.degrees(np.linalg.norm(Rotation.from_matrix(off[:3, :3]).as_rotvec()))
-        print(f"{motion.inlier_count} points, {1000 * np.linalg.norm(off[:3, 3]):.1f} mm, {turn:.3f} degrees off")
-        assert np.linalg.norm(off[:3, 3]) < 0.03 and turn < 0.1
-        assert motion.inlier_count > 60
