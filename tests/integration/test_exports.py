@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import zipfile
-from datetime import timedelta
 from html import unescape
 from pathlib import Path
 
@@ -70,17 +69,6 @@ def test_geojson_keeps_the_contract(conn, samples, moved_cone, tmp_path):
     assert [p.name for p in path.parent.iterdir()] == ["map.geojson"]
 
 
-def test_as_of_is_the_road_at_that_instant(conn, samples, moved_cone, tmp_path):
-    start = utc_from_ns(samples.START_NS)
-    path = tmp_path / "map.geojson"
-    assert export_map(conn, path, "geojson", ExportRequest(as_of=start - timedelta(seconds=1)))["rows"] == 0
-    assert json.loads(path.read_text()) == {"type": "FeatureCollection", "features": []}
-    assert export_map(conn, path, "geojson", ExportRequest(as_of=start + timedelta(hours=1)))["rows"] == 1
-    [feature] = read(path)
-    assert feature["properties"]["version"] == 1
-    assert feature["properties"]["valid_to"] == "2026-03-02T08:00:00.000000Z"
-
-
 def test_the_same_map_gives_the_same_bytes(conn, samples, tmp_path):
     samples.commit(conn, *[samples.added(samples.feature(str(i), xyz_m=(i, i, 0.0))) for i in range(50)], key="1")
     for file_format in ("geojson", "csv"):
@@ -113,27 +101,6 @@ def test_a_removed_cone_was_there_until_it_was_gone(conn, samples, tmp_path):
     with (tmp_path / "c.csv").open(newline="") as file:
         [row] = csv.DictReader(file)
     assert (row["change"], row["version"], row["valid_to"]) == ("removed", "1", iso_utc(utc_from_ns(gone_ns)))
-
-
-def test_csv_holds_the_same_values(conn, moved_cone, tmp_path):
-    assert export_map(conn, tmp_path / "map.csv", "csv", ExportRequest())["rows"] == 1
-    export_geojson(conn, tmp_path / "map.geojson")
-    with (tmp_path / "map.csv").open(newline="") as file:
-        [row] = csv.DictReader(file)
-    [feature] = read(tmp_path / "map.geojson")
-    assert list(row)[: len(CONTRACT)] == CONTRACT
-    assert {name: row[name] for name in CONTRACT} == {
-        name: "" if value is None else str(value) for name, value in feature["properties"].items()
-    }
-    assert [float(row[n]) for n in ("lon_deg", "lat_deg")] == feature["geometry"]["coordinates"][:2]
-    assert (row["easting_m"], row["northing_m"]) == ("458003.1234", "5428010.4321")
-
-
-@pytest.mark.parametrize("path", ["file/map.csv", "."])
-def test_a_path_that_cannot_be_written_is_an_input_error(conn, moved_cone, tmp_path, path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        export_geojson(conn, tmp_path / path)
 
 
 #: QGIS comes for the system's Python only.

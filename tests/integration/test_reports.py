@@ -27,7 +27,7 @@ from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
 from conetl.pipeline.nightly_publication import write_publication
 from conetl.pipeline.settings import Settings
-from conetl.reports.drive_facts import find_drive, read_drive_facts
+from conetl.reports.drive_facts import read_drive_facts
 from conetl.reports.drive_page import alerts, drive_page, images_of, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
 from conetl.web.app import create_app
@@ -161,13 +161,6 @@ def test_the_page_of_a_drive_fits_a_sheet(conn: Any, latest: CommittedChangeset,
     assert len(right_px) > 3 and max(right_px) <= A4_PX
 
 
-def test_drives_are_found_by_id_and_by_number(conn: Any, latest: CommittedChangeset) -> None:
-    assert find_drive(conn, EVIL, map_name="default").changeset_no == latest.changeset_no
-    assert find_drive(conn, "1", map_name="default").changeset_no == 1
-    with pytest.raises(InputError, match="has no drive and no changeset 99"):
-        find_drive(conn, "99", map_name="default")
-
-
 def test_an_empty_drive_has_a_report(conn: Any, samples: Any) -> None:
     """Committed without the flow, without positions and images."""
     samples.commit(conn, key="abcd", map_name="bare")
@@ -266,13 +259,6 @@ def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         "No drives processed from 2026-02-01 00:00 to 2026-02-02 00:00 UTC. Drives are listed by when"
     )
     assert "Drives are listed by when" not in said[0]
-    for wrong in (
-        ["2026-03-01", "--since", "2026-03-01"],
-        ["yesterday"],
-        ["--since", "2026-03-02", "--until", "2026-03-01"],
-    ):
-        assert isinstance(runner.invoke(app, ["report", "night", *wrong]).exception, InputError)
-    assert isinstance(runner.invoke(app, ["report", "drive", "nobody"]).exception, InputError)
 
 
 def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(

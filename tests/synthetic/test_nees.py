@@ -14,7 +14,6 @@ from conetl.evaluation.accuracy import drive_consistency, position_errors, track
 from conetl.evaluation.truth import TruthCone, compare_with_truth
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Consistency, Nees
-from conetl.geometry.intersection import fit_point, pair_jacobian
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.params import PositionParams, TrajectoryParams
 from conetl.model.records import Track
@@ -23,7 +22,7 @@ from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
 from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, draw_drive, draw_positions
 from tests.synthetic.odometry import log_of, motions_of
-from tests.synthetic.world import Cone, camera_poses, make_path, make_rig
+from tests.synthetic.world import Cone, make_path, make_rig
 
 RIG = make_rig()
 CONES = [Cone((14.0 + 4.0 * k, 3.6 - 0.5 * k, 0.0)) for k in range(5)]
@@ -60,28 +59,6 @@ def _near(cone: TruthCone, tracks: Sequence[Track]) -> list[Track]:
     return [track for track in tracks if np.linalg.norm(np.subtract(track.xyz_m, cone.xyz_m)) < 0.7]
 
 
-@pytest.mark.parametrize(("noise", "drives", "holds"), [(0.5, 30, False), (1.0, 200, True), (2.0, 30, False)])
-def test_single_positions_of_200_drives(noise: float, drives: int, holds: bool) -> None:
-    """Relative to each other, and absolutely with the pose error that a drive has in common."""
-    total = summed(
-        of_positions(draw_positions(np.random.default_rng(seed), RIG, CONES, RTK, frames=10, noise=noise))
-        for seed in range(drives)
-    )
-    assert total.relative.holds() is holds
-    assert total.absolute.holds() is holds
-    assert total.common.holds(0.999) or not holds
-
-
-def test_doubled_pose_errors_are_noticed_in_the_common_part_alone() -> None:
-    """Poses twice as wrong as they state: the distances between cones do not suffer, their places do."""
-    drives = [
-        draw_positions(np.random.default_rng(seed), RIG, CONES, RTK, frames=6, stated_share=0.5) for seed in range(60)
-    ]
-    total = summed(of_positions(drive) for drive in drives)
-    assert total.relative.per_dof == pytest.approx(1.0, abs=0.05)
-    assert not total.common.holds(0.9999)
-
-
 @pytest.mark.parametrize(("noise", "drives", "holds"), [(0.5, 5, False), (1.0, 16, True), (2.0, 5, False)])
 def test_single_positions_from_refined_poses_that_slide(noise: float, drives: int, holds: bool) -> None:
     """Poses from the adjustment of the trajectory, log and odometry with errors as they state: they change within the drive.
@@ -113,32 +90,6 @@ def test_single_positions_from_refined_poses_that_slide(noise: float, drives: in
 
 
 @pytest.mark.parametrize(("noise", "holds"), [(0.5, False), (1.0, True), (2.0, False)])
-def test_the_joint_adjustment_holds_for_the_errors_that_it_knows(noise: float, holds: bool) -> None:
-    """Image points, pointing and the place of each frame, drawn as stated: NEES of 200 adjustments of 12 pairs."""
-    rng = np.random.default_rng(5)
-    pairs = make_path(12, step_m=1.0)
-    left, right = (np.stack(list(camera_poses(pairs, RIG, side).values())) for side in ("left", "right"))
-    truth = np.array(pairs[0].pose.map_t_body_m) + np.array([18.0, 3.0, 0.0])
-    stated = {
-        "sigma_u_px": np.full(12, 0.3), "sigma_v_px": np.full(12, 0.8), "sigma_pointing_px": np.full(12, 0.5),
-        "sigma_motion_m": np.linspace(0.03, 0.0, 12),
-    }  # fmt: skip
-    total = Nees(0.0, 0)
-    for _ in range(200):
-        exact = np.empty((12, 4))
-        for f in range(12):  # the frame stands elsewhere than its pose says
-            shifted = truth + noise * rng.normal(0, stated["sigma_motion_m"][f], 3)
-            exact[f] = pair_jacobian(shifted, left[f : f + 1], right[f : f + 1], RIG)[0][0]
-        pointing = rng.normal(0, stated["sigma_pointing_px"])
-        error = rng.normal(0, [0.3, 0.8, 0.3, 0.8], (12, 4)) + np.outer(pointing, [1.0, 0.0, 1.0, 0.0])
-        fit = fit_point(exact + noise * error, truth, left, right, RIG, **stated)
-        assert fit is not None
-        off = fit.xyz_m - truth
-        total += Nees(float(off @ np.linalg.solve(fit.cov_m2, off)), 3)
-    assert total.holds(0.99) is holds
-
-
-@pytest.mark.parametrize(("noise", "holds"), [(0.5, False), (1.0, True), (2.0, False)])
 def test_what_all_sightings_of_a_cone_share_is_common_to_them(noise: float, holds: bool) -> None:
     """Feet that the detector puts wrongly, for each cone in all its images alike: single positions and tracks hold."""
     some = [
@@ -150,14 +101,3 @@ def test_what_all_sightings_of_a_cone_share_is_common_to_them(noise: float, hold
         assert part.holds(0.999) is holds
     shares = {p.sigma_outline_m / p.camera_xyz_m[2] for drive in some for p in drive.positions}
     assert np.ptp(list(shares)) < 1e-9
-
-
-@pytest.mark.parametrize(("noise", "drives", "holds"), [(0.5, 10, False), (1.0, 40, True), (2.0, 10, False)])
-def test_tracks_of_drives_with_a_common_pose_error(noise: float, drives: int, holds: bool) -> None:
-    """Relative and absolute: the joint adjustment of each cone, and what pose errors add to it."""
-    total = summed(
-        of_tracks(draw_drive(np.random.default_rng(seed), RIG, CONES, RTK, frames=24, noise=noise))
-        for seed in range(drives)
-    )
-    assert total.relative.holds() is holds
-    assert total.absolute.holds() is holds

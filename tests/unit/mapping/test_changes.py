@@ -54,12 +54,6 @@ def changes(
 ROW = [(0.0, 3.0), (5.0, 2.6), (10.0, 2.2), (15.0, 1.8), (20.0, 1.4)]
 
 
-def test_an_empty_map_gets_every_track() -> None:
-    found = changes([track(i, *at) for i, at in enumerate(ROW)], [])
-    assert {kind: len(deltas) for kind, deltas in found.items() if deltas} == {DeltaKind.ADDED: 5}
-    assert len({d.feature_id for d in found[DeltaKind.ADDED]}) == 5
-
-
 def test_one_moved_one_removed_and_two_added_are_distinguished() -> None:
     features = [feature(i, *at) for i, at in enumerate(ROW)]
     positions = [ROW[0], (5.0, 4.1), ROW[2], ROW[4], (25.0, 1.0), (30.0, 0.6)]
