@@ -6,19 +6,17 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.db.connection import Connection, connect
+from conetl.db.connection import Connection
 from conetl.model.errors import ConetlError
 from conetl.pipeline.settings import prefect_login
 from tests import command
-from tests.conftest import cloned_database
-from tests.integration.drives_of_days import Survey, failed_audits, merge, valid_time_map
+from tests.integration.drives_of_days import failed_audits
 
 #: Prefect tells nobody that it runs.
 QUIET = {"PREFECT_SERVER_ANALYTICS_ENABLED": "false", "DO_NOT_TRACK": "1"}
@@ -79,20 +77,6 @@ def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
 def conetl(database_url: str, tmp_path: Path) -> Callable[..., str]:
     """The command line on the test's own database."""
     return command_line(tmp_path / "home", database_url)
-
-
-@pytest.fixture(scope="session")
-def map_of(cluster_url: str, template_database: str) -> Callable[..., dict[str, list[str]]]:
-    """`map_of(*surveys)`: the valid-time map of drives that are merged in this order, in a database of their own."""
-
-    def make(*surveys: Survey) -> dict[str, list[str]]:
-        with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as conn:
-            for one in surveys:
-                merge(conn, one)
-            assert failed_audits(conn) == []
-            return valid_time_map(conn)
-
-    return make
 
 
 @pytest.fixture

@@ -304,12 +304,6 @@ def test_playing_everything_again_writes_nothing(conn):
     assert_nothing_to_replay(conn, 4)
 
 
-def test_drives_that_overlap_in_time_or_start_together(map_of):
-    surveys = [survey(0), survey(1, name="a"), survey(1, after_ns=1_000_000_000), survey(1, frames=39)]
-    assert surveys[1].drive.captured_from == surveys[3].drive.captured_from
-    assert map_of(*surveys) == map_of(*[surveys[number] for number in (3, 2, 0, 1)])
-
-
 def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, cluster_url, template_database):
     """One recording is one piece of evidence: it is not counted twice because it was analysed twice."""
     strict = IngestParams(reconcile=ReconcileParams(removal_min_frames=30))

@@ -15,7 +15,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import rectify
 from conetl.model.records import Camera, Lens, Rig
 from conetl.perception.images import ImageFileError, read_image
-from conetl.perception.rectified_image import read_rig_image, rectify_image
+from conetl.perception.rectified_image import read_rig_image
 
 BARREL = Lens(model="brown", coefficients=(-0.3, 0.1, 1e-3, -8e-4, -0.02))
 RAW = Camera(width_px=640, height_px=400, fx_px=500, fy_px=498, cx_px=322, cy_px=196, lens=BARREL)
@@ -76,11 +76,3 @@ def test_the_size_asked_for_is_that_of_the_stored_image(tmp_path: Path) -> None:
     cv2.imwrite(str(path), np.zeros((flat.left.height_px, flat.left.width_px, 3), np.uint8))
     with pytest.raises(ImageFileError, match="640 x 400"):
         read_rig_image(path, flat, "left")
-
-
-def test_left_and_right_have_maps_of_their_own() -> None:
-    flat = rectify(raw_rig())
-    image = world_image(raw_rig(), "left")
-    assert not np.array_equal(
-        rectify_image(image, flat, "left")[:300, :500], rectify_image(image, flat, "right")[:300, :500]
-    )
