@@ -10,7 +10,6 @@ from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import calibration_cov, calibration_id, shared_errors
 from conetl.geometry.camera import project
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks
 from conetl.geometry.rectification import raw_from_rectified
 from conetl.geometry.rig import infinity_shift_px, left_SE3_right
 from conetl.model.params import TrajectoryParams
@@ -252,15 +251,3 @@ def test_a_standing_or_turning_car_gives_no_estimate() -> None:
     assert found.outcome is SelfCalibrationOutcome.NO_ESTIMATE
     assert self_calibrated_rig(RIG, found, PARAMS) is RIG
     assert self_calibrated_rig(RIG, SWITCHED_OFF, PARAMS) is RIG
-
-
-def test_images_without_texture_give_no_estimate() -> None:
-    spans = [Span(k, k + 1, motion(2.0, 0.0)) for k in range(20)]
-    blank = [
-        StereoTracks(
-            first_frame_index=k, second_frame_index=k + 1, first_px=(), second_px=(), sigma_px=1.0,
-            missing=NoMeasurement.IMAGE_BLANK,
-        )
-        for k in range(20)
-    ]  # fmt: skip
-    assert self_calibrate(RIG, spans, blank, PARAMS).outcome is SelfCalibrationOutcome.NO_ESTIMATE
