@@ -26,9 +26,9 @@ TEMPLATE = "conetl_template"
 #: Files that take the most time, those that wait for servers and those that compute in turn.
 LONGEST = (
     "integration/test_operations.py", "integration/test_ingest.py",
-    "integration/test_without_services.py", "mutants/test_cameras.py", "integration/test_cluster.py",
-    "integration/test_scale_out.py", "synthetic/test_raw_drive.py", "integration/test_python_api.py",
-    "synthetic/test_drives_of_one_rig.py", "integration/test_wheel.py",
+    "integration/test_without_services.py", "mutants/test_recordings.py", "integration/test_cluster.py",
+    "unit/readers/test_video_drives.py", "integration/test_scale_out.py", "browser/test_ten_tasks.py",
+    "integration/test_adjoining_drives.py", "mutants/test_cameras.py",
 )  # fmt: skip
 _numbers = itertools.count()
 
