@@ -13,7 +13,9 @@ is at least 0.64, and at least 0.75 times that in the other image; a blur of 5 p
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import NamedTuple
 
@@ -24,10 +26,11 @@ from numpy.typing import NDArray
 from conetl.geometry.rig import right_camera_turned
 from conetl.model.errors import DriveFolderError
 from conetl.model.health import HealthCheck, Verdict
-from conetl.model.records import MIN_DETAIL, SIDES, Drive, Side, UnclearSquares
+from conetl.model.records import MIN_DETAIL, SIDES, Drive, FramePair, Side, UnclearSquares
 from conetl.perception.image_detail import SQUARE_PX, detail_by_octaves, local_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
+from conetl.perception.video import frame_of
 
 Floats = NDArray[np.float64]
 _PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
@@ -79,6 +82,9 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
         both = [(features(k, "left"), features(k + lag, "right")) for k in chosen if 0 <= k + lag < count]
         return np.concatenate([np.empty((0, 2)), *(_offsets(left, right) for left, right in both)])
 
+    # Of a video in two files much is decoded for one frame: both at once.
+    with ThreadPoolExecutor(1 if _in_one_file(drive.frame_pairs[0]) else 2) as pool:
+        deque(pool.map(lambda side: [features(k, side) for k in chosen], SIDES), maxlen=0)
     found = offsets(0)
     near = found[np.abs(found[:, 1]) <= _MAX_ROWS_PX]
     wrong = int((near[:, 0] < -_SHRINK).sum())
@@ -126,6 +132,12 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     turned = right_camera_turned(drive.rig, np.array([off_px / drive.rig.right.fy_px, 0.0, 0.0]))
     corrected = HealthCheck(**figures, verdict=Verdict.CORRECTED, detail=detail)
     return drive.model_copy(update={"rig": turned}), [*checks, corrected]
+
+
+def _in_one_file(pair: FramePair) -> bool:
+    """Whether both images are regions of the frames of one video."""
+    left, right = frame_of(pair.left_path), frame_of(pair.right_path)
+    return left is not None and right is not None and left.path == right.path
 
 
 def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:
