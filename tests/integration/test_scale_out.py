@@ -107,7 +107,7 @@ def test_what_is_found_along_with_detections_is_what_its_own_step_finds(chunks: 
         for part in range(len(parts_of(chunk))):
             found = detect(chunk, part, chunk.rig, along)
             apart = found._replace(
-                odometry=odometry(chunk, part)._replace(spans=None),
+                odometry=odometry(chunk, part),
                 marking_points=marking_points(chunk, part, chunk.rig),
             )
             assert found == (apart if along.odometry else Detected(found.detections))

@@ -25,7 +25,7 @@ from conetl.exports import Order
 from conetl.geometry.geodesy import compound_crs, system_name, to_crs, turns
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import FEATURE_CLASSES, LINE_CLASSES
+from conetl.model.feature_classes import LINE_CLASSES, require_classes
 from conetl.model.params import ReconcileParams
 
 Integers = NDArray[np.int64]
@@ -280,14 +280,12 @@ def open_source(conn: Connection, request: ExportRequest, order: Order = Order.B
 
 
 def _require_class(source: Source) -> None:
-    """Raise InputError for a class that neither conetl nor the map knows: imported maps may hold any."""
-    category = source.request.category
-    if category is None or category in FEATURE_CLASSES:
-        return
-    if not execute(source.conn, load_sql("exports.has_class"), {"map_id": source.info.map_id, "category": category})[0][
-        "found"
-    ]:
-        raise InputError(f"--category: there is no class {category}; give {', '.join(FEATURE_CLASSES)} or all")
+    """Raise InputError for a class that neither conetl nor the map knows."""
+    if (category := source.request.category) is not None:
+        of_map = execute(
+            source.conn, load_sql("exports.has_class"), {"map_id": source.info.map_id, "category": category}
+        )
+        require_classes([category], [category] if of_map[0]["found"] else [])
 
 
 def _check(request: ExportRequest) -> None:

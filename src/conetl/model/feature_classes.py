@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from conetl.model.errors import InputError
+
 CONE = "traffic_cone"
 LANE_MARKING = "lane_marking"
 
@@ -96,6 +98,13 @@ def width_over_height(category: str) -> float:
 def letter_of(category: str) -> str:
     """As of `FeatureClass`; `?` of unknown classes."""
     return FEATURE_CLASSES[category].letter if category in FEATURE_CLASSES else "?"
+
+
+def require_classes(names: Iterable[str], besides: Iterable[str]) -> None:
+    """Raise InputError for a class that is neither conetl's nor among `besides`: imported maps may hold any."""
+    if unknown := set(names) - {*FEATURE_CLASSES, *besides}:
+        known = ", ".join(FEATURE_CLASSES)
+        raise InputError(f"--category: there is no class {', '.join(sorted(unknown))}; give {known} or all")
 
 
 def noun_of(category: str) -> str:

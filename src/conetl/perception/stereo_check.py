@@ -13,7 +13,6 @@ is at least 0.64, and at least 0.75 times that in the other image; a blur of 5 p
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -84,7 +83,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
 
     # Of a video in two files much is decoded for one frame: both at once.
     with ThreadPoolExecutor(1 if _in_one_file(drive.frame_pairs[0]) else 2) as pool:
-        deque(pool.map(lambda side: [features(k, side) for k in chosen], SIDES), maxlen=0)
+        list(pool.map(lambda side: [features(k, side) for k in chosen], SIDES))
     found = offsets(0)
     near = found[np.abs(found[:, 1]) <= _MAX_ROWS_PX]
     wrong = int((near[:, 0] < -_SHRINK).sum())

@@ -57,8 +57,6 @@ class Odometry(NamedTuple):
     """Points followed between its frame pairs, and to the first one after it ..."""
     motions: Path
     """... and the motions that they tell."""
-    spans: Path | None = None
-    """Points followed over spans of self-calibration, where they were."""
 
 
 def odometry(chunk: Chunk, part: int, tick: Tick | None = None) -> Odometry:
@@ -68,7 +66,7 @@ def odometry(chunk: Chunk, part: int, tick: Tick | None = None) -> Odometry:
     """
     own, params, folder = _part(chunk, part), chunk.params.trajectory, chunk.results_folder
     pairs, rig = own.frame_pairs, chunk.rig
-    key = result_key("spans", _tracks_key(own))
+    key = _spans_key(_tracks_key(own))
     if has_result(folder, key):
         (tick or ignore)(len(pairs) - 1)
     else:
@@ -81,7 +79,7 @@ def odometry(chunk: Chunk, part: int, tick: Tick | None = None) -> Odometry:
         save_result(folder, _tracks_key(own), list(all_tracks), [])
         save_result(folder, _motions_key(own, rig), list(all_moves), [])
         save_result(folder, key, found, [])
-    return motions(chunk, part, rig)._replace(spans=result_path(folder, key))
+    return motions(chunk, part, rig)
 
 
 def follow(chunk: Chunk, part: int, tick: Tick | None = None) -> Iterator[None]:
@@ -144,6 +142,11 @@ def _tracks_key(own: Chunk) -> str:
     return result_key(RESULTS_VERSION, "tracks", params_sha256(own.params.trajectory), geometry_key(own))
 
 
+def _spans_key(tracks_key: str) -> str:
+    """Of points followed over spans of self-calibration."""
+    return result_key("spans", tracks_key)
+
+
 def _motions_key(own: Chunk, rig: Rig, earlier: Odometry | None = None) -> str:
     start = earlier.motions.stem if earlier else "none"
     params = params_sha256(own.params.trajectory)
@@ -165,20 +168,19 @@ def parts_to_follow(parts: Sequence[tuple[Chunk, int]], params: TrajectoryParams
 def self_calibrate(chunk: Chunk, followed: Sequence[Odometry]) -> SelfCalibration:
     """What a drive says about its rig's calibration.
 
-    chunk: any of the drive's, for rig, parameters and results folder. followed: parts of the drive, in its order.
+    chunk: any of the drive's, for rig, parameters and results folder. followed: `odometry` of parts of the drive, in its order.
     """
-    files = [path for each in followed for path in (each.motions, each.spans) if path is not None]
-    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for path in files))
-    if has_result(chunk.results_folder, key):
-        return load_result(result_path(chunk.results_folder, key), SelfCalibration)[0][0]
-    params = chunk.params.trajectory
+    params, folder = chunk.params.trajectory, chunk.results_folder
+    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for each in followed for path in each))
+    if has_result(folder, key):
+        return load_result(result_path(folder, key), SelfCalibration)[0][0]
     spans: list[tuple[Span, StereoTracks]] = []
     for each in followed:
-        if each.spans is not None:
-            chosen = choose_spans(load_result(each.motions, RelativeMotion)[0], params.self_calibration_span_m)
-            spans += zip(chosen, load_result(each.spans, StereoTracks)[0], strict=True)
+        chosen = choose_spans(load_result(each.motions, RelativeMotion)[0], params.self_calibration_span_m)
+        points, _ = load_result(result_path(folder, _spans_key(each.tracks.stem)), StereoTracks)
+        spans += zip(chosen, points, strict=True)
     found = _calibration(chunk.rig, spread_spans(spans, params.self_calibration_max_spans), params)
-    save_result(chunk.results_folder, key, [found], [])
+    save_result(folder, key, [found], [])
     _log.info("Self-calibration: %s", found.detail)
     return found
 

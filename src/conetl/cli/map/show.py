@@ -17,7 +17,7 @@ from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
+from conetl.model.feature_classes import noun_of, require_classes
 from conetl.model.health import HoldEvent
 from conetl.model.map_records import Classification
 from conetl.model.markings import Marking
@@ -79,9 +79,7 @@ def show(
         versions = list(read_features_as_of(conn, ui.parse_instant(as_of), map_name=info.map_name, lines=True))
     if category:
         there = {version.feature.category for version in versions}
-        if unknown := set(category) - there - {*FEATURE_CLASSES, "all"}:
-            known = ", ".join(FEATURE_CLASSES)
-            raise InputError(f"--category: there is no class {', '.join(sorted(unknown))}; give {known} or all")
+        require_classes(category, {*there, "all"})
         versions = [version for version in versions if "all" in category or version.feature.category in category]
     if as_json:
         features = [
