@@ -13,6 +13,7 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+from prefect.context import refresh_global_settings_context
 from prefect.events.worker import EventsWorker
 from prefect.logging.handlers import APILogWorker
 from prefect.settings import (
@@ -104,13 +105,23 @@ def _start_once(home: Path) -> processes.Service:
     return server
 
 
-def _settings_for(home: Path, url: str) -> contextlib.AbstractContextManager[object]:
-    """Prefect's settings for the runs of this command; it reads its environment only when it is imported.
+@contextlib.contextmanager
+def _settings_for(home: Path, url: str) -> Iterator[None]:
+    """Prefect's settings for the runs of this command, in all its threads. Prefect itself reads its environment when imported.
 
+    Settings that hold for one thread do not do: Prefect would start one more server for what the threads of Dask report.
     No heartbeats: every flow would wait a second for their thread, and locks in the database show which runs are alive.
     """
     login = prefect_login(home)
     processes.require_access(url, login, SERVER_AUTH)
-    return temporary_settings(
-        updates={PREFECT_API_URL: url, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_API_AUTH_STRING: login}
-    )
+    ours = {PREFECT_API_URL.name: url, PREFECT_API_AUTH_STRING.name: login}
+    before = {name: os.environ.get(name) for name in ours}
+    os.environ.update(ours)
+    try:
+        refresh_global_settings_context()
+        with temporary_settings(updates={PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}):
+            yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+        refresh_global_settings_context()

@@ -10,10 +10,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import cloudpickle
+import psutil
 import pytest
 from distributed import Client
 from prefect import flow
-from prefect.settings import PREFECT_API_AUTH_STRING, PREFECT_API_URL, temporary_settings
+from prefect.context import refresh_global_settings_context
 
 from conetl.cli.ingest import ingest_drives
 from conetl.db.connection import connect, execute
@@ -31,6 +32,7 @@ from conetl.pipeline.markings import marking_points
 from conetl.pipeline.odometry import odometry
 from conetl.pipeline.settings import Settings, prefect_environment
 from conetl.readers.drives import read_drive
+from flows.artifacts import progress_artifact
 from flows.tasks import PrefectExecutor, task_runner
 from tests.dask_cluster import dask_workers
 from tests.integration.small_drives import SAMPLES, cut_drive
@@ -47,10 +49,9 @@ def home(tmp_path_factory: pytest.TempPathFactory, prefect: dict[str, str]) -> I
             environment.setenv(name, value)
         for name, value in prefect.items():
             environment.setenv(name, value)
-        with temporary_settings(
-            {PREFECT_API_URL: prefect["PREFECT_API_URL"], PREFECT_API_AUTH_STRING: prefect["PREFECT_API_AUTH_STRING"]}
-        ):
-            yield folder
+        refresh_global_settings_context()
+        yield folder
+    refresh_global_settings_context()
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
     def work(folder: Path) -> None:
         analyse(
             drive, chunks[0].params, settings=Settings(home=folder), executor=PrefectExecutor(),
-            progress=lambda done, total: heard.append((done, total)),
+            progress=progress_artifact("cut", lambda done, total: heard.append((done, total))),
         )  # fmt: skip
 
     written: dict[str, dict[str, bytes]] = {}
@@ -78,6 +79,8 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
             tmp_path / kind
         )
         assert heard[-1] == (8, 8), "6 images and 2 motions, whoever counted them"
+        others = [child.cmdline() for child in psutil.Process().children(recursive=True)]
+        assert not [line for line in others if "prefect.server.api.server:create_app" in line], "shown on this server"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind / "results").iterdir()}
     assert len(written["threads"]) == 23, (
         "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions, 3 of points followed, 3 of motions, "
