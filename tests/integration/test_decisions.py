@@ -57,6 +57,9 @@ def test_a_suppressed_place_stays_suppressed_whatever_comes(conn):
     conn.rollback()
     with pytest.raises(InputError, match="already"):
         decide_place(conn, SUPPRESS, str(feature.feature_id), map_name="default")
+    for kind, category in ((PIN, None), (CLASSIFY, "drum")):
+        with pytest.raises(ConflictError, match=f"suppressed.* no effect.*`conetl map revert {decided.decision_id}`"):
+            decide_place(conn, kind, str(feature.feature_id), category=category, map_name="default")
     revert(conn, str(decided.decision_id)[:8], map_name="default")
     [back] = near(conn, 14.0, 3.6)
     assert back.observation_count > feature.observation_count, "drives went on counting it"

@@ -30,10 +30,12 @@ from conetl.db.live_store import read_provisional
 from conetl.db.map.map_store import list_changesets
 from conetl.exports.wzdx import schema_faults
 from conetl.model.errors import DriveFolderError, InputError, ServiceError
+from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.model.map_records import DeltaKind
-from conetl.model.params import IngestParams, params_sha256
+from conetl.model.params import DetectionParams, IngestParams, params_sha256
 from conetl.model.rejections import RejectionReason
+from conetl.pipeline.commit import CommittedDrive
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import drive_page
@@ -559,6 +561,15 @@ def test_the_other_half_of_the_real_street_a_day_later_and_half_a_metre_aside_do
     assert len(features) == 4
     assert all(feature["seen_count"] == 2 for feature in features)
     desk.ask("db", "audit")
+
+
+def test_the_plan_of_a_drive_shows_its_lane_markings(desk: Desk, small_drive: Path) -> None:
+    drawn: list[CommittedDrive] = []
+    params = IngestParams(detection=DetectionParams(categories=(CONE, LANE_MARKING)))
+    report = ingest(small_drive, params, desk.settings, publish_new=lambda committed, *_: drawn.append(committed))
+    lines = [delta for delta in drawn[0].deltas if delta.is_of_line]
+    assert len(lines) == report.line_counts[DeltaKind.ADDED] > 0
+    assert len(report.changes) == report.counts[DeltaKind.ADDED] > 0, "the table of changes is of objects only"
 
 
 def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(

@@ -116,11 +116,15 @@ def _print_summary(map_name: str, ended: list[Receipt], held: list[HeldDrive], e
     ui.print_hold_events(events)
     waiting = {drive.changeset_id for drive in held}
     done = [receipt for receipt in ended if receipt.done and receipt.changeset_id not in waiting]
-    failed = sum(not receipt.done for receipt in ended)
+    failed = [receipt for receipt in ended if not receipt.done]
+    may_pass = sum(receipt.may_pass for receipt in failed)
     on_hold = f"on hold: {len(held)}; " if held else ""
-    ui.say(f"On map {map_name}: {ui.counted(len(done), 'drive')}; {on_hold}failed: {failed}.")
-    if failed:
-        ui.say("Run the same command again to retry the failed drives.")
+    ui.say(f"On map {map_name}: {ui.counted(len(done), 'drive')}; {on_hold}failed: {len(failed)}.")
+    if may_pass:
+        ui.say(f"Run the same command again to retry {ui.counted(may_pass, 'drive')}, whose failure may be temporary.")
+    if may_pass < len(failed):
+        rest = ui.counted(len(failed) - may_pass, "drive")
+        ui.say(f"{rest} would fail again: first correct what is said above about each.")
 
 
 def _exit_code(ended: list[Receipt], failed: list[Receipt], held: list[HeldDrive]) -> int:

@@ -53,7 +53,7 @@ class Identity(Record):
 
 @dataclass(frozen=True)
 class CommittedDrive:
-    """What a drive did to the map; deltas and features are of point objects."""
+    """What a drive did to the map."""
 
     changeset: CommittedChangeset
     drive: Drive
@@ -137,7 +137,6 @@ def commit(
         known = merged.result.changeset
         return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
     deltas, health = merged.changeset.deltas, analysed.health
-    points = tuple(delta for delta in deltas if not delta.is_of_line)
     if not holding(health):  # a recording that contradicts itself is not compared with the map
         health = (*health, merged.extension.hold or AGREES)
     hold = hold_reason(health)
@@ -145,7 +144,7 @@ def commit(
         update={
             "status": "committed" if hold is None else "held",
             "frame_pairs_rejected": len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
-            "changes": tuple(_line(delta) for delta in points),
+            "changes": tuple(_line(delta) for delta in deltas if not delta.is_of_line),
             "rejections": dict(sorted(Counter(r.reason for r in records.rejections).items())),
             "trajectory": analysed.trajectory.detail,
             "calibration": analysed.calibration.detail,
@@ -158,8 +157,7 @@ def commit(
             "hold_changes": merged.hold_changes,
         }
     )
-    untouched = tuple(feature for feature in merged.extension.untouched if feature.marking is None)
-    return CommittedDrive(merged.result.changeset, drive, points, untouched, report)
+    return CommittedDrive(merged.result.changeset, drive, deltas, tuple(merged.extension.untouched), report)
 
 
 def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo:

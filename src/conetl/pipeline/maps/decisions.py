@@ -6,7 +6,7 @@ transaction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
@@ -100,12 +100,15 @@ def decide_place(
         raise InputError(f"radius {radius_m:g} m: expected more than 0 and at most {MAX_RADIUS_M:g} m")
     with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
         state = _feature(conn, map_name, feature)
-        before = store.read_decisions(conn, map_name=map_name)
-        decided: Mapping[str, Sequence[Location]] = {
-            SUPPRESS: before.suppressed, PIN: before.pinned, CLASSIFY: before.classified
-        }  # fmt: skip
-        if is_within(state, decided[kind]):
+        known = store.list_decisions(conn, map_name=map_name)
+        here = {one.kind: one for one in known if one.place is not None and is_within(state, [one.place])}
+        if kind in here:
             raise ConflictError(f"there is a decision to {kind} this position already: see `conetl map decisions`")
+        if SUPPRESS in here:
+            raise ConflictError(
+                f"feature {state.feature_id} is suppressed, so that a decision to {kind} it has no effect. If the object is "
+                f"there, withdraw the suppression first: `conetl map revert {here[SUPPRESS].decision_id}`"
+            )
         if expected_version is not None and state.version != expected_version:
             raise ConflictError(
                 f"feature {state.feature_id} changed meanwhile: you decided on version {expected_version}, it is at version "
