@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from itertools import permutations
@@ -163,6 +164,18 @@ def test_a_corrected_part_ends_the_holds(map_of: Any, order: Sequence[str]) -> N
     on_hold, found = map_of(*(name for name in order if name != "wrong_2"), "corrected_1")
     assert on_hold == set()
     assert found["versions"] and found == map_of("wrong_0", "wrong_1", "corrected_1")[1]
+
+
+def test_the_rig_id_that_the_hold_advises_ends_the_holds(settings: Settings, parts: dict[str, AnalysedDrive]) -> None:
+    for name in ("wrong_0", "wrong_1"):
+        said = commit(parts[name], settings).report.on_hold
+    assert said is not None and "rig_id: NAME" in said and "ingest that drive again" in said
+    drive = parts["wrong_0"].drive
+    named = drive.model_copy(
+        update={"rig": drive.rig.model_copy(update={"rig_id": "van-2"}), "content_sha256": "0" * 64}
+    )
+    commit(replace(parts["wrong_0"], records=parts["wrong_0"].records._replace(drive=named)), settings)
+    assert not held(settings) and cones(settings) > 4
 
 
 def test_a_reverted_part_ends_the_holds(map_of: Any) -> None:

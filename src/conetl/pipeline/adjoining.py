@@ -204,8 +204,8 @@ def _contradiction(other_id: str, off_m: float) -> HealthCheck:
     detail = (
         f"It and drive {other_id}, recorded right before or after it by the same cameras, lie {off_m:.1f} m apart where one "
         "continues the other: GNSS/INS jumps there, and which of them is right is unknown. Process the GNSS/INS log anew and "
-        "deliver the wrong one again, or accept the one that is right. If two vehicles made them, give each rig a rig_id of its "
-        "own."
+        "deliver the wrong one again, or accept the one that is right. If two vehicles made them, give the rig of one a rig_id "
+        "of its own in its drive.yaml (rig_id: NAME), and ingest that drive again."
     )
     return HealthCheck(
         name=ADJOINING, verdict=Verdict.HOLD, value=round(off_m, 3), limit=_JUMP_M, unit="m", detail=detail

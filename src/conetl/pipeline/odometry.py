@@ -34,6 +34,8 @@ _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
 #: Some spans cannot be followed, and parts end within one.
 _SPARE = 1.25
+#: Half of a shorter chunk may be shorter than a span: at 10 Hz and 2.5 m/s or less.
+_SHORT_CHUNK_PAIRS = 16
 
 
 def moved(chunks: Sequence[Chunk], trajectory: RefinedTrajectory) -> list[Chunk]:
@@ -180,6 +182,9 @@ def self_calibrate(chunk: Chunk, followed: Sequence[Odometry]) -> SelfCalibratio
         points, _ = load_result(result_path(folder, _spans_key(each.tracks.stem)), StereoTracks)
         spans += zip(chosen, points, strict=True)
     found = _calibration(chunk.rig, spread_spans(spans, params.self_calibration_max_spans), params)
+    if len(spans) < params.self_calibration_min_spans and chunk.params.chunk_pairs < _SHORT_CHUNK_PAIRS:
+        hint = f"a span lies within half a chunk, and chunk_pairs is {chunk.params.chunk_pairs} only"
+        found = found.model_copy(update={"detail": f"{found.detail}; {hint}"})
     save_result(folder, key, [found], [])
     _log.info("Self-calibration: %s", found.detail)
     return found
