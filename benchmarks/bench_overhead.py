@@ -4,8 +4,8 @@ Processor time of this process, of the Prefect server and of PostGIS. First both
 map of its own; then both again with the results of all chunks on disk ("warm"), where orchestration is most of the work, so
 that other load of the machine does not hide it. The result is the warm difference over the cold run without Prefect.
 
-With `--dask 4` also from images by as many workers of a Dask cluster on this machine, in turn with threads. Each worker has
-loaded its libraries: all have worked on another drive.
+With `--dask 4` also from images by as many workers of a Dask cluster on this machine, in turn with threads, whose figure does
+not contain what the waiting cluster takes. Each worker has loaded its libraries: all have worked on another drive.
 
     python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--chunk-pairs 128] [--dask 4]
 """
@@ -18,7 +18,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -44,17 +44,17 @@ def cpu_of_import(statement: str) -> float:
 
 
 @contextmanager
-def warm_workers(home: Path, source: Path, count: int, params: IngestParams) -> Iterator[str]:
-    """Address of a cluster whose workers have all worked on another drive."""
+def warm_workers(home: Path, source: Path, count: int, params: IngestParams) -> Iterator[tuple[str, list[int]]]:
+    """Address and process ids of a cluster whose workers have all worked on another drive."""
     from benchmarks import whole_job as job
     from tests.dask_cluster import dask_workers
 
     other = job.make_long_drive(source, home / "other", 32 * count, start=datetime(2026, 5, 2, 8))
-    with dask_workers(home, count) as (address, _):
+    with dask_workers(home, count) as (address, processes):
         changed = {"task_runner": "dask", "dask_address": address}
         settings = job.settings_in(home, "other").model_copy(update=changed)
         job.prefect_ingest(other, settings, params.model_copy(update={"chunk_pairs": 16}))
-        yield address
+        yield address, [process.pid for process in processes.values()]
 
 
 def main() -> None:
@@ -81,12 +81,17 @@ def main() -> None:
         stack.enter_context(prefect_server(home))
         start_s = processor_s(os.getpid()) - before
 
-        def took(run: Callable[..., object], map_name: str, **changed: object) -> tuple[float, float]:
+        def took(
+            run: Callable[..., object], map_name: str, *, without: Sequence[int] = (), **changed: object
+        ) -> tuple[float, float]:
+            def spent_s() -> float:
+                return processor_s(os.getpid(), database) - processor_s(*without)
+
             if not map_name.startswith("warm"):
                 shutil.rmtree(settings_in(home).results_folder, ignore_errors=True)
-            cpu, wall = processor_s(os.getpid(), database), time.monotonic()
+            cpu, wall = spent_s(), time.monotonic()
             run(drive, settings_in(home, map_name).model_copy(update=changed), params)
-            return processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
+            return spent_s() - cpu, time.monotonic() - wall
 
         cold: dict[str, tuple[float, float]] = {}
         cold["plain"] = took(plain_ingest, "cold_plain")
@@ -97,11 +102,11 @@ def main() -> None:
             warm["prefect"].append(took(prefect_ingest, f"warm_prefect_{k}")[0])
         beside: list[tuple[float, float]] = []
         if arguments.dask:
-            address = stack.enter_context(warm_workers(home, source, arguments.dask, params))
+            address, of_dask = stack.enter_context(warm_workers(home, source, arguments.dask, params))
             cluster = {"task_runner": "dask", "dask_address": address}
             for k in range(arguments.rounds):
                 by_dask = took(prefect_ingest, f"dask_{k}", **cluster)[0]
-                beside.append((took(prefect_ingest, f"threads_{k}")[0], by_dask))
+                beside.append((took(prefect_ingest, f"threads_{k}", without=of_dask)[0], by_dask))
         print(f"{arguments.pairs} pairs of {source.name}, refinement {params.trajectory.refine}, "
               f"{workers} detection tasks at a time, load {load():.1f}")  # fmt: skip
         for way, (cpu, wall) in cold.items():

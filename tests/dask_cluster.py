@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -11,10 +12,17 @@ from pathlib import Path
 
 from distributed import Client
 
+from flows.tasks import DASK_CONFIG
+
+#: As docs/how-to/deploy.md sets them.
+ENVIRONMENT = {
+    f"DASK_{name.upper().replace('.', '__').replace('-', '_')}": str(value) for name, value in DASK_CONFIG.items()
+}
+
 
 @contextmanager
 def dask_workers(folder: Path, count: int) -> Iterator[tuple[str, dict[str, subprocess.Popen[bytes]]]]:
-    """A Dask scheduler on loopback and its workers, each a process of one thread: address, and processes by name."""
+    """A Dask scheduler on loopback and its workers, each a process of one thread: address, and all processes by name."""
     file, dask = folder / "scheduler.json", [sys.executable, "-m", "dask"]
     commands = {"scheduler": [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]}
     for number in range(count):
@@ -24,7 +32,8 @@ def dask_workers(folder: Path, count: int) -> Iterator[tuple[str, dict[str, subp
     with ExitStack() as stack:
         processes = {}
         for name, command in commands.items():
-            processes[name] = stack.enter_context(subprocess.Popen([*command, "--scheduler-file", str(file)]))
+            whole = [*command, "--scheduler-file", str(file)]
+            processes[name] = stack.enter_context(subprocess.Popen(whole, env={**os.environ, **ENVIRONMENT}))
             stack.callback(processes[name].kill)
         deadline = time.monotonic() + 120
         while not file.exists():
@@ -33,4 +42,4 @@ def dask_workers(folder: Path, count: int) -> Iterator[tuple[str, dict[str, subp
         with Client(scheduler_file=str(file)) as client:
             client.wait_for_workers(count, timeout=120)
             address = client.scheduler.address
-        yield address, {name: process for name, process in processes.items() if name != "scheduler"}
+        yield address, processes

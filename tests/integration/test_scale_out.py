@@ -160,7 +160,7 @@ def storage() -> Iterator[str]:
         yield f"s3://{BUCKET}"
 
 
-def kill_one(address: str, workers: dict[str, subprocess.Popen[bytes]], results: Path) -> dict[str, int]:
+def kill_one(address: str, processes: dict[str, subprocess.Popen[bytes]], results: Path) -> dict[str, int]:
     """Kill a worker that searches for cones once a result is there; what was there then: file name and inode."""
     deadline = time.monotonic() + 120
     with Client(address) as client:
@@ -169,7 +169,7 @@ def kill_one(address: str, workers: dict[str, subprocess.Popen[bytes]], results:
             names = {worker: info["name"] for worker, info in client.scheduler_info(n_workers=-1)["workers"].items()}
             for worker, keys in client.processing().items() if there else ():
                 if any(str(key).startswith("detect") for key in keys):
-                    workers[names[worker]].kill()
+                    processes[names[worker]].kill()
                     return there
             time.sleep(0.02)
     raise AssertionError("no worker was seen at work")
@@ -186,14 +186,14 @@ def test_a_drive_in_object_storage_makes_the_same_map_even_if_a_worker_of_dask_d
     remote = as_path(f"{storage}/{folder.name}")
     remote.fs.put(f"{folder}/", f"{BUCKET}/{folder.name}/", recursive=True)  # type: ignore[attr-defined]
     features = []
-    with dask_workers(tmp_path, 3) as (address, workers), ThreadPoolExecutor() as beside:
+    with dask_workers(tmp_path, 3) as (address, processes), ThreadPoolExecutor() as beside:
         for name, drive, dask in (
             ("disk", folder, {}),
             ("storage", Path(str(remote)), {}),
             ("dask", Path(str(remote)), {"task_runner": "dask", "dask_address": address}),
         ):
             settings = Settings(home=home / name, map_name=name, database_url=database_url, **dask)  # type: ignore[arg-type]
-            killed = beside.submit(kill_one, address, workers, settings.results_folder) if dask else None
+            killed = beside.submit(kill_one, address, processes, settings.results_folder) if dask else None
             reports, code = ingest_drives(
                 [drive], settings, IngestParams(chunk_pairs=1), map_srid=None, show=lambda _: None
             )
@@ -209,7 +209,7 @@ def test_a_drive_in_object_storage_makes_the_same_map_even_if_a_worker_of_dask_d
                 )
         assert killed is not None
         before = killed.result()
-        assert sum(process.poll() is not None for process in workers.values()) == 1
+        assert sum(process.poll() is not None for process in processes.values()) == 1
         after = {path.name: path.stat().st_ino for path in settings.results_folder.glob("*.parquet")}
     assert features[0] == features[1] == features[2]
     assert features[0]
