@@ -283,6 +283,25 @@ def test_a_file_whose_founded_ids_stand_elsewhere_says_what_helps(conn, tmp_path
     assert failed_audits(conn) == []
 
 
+def test_heights_of_another_system_are_refused_where_the_map_has_the_same_cones(conn, tmp_path):
+    """Heights above the geoid put a second cone below each one of the map."""
+    merge(conn, survey(0))
+    before = valid_time_map(conn)
+    conn.commit()
+    path = tmp_path / "geoid.csv"
+    lines = cones_csv(path, DAYS[0]).read_text().splitlines()
+    rows = [line.rsplit(",", 1) for line in lines[1:]]
+    path.write_text("\n".join([lines[0], *(f"{place},{float(height) - 47.6}" for place, height in rows)]))
+    options = {"crs": "EPSG:32632", "stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    with pytest.raises(InputError, match=r"47\.6 m lower .*--crs EPSG:25832\+7837.* nothing was written"):
+        take(conn, path, **options)
+    conn.rollback()
+    assert valid_time_map(conn) == before
+    conn.commit()
+    assert take(conn, path, map_name="empty", **options).committed
+    assert take(conn, plain_csv(tmp_path), **options).committed
+
+
 def test_the_same_file_by_its_right_crs_is_another_import(conn, tmp_path):
     """A slip in --crs is mended by reverting and importing again, with no other option changed."""
     path = plain_csv(tmp_path)

@@ -97,10 +97,7 @@ def _displaced(
     # GNSS without a fix lies metres aside, as its sigmas say: only the heights are compared after its offset is taken out.
     offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
     for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
-        rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
-        alike = classes_of(tracks)[rows] == classes_of(features)[columns]  # a sign may hang above a cone
-        rows, columns = rows[alike], columns[alike]
-        pairs = assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
+        pairs = _same_positions(tracks, features, shift_m, params)
         if pairs and 2 * len(pairs) >= len(near):
             i, j = list(pairs), list(pairs.values())
             cov = cov_matrices([tracks[k].cov_m2 for k in i]) + cov_matrices([features[k].cov_m2 for k in j])
@@ -130,6 +127,29 @@ def _displaced(
         )
         return _held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
     return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, _MAX_SIGMAS * sigma_m))
+
+
+def height_difference(
+    stated: Sequence[MapFeature], features: Sequence[MapFeature], params: ReconcileParams
+) -> HealthCheck | None:
+    """Whether the cones that an imported map states lie higher or lower than those of the map at the same positions."""
+    pairs = _same_positions(stated, features, np.zeros(3), params)
+    if not pairs:
+        return None
+    up_m = np.median([stated[i].xyz_m[2] - features[j].xyz_m[2] for i, j in pairs.items()])
+    variance = np.mean([stated[i].cov_m2[5] + features[j].cov_m2[5] for i, j in pairs.items()])
+    return _higher(float(up_m), float(np.sqrt(variance)), len(pairs), "cones", "the same cones")
+
+
+def _same_positions(
+    tracks: Sequence[Track | MapFeature], features: Sequence[MapFeature], shift_m: Floats, params: ReconcileParams
+) -> dict[int, int]:
+    """Which tracks, moved back by `shift_m` (3,), stand where features of the same class stand, whatever the heights."""
+    t, f = (np.array([one.xyz_m for one in side]).reshape(-1, 3) for side in (tracks, features))
+    rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
+    alike = classes_of(tracks)[rows] == classes_of(features)[columns]  # a sign may hang above a cone
+    rows, columns = rows[alike], columns[alike]
+    return assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
 
 
 def _held(what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str) -> HealthCheck:

@@ -21,6 +21,7 @@ from conetl.db.map.map_store import find_changeset, find_map, map_for, map_trans
 from conetl.db.map.replay_store import affected_drives, superseded_drives
 from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
+from conetl.mapping.agreement import height_difference
 from conetl.mapping.history import DriveEvidence
 from conetl.model.errors import InputError
 from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap
@@ -53,7 +54,8 @@ class ImportResult(NamedTuple):
 def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str) -> ImportResult:
     """Compare an imported map with this one as the drives recorded before it left it, and commit what follows, or nothing.
 
-    The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
+    The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken, and for
+    heights that are not those of the map.
     """
     started_at = datetime.now(UTC)
     with map_transaction(conn, map_name):
@@ -80,6 +82,7 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
         )
         imported = _with_ids_of_map(imported, info.id_name)
         _refuse_taken_ids(conn, imported, params, map_name)
+        _refuse_other_heights(conn, imported, params, map_name)
         drive_uuid = store.place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = DriveEvidence(
             key=(imported.stated_at_ns, imported.content_sha256, key),
@@ -206,3 +209,17 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
                 raise InputError(
                     f"{where} stands {away} away on this map, farther than a cone is moved: {remedy}; nothing was written"
                 )
+
+
+def _refuse_other_heights(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
+    """Heights of another system would put a second cone below or above each one of the map."""
+    stated = [statement.feature for statement in imported.statements]
+    standing = read_current_features(conn, map_name=map_name)
+    found = height_difference(stated, [one for one in standing if one.marking is None], params.reconcile)
+    if found is not None and found.value is not None:
+        raise InputError(
+            f"{imported.source_path}: its cones lie {abs(found.value):.1f} m {'higher' if found.value > 0 else 'lower'} than "
+            f"those of the map {map_name} at the same positions, at a stated {found.sigma:.2f} m: give the height system of the "
+            "file (--crs EPSG:25832+7837), or revert the changeset (conetl map revert) whose heights are wrong; nothing was "
+            "written"
+        )
