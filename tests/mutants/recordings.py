@@ -193,16 +193,16 @@ def turned(roll_deg: float, pitch_deg: float, yaw_deg: float, first: int = 0) ->
     )
 
 
-def right_late(frames: int) -> Mutant:
-    """Right images of so many frames before."""
+def right_late(frames: int, first: int = 0) -> Mutant:
+    """Right images of so many frames before, from this pair on: the left camera lost frames, or the right one repeated some."""
 
     def mutant(drive: Drive) -> Drive:
         pairs = drive.frame_pairs
         moved = tuple(
             pair.model_copy(update={"right_path": old.right_path, "right_sha256": old.right_sha256})
-            for pair, old in zip(pairs[frames:], pairs, strict=False)
+            for pair, old in zip(pairs[first + frames :], pairs[first:], strict=False)
         )
-        return drive.model_copy(update={"frame_pairs": moved})
+        return drive.model_copy(update={"frame_pairs": pairs[:first] + moved})
 
     return mutant
 

@@ -198,6 +198,7 @@ def _rigs() -> list[WrongRecording]:
             WrongRecording(f"right camera {n} frames late", right_late(n), cause=f"{_TRIGGER} {n} frames earlier", fast=n == 1)
             for n in (1, 2, 3)
         ),
+        WrongRecording("right camera 1 frame late from the middle on", right_late(1, 20), cause="1 frames earlier"),
     ]  # fmt: skip
 
 

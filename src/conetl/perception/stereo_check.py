@@ -13,7 +13,7 @@ is at least 0.64, and at least 0.75 times that in the other image; a blur of 5 p
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import NamedTuple
@@ -76,15 +76,16 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     chosen = np.unique(np.linspace(0, count - 1, _PAIRS).astype(int)).tolist()
     features = cache(lambda number, side: _features(drive, number, side))
 
-    def offsets(lag: int) -> Floats:
+    matched = cache(lambda number, lag: _offsets(features(number, "left"), features(number + lag, "right")))
+
+    def offsets(numbers: Sequence[int], lag: int) -> Floats:
         """(N, 2): columns left minus right, and rows right minus left, of matches with the right images `lag` frames later."""
-        both = [(features(k, "left"), features(k + lag, "right")) for k in chosen if 0 <= k + lag < count]
-        return np.concatenate([np.empty((0, 2)), *(_offsets(left, right) for left, right in both)])
+        return np.concatenate([np.empty((0, 2)), *(matched(k, lag) for k in numbers if 0 <= k + lag < count)])
 
     # Of a video in two files much is decoded for one frame: both at once.
     with ThreadPoolExecutor(1 if _in_one_file(drive.frame_pairs[0]) else 2) as pool:
         list(pool.map(lambda side: [features(k, side) for k in chosen], SIDES))
-    found = offsets(0)
+    found = offsets(chosen, 0)
     near = found[np.abs(found[:, 1]) <= _MAX_ROWS_PX]
     wrong = int((near[:, 0] < -_SHRINK).sum())
     if len(near) >= _MIN_MATCHES and wrong > _WRONG_SHARE * len(near):
@@ -94,7 +95,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
             "image folders, `cameras` of KITTI drives), or turn the images."
         )
     rows = _rows_of_one_scene(found)
-    trigger = _check_trigger(len(rows), len(found), lambda lag: len(_rows_of_one_scene(offsets(lag))))
+    trigger = _check_trigger(drive.frame_pairs, chosen, offsets)
     unclear = _unclear_squares({side: [features(k, side).octaves for k in chosen] for side in SIDES})
     drive = drive.model_copy(update={"unclear": unclear})
     checks = [
@@ -212,26 +213,47 @@ def _check_sharpness(unclear: UnclearSquares | None, drive: Drive) -> HealthChec
     )  # fmt: skip
 
 
-def _check_trigger(fitting: int, matched: int, fitting_at: Callable[[int], int]) -> HealthCheck:
-    """Whether right images of other frames fit the left ones better than their own."""
-    best, lag = fitting, 0
-    if fitting < _FITTING_SHARE * max(matched, _MIN_MATCHES):
-        best, lag = max((fitting_at(lag), lag) for lag in _LAGS)
-    if best < _MIN_MATCHES or best < _FITS_BETTER * fitting:
-        lag = 0
+def _check_trigger(
+    pairs: Sequence[FramePair], chosen: Sequence[int], offsets: Callable[[Sequence[int], int], Floats]
+) -> HealthCheck:
+    """Whether right images of other frames fit the left ones better than their own, in the drive or in a part of it: one camera
+    may lose a frame, after which all its images are those of another instant."""
+    ends = [(first, last) for first in range(len(chosen)) for last in range(first + 1, len(chosen))]
+    parts = [chosen[first : last + 1] for first, last in sorted(ends, key=lambda end: end[0] - end[1])] or [chosen]
+    if len(chosen) > 1 and not _is_fitting(offsets(chosen[-1:], 0)):
+        parts.append([max(chosen[-1] - 2, 0), chosen[-1]])  # one pair may look wrong by chance
+    fitting, lag = len(_rows_of_one_scene(offsets(chosen, 0))), 0
     detail = "Left and right images are of the same instants."
     if fitting < _MIN_MATCHES:
         detail = "The images show too little to tell."
-    if lag:
-        detail = (
-            f"The right images belong to left images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}: {best} points fit, "
-            f"{fitting} as delivered. Correct the numbers of the images or the trigger."
+    for part in parts:
+        found = offsets(part, 0)
+        own = len(_rows_of_one_scene(found))
+        best, lag = (
+            (own, 0) if _is_fitting(found) else max((len(_rows_of_one_scene(offsets(part, k))), k) for k in _LAGS)
         )
+        if best < _MIN_MATCHES or best < _FITS_BETTER * own:
+            lag = 0
+        if part is not parts[0] and not _is_fitting(offsets(part, lag)):
+            lag = 0  # of few pairs the number of points varies
+        if lag:
+            first, last = (pairs[part[end]].frame_index for end in (0, -1))
+            where = "" if part is parts[0] else f" in frame pairs {first} to {last}"
+            detail = (
+                f"The right images{where} belong to left images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}: {best} "
+                f"points fit, {own} as delivered. Correct the numbers of the images or the trigger."
+            )
+            break
     return HealthCheck(
         name="trigger of both cameras", verdict=Verdict.HOLD if lag else Verdict.PASS, limit=0.0,
         value=float(lag) if lag or fitting >= _MIN_MATCHES else None,
         unit="frames", detail=detail,
     )  # fmt: skip
+
+
+def _is_fitting(found: Floats) -> bool:
+    """Whether so many matches (N, 2) are of one scene that no other frame needs to be tried."""
+    return len(_rows_of_one_scene(found)) >= _FITTING_SHARE * max(len(found), _MIN_MATCHES)
 
 
 def _check_columns(columns: Floats) -> HealthCheck:

@@ -1,4 +1,4 @@
-"""Parts of the images that are blurred, of drives whose lenses are clean and smeared."""
+"""Parts of the images that are blurred, of drives whose lenses are clean and smeared; and a camera that loses a frame."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from conetl.perception.stereo_check import check_stereo
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES
 from tests.mutants.images import PairMutant, both, changed, copy_drive, only_left, only_right, smeared
+from tests.mutants.recordings import right_late
 
 
 def wrong(change: PairMutant, folder: Path) -> Drive:
@@ -49,3 +50,11 @@ def test_the_lower_part_of_a_lens_that_is_smeared_is_found(change: object, sides
     unclear = wrong(change(smeared(5.0)), tmp_path).unclear  # type: ignore[operator]
     assert unclear is not None and {side for side in ("left", "right") if getattr(unclear, side)} == sides
     assert all(row >= 2 for side in sides for row, _ in getattr(unclear, side))
+
+
+@pytest.mark.parametrize("first", [9, 20, 28, 35])
+def test_a_camera_that_loses_a_frame_is_found_from_where_it_does(first: int) -> None:
+    checks = check_stereo(right_late(1, first)(read_drive(SAMPLES[0])[0]))[1]
+    trigger = next(check for check in checks if check.name == "trigger of both cameras")
+    assert (trigger.verdict, trigger.value) == (Verdict.HOLD, 1.0)
+    assert "1 frames earlier" in trigger.detail and "in frame pairs" in trigger.detail
