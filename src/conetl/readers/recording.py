@@ -14,9 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import FramePair, Pose, Rig
 from conetl.model.rejections import RejectionReason
@@ -39,7 +36,6 @@ from conetl.readers.rigs import RIG_YAML
 from conetl.readers.trajectories.oxts import FIELD_COUNT, OxtsRecord, parse_oxts
 from conetl.readers.trajectories.times import clock_problem, parse_timestamp
 
-Array = NDArray[np.float64]
 #: Number of a pair without a row so far: it comes last.
 BEHIND = 2**62
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.files.documents import named, shown
 from conetl.files.names import printable
 from conetl.geometry import geodesy
 from conetl.geometry.packing import vec3
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import SurveyedPoint
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -19,7 +19,6 @@ from conetl.readers.trajectories.earth import in_wgs84
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 
-Floats = NDArray[np.float64]
 _NAMES = ("name", "id", "point", "point_id", "cone_id", "nr", "no")
 _HEIGHTS = ("height_m", "height", "h", "z")
 _SIGMAS = ("sigma_e_m", "sigma_n_m", "sigma_u_m")

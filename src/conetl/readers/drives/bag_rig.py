@@ -7,10 +7,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.files.documents import MAX_SHOWN
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Rig
 from conetl.readers.drives.drive_yaml import Streams
@@ -18,7 +18,6 @@ from conetl.readers.drives.poses import rotation_of
 from conetl.readers.rigs.common import Node
 from conetl.readers.rigs.ros import rig_of_camera_infos
 
-Array = NDArray[np.float64]
 COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 CAMERA_INFO, FIX, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
 ODOMETRY, TRANSFORMS, TF_STATIC = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "/tf_static"
@@ -147,7 +146,7 @@ class Frames:
     """Rigid transforms between named frames, from /tf_static."""
 
     def __init__(self) -> None:
-        self._parent_SE3_child: dict[tuple[str, str], Array] = {}
+        self._parent_SE3_child: dict[tuple[str, str], Floats] = {}
 
     def add(self, message: Any) -> None:
         """All transforms of one TFMessage; invalid ones are skipped."""
@@ -159,6 +158,6 @@ class Frames:
                 continue
             self._parent_SE3_child[transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")] = pose
 
-    def find(self, dst: str, src: str) -> Array | None:
+    def find(self, dst: str, src: str) -> Floats | None:
         """dst_SE3_src (4, 4), None where the frames are not connected."""
         return se3.connect(self._parent_SE3_child, dst.lstrip("/"), src.lstrip("/"))

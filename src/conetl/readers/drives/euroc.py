@@ -19,10 +19,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.files.documents import read_yaml, shown
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Camera, Drive, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
@@ -43,7 +43,6 @@ from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import Node, calibration_errors, pinhole_camera, stereo_rig
 from conetl.readers.trajectories import read_trajectory
 
-Array = NDArray[np.float64]
 NAME = "euroc"
 READS_OBJECTS = False
 #: Bytes of a file's name on most file systems.
@@ -151,13 +150,13 @@ def _stamp(text: str, where: str) -> int | str:
 
 
 @calibration_errors()
-def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Array]:
+def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Floats]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
     given = own_rig(root / RIG_YAML, settings.pair)
     if given is not None:
         return rig_on_body(*given, settings, root / RIG_YAML)
     cameras: list[Camera] = []
-    poses: list[Array] = []
+    poses: list[Floats] = []
     for name in _camera_names(settings).values():
         path = _stream_folder(root, name) / SENSOR_YAML
         sensor = Node(path, read_yaml(path))
@@ -185,7 +184,7 @@ def _trajectory_path(root: Path, settings: DriveYaml) -> Path:
     return path
 
 
-def _trajectory(source: Source, sensor_R_body: Array) -> tuple[int, Samples]:
+def _trajectory(source: Source, sensor_R_body: Floats) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
     root, settings, content = source[1:4]
     path = _trajectory_path(root, settings)

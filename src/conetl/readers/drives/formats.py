@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.files.documents import named
 from conetl.files.storage import is_remote
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import sensor_R_body
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Rig
 from conetl.model.rejections import Rejection
@@ -26,8 +26,6 @@ from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.rigs.common import Pair, rectified_rig
 from conetl.readers.trajectories.times import misplaced
-
-Array = NDArray[np.float64]
 
 #: Images per side whose size is part of the header: a drive delivered again with other images is another drive.
 SAMPLED_IMAGES = 16
@@ -132,7 +130,7 @@ def every_nth(names: Sequence[str], count: int) -> Sequence[str]:
     return names[:: max(1, len(names) // count)]
 
 
-def rig_on_body(rig: Rig, sensor_SE3_left: Array, settings: DriveYaml, source: Path) -> tuple[Rig, Array]:
+def rig_on_body(rig: Rig, sensor_SE3_left: Floats, settings: DriveYaml, source: Path) -> tuple[Rig, Floats]:
     """The rectified rig, and sensor_R_body (3, 3): the body is the sensor with its axes renamed to forward, left, up.
 
     rig: only its cameras and their relative pose are used. sensor_SE3_left (4, 4): from points of the left camera to points of
@@ -153,7 +151,7 @@ def overrides(settings: DriveYaml) -> dict[str, object]:
     return changes | ({"sigma_px": settings.sigmas.image_px} if "image_px" in settings.sigmas.model_fields_set else {})
 
 
-def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Array] | None:
+def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Floats] | None:
     """Rig of a rig.yaml beside the recording, which overrides the recording's own calibration, and its body_SE3_left.
 
     pair: of its cameras, where it has more than two.

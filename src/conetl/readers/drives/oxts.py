@@ -7,17 +7,15 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.records import Pose
 from conetl.readers.drives.drive_yaml import Sigmas
 from conetl.readers.drives.poses import attitude_sigmas, to_pose, wild_fixes
 from conetl.readers.trajectories.oxts import OxtsRecord
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR
-
-Array = NDArray[np.float64]
 
 MAX_GAP_NS = 500_000_000
 """Poses farther apart in time than this are not interpolated."""
@@ -28,9 +26,9 @@ class OxtsTrajectory(NamedTuple):
 
     numbers: list[int]
     """Rising, of the valid records."""
-    map_SE3_body: Array
+    map_SE3_body: Floats
     """(N, 4, 4)"""
-    sigma_enu_m: Array
+    sigma_enu_m: Floats
     """(N, 3)"""
     times_ns: dict[int, int]
     """By frame number; frames without a time are missing."""
@@ -109,6 +107,6 @@ def _neighbour(track: OxtsTrajectory, row: int, late_ns: int) -> tuple[int, floa
     return row, 0.0, speed * abs(late_ns)
 
 
-def pose_record(pose: Array, sigma_enu_m: Array, sigmas: Sigmas) -> Pose:
+def pose_record(pose: Floats, sigma_enu_m: Floats, sigmas: Sigmas) -> Pose:
     """The record of a pose (4, 4) with the sigmas (3,) of its position."""
     return to_pose(pose, [*sigma_enu_m, *attitude_sigmas(sigmas, None)])

@@ -9,20 +9,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from conetl.files.documents import named
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid, local_to_map
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import MAX_SPEED_M_S, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import PairError, Source
 from conetl.readers.trajectories.recorded import MAX_LOCAL_M, VERTICAL_FACTOR, RecordedTrajectory
-
-Array = NDArray[np.float64]
 
 MAX_SIGMA_M = 1000.0
 _LOOK_BACK = 500
@@ -35,15 +34,15 @@ class Samples(NamedTuple):
     """Of the stream in the drive, for messages."""
     times_ns: list[int]
     """Rising."""
-    map_SE3_body: Array
+    map_SE3_body: Floats
     """(N, 4, 4); without attitude the rotation is the identity, without position the translation is zero."""
-    sigma: Array
+    sigma: Floats
     """(N, 6): easting, northing, height (m), roll, pitch, yaw (rad)."""
     bad: dict[int, str]
     """By time."""
 
 
-def samples(name: str, records: Mapping[int, tuple[Array, tuple[float, ...]]], bad: Mapping[int, str]) -> Samples:
+def samples(name: str, records: Mapping[int, tuple[Floats, tuple[float, ...]]], bad: Mapping[int, str]) -> Samples:
     """Samples of (pose (4, 4), six sigmas) by time. Raises DriveFolderError where there is none."""
     if not records:
         first = next(iter(bad.values()), "there are none")
@@ -60,14 +59,14 @@ def local_position(*position_m: float) -> tuple[float, ...]:
     return position_m
 
 
-def wild_fixes(times_ns: Sequence[int], positions_m: Array) -> dict[int, str]:
+def wild_fixes(times_ns: Sequence[int], positions_m: Floats) -> dict[int, str]:
     """What is wrong with some of the positions (N, 3), by index: the fewest without which no step exceeds `MAX_SPEED_M_S`.
 
     By a longest chain of positions (each at most `_LOOK_BACK` records before the next) that a vehicle can drive through.
     """
     times = np.array(times_ns, dtype=np.int64)
 
-    def speeds(a: slice, b: slice) -> Array:
+    def speeds(a: slice, b: slice) -> Floats:
         apart_s = np.maximum(np.abs(times[b] - times[a]) * 1e-9, 1e-3)
         return np.asarray(np.linalg.norm(positions_m[b] - positions_m[a], axis=1) / apart_s)
 
@@ -99,7 +98,7 @@ def without_wild_fixes(track: Samples) -> Samples:
     return Samples(track.name, times, track.map_SE3_body[keep], track.sigma[keep], track.bad | bad)
 
 
-def at(track: Samples, time_ns: int, max_gap_ns: int) -> tuple[Array, Array]:
+def at(track: Samples, time_ns: int, max_gap_ns: int) -> tuple[Floats, Floats]:
     """Pose (4, 4), interpolated (straight line, slerp) between the neighbouring records, and the larger of their sigmas (6,).
 
     Raises PairError: POSE_INVALID where a bad record is between them, POSE_MISSING where they are too far apart or the time
@@ -146,7 +145,7 @@ def around(track: Samples, time_ns: int, max_gap_ns: int, *, across_bad: bool = 
     return end - 1, end
 
 
-def to_pose(map_SE3_body: Array, sigma: ArrayLike) -> Pose:
+def to_pose(map_SE3_body: Floats, sigma: ArrayLike) -> Pose:
     """The record of a pose (4, 4) and its six sigmas."""
     x, y, z = (float(c) for c in map_SE3_body[:3, 3])
     e, n, u, roll, pitch, yaw = (float(s) for s in np.asarray(sigma))
@@ -179,7 +178,7 @@ def attitude_sigmas(settings: Sigmas, recorded_rad: tuple[float, ...] | None) ->
     return found[0], found[1], found[2]
 
 
-def rotation_of(w: float, x: float, y: float, z: float) -> Array:
+def rotation_of(w: float, x: float, y: float, z: float) -> Floats:
     """Rotation matrix (3, 3) of a quaternion of about unit length. Raises ValueError."""
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not abs(length - 1.0) <= 1e-2:  # NaN fails too
@@ -194,7 +193,7 @@ def rotation_of(w: float, x: float, y: float, z: float) -> Array:
     )
 
 
-def georeferenced(source: Source, stream: str, local: Array) -> tuple[int, Array]:
+def georeferenced(source: Source, stream: str, local: Floats) -> tuple[int, Floats]:
     """EPSG code of the map and map_SE3_sensor (N, 4, 4) of poses in a local frame (N, 4, 4).
 
     Raises DriveFolderError where drive.yaml has no georeference of that frame.
@@ -211,7 +210,7 @@ def georeferenced(source: Source, stream: str, local: Array) -> tuple[int, Array
         return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, local)
 
 
-def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Array) -> tuple[int, Samples]:
+def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it, without wild fixes.
 
     sensor_R_body (3, 3): from the body's axes to those that the attitudes are of. Positions are those of the antenna where
@@ -242,7 +241,7 @@ def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Array) -
     return srid, without_wild_fixes(track)
 
 
-def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Array:
+def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Floats:
     """(N, 6) sigmas: as `position_sigmas` and `attitude_sigmas` for each record; NaN where those of the position are unknown.
 
     A height that is less certain than drive.yaml's horizontal_m implies stays so, unless vertical_m is given: it may be above an

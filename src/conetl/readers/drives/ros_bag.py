@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.files.documents import named
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid
 from conetl.geometry.rectification import stored_camera
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import MAX_LEVER_ARM_M, Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection
@@ -77,8 +77,7 @@ from conetl.readers.rigs import RIG_YAML
 from conetl.readers.trajectories.recorded import check_fix
 from conetl.readers.trajectories.times import clock_problem
 
-Array = NDArray[np.float64]
-Records = dict[int, tuple[Array, tuple[float, ...]]]
+Records = dict[int, tuple[Floats, tuple[float, ...]]]
 NAME = "bag"
 READS_OBJECTS = False
 
@@ -200,7 +199,7 @@ def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentH
     return found
 
 
-def _fix(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
+def _fix(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
     """Latitude, longitude, height in the translation. Raises ValueError."""
     if int(message.status.status) < 0:
         raise ValueError("the receiver had no fix (status -1)")
@@ -212,7 +211,7 @@ def _fix(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
     return se3.se3(np.eye(3), [lat, lon, height]), (*position_sigmas(settings, recorded), 0.0, 0.0, 0.0)
 
 
-def _attitude(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
+def _attitude(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
     """Rotation against east, north, up (REP 103). Raises ValueError."""
     if float(message.orientation_covariance[0]) == -1.0:
         raise ValueError("the IMU has no orientation (covariance -1, see sensor_msgs/Imu)")
@@ -222,7 +221,7 @@ def _attitude(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]
     return se3.se3(rotation, np.zeros(3)), (0.0, 0.0, 0.0, *attitude_sigmas(settings, recorded))
 
 
-def _odometry(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
+def _odometry(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
     """Pose in the odometry's own frame; with the larger of the x and y sigmas, as the frame may be turned. Raises ValueError."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
     position = local_position(float(p.x), float(p.y), float(p.z))
@@ -237,7 +236,7 @@ def _root(variance: float) -> float:
     return math.sqrt(variance) if variance > 0.0 else 0.0
 
 
-def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> tuple[Rig, Array]:
+def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> tuple[Rig, Floats]:
     """The rectified rig and sensor_R_body (3, 3). Raises CalibrationError."""
     given = own_rig(rig_path, settings.pair)
     if given is not None:
@@ -259,7 +258,7 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
 
 
 def _trajectory(
-    topics: Topics, found: _Recorded, source: Source, sensor_R_body: Array
+    topics: Topics, found: _Recorded, source: Source, sensor_R_body: Floats
 ) -> tuple[int, Callable[[int], Pose]]:
     """EPSG code of the map, and the body's pose at a time. Raises DriveFolderError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
@@ -292,7 +291,7 @@ def _trajectory(
     return srid, pose_at
 
 
-def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Array:
+def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Floats:
     """(3,) the antenna in the IMU's frame. Raises DriveFolderError."""
     imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.trajectory, "")
     if settings.antenna_t_m is not None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
@@ -22,6 +21,7 @@ from conetl.geometry.motion.position_spline import (
     position_spline,
 )
 from conetl.geometry.packing import vec3
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Interpolated, Pose
@@ -29,7 +29,6 @@ from conetl.readers.drives.drive_yaml import MAX_POSE_GAP_S
 from conetl.readers.drives.poses import Samples, around, at, to_pose
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 
-Floats = NDArray[np.float64]
 #: Records farther apart than this (median, s) are sparse: straight lines between them would cut bends by more than centimetres.
 SPARSE_S = 0.3
 #: Sparse records are interpolated over gaps of so many times their median distance, a lost one, and at most so long (s).

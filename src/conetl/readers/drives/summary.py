@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry import geodesy
 from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.rectification import stored_camera
+from conetl.model.arrays import Bools, Floats
 from conetl.model.records import Drive, FramePair, Record
 from conetl.model.rejections import Rejection
-
-Array = NDArray[np.float64]
 
 GAP_FACTOR = 2.5
 """A step longer than this many times the drive's median is a gap."""
@@ -159,12 +157,12 @@ def _rig(drive: Drive) -> RigSummary:
     )  # fmt: skip
 
 
-def _span(values: Array) -> tuple[float, float]:
+def _span(values: Floats) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
 def _gaps(
-    pairs: Sequence[FramePair], seconds: Array, metres: Array, in_time: NDArray[np.bool_], jumped: set[int]
+    pairs: Sequence[FramePair], seconds: Floats, metres: Floats, in_time: Bools, jumped: set[int]
 ) -> tuple[Gap, ...]:
     """Steps that are too long; those to and from a jump are not gaps in space."""
     if not len(seconds):
@@ -183,7 +181,7 @@ def _gaps(
     )  # fmt: skip
 
 
-def _jumps(pairs: Sequence[FramePair], times_s: Array, positions: Array, horizontal_m: Array) -> tuple[Jump, ...]:
+def _jumps(pairs: Sequence[FramePair], times_s: Floats, positions: Floats, horizontal_m: Floats) -> tuple[Jump, ...]:
     """Positions off the line between their neighbours, the worst of each run: a jump affects its neighbours, too."""
     if len(pairs) < 3:
         return ()
@@ -200,7 +198,7 @@ def _jumps(pairs: Sequence[FramePair], times_s: Array, positions: Array, horizon
 
 
 def _jumps_across_gaps(
-    pairs: Sequence[FramePair], times_s: Array, positions: Array, sigmas: Array, in_time: NDArray[np.bool_]
+    pairs: Sequence[FramePair], times_s: Floats, positions: Floats, sigmas: Floats, in_time: Bools
 ) -> list[Jump]:
     """Gaps in time over which the positions move otherwise than the speeds before and after them allow."""
     if not in_time.any():

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import CAMERA_R_BODY
 from conetl.geometry.rectification import stored_camera
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import SIDES, Drive, Rig
 from conetl.model.rejections import Rejection
@@ -36,7 +36,6 @@ from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.recorded import of_images
 
-Floats = NDArray[np.float64]
 NAME = "video"
 READS_OBJECTS = False
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from conetl.files.documents import read_bytes
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Rig, Side
@@ -33,8 +34,6 @@ from conetl.readers.trajectories.times import clock_problem, decimal_ns, parse_t
 from conetl.tracking.clock import estimate_clock
 from conetl.tracking.clock_search import LEAST_SIGMA_S, ImageClock, find_clock_offset, rates_of
 from conetl.tracking.trajectory import measured_motions, read_log
-
-Floats = NDArray[np.float64]
 
 #: Cameras whose shift is farther than this from a whole number of frames were not triggered together.
 _WHOLE = 0.25

@@ -20,8 +20,9 @@ from pyproj.exceptions import CRSError, ProjError
 
 from conetl.files.documents import shown
 from conetl.geometry import geodesy
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Floats, Reading, Records
+from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 UNSTATED_HEIGHT_SIGMA_M = 100.0

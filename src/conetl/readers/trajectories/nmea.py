@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import Floats, Reading, Records, attitude
+from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import LEVEL_SIGMA_RAD
 from conetl.readers.trajectories.text import line_blocks

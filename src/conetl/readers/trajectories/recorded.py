@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from conetl.files.documents import first_message
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
 from conetl.readers.trajectories.times import EARLIEST_NS, MAX_AHEAD_NS, Times, clock_problem
 
-Floats = NDArray[np.float64]
 Axes = Literal["geodetic", "projected", "geocentric", "local"]
 
 VERTICAL_FACTOR = 1.5
@@ -36,7 +35,7 @@ class RecordedTrajectory(NamedTuple):
 
     name: str
     """Of the file, for messages."""
-    times_ns: NDArray[np.int64]
+    times_ns: Times
     """(N,) UTC nanoseconds since 1970, strictly rising."""
     positions: Floats
     """(N, 3): latitude, longitude (degrees, WGS 84) and height above its ellipsoid (m); of a local file x, y, z (m)."""

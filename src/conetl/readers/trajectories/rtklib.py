@@ -17,8 +17,9 @@ import numpy as np
 from pyproj import Transformer
 
 from conetl.geometry.geodesy import ecef_R_enu
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import Floats, Reading, Records
+from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import Column, TableLayout, table_records
 from conetl.readers.trajectories.text import head_lines

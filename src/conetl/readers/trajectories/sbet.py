@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from conetl.files.documents import named
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import Floats, Reading, Records, attitude
+from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.times import DAY_NS, GPS_EPOCH_NS, WEEK_NS, Times, common_clock, gps_to_utc
 

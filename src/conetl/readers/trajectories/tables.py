@@ -14,8 +14,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import Axes, Floats, Records, attitude, rotations_of_quaternions
+from conetl.readers.trajectories.recorded import Axes, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, line_blocks, split_line
 from conetl.readers.trajectories.times import TimeFormat, TimeReader, common_clock, time_reader

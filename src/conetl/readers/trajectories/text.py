@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from conetl.files.documents import named
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import Floats
 
 MAX_TEXT_BYTES = 8 << 30
 """20 million records of 400 characters."""
