@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -146,17 +147,14 @@ def _stream(message: Message, path: Path) -> bytes:
     return found
 
 
-def _unit_heads(data: bytes) -> Iterator[int]:
-    """The first byte of each unit of a stream, which has its type."""
-    at = data.find(_START_CODE[1:])
-    while 0 <= at < len(data) - 3:
-        yield data[at + 3]
-        at = data.find(_START_CODE[1:], at + 3)
+def _unit_heads(data: bytes) -> set[int]:
+    """The first bytes of the units of a stream, which have their types."""
+    return {head[0] for head in re.findall(rb"\0\0\x01(?=(.))", data, re.DOTALL)}
 
 
 def _codec(data: bytes, path: Path) -> str:
     """By the parameter sets with which a stream begins: H.265's VPS begins with 0x40, a type that H.264 does not use."""
-    heads = set(_unit_heads(data))
+    heads = _unit_heads(data)
     if 0x40 in heads:
         return "hevc"
     if any(head & 31 == 7 for head in heads):

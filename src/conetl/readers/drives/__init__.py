@@ -13,9 +13,9 @@ from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import Drive, SurveyedPoint
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside
-from conetl.readers.drives.formats import DriveFormat, opened
-from conetl.readers.drives.pairs import Source, without_frozen
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
+from conetl.readers.drives.formats import DriveFormat
+from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
 from conetl.readers.surveyed_points import read_surveyed_points
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
@@ -57,7 +57,9 @@ def read_drive(
         found = find_format(path)
         if found is None:
             raise _not_a_drive(path)
-        source = opened(path, map_srid=map_srid, images_folder=images_folder, headers_only=headers_only)
+        root = path.resolve()
+        settings, content = read_drive_yaml(root), ContentHash(headers_only=headers_only)
+        source = Source(path, root, settings, content, map_srid or settings.map_srid, images_folder)
         points = _control_file(source)
         drive, rejections = found.read(source)
         drive = drive.model_copy(update={"control_points": _control_points(source, points, drive.map_srid)})

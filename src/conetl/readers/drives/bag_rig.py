@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -142,22 +143,12 @@ def _camera_info(message: Any, *, rectified: bool) -> dict[str, Any]:
     }
 
 
-class Frames:
-    """Rigid transforms between named frames, from /tf_static."""
-
-    def __init__(self) -> None:
-        self._parent_SE3_child: dict[tuple[str, str], Floats] = {}
-
-    def add(self, message: Any) -> None:
-        """All transforms of one TFMessage; invalid ones are skipped."""
-        for transform in message.transforms:
-            t, q = transform.transform.translation, transform.transform.rotation
-            try:
-                pose = se3.se3(rotation_of(q.w, q.x, q.y, q.z), [t.x, t.y, t.z])
-            except ValueError:
-                continue
-            self._parent_SE3_child[transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")] = pose
-
-    def find(self, dst: str, src: str) -> Floats | None:
-        """dst_SE3_src (4, 4), None where the frames are not connected."""
-        return se3.connect(self._parent_SE3_child, dst.lstrip("/"), src.lstrip("/"))
+def transforms_of(message: Any) -> dict[tuple[str, str], Floats]:
+    """parent_SE3_child (4, 4) by the names of both frames, without a leading slash, of a TFMessage; invalid ones are left out."""
+    found: dict[tuple[str, str], Floats] = {}
+    for transform in message.transforms:
+        t, q = transform.transform.translation, transform.transform.rotation
+        with suppress(ValueError):
+            pose = se3.se3(rotation_of(q.w, q.x, q.y, q.z), [t.x, t.y, t.z])
+            found[transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")] = pose
+    return found

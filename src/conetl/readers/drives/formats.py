@@ -21,7 +21,7 @@ from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Rig
 from conetl.model.rejections import Rejection
 from conetl.perception.images import IMAGE_SUFFIXES
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, small_file
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, small_file
 from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.rigs.common import Pair, rectified_rig
@@ -32,16 +32,6 @@ SAMPLED_IMAGES = 16
 #: Pose files, or pieces of a trajectory, that are part of the header: corrected poses often have as many digits.
 SAMPLED_POSES = 16
 _SAMPLED_BYTES = 4096
-
-
-def opened(
-    path: Path, *, map_srid: int | None = None, images_folder: Path | None = None, headers_only: bool = False
-) -> Source:
-    """A drive with its settings, before anything else of it is read. Raises DriveFolderError."""
-    root = path.resolve()
-    settings = read_drive_yaml(root)
-    content = ContentHash(headers_only=headers_only)
-    return Source(path, root, settings, content, map_srid or settings.map_srid, images_folder)
 
 
 class DriveFormat(Protocol):

@@ -21,7 +21,7 @@ from conetl.model.records import MAX_SPEED_M_S, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import PairError, Source
-from conetl.readers.trajectories.recorded import MAX_LOCAL_M, VERTICAL_FACTOR, RecordedTrajectory
+from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, RecordedTrajectory
 
 MAX_SIGMA_M = 1000.0
 _LOOK_BACK = 500
@@ -50,13 +50,6 @@ def samples(name: str, records: Mapping[int, tuple[Floats, tuple[float, ...]]], 
     times = sorted(records)
     poses, sigmas = zip(*(records[t] for t in times), strict=True)
     return Samples(name, times, np.array(poses), np.array(sigmas), dict(bad))
-
-
-def local_position(*position_m: float) -> tuple[float, ...]:
-    """The same x, y, z in a local frame. Raises ValueError."""
-    if not all(abs(value) < MAX_LOCAL_M for value in position_m):  # NaN fails too
-        raise ValueError(f"expected finite metres below {MAX_LOCAL_M:,.0f}, found {position_m}")
-    return position_m
 
 
 def wild_fixes(times_ns: Sequence[int], positions_m: Floats) -> dict[int, str]:

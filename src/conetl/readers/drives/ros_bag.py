@@ -43,11 +43,11 @@ from conetl.readers.drives.bag_messages import (
 from conetl.readers.drives.bag_rig import (
     TF_STATIC,
     TRANSFORMS,
-    Frames,
     Topics,
     choose_topics,
     is_rectified_topic,
     rig_of_infos,
+    transforms_of,
 )
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, small_file
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
@@ -66,7 +66,6 @@ from conetl.readers.drives.poses import (
     attitude_sigmas,
     checked_srid,
     georeferenced,
-    local_position,
     position_sigmas,
     rotation_of,
     samples,
@@ -74,7 +73,7 @@ from conetl.readers.drives.poses import (
     without_wild_fixes,
 )
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.trajectories.recorded import check_fix
+from conetl.readers.trajectories.recorded import MAX_LOCAL_M, check_fix
 from conetl.readers.trajectories.times import clock_problem
 
 Records = dict[int, tuple[Floats, tuple[float, ...]]]
@@ -90,8 +89,12 @@ class _Recorded(NamedTuple):
     bad: dict[str, dict[int, str]]
     infos: dict[str, Any]
     frame_ids: dict[str, str]
-    """By topic; of odometry the child's."""
-    frames: Frames
+    """By topic; of odometry the child's. Like all names of frames, they may begin with a slash."""
+    transforms: dict[tuple[str, str], Floats]
+
+    def connect(self, dst: str, src: str) -> Floats | None:
+        """dst_SE3_src (4, 4) of two frames; None where they are not connected."""
+        return se3.connect(self.transforms, dst.lstrip("/"), src.lstrip("/"))
 
 
 def matches(path: Path) -> bool:
@@ -164,13 +167,13 @@ def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentH
     readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
     transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
-    found = _Recorded({t: {} for t in readers}, {t: {} for t in readers}, {}, {}, Frames())
+    found = _Recorded({t: {} for t in readers}, {t: {} for t in readers}, {}, {}, {})
     hashed = {topic: bytearray() for topic in readers}
     for message in bag.messages([*readers, *infos, *transforms]):
         topic = message.topic
         if topic in transforms:
             if message.content is not None:
-                found.frames.add(message.content)
+                found.transforms.update(transforms_of(message.content))
             continue
         stamp = _stamp_ns(message)
         if message.content is None:
@@ -224,7 +227,9 @@ def _attitude(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]
 def _odometry(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
     """Pose in the odometry's own frame; with the larger of the x and y sigmas, as the frame may be turned. Raises ValueError."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
-    position = local_position(float(p.x), float(p.y), float(p.z))
+    position = float(p.x), float(p.y), float(p.z)
+    if not all(abs(value) < MAX_LOCAL_M for value in position):  # NaN fails too
+        raise ValueError(f"expected finite metres below {MAX_LOCAL_M:,.0f}, found {position}")
     c = [_root(float(message.pose.covariance[i])) for i in (0, 7, 14, 21, 28, 35)]
     level = max(c[0], c[1])
     recorded = (level, level, c[2]) if level > 0.0 and c[2] > 0.0 else None
@@ -245,7 +250,7 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
     sensor = found.frame_ids.get(topics.imu or topics.trajectory, "")
     left_info = topics.left_info or ""
     camera = found.frame_ids[left_info]
-    sensor_SE3_left = found.frames.find(sensor, camera)
+    sensor_SE3_left = found.connect(sensor, camera)
     if sensor_SE3_left is None:
         raise CalibrationError(
             f"{source}: {TF_STATIC} does not connect the left camera's frame '{camera}' with '{sensor}', the frame of the "
@@ -296,7 +301,7 @@ def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path
     imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.trajectory, "")
     if settings.antenna_t_m is not None:
         antenna_m = np.array(settings.antenna_t_m)
-    elif (pose := found.frames.find(imu, antenna)) is not None:
+    elif (pose := found.connect(imu, antenna)) is not None:
         antenna_m = pose[:3, 3]
     else:
         raise DriveFolderError(

@@ -29,7 +29,7 @@ from conetl.perception.video import VIDEO_SUFFIXES, Frame, VideoIndex, frame_of,
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, Source, check_images, drive_of_couples, time_of
-from conetl.readers.drives.poses import Samples, placed
+from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stated_start, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
@@ -46,62 +46,30 @@ def matches(path: Path) -> bool:
     return has_videos or names_images(path)
 
 
-class _Recording(NamedTuple):
-    """What the files of a drive hold."""
-
-    rig: Rig
-    cameras: list[CameraImages]
-    srid: int
-    track: Samples
-    from_course: bool
-    """Whether the trajectory has no attitudes of its own."""
-    timing: Timing
-
-
-def read(source: Source) -> tuple[Drive, list[Rejection]]:
-    """The drive and its rejections."""
-    return _drive_of(_recording(source), source)
-
-
-def _drive_of(found: _Recording, source: Source) -> tuple[Drive, list[Rejection]]:
-    rig, couples = found.rig, found.timing.couples
-
-    def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
-        if frame_of(left.path) is None:
-            return check_images([left.path], [right.path], rig, source.content, source.root)
-        ours, theirs = (ImageFile(image.path, hashes.get(image.path, "")) for image in (left, right))
-        return ours, theirs
-
-    hashes = {path: sha256 for camera in found.cameras for path, sha256 in _hashes(camera)}
-    exposures_ns = [stamp for couple in couples if (stamp := time_of(couple)) is not None]
-    pose_at = pose_reader(found.track, exposures_ns, source.settings.max_pose_gap_s, from_course=found.from_course)
-    left, right = found.cameras
-    drive, rejections = drive_of_couples(
-        couples, {"left": left.name, "right": right.name}, source, rig, found.srid, images_of, pose_at
-    )  # fmt: skip
-    return drive.model_copy(update={"clock_sigma_s": found.timing.clock.sigma_s or None}), rejections
-
-
 class Preview(NamedTuple):
-    """What a drive will be, without the content of its images."""
+    """What a drive is, or will be, and when its images were taken."""
 
     timing: Timing
     drive: Drive
     rejections: list[Rejection]
 
 
+def read(source: Source) -> tuple[Drive, list[Rejection]]:
+    """The drive and its rejections."""
+    _, drive, rejections = _read(source)
+    return drive, rejections
+
+
 def preview(root: Path, settings: DriveYaml, rig: Rig | None = None) -> Preview:
-    """The drive of a folder with settings that are not in its drive.yaml yet. rig: likewise; None where rig.yaml has it.
+    """The drive of a folder with settings that are not in its drive.yaml yet, without the content of its images.
 
-    Raises as `read`.
+    rig: likewise; None where rig.yaml has it. Raises as `read`.
     """
-    source = Source(root, root.resolve(), settings, ContentHash(headers_only=True), settings.map_srid)
-    found = _recording(source, rig)
-    return Preview(found.timing, *_drive_of(found, source))
+    return _read(Source(root, root.resolve(), settings, ContentHash(headers_only=True), settings.map_srid), rig)
 
 
-def _recording(source: Source, rig: Rig | None = None) -> _Recording:
-    """Rig, images, trajectory and times. Raises DriveFolderError or CalibrationError."""
+def _read(source: Source, rig: Rig | None = None) -> Preview:
+    """The drive. rig: instead of rig.yaml's. Raises DriveFolderError or CalibrationError."""
     root, settings, content = source[1:4]
     rig, sensor_R_body = _rig(root, settings, content, rig)
     cameras = _cameras(root, settings.images, rig, content)
@@ -111,11 +79,24 @@ def _recording(source: Source, rig: Rig | None = None) -> _Recording:
     from_course = recorded.rotations is None
     srid, track = placed(with_course(recorded), source, sensor_R_body)
     timing = timed(cameras, track, rig, source, from_course=from_course)
-    stamps = [stamp for couple in timing.couples if (stamp := time_of(couple)) is not None]
-    if stamps and not any(track.times_ns[0] <= stamp <= track.times_ns[-1] for stamp in stamps):
-        records = of_images((min(stamps), max(stamps)), track.times_ns)
+    exposures_ns = [stamp for couple in timing.couples if (stamp := time_of(couple)) is not None]
+    if exposures_ns and not any(track.times_ns[0] <= stamp <= track.times_ns[-1] for stamp in exposures_ns):
+        records = of_images((min(exposures_ns), max(exposures_ns)), track.times_ns)
         raise DriveFolderError(f"{trajectory}: there are no records{records}")
-    return _Recording(rig, cameras, srid, track, from_course, timing)
+    hashes = {path: sha256 for camera in cameras for path, sha256 in _hashes(camera)}
+
+    def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
+        if frame_of(left.path) is None:
+            return check_images([left.path], [right.path], rig, content, root)
+        ours, theirs = (ImageFile(image.path, hashes.get(image.path, "")) for image in (left, right))
+        return ours, theirs
+
+    pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s, from_course=from_course)
+    left, right = cameras
+    drive, rejections = drive_of_couples(
+        timing.couples, {"left": left.name, "right": right.name}, source, rig, srid, images_of, pose_at
+    )
+    return Preview(timing, drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None}), rejections)
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:

@@ -90,7 +90,11 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
     images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
     search_s = None
     if images.timestamps is not None or left.video is None:
-        ours, theirs = _listed(left, images.timestamps, source), _right_listed(left, right, source)
+        own = images.right_timestamps
+        hint = f": its {len(left.paths)} lines are those of {left.name}. Name the times of the right images in {DRIVE_YAML}, "
+        hint = "" if own else hint + "too: 'images: {right_timestamps: right.txt}'"
+        ours = _listed(left, images.timestamps, source)
+        theirs = _listed(right, own or images.timestamps, source, hint)
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
         if search_s is not None and search_s > MAX_SEARCH_S:
@@ -154,8 +158,11 @@ def _at(camera: CameraImages, start_ns: int) -> list[Image]:
     ]
 
 
-def _listed(camera: CameraImages, name: str | None, source: Source) -> list[Image]:
-    """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError."""
+def _listed(camera: CameraImages, name: str | None, source: Source, hint: str = "") -> list[Image]:
+    """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError.
+
+    hint: the end of the message where the file has more or fewer lines.
+    """
     if name is None:
         return _named(camera, source)
     file = inside(source.root, name, DRIVE_YAML)
@@ -168,28 +175,11 @@ def _listed(camera: CameraImages, name: str | None, source: Source) -> list[Imag
         line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
     ]
     if len(lines) != len(camera.paths):
-        raise _CountError(
-            f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}, expected one line per image"
+        raise DriveFolderError(
+            f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}, expected one line per "
+            f"image{hint}"
         )
     return [Image(_stamp(line, source.settings), path) for line, path in zip(lines, camera.paths, strict=True)]
-
-
-class _CountError(DriveFolderError):
-    """A file has more or fewer time stamps than its camera has images."""
-
-
-def _right_listed(left: CameraImages, right: CameraImages, source: Source) -> list[Image]:
-    """The images of the right camera, with the times of the left one's file where it has none of its own."""
-    images = source.settings.images
-    try:
-        return _listed(right, images.right_timestamps or images.timestamps, source)
-    except _CountError as error:
-        if images.right_timestamps is not None:
-            raise
-        raise DriveFolderError(
-            f"{error}: its {len(left.paths)} lines are those of {left.name}. Name the times of the right images in {DRIVE_YAML}, "
-            "too: 'images: {right_timestamps: right.txt}'"
-        ) from error
 
 
 def _named(camera: CameraImages, source: Source) -> list[Image]:
