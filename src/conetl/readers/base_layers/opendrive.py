@@ -252,11 +252,8 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
             paint = mark.get("type", "none") if mark is not None else "none"
             if number == 0 and paint == "none":
                 continue
-            kind, lane_type = (
-                "lane_border" if paint == "none" else paint,
-                lane.get("type") if lane is not None else None,
-            )
-            attributes = {**about, "border": f"lane {number}", "lane_type": lane_type}
+            kind = "lane_border" if paint == "none" else paint
+            attributes = {**about, "border": f"lane {number}", "lane_type": None if lane is None else lane.get("type")}
             yield Line(kind, offset_line(pieces, elevation, roll, s, t), attributes)
 
 
@@ -317,9 +314,8 @@ def _simplified(xyz: Floats) -> Floats:
     """The vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one. Raises ValueError."""
     if not (np.abs(xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
         raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
-    xyz = xyz[
-        np.concatenate([[True], np.any(np.diff(xyz, axis=0) != 0, axis=1)])
-    ]  # equal ones where a geometry is too short
+    # Equal ones are where a geometry is too short.
+    xyz = xyz[np.concatenate([[True], np.any(np.diff(xyz, axis=0) != 0, axis=1)])]
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
     keep = np.zeros(len(xyz), bool)
     keep[[0, -1]] = True

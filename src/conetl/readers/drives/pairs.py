@@ -205,16 +205,12 @@ def without_frozen(drive: Drive) -> tuple[Drive, list[Rejection]]:
             kept.append(pair)
             continue
         side, since_frame = frozen
-        refused.append(
-            Rejection(
-                step="frames",
-                reason=RejectionReason.IMAGE_FROZEN,
-                record=f"frame pair {pair.frame_index}",
-                detail=f"{Path(pair.image(side)[0]).name}: the {side} camera repeats its image of frame {since_frame}, although "
-                f"the vehicle has moved by more than {MOVED_M} m: check the camera and its recorder",
-                payload={"frame_index": pair.frame_index, "side": side, "same_as": since_frame},
-            )
+        detail = (
+            f"{Path(pair.image(side)[0]).name}: the {side} camera repeats its image of frame {since_frame}, although the vehicle "
+            f"has moved by more than {MOVED_M} m: check the camera and its recorder"
         )
+        problem = PairError(RejectionReason.IMAGE_FROZEN, detail, side=side, same_as=since_frame)
+        refused.append(problem.rejection(f"frame pair {pair.frame_index}", pair.frame_index))
     return (drive.model_copy(update={"frame_pairs": tuple(kept)}), refused) if refused else (drive, [])
 
 

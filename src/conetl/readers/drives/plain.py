@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -84,28 +84,28 @@ class Rows:
 
     def add(self, text: str) -> None:
         """Append whole lines of the file, the header first. Raises DriveFolderError where its columns are not those of `Row`."""
+        reader = csv.DictReader(io.StringIO(text, newline=""), fieldnames=self._columns)
         try:
-            self._add(text)
+            if self._columns is None:
+                self._columns = reader.fieldnames
+                self._check_columns()
+            for values in reader:
+                self._add(values)
         except csv.Error as error:
             raise DriveFolderError(f"{self.path}: not a CSV file: {error}") from error
 
-    def _add(self, text: str) -> None:
-        reader = csv.DictReader(io.StringIO(text, newline=""), fieldnames=self._columns)
-        if self._columns is None:
-            self._columns = reader.fieldnames
-            self._check_columns()
-        for values in reader:
-            where = f"{TRAJECTORY}, row {self._count}"
-            stem = str(values.get("stem") or f"row {self._count}")
-            try:
-                row: Row | str = Row.model_validate({str(key): value for key, value in values.items()})
-            except ValidationError as error:
-                row = f"{where}: {first_message(error)}"
-            if stem in self.by_stem:
-                row = f"{where}: the stem {shown(stem)} is in two rows; keep one"
-            self.by_stem[stem] = row
-            self.numbers.setdefault(stem, self._count)
-            self._count += 1
+    def _add(self, values: Mapping[str, Any]) -> None:
+        where = f"{TRAJECTORY}, row {self._count}"
+        stem = str(values.get("stem") or f"row {self._count}")
+        try:
+            row: Row | str = Row.model_validate({str(key): value for key, value in values.items()})
+        except ValidationError as error:
+            row = f"{where}: {first_message(error)}"
+        if stem in self.by_stem:
+            row = f"{where}: the stem {shown(stem)} is in two rows; keep one"
+        self.by_stem[stem] = row
+        self.numbers.setdefault(stem, self._count)
+        self._count += 1
 
     def _check_columns(self) -> None:
         wanted, found = set(Row.model_fields), set(self._columns or ())

@@ -203,10 +203,8 @@ def _jumps_across_gaps(
     """Gaps in time over which the positions move otherwise than the speeds before and after them allow."""
     if not in_time.any():
         return []
-    steps_m, speeds = (
-        np.diff(positions, axis=0),
-        np.diff(positions, axis=0) / np.maximum(np.diff(times_s), 1e-3)[:, None],
-    )
+    steps_m = np.diff(positions, axis=0)
+    speeds = steps_m / np.maximum(np.diff(times_s), 1e-3)[:, None]
     speeds[in_time] = np.nan
     found = []
     for k in np.flatnonzero(in_time).tolist():

@@ -111,8 +111,6 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
         _shifted(columns, words), axes, found.line + 2, found.delimiter, comma, scale=_scale_of(columns["time"].name),
         time_words=words,
     )  # fmt: skip
-    if heights == "sea level" and settings.heights == "ellipsoidal":
-        heights = "ellipsoidal"
     yaw = columns["yaw"].name if "yaw" in columns and "heading" not in columns else None
     return Reading(table_records(path, layout, settings), axes, heights, yaw)
 
@@ -195,18 +193,17 @@ def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str
     """Columns by our name: those of the settings, then those recognised. Raises DriveFolderError where two claim one name."""
     mapped = {str(name): role for role, name in settings.columns.items() if isinstance(name, str)}
     columns: dict[str, Column] = {}
-    for role, at in settings.columns.items():
-        if isinstance(at, int):
-            columns[role] = _numbered(path, role, at, settings)
-        if role not in ROLES:
+    for stated, number in settings.columns.items():
+        if isinstance(number, int):
+            columns[stated] = _numbered(path, stated, number, settings)
+        if stated not in ROLES:
             raise DriveFolderError(
-                f"drive.yaml: trajectory.columns: {shown(role)} is unknown; known are {', '.join(ROLES)}"
+                f"drive.yaml: trajectory.columns: {shown(stated)} is unknown; known are {', '.join(ROLES)}"
             )
     for at, name in enumerate(names):
-        found = mapped.get(name) or _role_of(name)
-        if found is None or (found in settings.columns and name not in mapped):
+        role = mapped.get(name) or _role_of(name)
+        if role is None or (role in settings.columns and name not in mapped):
             continue
-        role = found
         if role in columns:
             raise DriveFolderError(
                 f"{path}: the columns {shown(columns[role].name)} and {shown(name)} may both be the {role}; name one "

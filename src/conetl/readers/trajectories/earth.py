@@ -16,12 +16,13 @@ import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
-from pyproj.exceptions import CRSError, ProjError
+from pyproj.exceptions import ProjError
 
 from conetl.files.documents import shown
 from conetl.geometry import geodesy
 from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
+from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 
@@ -154,8 +155,8 @@ def is_geocentric(settings: TrajectoryFile) -> bool:
 
 def _crs(text: str, key: str) -> CRS:
     try:
-        return CRS.from_user_input(int(text) if text.strip().isdigit() else text)
-    except (CRSError, ValueError, OverflowError) as error:
+        return parse_crs(text)
+    except ValueError as error:
         example = {"crs": "EPSG:25832", "frame": "ITRF2020", "map_frame": "ETRF2000"}.get(
             key, "ellipsoidal, EPSG:5773 or the name of a geoid grid"
         )

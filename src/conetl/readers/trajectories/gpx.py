@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import NoReturn
 from xml.parsers import expat
 
 import numpy as np
@@ -28,11 +28,9 @@ _VALUES = frozenset({"ele", "time", "geoidheight"})
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
     """The points of a file. Raises DriveFolderError where it is no XML or has a document type."""
-    head = head_bytes(path).lower()
-    heights: Literal["ellipsoidal", "unstated"] = "ellipsoidal" if b"geoidheight>" in head else "unstated"
-    if settings.heights is not None:
-        heights = "ellipsoidal"
-    return Reading(_records(path, settings, heights == "unstated"), "geodetic", heights)
+    stated = b"geoidheight>" in head_bytes(path).lower()
+    records = _records(path, settings, add_geoid=stated and settings.heights is None)
+    return Reading(records, heights="ellipsoidal" if stated else "unstated")
 
 
 _Row = tuple[float, float, float, float, str, int]
@@ -73,7 +71,7 @@ class _Points:
             self.rows.append((lat, lon, ele, geoid, point.get("time", ""), self.parser.CurrentLineNumber))
 
 
-def _records(path: Path, settings: TrajectoryFile, unstated: bool) -> Iterator[Records]:
+def _records(path: Path, settings: TrajectoryFile, *, add_geoid: bool) -> Iterator[Records]:
     points = _Points()
     read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
     try:
@@ -81,7 +79,7 @@ def _records(path: Path, settings: TrajectoryFile, unstated: bool) -> Iterator[R
             while block := file.read(_BLOCK):
                 points.parser.Parse(block, False)
                 if len(points.rows) >= _PIECE:
-                    yield _piece(points.rows, read_times, settings, unstated)
+                    yield _piece(points.rows, read_times, add_geoid)
                     points.rows = []
         points.parser.Parse(b"", True)
     except (expat.ExpatError, ValueError, LookupError) as error:
@@ -89,15 +87,13 @@ def _records(path: Path, settings: TrajectoryFile, unstated: bool) -> Iterator[R
     except OSError as error:
         raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
     if points.rows:
-        yield _piece(points.rows, read_times, settings, unstated)
+        yield _piece(points.rows, read_times, add_geoid)
 
 
-def _piece(rows: list[_Row], read_times: TimeReader, settings: TrajectoryFile, unstated: bool) -> Records:
-    """Points as records; `ele` plus the height of the geoid where it is known and the settings do not say what `ele` is."""
+def _piece(rows: list[_Row], read_times: TimeReader, add_geoid: bool) -> Records:
+    """Points as records. add_geoid: `ele` is above the geoid, whose height the points have."""
     lat, lon, ele, geoid, texts, lines = zip(*rows, strict=True)
     times, wrong = read_times(texts, None)
-    height, above = np.array(ele), np.array(geoid)
-    if settings.heights is None and not unstated:
-        height = height + above
+    height = np.array(ele) + (np.array(geoid) if add_geoid else 0.0)
     names = (f"the point that ends in line {line}" for line in lines)
     return Records(times, np.column_stack([lat, lon, height]), None, np.full((len(rows), 6), np.nan), wrong, names)

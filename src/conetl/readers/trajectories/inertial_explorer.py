@@ -68,10 +68,8 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     axes = require(columns, path, names)
     scale = "UTC" if columns["time"].name.lower() == "utctime" else "gps"
     layout = TableLayout(columns, axes, at + 3, delimiter, scale=scale, order=order)
-    heights: Literal["sea level", "ellipsoidal"] = (
-        "sea level" if columns["height"].name.lower() == "h-msl" else "ellipsoidal"
-    )
-    return Reading(table_records(path, layout, settings), axes, heights)
+    above_sea = columns["height"].name.lower() == "h-msl"
+    return Reading(table_records(path, layout, settings), axes, "sea level" if above_sea else "ellipsoidal")
 
 
 def _columns(path: Path, names: list[str], units: list[str]) -> tuple[dict[str, Column], Literal["dmy", "mdy"] | None]:

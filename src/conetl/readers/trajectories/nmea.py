@@ -56,8 +56,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     for first, lines in line_blocks(path):
         for number, line in enumerate(lines, first):
             log.add(line, number)
-    geoid = settings.heights not in {None, "ellipsoidal"}
-    return Reading(_records(log, settings, path), "geodetic", "sea level" if geoid else "ellipsoidal")
+    return Reading(_records(log, settings, path))
 
 
 class _Log:
@@ -66,10 +65,8 @@ class _Log:
     def __init__(self) -> None:
         self.gga_ns, self.gga = array("q"), array("d")  # lat, lon, altitude, separation, quality, HDOP, line
         self.gst_ns, self.gst = array("q"), array("d")  # sigmas of east, north, up
-        self.turn_ns, self.turn = (
-            array("q"),
-            array("d"),
-        )  # heading, roll, pitch, sigmas of roll, pitch, heading; degrees
+        # heading, roll, pitch, sigmas of roll, pitch, heading; degrees
+        self.turn_ns, self.turn = array("q"), array("d")
         self.day, self.dated, self.last_ns = 0, False, -1
         self.damaged = 0
 

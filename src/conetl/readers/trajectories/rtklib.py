@@ -19,12 +19,13 @@ from pyproj import Transformer
 from conetl.geometry.geodesy import ecef_R_enu
 from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import Reading, Records
+from conetl.readers.trajectories.recorded import Axes, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import Column, TableLayout, table_records
 from conetl.readers.trajectories.text import head_lines
 
 _SCALES = {"GPST": "gps", "UTC": "UTC", "JST": "Asia/Tokyo"}
+_SYSTEM = re.compile(r"%\s*(GPST|UTC|JST)\b")
 _NAME = re.compile(r"([A-Za-z/-]+)\((?:[^()]*)\)|\b(Q|ns|ratio)\b")
 _ROLES = {
     "latitude": "lat", "longitude": "lon", "height": "height", "x-ecef": "x", "y-ecef": "y", "z-ecef": "z", "Q": "quality",
@@ -37,14 +38,8 @@ SINGLE_SIGMA_M = (5.0, 5.0, 10.0)
 
 def header_of(lines: list[str]) -> int | None:
     """Index of the line with the names of the columns, None without one."""
-    for i, line in enumerate(lines):
-        if (
-            line.startswith("%")
-            and re.match(r"%\s*(GPST|UTC|JST)\b", line)
-            and ("(deg" in line or "(d'" in line or "(m)" in line)
-        ):
-            return i
-    return None
+    units = re.compile(r"\(deg|\(d'|\(m\)")
+    return next((i for i, line in enumerate(lines) if _SYSTEM.match(line) and units.search(line)), None)
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
@@ -66,13 +61,13 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     layout = _layout(header, data, at + 2, path)
     if layout.axes == "geocentric":
         return Reading(table_records(path, layout, settings, _of_ecef), "geocentric")
-    heights = "sea level" if "/geodetic" in note else "ellipsoidal"
-    return Reading(table_records(path, layout, settings, _by_quality), "geodetic", heights)  # type: ignore[arg-type]
+    records = table_records(path, layout, settings, _by_quality)
+    return Reading(records, heights="sea level" if "/geodetic" in note else "ellipsoidal")
 
 
 def _layout(header: str, data: str, first_line: int, path: Path) -> TableLayout:
     """Where the columns are, which depends on the delimiter and on whether the time is a date."""
-    system = re.match(r"%\s*(GPST|UTC|JST)", header)
+    system = _SYSTEM.match(header)
     scale = _SCALES[system[1] if system else "GPST"]
     delimiter = next((mark for mark in ",;\t" if mark in data), None)
     calendar = "/" in data.split(delimiter, maxsplit=1)[0] if data.strip() else True
@@ -86,10 +81,10 @@ def _layout(header: str, data: str, first_line: int, path: Path) -> TableLayout:
         if name in _ROLES:
             columns[_ROLES[name]] = Column(at, match[0], dms=dms)
         at += 3 if dms else 1
-    axes = "geocentric" if {"x", "y", "z"} <= columns.keys() else "geodetic"
+    axes: Axes = "geocentric" if {"x", "y", "z"} <= columns.keys() else "geodetic"
     if axes == "geodetic" and not {"lat", "lon", "height"} <= columns.keys():
         raise DriveFolderError(f"{path}: expected latitude, longitude and height, or x, y, z-ecef in {header[:200]!r}")
-    return TableLayout(columns, axes, first_line, delimiter, scale=scale, time_words=time_words)  # type: ignore[arg-type]
+    return TableLayout(columns, axes, first_line, delimiter, scale=scale, time_words=time_words)
 
 
 def _by_quality(values: Mapping[str, Floats], found: Records) -> Records:

@@ -18,7 +18,7 @@ from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.times import DAY_NS, GPS_EPOCH_NS, WEEK_NS, Times, common_clock, gps_to_utc
+from conetl.readers.trajectories.times import SECOND_NS, TimeFormat, Times, common_clock, gps_to_utc
 
 WIDTH, SIGMA_WIDTH = 17, 10
 RECORD_BYTES, SIGMA_BYTES = 8 * WIDTH, 8 * SIGMA_WIDTH
@@ -63,13 +63,9 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
         raise DriveFolderError(
             f"{path}: its times are seconds of a GPS week or of a day, of GPS time or UTC; found {first[:1]}"
         )
-    if clock.kind == "week":
-        start_ns, period_ns = GPS_EPOCH_NS + (clock.week or 0) * WEEK_NS, WEEK_NS
-    else:
-        start_ns, period_ns = int(np.datetime64(clock.day, "ns").astype(np.int64)), DAY_NS
     sigma_path = sigma_file(path)
     sigmas = None if sigma_path is None else _mapped(sigma_path, SIGMA_WIDTH)
-    return Reading(_records(rows, sigmas, start_ns, period_ns, clock.scale == "gps"))
+    return Reading(_records(rows, sigmas, clock))
 
 
 def _mapped(path: Path, width: int) -> Floats:
@@ -96,22 +92,21 @@ def sigma_file(path: Path) -> Path | None:
     return next(iter(own or found), None)
 
 
-def _records(rows: Floats, sigmas: Floats | None, start_ns: int, period_ns: int, is_gps: bool) -> Iterator[Records]:
+def _records(rows: Floats, sigmas: Floats | None, clock: TimeFormat) -> Iterator[Records]:
     """Pieces of the file; only one is in memory."""
-    sigma_times = None if sigmas is None else _unwrapped_s(np.array(sigmas[:, 0]), period_ns)
+    sigma_times = None if sigmas is None else _unwrapped_s(np.array(sigmas[:, 0]), clock.period_ns)
     # The whole column, 58 MB for ten hours at 200 Hz: a week may end anywhere in it.
     stated = np.array(rows[:, 0])
     usable = (stated >= 0) & (stated <= 2 * 604_800)  # NaN fails too
-    unwrapped = _unwrapped_s(np.where(usable, stated, 0.0), period_ns)
+    unwrapped = _unwrapped_s(np.where(usable, stated, 0.0), clock.period_ns)
     for first in range(0, len(rows), _PIECE):
         piece = np.array(rows[first : first + _PIECE])
         seconds, finite = unwrapped[first : first + _PIECE], usable[first : first + _PIECE]
         # Seconds and their fractions apart: a double of ns since 1970 has steps of 256 ns.
         whole = np.floor(seconds)
-        times: Times = (
-            start_ns + whole.astype(np.int64) * 1_000_000_000 + np.rint((seconds - whole) * 1e9).astype(np.int64)
-        )
-        times = np.where(finite, gps_to_utc(times) if is_gps else times, 0)
+        times: Times = whole.astype(np.int64) * SECOND_NS + np.rint((seconds - whole) * 1e9).astype(np.int64)
+        times += clock.start_ns
+        times = np.where(finite, gps_to_utc(times) if clock.scale == "gps" else times, 0)
         degrees = np.degrees(piece[:, [1, 2, 7, 8, 9, 10]])
         bounded = (np.abs(degrees[:, 2:]) <= 1080.0).all(axis=1)
         heading = np.where(bounded, degrees[:, 4] - degrees[:, 5], np.nan)

@@ -17,7 +17,7 @@ from decimal import ROUND_DOWN, Context, Decimal, InvalidOperation
 from functools import lru_cache
 from itertools import islice
 from statistics import median_low
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -115,11 +115,6 @@ def gps_to_utc(gps_ns: Times) -> Times:
     return np.asarray(gps_ns - SECOND_NS * leaps, dtype=np.int64)
 
 
-def gps_week_of(day: date) -> int:
-    """Number of the GPS week, counted from 1980-01-06 without rollover, that holds a day."""
-    return (day - date(1980, 1, 6)).days // 7
-
-
 def parse_timestamp(text: str, zone: str = "UTC", order: Literal["dmy", "mdy"] | None = None) -> int:
     """UTC nanoseconds since 1970 of a text such as `2011-09-26 13:04:32.345808896`, with an offset (Z, +01:00) or in a time zone.
 
@@ -199,40 +194,50 @@ class TimeFormat(NamedTuple):
     digits: int = 9
     """Of the unit, as in `decimal_ns`."""
     week: int | None = None
-    """Of times of a week without a week of their own."""
+    """Of times of a week without a week of their own; counted from 1980-01-06 without rollover."""
     day: date | None = None
     order: Literal["dmy", "mdy"] | None = None
 
+    @property
+    def start_ns(self) -> int:
+        """What the times count from, in ns since 1970 of their own scale."""
+        if self.kind == "day":
+            return ((self.day or date(1970, 1, 1)) - date(1970, 1, 1)).days * DAY_NS
+        if self.kind == "week":
+            return GPS_EPOCH_NS + (self.week or 0) * WEEK_NS
+        return GPS_EPOCH_NS if self.kind == "gps seconds" else 0
 
-def common_clock(words: Iterable[str], name: str, path: object, **known: Any) -> TimeFormat:
-    """The clock of most of the first values of a column: one of them may be damaged. Raises DriveFolderError."""
+    @property
+    def period_ns(self) -> int:
+        """After which times of a week or a day begin anew."""
+        return DAY_NS if self.kind == "day" else WEEK_NS
+
+
+def common_clock(
+    words: Iterable[str], name: str, path: object, *, scale: str, unit: str | None, has_week: bool, week: int | None,
+    day: date | None,
+) -> TimeFormat:  # fmt: skip
+    """The clock of most of the first values of a column: one of them may be damaged. Raises DriveFolderError.
+
+    name: of the column, for messages; unit: s, ms, us or ns where that name states it; has_week: there is a column of GPS weeks;
+    week, day: as the settings state them.
+    """
     found: Counter[TimeFormat] = Counter()
-    problem = DriveFolderError(f"{path}: column {name!r} has no values")
+    problem = " has no values"
     for word in islice(words, _VOTES):
         try:
-            found[clock_of(word, name, path=path, **known)] += 1
-        except DriveFolderError as error:
-            problem = error
+            found[_clock_of(word, scale, unit, has_week, week, day)] += 1
+        except ValueError as error:
+            problem = f": {error}"
     if not found:
-        raise problem
+        raise DriveFolderError(f"{path}: column {name!r}{problem}")
     return found.most_common(1)[0][0]
 
 
-def clock_of(
-    first: str,
-    name: str,
-    *,
-    scale: str,
-    unit: str | None,
-    has_week: bool,
-    week: int | None,
-    day: date | None,
-    path: object,
+def _clock_of(
+    first: str, scale: str, unit: str | None, has_week: bool, week: int | None, day: date | None
 ) -> TimeFormat:
-    """The clock of a column from one of its values. Raises DriveFolderError where it cannot be known.
-
-    unit: s, ms, us or ns where the column's name states it; name: of the column, for messages.
-    """
+    """The clock of one value. Raises ValueError where it cannot be known."""
     try:
         number = float(first)
     except ValueError:
@@ -241,35 +246,30 @@ def clock_of(
     for digits in [units[unit]] if unit else units.values():
         seconds = number / 10.0 ** (9 - digits)
         if 0 <= seconds < 2 * 604_800 and (has_week or digits == 9 or unit):
-            return _clock_of_week(seconds, name, scale, digits, has_week, week, day, path)
+            if has_week or (week is not None and day is None):
+                return TimeFormat(scale, "week", digits, week)
+            return _clock_of_day(seconds, scale, digits, day)
         if not has_week and 6e8 < seconds < 4.2e9:
             return TimeFormat(scale, "gps seconds" if scale == "gps" else "unix", digits)
-    raise DriveFolderError(
-        f"{path}: column {name!r}: {first[:40]!r} is neither a date and time nor seconds (or ms, us, ns) since 1970, of a GPS "
-        "week or of a day"
+    raise ValueError(
+        f"{first[:40]!r} is neither a date and time nor seconds (or ms, us, ns) since 1970, of a GPS week or of a day"
     )
 
 
-def _clock_of_week(
-    seconds: float, name: str, scale: str, digits: int, has_week: bool, week: int | None, day: date | None, path: object
-) -> TimeFormat:
-    """The clock of seconds of a GPS week, or of the day that the settings name."""
-    if has_week or (week is not None and day is None):
-        return TimeFormat(scale, "week", digits, week)
+def _clock_of_day(seconds: float, scale: str, digits: int, day: date | None) -> TimeFormat:
+    """The clock of seconds of the GPS week that holds a day, or of that day. Raises ValueError."""
     if day is None:
-        raise DriveFolderError(
-            f"{path}: column {name!r}: {seconds:.3f} is a time of a week or of a day, and the file does not say of which: put "
+        raise ValueError(
+            f"{seconds:.3f} is a time of a week or of a day, and the file does not say of which: put "
             "trajectory: {week: 2300} (GPS week) or {date: 2024-02-07} into drive.yaml"
         )
     weekday = (day.weekday() + 1) % 7  # from Sunday, as GPS weeks
     if int(seconds // 86_400) == weekday:
-        return TimeFormat(scale, "week", digits, gps_week_of(day))
+        return TimeFormat(scale, "week", digits, (day - date(1980, 1, 6)).days // 7)
     if seconds < 86_400 + 3600:
         return TimeFormat(scale, "day", digits, day=day)
     found = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[int(seconds // 86_400) % 7]
-    raise DriveFolderError(
-        f"{path}: column {name!r}: {seconds:.3f} s of a GPS week are on a {found}; 'date' of drive.yaml, {day}, is not"
-    )
+    raise ValueError(f"{seconds:.3f} s of a GPS week are on a {found}; 'date' of drive.yaml, {day}, is not")
 
 
 TimeReader = Callable[[Sequence[str], Sequence[str] | None], tuple[Times, dict[int, str]]]
@@ -281,13 +281,8 @@ def time_reader(clock: TimeFormat) -> TimeReader:
     Times of a week or a day without one of their own that begin anew belong to the next one: if two times were in the last 14th
     and the next is in the first 14th, so that one wild time does not move all that follow.
     """
-    period_ns = DAY_NS if clock.kind == "day" else WEEK_NS
+    start_ns, period_ns = clock.start_ns, clock.period_ns
     unix_zone = "UTC" if clock.scale == "gps" else clock.scale
-    start_ns = {
-        "stamp": 0, "unix": 0, "gps seconds": GPS_EPOCH_NS,
-        "week": GPS_EPOCH_NS + (clock.week or 0) * WEEK_NS,
-        "day": ((clock.day or date(1970, 1, 1)) - date(1970, 1, 1)).days * DAY_NS,
-    }[clock.kind]  # fmt: skip
     before = [0, 0]
     turns = 0
 
