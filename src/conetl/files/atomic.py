@@ -43,14 +43,10 @@ def atomic_files(*paths: Path) -> Iterator[list[Path]]:
     Until then they are in a hidden folder beside `paths`, with whatever a library writes beside its file (journals, indices).
     Everything is on the disk before the first rename. Errors are those of `atomic_text_file`.
     """
-    folder = paths[0].parent
+    folder, unfinished = paths[0].parent, aside(paths[0])
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        unfinished = aside(paths[0])
         unfinished.mkdir()
-    except OSError as error:
-        raise cannot_write(f"{paths[0]} cannot be written", "choose another file", error) from error
-    try:
         written = [unfinished / path.name for path in paths]
         yield written
         for path in written:

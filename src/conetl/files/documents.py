@@ -110,6 +110,12 @@ def first_message(error: ValueError) -> str:
     return text if complete else f"{text}, found {shown(first['input'])}"
 
 
+def first_line(error: BaseException) -> str:
+    """The first line of what a library says of an error, else its type."""
+    lines = str(error).splitlines()
+    return lines[0].rstrip(".")[:MAX_SHOWN] if lines else type(error).__name__
+
+
 @contextmanager
 def named(source: object, kind: type[InputError] = InputError) -> Iterator[None]:
     """OSErrors and ValueErrors of the block as errors of this kind, which name the file or folder that was read."""

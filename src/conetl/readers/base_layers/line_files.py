@@ -14,7 +14,7 @@ import pyogrio.raw
 import shapely
 from pyproj import Transformer
 
-from conetl.files.documents import MAX_SHOWN, shown
+from conetl.files.documents import MAX_SHOWN, first_line, shown
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -55,7 +55,7 @@ def read_vector_file(path: Path) -> LineFile:
     except InputError:
         raise
     except Exception as error:  # GDAL raises many types for a broken file
-        raise InputError(f"{path}: not a file of lines that GDAL can read ({_first(error)})") from error
+        raise InputError(f"{path}: not a file of lines that GDAL can read ({first_line(error)})") from error
     if not lines:
         reasons = f"; {refused[0]}" if refused else ""
         raise InputError(f"{path}: there is no line; expected LineString or MultiLineString features{reasons}")
@@ -98,10 +98,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if value is None or isinstance(value, bool | int | float) else str(value)
-
-
-def _first(error: Exception) -> str:
-    return str(error).splitlines()[0][:MAX_SHOWN] if str(error) else type(error).__name__
 
 
 #: By suffix; `read_vector_file` reads all other formats that GDAL supports.

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
+from conetl.files.documents import named
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -85,11 +86,10 @@ class _Osm(NamedTuple):
 def read_lanelet2(path: Path) -> LineFile:
     """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
     try:
-        osm = _read(path)
+        with named(path):
+            osm = _read(path)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not OSM XML ({error}); expected a Lanelet2 map") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if osm.local_count and all(lon == 0 and lat == 0 for lon, lat, _ in osm.nodes.values()):
         raise InputError(
             f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"

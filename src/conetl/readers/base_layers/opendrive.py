@@ -172,11 +172,10 @@ def _polynomial(piece: Piece, ds: Floats) -> tuple[Floats, Floats]:
 def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
     try:
-        root = ElementTree.parse(path).getroot()
+        with named(path):
+            root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not XML ({error}); expected an OpenDRIVE file") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if root.tag != "OpenDRIVE":
         raise InputError(f"{path}: its root is <{root.tag}>, expected <OpenDRIVE>")
     lines: list[Line] = []

@@ -127,20 +127,17 @@ def calibration_path(folder: Path, settings: DriveYaml) -> Path:
     root = folder.resolve()
     if settings.calibration is not None:
         path = inside(root, settings.calibration, DRIVE_YAML)
-        if not path.is_file():
-            raise CalibrationError(
-                f"{root / DRIVE_YAML}: 'calibration' names {settings.calibration}, which does not exist"
-            )
-    else:
-        # Before the parent of the resolved folder that of the given path: the drive folder may be a symbolic link.
-        candidates = [parent / CAM_TO_CAM for parent in (root, folder.absolute().parent, root.parent)]
-        path = next((candidate for candidate in candidates if candidate.is_file()), candidates[0])
-        if not path.is_file():
-            raise CalibrationError(
-                f"{root}: {CAM_TO_CAM} is neither in the drive folder nor in its parent; KITTI delivers it with "
-                f"{VELO_TO_CAM} and {IMU_TO_VELO} as the calibration of the recording day"
-            )
-    return path
+        if path.is_file():
+            return path
+        raise CalibrationError(f"{root / DRIVE_YAML}: 'calibration' names {settings.calibration}, which does not exist")
+    # Before the parent of the resolved folder that of the given path: the drive folder may be a symbolic link.
+    for parent in (root, folder.absolute().parent, root.parent):
+        if (parent / CAM_TO_CAM).is_file():
+            return parent / CAM_TO_CAM
+    raise CalibrationError(
+        f"{root}: {CAM_TO_CAM} is neither in the drive folder nor in its parent; KITTI delivers it with {VELO_TO_CAM} and "
+        f"{IMU_TO_VELO} as the calibration of the recording day"
+    )
 
 
 def read_rig_for(

@@ -81,8 +81,9 @@ def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int], sigmas: Sig
     ends, weights, apart_m = zip(*map(partial(_neighbour, track), rows, late_ns), strict=True)
     poses = se3.interpolate_each([*track.map_SE3_body[rows]], [*track.map_SE3_body[[*ends]]], weights)
     sigma_enu_m = np.hypot(track.sigma_enu_m[rows], np.array(apart_m)[:, None])
+    sigma_rpy = attitude_sigmas(sigmas, None)
     return {
-        number: pose_record(pose, sigma, sigmas)
+        number: to_pose(pose, [*sigma, *sigma_rpy])
         for number, pose, sigma in zip(exposures_ns, poses, sigma_enu_m, strict=True)
     }
 
@@ -105,8 +106,3 @@ def _neighbour(track: OxtsTrajectory, row: int, late_ns: int) -> tuple[int, floa
         moved_m = np.linalg.norm(track.map_SE3_body[other, :3, 3] - track.map_SE3_body[row, :3, 3])
         speed = max(speed, float(moved_m) / abs(step_ns))
     return row, 0.0, speed * abs(late_ns)
-
-
-def pose_record(pose: Floats, sigma_enu_m: Floats, sigmas: Sigmas) -> Pose:
-    """The record of a pose (4, 4) with the sigmas (3,) of its position."""
-    return to_pose(pose, [*sigma_enu_m, *attitude_sigmas(sigmas, None)])

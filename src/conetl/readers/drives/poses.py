@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,16 +40,6 @@ class Samples(NamedTuple):
     """(N, 6): easting, northing, height (m), roll, pitch, yaw (rad)."""
     bad: dict[int, str]
     """By time."""
-
-
-def samples(name: str, records: Mapping[int, tuple[Floats, tuple[float, ...]]], bad: Mapping[int, str]) -> Samples:
-    """Samples of (pose (4, 4), six sigmas) by time. Raises DriveFolderError where there is none."""
-    if not records:
-        first = next(iter(bad.values()), "there are none")
-        raise DriveFolderError(f"{name}: not one usable pose: {first}")
-    times = sorted(records)
-    poses, sigmas = zip(*(records[t] for t in times), strict=True)
-    return Samples(name, times, np.array(poses), np.array(sigmas), dict(bad))
 
 
 def wild_fixes(times_ns: Sequence[int], positions_m: Floats) -> dict[int, str]:

@@ -68,7 +68,6 @@ from conetl.readers.drives.poses import (
     georeferenced,
     position_sigmas,
     rotation_of,
-    samples,
     to_pose,
     without_wild_fixes,
 )
@@ -270,7 +269,13 @@ def _trajectory(
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
 
     def samples_of(topic: str) -> Samples:
-        return samples(f"{path}: {topic}", found.records[topic], found.bad[topic])._replace(name=topic)
+        records, bad = found.records[topic], found.bad[topic]
+        if not records:
+            first = next(iter(bad.values()), "there are none")
+            raise DriveFolderError(f"{path}: {topic}: not one usable pose: {first}")
+        times = sorted(records)
+        poses, sigmas = zip(*(records[t] for t in times), strict=True)
+        return Samples(topic, times, np.array(poses), np.array(sigmas), bad)
 
     raw = samples_of(topics.trajectory)
     if topics.imu is None:

@@ -176,24 +176,24 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
 def _sources(root: Path, settings: Images) -> list[Path]:
     """File or folder of the left and of the right camera, one file twice where it holds both. Raises DriveFolderError."""
     videos = [root / name for name in names_in(root, VIDEO_SUFFIXES)]
-    found: dict[str, Path | None] = {}
-    for side in ("left", "right"):
+    whole = settings.layout is not None and len(videos) == 1
+    found: list[Path] = []
+    for side in SIDES:
         named = settings.left if side == "left" or settings.layout else settings.right
+        candidates = [video for video in videos if whole or side in video.stem.lower()]
+        source = None
         if named is not None:
-            found[side] = inside(root, named, DRIVE_YAML)
-        elif settings.layout is not None and len(videos) == 1:
-            found[side] = inside(root, videos[0].name, str(root))
-        else:
-            candidates = [video for video in videos if side in video.stem.lower()]
-            found[side] = inside(root, candidates[0].name, str(root)) if len(candidates) == 1 else None
-    missing = [side for side, source in found.items() if source is None or not (source.is_dir() or source.is_file())]
-    if missing:
-        raise DriveFolderError(
-            f"{root}: the {missing[0]} camera's images are not clear (videos: {', '.join(v.name for v in videos) or 'none'}). "
-            f"Name them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, layout: "
-            "left-right}' for one file with both"
-        )
-    return [source for source in found.values() if source is not None]
+            source = inside(root, named, DRIVE_YAML)
+        elif len(candidates) == 1:
+            source = inside(root, candidates[0].name, str(root))
+        if source is None or not (source.is_dir() or source.is_file()):
+            raise DriveFolderError(
+                f"{root}: the {side} camera's images are not clear (videos: {', '.join(v.name for v in videos) or 'none'}). "
+                f"Name them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, "
+                "layout: left-right}' for one file with both"
+            )
+        found.append(source)
+    return found
 
 
 def _indexed(source: Path, root: Path, content: ContentHash) -> VideoIndex:

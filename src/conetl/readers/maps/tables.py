@@ -22,7 +22,7 @@ import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from conetl.files.documents import MAX_SHOWN, named, shown
+from conetl.files.documents import first_line, named, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
@@ -133,7 +133,7 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
     except InputError:
         raise
     except Exception as error:  # GDAL raises many types for a broken file
-        raise InputError(f"{path} cannot be read as a map ({_line(error)})") from error
+        raise InputError(f"{path} cannot be read as a map ({first_line(error)})") from error
     return table
 
 
@@ -206,7 +206,7 @@ def _read_parquet(path: Path) -> MapTable:
     except InputError:
         raise
     except (OSError, pa.ArrowException, ValueError, KeyError, TypeError, MemoryError, CRSError) as error:
-        raise InputError(f"{path} cannot be read as GeoParquet ({_line(error)})") from error
+        raise InputError(f"{path} cannot be read as GeoParquet ({first_line(error)})") from error
     return table
 
 
@@ -260,7 +260,7 @@ def _read_csv(path: Path) -> MapTable:
                 if number > most_rows:
                     raise _too_many(path)
     except (OSError, UnicodeError, csv.Error) as error:
-        raise InputError(f"{path} cannot be read as CSV ({_line(error)})") from error
+        raise InputError(f"{path} cannot be read as CSV ({first_line(error)})") from error
     if len(set(names)) != len(names):
         raise InputError(f"{path}: a column name is twice in the header")
     columns = {
@@ -314,8 +314,3 @@ def _too_many(path: Path) -> InputError:
     return InputError(
         f"{path} has more than {MAX_ROWS:,} rows or {MAX_VALUES:,} values: that is not a cone map; import it in parts"
     )
-
-
-def _line(error: BaseException) -> str:
-    lines = str(error).splitlines()
-    return lines[0].rstrip(".")[:MAX_SHOWN] if lines else type(error).__name__
