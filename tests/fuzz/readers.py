@@ -24,7 +24,7 @@ import yaml
 
 from conetl.cli.map.work_zones import Rules
 from conetl.exports.wzdx import read_feed_info
-from conetl.files.yaml_model import read_yaml_model
+from conetl.files.documents import read_yaml_model
 from conetl.model.errors import DriveFolderError
 from conetl.model.params import ImportParams, IngestParams
 from conetl.model.records import Camera, Rig

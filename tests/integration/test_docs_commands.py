@@ -21,7 +21,7 @@ from conetl.cli.console import class_if_mixed
 from conetl.cli.ingest import _CHANGES
 from conetl.db.connection import connect
 from conetl.db.map.map_store import read_current_features
-from conetl.files.yaml_model import read_yaml_mapping
+from conetl.files.documents import read_yaml_mapping
 from conetl.model.feature_classes import CONE
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import write_rig_yaml

@@ -15,10 +15,9 @@ from pydantic import ValidationError
 
 from conetl.cli import console as ui
 from conetl.files.atomic import sweep
-from conetl.files.documents import first_message
+from conetl.files.documents import first_message, read_yaml_model
 from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
-from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
 from conetl.model.feature_classes import CONE, LANE_MARKING, LINE_CLASSES, known_of
 from conetl.model.health import CALIBRATION, Verdict, holding

@@ -12,7 +12,7 @@ import typer
 
 from conetl.cli.console import JsonOption, complain, print_json, say, spinner
 from conetl.files.atomic import atomic_files
-from conetl.files.yaml_model import validated
+from conetl.files.documents import validated
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
 from conetl.model.records import Rig, utc_from_ns
 from conetl.readers.drives import find_format, plain

@@ -24,7 +24,7 @@ from referencing.jsonschema import DRAFT7
 
 from conetl.exports.text_files import coordinates
 from conetl.files.atomic import atomic_text_file
-from conetl.files.yaml_model import read_yaml_mapping, validated
+from conetl.files.documents import read_yaml_mapping, validated
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE

@@ -1,18 +1,24 @@
-"""YAML and JSON documents that a stranger may have written: limits of size, depth and aliases; errors in the file's words."""
+"""YAML and JSON documents that a stranger may have written: limits of size, depth and aliases; errors in the file's words.
+
+YAML files also as pydantic models: parameters, rules, settings of a drive, the description of a feed.
+"""
 
 from __future__ import annotations
 
 import json
 import reprlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from conetl.model.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
 
 #: The largest rig or parameter file is a hundredth of it.
 MAX_YAML_BYTES = 256_000
@@ -31,9 +37,6 @@ _EXPECTED = {
     "greater_than_equal": "expected at least {ge}",
     "less_than": "expected less than {lt}",
     "less_than_equal": "expected at most {le}",
-    "finite_number": "expected a finite number",
-    "literal_error": "expected {expected}",
-    "enum": "expected {expected}",
     "string_pattern_mismatch": "expected text that matches {pattern}",
     "string_too_long": "expected at most {max_length} characters",
     "string_too_short": "expected at least {min_length} characters",
@@ -156,6 +159,49 @@ def parse_yaml(path: Path, text: str) -> Any:
         return yaml.load(text, Loader=yaml.CSafeLoader)
     except (yaml.YAMLError, ValueError) as error:  # dates and numbers that do not exist are ValueErrors
         raise InputError(f"{path}: this is not YAML: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
+
+
+def read_yaml_model(path: Path | None, model: type[Model], what: str) -> Model:
+    """The file's values as a model; the model's defaults without a file, or where it is empty.
+
+    what: name of the kind of file in messages. Raises InputError naming the file, the key and what was expected.
+    """
+    return model() if path is None else validated(read_yaml_mapping(path, what), model, f"{what} {path}")
+
+
+def read_yaml_mapping(path: Path, what: str, example: str = "") -> dict[str, Any]:
+    """Keys and values of a YAML file, none if it is empty. Raises InputError."""
+    content = read_yaml(path)
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        hint = f", for example:{example}" if example else ""
+        raise InputError(f"{what} {path}: expected keys and values{hint}")
+    return {str(key): value for key, value in content.items()}
+
+
+def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model:
+    """Values as a model. Raises InputError that starts with `name` and states the wrong value and what was expected."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        if first["type"] != "extra_forbidden":
+            raise InputError(f"{name}: {first_message(error)}") from error
+        known = _fields_at(model, first["loc"][:-1])
+        near = get_close_matches(str(first["loc"][-1]), known, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+        raise InputError(f"{name}: {first_message(error)}; {hint}") from error
+
+
+def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
+    """Names of the fields of the nested model at `path`."""
+    for part in path:
+        inner = model.model_fields[str(part)].annotation
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return list(model.model_fields)
 
 
 def read_json(path: Path) -> Any:

@@ -18,17 +18,8 @@ from conetl.model.errors import DriveFolderError
 from conetl.model.records import FramePair, Pose, Rig
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import IMAGE_SUFFIXES
-from conetl.readers.drives import drive_format, oxts
+from conetl.readers.drives import drive_format, kitti, oxts
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
-from conetl.readers.drives.kitti import (
-    MAX_CLOCK_DIFFERENCE_NS,
-    OXTS_STAMPS,
-    calibration_path,
-    camera_folder,
-    is_number,
-    read_rig_for,
-    trigger_problem,
-)
 from conetl.readers.drives.pairs import ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
 from conetl.readers.drives.poses import checked_srid
@@ -65,7 +56,9 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
     settings = read_drive_yaml(root)
     if not (root / settings.cameras.left).is_dir():
         return None
-    left, right = (camera_folder(root, name, settings) for name in (settings.cameras.left, settings.cameras.right))
+    left, right = (
+        kitti.camera_folder(root, name, settings) for name in (settings.cameras.left, settings.cameras.right)
+    )
     return ArrivingKitti(root=root, settings=settings, couples=_Couples(left, right), folder=folder)
 
 
@@ -240,7 +233,7 @@ class ArrivingKitti(ArrivingDrive):
     """By the file's name."""
 
     def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
-        return [pair for pair in self.couples.new(changed) if is_number(pair.key)]
+        return [pair for pair in self.couples.new(changed) if kitti.is_number(pair.key)]
 
     def order(self, pair: ArrivingPair) -> tuple[int, str]:
         return int(pair.key), pair.key
@@ -250,8 +243,8 @@ class ArrivingKitti(ArrivingDrive):
         if self._rig is None:
             size = first_size(self.couples.left_paths())
             if size is not None:
-                path = calibration_path(self.folder, self.settings)
-                self._rig = read_rig_for(self.root, path, size, self.settings, ContentHash())
+                path = kitti.calibration_path(self.folder, self.settings)
+                self._rig = kitti.read_rig_for(self.root, path, size, self.settings, ContentHash())
         return self._rig
 
     def frame_pair(self, pair: ArrivingPair, map_srid: int | None) -> tuple[FramePair, int] | None:
@@ -262,13 +255,13 @@ class ArrivingKitti(ArrivingDrive):
         if captured is None or record is None:
             return None
         right_at = self._time(f"{self.settings.cameras.right}/timestamps.txt", number)
-        if (problem := trigger_problem(captured, right_at, self.settings)) is not None:
+        if (problem := kitti.trigger_problem(captured, right_at, self.settings)) is not None:
             raise PairError(RejectionReason.TIMESTAMP_INVALID, problem)
-        pose_at = self._time(OXTS_STAMPS, number)
-        if pose_at is None and (self.root / OXTS_STAMPS).is_file():
+        pose_at = self._time(kitti.OXTS_STAMPS, number)
+        if pose_at is None and (self.root / kitti.OXTS_STAMPS).is_file():
             return None
         _require_set_clock(captured)
-        if pose_at is not None and abs(captured - pose_at) > MAX_CLOCK_DIFFERENCE_NS:
+        if pose_at is not None and abs(captured - pose_at) > kitti.MAX_CLOCK_DIFFERENCE_NS:
             raise PairError(
                 RejectionReason.TIMESTAMP_INVALID, f"image and pose are {abs(captured - pose_at) * 1e-9:.3f} s apart"
             )
@@ -279,7 +272,7 @@ class ArrivingKitti(ArrivingDrive):
         """Pose at the exposure. The next record may not exist yet, so the motion since the one before is extrapolated."""
         number = int(key)
         records, times = {number: record}, {} if pose_at is None else {number: pose_at}
-        before_at = self._time(OXTS_STAMPS, number - 1) if number else None
+        before_at = self._time(kitti.OXTS_STAMPS, number - 1) if number else None
         before = self._record_of(f"oxts/data/{number - 1:0{len(key)}d}.txt") if before_at is not None else None
         if before is not None and before_at is not None and pose_at is not None:
             records[number - 1], times[number - 1] = before, before_at

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from conetl.files.yaml_model import read_yaml_model
+from conetl.files.documents import read_yaml_model
 from conetl.geometry.linear_reference import locate, spacing_beside
 from conetl.model.arrays import Floats
 from conetl.model.params import LayoutParams, WorkZoneParams

@@ -1,4 +1,4 @@
-"""YAML and JSON that a stranger may have written."""
+"""YAML and JSON that a stranger may have written, and a user's YAML file as a model."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.files.documents import MAX_DEPTH, MAX_SHOWN, MAX_YAML_BYTES, read_json, read_yaml, shown
+from conetl.files.documents import MAX_DEPTH, MAX_SHOWN, MAX_YAML_BYTES, read_json, read_yaml, read_yaml_model, shown
 from conetl.model.errors import InputError
+from conetl.model.params import IngestParams
 
 BOMB = "\n".join(f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9) if n else 'x'}]" for n in range(10))
 
@@ -74,3 +75,33 @@ def test_messages_quote_little_of_a_value() -> None:
     for value in (nested, "x" * 10_000, {str(n): n for n in range(1000)}, b"\0" * 5000, 10**4000, 1 << 20_000):
         assert 0 < len(shown(value)) <= MAX_SHOWN
     assert shown({"fx": [1.0, None]}) == "{'fx': [1.0, None]}"
+
+
+def test_without_a_file_or_with_an_empty_one_the_defaults_hold(tmp_path: Path) -> None:
+    path = tmp_path / "params.yaml"
+    path.write_text("# nothing yet\n")
+    assert read_yaml_model(None, IngestParams, "parameters") == IngestParams()
+    assert read_yaml_model(path, IngestParams, "parameters") == IngestParams()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "reconcile: {min_gate: 1}",
+            r"parameters .*params.yaml: reconcile.min_gate: there is no such key here.*min_gate_m",
+        ),
+        ("reconcile: {min_gate_m: far}", r"reconcile.min_gate_m: .*number.*found 'far'"),
+        ("reconcile: [1, 2]", r"reconcile: .*found \[1, 2\]"),
+        ("nonsense: 1", r"nonsense: there is no such key here; known are .*reconcile"),
+        ("- a\n- b", "expected keys and values"),
+        ("a: [", "not YAML"),
+        (None, r"params\.yaml: cannot be read"),
+    ],
+)
+def test_what_is_wrong_with_a_model_is_named(tmp_path: Path, text: str | None, message: str) -> None:
+    path = tmp_path / "params.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_yaml_model(path, IngestParams, "parameters")

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from conetl.cli.console import Columns, JsonOption, MapOption, counted, parse_instant, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.exports.text_files import export_layout_geojson, finding_as_dict
-from conetl.files.yaml_model import read_yaml_model
+from conetl.files.documents import read_yaml_model
 from conetl.model.errors import InputError
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import Finding, Level, WorkZone

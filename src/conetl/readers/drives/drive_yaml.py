@@ -7,9 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from conetl.files.documents import shown
+from conetl.files.documents import read_yaml_mapping, shown, validated
 from conetl.files.names import printable
-from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.records import GeodeticPosition, Positive, Record
 from conetl.perception.video import Layout

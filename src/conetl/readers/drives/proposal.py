@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from conetl.files.documents import named
-from conetl.files.yaml_model import validated
+from conetl.files.documents import named, validated
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import Rig, Side
@@ -20,13 +19,9 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
 from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, read_rig_and_format
-from conetl.readers.trajectories import (
-    RecordedTrajectory,
-    TrajectoryFile,
-    find_trajectories,
-    read_trajectory,
-    trajectory_format,
-)
+from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
+from conetl.readers.trajectories.recorded import RecordedTrajectory
+from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.times import parse_timestamp
 
 _RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})

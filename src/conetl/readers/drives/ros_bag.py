@@ -30,6 +30,7 @@ from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import MAX_LEVER_ARM_M, Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection
+from conetl.readers.drives import poses
 from conetl.readers.drives.bag_messages import (
     METADATA,
     Bag,
@@ -59,17 +60,6 @@ from conetl.readers.drives.pairs import (
     Source,
     drive_of_couples,
     pair_by_stamp,
-)
-from conetl.readers.drives.poses import (
-    Samples,
-    at,
-    attitude_sigmas,
-    checked_srid,
-    georeferenced,
-    position_sigmas,
-    rotation_of,
-    to_pose,
-    without_wild_fixes,
 )
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.trajectories.recorded import MAX_LOCAL_M, check_fix
@@ -210,7 +200,7 @@ def _fix(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
     known = int(message.position_covariance_type) != 0
     c = [float(message.position_covariance[i]) for i in (0, 4, 8)]
     recorded = (_root(c[0]), _root(c[1]), _root(c[2])) if known else None
-    return se3.se3(np.eye(3), [lat, lon, height]), (*position_sigmas(settings, recorded), 0.0, 0.0, 0.0)
+    return se3.se3(np.eye(3), [lat, lon, height]), (*poses.position_sigmas(settings, recorded), 0.0, 0.0, 0.0)
 
 
 def _attitude(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
@@ -219,8 +209,8 @@ def _attitude(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]
         raise ValueError("the IMU has no orientation (covariance -1, see sensor_msgs/Imu)")
     q = message.orientation
     recorded = tuple(_root(float(message.orientation_covariance[i])) for i in (0, 4, 8))
-    rotation = rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
-    return se3.se3(rotation, np.zeros(3)), (0.0, 0.0, 0.0, *attitude_sigmas(settings, recorded))
+    rotation = poses.rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
+    return se3.se3(rotation, np.zeros(3)), (0.0, 0.0, 0.0, *poses.attitude_sigmas(settings, recorded))
 
 
 def _odometry(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
@@ -232,8 +222,9 @@ def _odometry(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]
     c = [_root(float(message.pose.covariance[i])) for i in (0, 7, 14, 21, 28, 35)]
     level = max(c[0], c[1])
     recorded = (level, level, c[2]) if level > 0.0 and c[2] > 0.0 else None
-    rotation = rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
-    return se3.se3(rotation, position), (*position_sigmas(settings, recorded), *attitude_sigmas(settings, tuple(c[3:])))
+    rotation = poses.rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
+    sigma = (*poses.position_sigmas(settings, recorded), *poses.attitude_sigmas(settings, tuple(c[3:])))
+    return se3.se3(rotation, position), sigma
 
 
 def _root(variance: float) -> float:
@@ -268,35 +259,35 @@ def _trajectory(
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
 
-    def samples_of(topic: str) -> Samples:
+    def samples_of(topic: str) -> poses.Samples:
         records, bad = found.records[topic], found.bad[topic]
         if not records:
             first = next(iter(bad.values()), "there are none")
             raise DriveFolderError(f"{path}: {topic}: not one usable pose: {first}")
         times = sorted(records)
-        poses, sigmas = zip(*(records[t] for t in times), strict=True)
-        return Samples(topic, times, np.array(poses), np.array(sigmas), bad)
+        recorded, sigmas = zip(*(records[t] for t in times), strict=True)
+        return poses.Samples(topic, times, np.array(recorded), np.array(sigmas), bad)
 
     raw = samples_of(topics.trajectory)
     if topics.imu is None:
-        srid, placed = georeferenced(source, raw.name, raw.map_SE3_body)
-        track = without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
-        return srid, lambda time_ns: to_pose(*at(track, time_ns, gap_ns))
+        srid, placed = poses.georeferenced(source, raw.name, raw.map_SE3_body)
+        track = poses.without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
+        return srid, lambda time_ns: poses.to_pose(*poses.at(track, time_ns, gap_ns))
     antenna_m = _antenna(topics, found, source.settings, path)
     attitude = samples_of(topics.imu)
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
-    srid = checked_srid(source.map_srid, float(lat[0]), float(lon[0]), path)
+    srid = poses.checked_srid(source.map_srid, float(lat[0]), float(lon[0]), path)
     with named(path, DriveFolderError):
         antenna = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
-    track = without_wild_fixes(raw._replace(map_SE3_body=antenna))
+    track = poses.without_wild_fixes(raw._replace(map_SE3_body=antenna))
 
     def pose_at(time_ns: int) -> Pose:
-        fixed, fix_sigma = at(track, time_ns, gap_ns)
-        turn, turn_sigma = at(attitude, time_ns, gap_ns)
+        fixed, fix_sigma = poses.at(track, time_ns, gap_ns)
+        turn, turn_sigma = poses.at(attitude, time_ns, gap_ns)
         lat_deg, lon_deg, _ = geodesy.to_geodetic(srid, fixed[:3, 3])
         map_R_sensor = enu_to_grid(srid, lat_deg, lon_deg, turn[:3, :3])
         body = se3.se3(map_R_sensor @ sensor_R_body, fixed[:3, 3] - map_R_sensor @ antenna_m)
-        return to_pose(body, fix_sigma + turn_sigma)
+        return poses.to_pose(body, fix_sigma + turn_sigma)
 
     return srid, pose_at
 

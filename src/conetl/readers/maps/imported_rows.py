@@ -100,7 +100,10 @@ def read_map_file(
             )
     file_crs = _file_crs(table, crs)
     if file_crs.is_compound:
-        table.xyz[:] = _with_ellipsoidal_heights(table, file_crs)
+        try:
+            table.xyz[:] = to_ellipsoidal(table.xyz, file_crs)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
         file_crs = file_crs.sub_crs_list[0]
     _require_all(table, file_crs, map_srid, params, stated_at)
     srid = _map_srid(table, file_crs, map_srid)
@@ -264,13 +267,6 @@ def _file_crs(table: MapTable, stated: str | None) -> CRS:
     if not (flat.is_geographic or flat.is_projected):
         raise InputError(f"{table.path}: {crs.name} is neither geographic nor projected")
     return crs
-
-
-def _with_ellipsoidal_heights(table: MapTable, crs: CRS) -> Floats:
-    try:
-        return to_ellipsoidal(table.xyz, crs)
-    except InputError as error:
-        raise InputError(f"{table.path}: {error}") from error
 
 
 def _same(a: CRS, b: CRS) -> bool:

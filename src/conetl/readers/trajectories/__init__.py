@@ -18,15 +18,6 @@ from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, as
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.text import encoding_of, head_bytes
 
-__all__ = [
-    "READERS",
-    "RecordedTrajectory",
-    "TrajectoryFile",
-    "find_trajectories",
-    "read_trajectory",
-    "trajectory_format",
-]
-
 READERS: dict[FormatName, Callable[[Path, TrajectoryFile], Reading]] = {
     "rtklib": rtklib.read, "sbet": sbet.read, "inertial_explorer": inertial_explorer.read, "nmea": nmea.read, "gpx": gpx.read,
     "oxts": oxts.read, "euroc": local.read_euroc, "tum": local.read_tum, "table": delimited.read,

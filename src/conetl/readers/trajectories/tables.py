@@ -65,7 +65,6 @@ class TableLayout(NamedTuple):
     """None: any white space."""
     comma: bool = False
     """Decimals are after a comma."""
-    comments: tuple[str, ...] = ("#", "%")
     scale: str = "UTC"
     """Of times unless the settings name another: `gps` or a time zone; `""`: gps for times of a week, else UTC; `?`: the same,
     but dates and times since 1970 need the settings, as the column's name speaks of GPS."""
@@ -84,7 +83,7 @@ def rows_of(path: Path, layout: TableLayout) -> Iterator[tuple[list[int], list[l
         rows: list[list[str]] = []
         for number, line in enumerate(lines, first):
             stripped = line.strip("\t\r \0") if layout.delimiter is None else line.strip("\r \0")
-            if number >= layout.first_line and stripped and not stripped.startswith(layout.comments):
+            if number >= layout.first_line and stripped and not stripped.startswith(("#", "%")):
                 numbers.append(number)
                 rows.append(split_line(stripped, layout.delimiter))
         if rows:
