@@ -11,7 +11,7 @@ from conetl.files.names import printable
 from conetl.geometry import geodesy
 from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
-from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.errors import InputError
 from conetl.model.records import SurveyedPoint
 from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.maps.tables import MapTable, read_table
@@ -46,14 +46,10 @@ def read_surveyed_points(
     own = xyz[:, [1, 0, 2]] if geographic else xyz
     count = len(own)
     records = Records(np.zeros(count, np.int64), own, None, np.full((count, 6), np.nan), {})
-    try:
+    with named(path):
         reading = Reading(iter([records]), axes="geodetic" if geographic else "projected")
         lat, lon, height = np.vstack([piece.positions for piece in in_wgs84(reading, settings, path)]).T
         xyz = geodesy.to_map(srid, lat, lon, height)
-    except DriveFolderError as error:
-        raise InputError(str(error)) from error
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
     if not np.isfinite(xyz).all():
         row = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0]) + 1
         raise InputError(f"{path}, row {row}: the point is outside the area of {shown(source)} or of EPSG:{srid}")

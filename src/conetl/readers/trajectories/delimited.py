@@ -11,7 +11,7 @@ import unicodedata
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -90,11 +90,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     lines = head_lines(path)
     found = _header(path, lines, settings)
     columns = dict(found.columns)
-    heights: Literal["ellipsoidal", "sea level"] = "ellipsoidal"
-    if "height_msl" in columns and "height" not in columns:
-        columns["height"] = columns.pop("height_msl")
-        heights = "sea level"
-    axes = require(columns, path, found.names)
+    axes, heights = require(columns, path, found.names)
     if axes == "local" and settings.crs is not None:
         axes = "geocentric" if is_geocentric(settings) else "projected"
         if axes == "projected":

@@ -65,11 +65,10 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
         raise DriveFolderError(f"{path}, line {at + 2}: there are {len(names)} columns, but {len(units)} units")
     delimiter = "," if "," in next((line for line in lines[at + 2 :] if line.strip()), "") else None
     columns, order = _columns(path, names, units)
-    axes = require(columns, path, names)
+    axes, heights = require(columns, path, names)
     scale = "UTC" if columns["time"].name.lower() == "utctime" else "gps"
     layout = TableLayout(columns, axes, at + 3, delimiter, scale=scale, order=order)
-    above_sea = columns["height"].name.lower() == "h-msl"
-    return Reading(table_records(path, layout, settings), axes, "sea level" if above_sea else "ellipsoidal")
+    return Reading(table_records(path, layout, settings), axes, heights)
 
 
 def _columns(path: Path, names: list[str], units: list[str]) -> tuple[dict[str, Column], Literal["dmy", "mdy"] | None]:
@@ -85,8 +84,6 @@ def _columns(path: Path, names: list[str], units: list[str]) -> tuple[dict[str, 
         if role == "date":
             order = "dmy" if "dmy" in unit.lower() else "mdy" if "mdy" in unit.lower() else order
         at += 3 if dms else 1
-    if "height_msl" in columns:
-        columns.setdefault("height", columns.pop("height_msl"))
     if "week" in columns:
         columns.pop("date", None)
     return columns, order

@@ -19,6 +19,7 @@ from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
 from conetl.readers.trajectories.times import EARLIEST_NS, MAX_AHEAD_NS, Times, clock_problem
 
 Axes = Literal["geodetic", "projected", "geocentric", "local"]
+Heights = Literal["ellipsoidal", "sea level", "unstated"]
 
 VERTICAL_FACTOR = 1.5
 """The height of a GNSS fix is about this much less accurate than its horizontal position."""
@@ -71,7 +72,7 @@ class Reading(NamedTuple):
 
     pieces: Iterator[Records]
     axes: Axes = "geodetic"
-    heights: Literal["ellipsoidal", "sea level", "unstated"] = "ellipsoidal"
+    heights: Heights = "ellipsoidal"
     """What the file says of its heights."""
     yaw_column: str | None = None
     """Of a table whose yaw counts from east, counter-clockwise, as far as its name says."""

@@ -16,7 +16,7 @@ import numpy as np
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import Axes, Records, attitude, rotations_of_quaternions
+from conetl.readers.trajectories.recorded import Axes, Heights, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, line_blocks, split_line
 from conetl.readers.trajectories.times import TimeFormat, TimeReader, common_clock, time_reader
@@ -199,8 +199,15 @@ def rotations_of(values: Mapping[str, Floats], sigma: Floats) -> Floats | None:
     return se3.rotation_from_rpy(np.radians(roll), np.radians(pitch), np.radians(angle))
 
 
-def require(columns: Mapping[str, Column], path: Path, header: Sequence[str]) -> Axes:
-    """The axes of a table's positions. Raises DriveFolderError where a column is missing."""
+def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tuple[Axes, Heights]:
+    """Axes and heights of a table's positions; heights above the sea become `height` where there are no others.
+
+    Raises DriveFolderError where a column is missing.
+    """
+    heights: Heights = "ellipsoidal"
+    above_sea = columns.pop("height_msl", None)
+    if above_sea is not None and "height" not in columns:
+        columns["height"], heights = above_sea, "sea level"
     shown_header = ", ".join(header)[:200]
     for axes in ("geodetic", "projected", "local"):
         names = POSITIONS[axes]
@@ -209,7 +216,7 @@ def require(columns: Mapping[str, Column], path: Path, header: Sequence[str]) ->
                 raise DriveFolderError(f"{path}: has no column for {names[2]!r}; its columns are {shown_header}")
             if "time" not in columns:
                 break
-            return axes
+            return axes, heights
     raise DriveFolderError(
         f"{path}: expected columns for a time and a position (lat, lon, height; easting, northing, height; or x, y, z), found "
         f"{shown_header}. Name them in drive.yaml, for example trajectory: {{columns: {{time: Zeit, lat: B, lon: L, height: H}}}}"
