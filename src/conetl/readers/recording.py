@@ -64,7 +64,7 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
 
 @dataclass
 class _Couples:
-    """Images of two folders by stem, and the couples that were returned.
+    """Images of two folders by stem.
 
     By names, each handled once: an hour's drive has 72,000, and making paths of them is too slow.
     """
@@ -75,18 +75,16 @@ class _Couples:
     """All names by folder, images or not."""
     images: dict[Path, dict[str, str]] = field(default_factory=dict)
     """Names of images by folder and stem."""
-    returned: set[str] = field(default_factory=set)
 
     def new(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
-        """Couples that were not returned yet. changed: as in `ArrivingDrive.new_pairs`."""
+        """Couples of which an image is new. changed: as in `ArrivingDrive.new_pairs`."""
         paths = None if changed is None else list(changed)
         fresh: set[str] = set()
         for folder in (self.left, self.right):
             names = _names(folder) if paths is None else {path.name for path in paths if path.parent == folder}
             fresh |= self._add(folder, names)
         left, right = self.images[self.left], self.images[self.right]
-        whole = sorted(stem for stem in fresh if stem in left and stem in right and stem not in self.returned)
-        self.returned.update(whole)
+        whole = sorted(fresh & left.keys() & right.keys())
         return [ArrivingPair(stem, self.left / left[stem], self.right / right[stem]) for stem in whole]
 
     def left_paths(self) -> Iterator[Path]:
@@ -99,7 +97,8 @@ class _Couples:
         unseen = names - seen
         seen |= unseen
         visible = (name for name in sorted(unseen, reverse=True) if not name.startswith("."))
-        stems = {stem: name for name in visible for stem, suffix in [_parts(name)] if suffix.lower() in IMAGE_SUFFIXES}
+        parts = ((name, *os.path.splitext(name)) for name in visible)  # noqa: PTH122 -- a path of every name is slow
+        stems = {stem: name for name, stem, suffix in parts if suffix.lower() in IMAGE_SUFFIXES}
         new = stems.keys() - known.keys()
         known |= {stem: stems[stem] for stem in new}
         return new
@@ -111,11 +110,6 @@ def _names(folder: Path) -> set[str]:
         return set(os.listdir(folder))  # noqa: PTH208 -- making a path of every name is slow
     except FileNotFoundError:
         return set()
-
-
-def _parts(name: str) -> tuple[str, str]:
-    """Stem and suffix."""
-    return os.path.splitext(name)  # noqa: PTH122 -- as above
 
 
 @dataclass(kw_only=True)

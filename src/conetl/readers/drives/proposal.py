@@ -151,10 +151,8 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     if not videos:
         folder = root / images["left"]
         return first_size(image_files(folder)) if folder.is_dir() else None
-    facts = video_facts(root / images["left"])
-    across, down = {"left-right": (2, 1), "right-left": (2, 1), "top-bottom": (1, 2), "bottom-top": (1, 2)}.get(
-        images.get("layout", ""), (1, 1)
-    )
+    facts, layout = video_facts(root / images["left"]), images.get("layout", "")
+    across, down = 2 if "left" in layout else 1, 2 if "top" in layout else 1
     return facts.width_px // across, facts.height_px // down
 
 

@@ -165,8 +165,6 @@ def _gaps(
     pairs: Sequence[FramePair], seconds: Floats, metres: Floats, in_time: Bools, jumped: set[int]
 ) -> tuple[Gap, ...]:
     """Steps that are too long; those to and from a jump are not gaps in space."""
-    if not len(seconds):
-        return ()
     moving = metres[metres > 0.05]
     long_m = max(LEAST_GAP_M, GAP_FACTOR * float(np.median(moving)) if len(moving) else 0.0)
     in_space = metres > long_m
@@ -183,8 +181,6 @@ def _gaps(
 
 def _jumps(pairs: Sequence[FramePair], times_s: Floats, positions: Floats, horizontal_m: Floats) -> tuple[Jump, ...]:
     """Positions off the line between their neighbours, the worst of each run: a jump affects its neighbours, too."""
-    if len(pairs) < 3:
-        return ()
     before, here, after = slice(None, -2), slice(1, -1), slice(2, None)
     weight = ((times_s[here] - times_s[before]) / (times_s[after] - times_s[before]))[:, None]
     expected = (1.0 - weight) * positions[before, :2] + weight * positions[after, :2]
@@ -201,8 +197,6 @@ def _jumps_across_gaps(
     pairs: Sequence[FramePair], times_s: Floats, positions: Floats, sigmas: Floats, in_time: Bools
 ) -> list[Jump]:
     """Gaps in time over which the positions move otherwise than the speeds before and after them allow."""
-    if not in_time.any():
-        return []
     steps_m = np.diff(positions, axis=0)
     speeds = steps_m / np.maximum(np.diff(times_s), 1e-3)[:, None]
     speeds[in_time] = np.nan

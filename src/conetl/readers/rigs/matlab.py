@@ -44,9 +44,6 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     """
     content = _read_mat(path) if path.suffix.lower() == ".mat" else read_json(path)
     found = Node(path, structure(content))
-    if found.value is None:
-        names = shown([*content]) if isinstance(content, Mapping) else type(content).__name__
-        raise found.get("CameraParameters1").bad(f"is missing; found {names or 'nothing'}. {_HOW}")
     left, right = (_camera(found.at(f"CameraParameters{number}"), image_size) for number in (1, 2))
     unit_m = Node(path, (length_unit or _unit(found.value)).lower(), "WorldUnits").metres()
     key, right_R_left, t = _relative(found)

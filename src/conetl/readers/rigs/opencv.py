@@ -146,11 +146,7 @@ def _files(path: Path) -> dict[str, Path]:
                  if (folder / f"{part}{suffix}").is_file()}  # fmt: skip
         if all(part in files for part in parts):
             return files
-    if path.is_file():
-        return {"stereo": path}
-    raise CalibrationError(
-        f"{path}: expected intrinsics.yml and extrinsics.yml, or left.yml and right.yml, in the folder"
-    )
+    return {"stereo": path}
 
 
 def _named(file: Node, what: str, names: tuple[str, ...]) -> Node:

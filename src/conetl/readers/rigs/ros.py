@@ -56,11 +56,8 @@ def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
         left, right = choose_pair(folder, [*files], pair)
         return files[left], files[right]
     if path.is_dir():
-        for suffix in (".yaml", ".yml"):
-            both = path / f"left{suffix}", path / f"right{suffix}"
-            if all(file.is_file() for file in both):
-                return both
-        raise CalibrationError(f"{path}: expected left.yaml and right.yaml in the folder")
+        suffix = ".yaml" if (path / "left.yaml").is_file() else ".yml"
+        return path / f"left{suffix}", path / f"right{suffix}"
     name = path.name
     for ours, theirs in (("left", "right"), ("right", "left")):
         if name.count(ours) == 1:
