@@ -71,69 +71,67 @@ def full_kind(kind: str, attributes: Mapping[str, Any]) -> str:
     return "/".join(str(attributes[name]) for name in ("type", "subtype") if attributes.get(name)) or kind
 
 
-class _Osm(NamedTuple):
-    nodes: dict[str, tuple[float, float, float]]
-    """Longitude, latitude, height (NaN without) by id."""
-    ways: dict[str, tuple[list[str], dict[str, str]]]
-    """Node ids and tags by id."""
-    bounding: set[str]
-    """Ways that bound a lanelet."""
-    refused: list[str]
-    local_count: int
-    """Nodes with local coordinates."""
-
-
 def read_lanelet2(path: Path) -> LineFile:
     """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
+    refused: list[str] = []
     try:
         with named(path):
-            osm = _read(path)
+            nodes, ways, bounding = _read(path, refused)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not OSM XML ({error}); expected a Lanelet2 map") from error
-    if osm.local_count and all(lon == 0 and lat == 0 for lon, lat, _ in osm.nodes.values()):
-        raise InputError(
-            f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"
-        )
     lines: list[Line] = []
-    for identity, (references, tags) in osm.ways.items():
-        if identity not in osm.bounding and tags.get("type") not in BOUNDARIES:
+    for identity, (references, tags) in ways.items():
+        if identity not in bounding and tags.get("type") not in BOUNDARIES:
             continue
-        missing = [r for r in references if r not in osm.nodes]
+        missing = [r for r in references if r not in nodes]
         if missing:
-            osm.refused.append(f"way {identity}: its node {missing[0]} is missing")
+            refused.append(f"way {identity}: its node {missing[0]} is missing")
             continue
-        attributes = {**tags, "way": identity, "bounds_a_lanelet": identity in osm.bounding}
-        xyz = np.array([osm.nodes[r] for r in references], np.float64).reshape(-1, 3)
-        add_line(Line(tags.get("type", "unknown"), xyz, attributes), f"way {identity}", lines, osm.refused)
+        attributes = {**tags, "way": identity, "bounds_a_lanelet": identity in bounding}
+        xyz = np.array([nodes[r] for r in references], np.float64).reshape(-1, 3)
+        add_line(Line(tags.get("type", "unknown"), xyz, attributes), f"way {identity}", lines, refused)
     if not lines:
         wanted = ", ".join(sorted(BOUNDARIES))
         raise InputError(
             f"{path}: there are no lane boundaries; expected ways that lanelets refer to, or of type {wanted}"
         )
-    return LineFile(lines, CRS.from_epsg(4326), osm.refused)
+    return LineFile(lines, CRS.from_epsg(4326), refused)
 
 
-def _read(path: Path) -> _Osm:
-    osm, local = _Osm({}, {}, set(), [], 0), 0
+def _read(
+    path: Path, refused: list[str]
+) -> tuple[dict[str, tuple[float, float, float]], dict[str, tuple[list[str], dict[str, str]]], set[str]]:
+    """By their ids, nodes (longitude, latitude, height, NaN without) and ways (node ids, tags); the ways that bound a lanelet.
+
+    Raises InputError where the nodes have local coordinates only.
+    """
+    nodes: dict[str, tuple[float, float, float]] = {}
+    ways: dict[str, tuple[list[str], dict[str, str]]] = {}
+    bounding: set[str] = set()
+    is_local = False
     for _, item in ElementTree.iterparse(path, events=("end",)):
         identity = item.get("id", "")
         if item.tag == "node":
             tags = _tags(item)
-            local += "local_x" in tags
+            is_local |= "local_x" in tags
             try:
                 height = float(tags["ele"]) if "ele" in tags else math.nan
-                osm.nodes[identity] = (float(item.get("lon", "")), float(item.get("lat", "")), height)
+                nodes[identity] = (float(item.get("lon", "")), float(item.get("lat", "")), height)
             except ValueError:
-                osm.refused.append(f"node {identity}: longitude, latitude or height is not a number")
+                refused.append(f"node {identity}: longitude, latitude or height is not a number")
         elif item.tag == "way":
-            osm.ways[identity] = ([n.get("ref", "") for n in item.iter("nd")], _tags(item))
+            ways[identity] = ([n.get("ref", "") for n in item.iter("nd")], _tags(item))
         elif item.tag == "relation":
             if _tags(item).get("type") == "lanelet":
-                osm.bounding.update(m.get("ref", "") for m in item.iter("member") if m.get("role") in ("left", "right"))
+                bounding.update(m.get("ref", "") for m in item.iter("member") if m.get("role") in ("left", "right"))
         else:
             continue  # a part of one of these, read with it
         item.clear()
-    return osm._replace(local_count=local)
+    if is_local and all(lon == 0 and lat == 0 for lon, lat, _ in nodes.values()):
+        raise InputError(
+            f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"
+        )
+    return nodes, ways, bounding
 
 
 def _tags(item: ElementTree.Element) -> dict[str, str]:

@@ -83,7 +83,7 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     if exposures_ns and not any(track.times_ns[0] <= stamp <= track.times_ns[-1] for stamp in exposures_ns):
         records = of_images((min(exposures_ns), max(exposures_ns)), track.times_ns)
         raise DriveFolderError(f"{trajectory}: there are no records{records}")
-    hashes = {path: sha256 for camera in cameras for path, sha256 in _hashes(camera)}
+    hashes = {p: c.video.sha256(n, c.region) for c in cameras if c.video is not None for n, p in enumerate(c.paths)}
 
     def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
         if frame_of(left.path) is None:
@@ -156,7 +156,13 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
                 f"{DRIVE_YAML}"
             )
         return [_folder_camera(root, source) for source in sources]
-    videos = {source: _indexed(source, root, content) for source in dict.fromkeys(sources)}
+    videos: dict[Path, VideoIndex] = {}
+    for source in dict.fromkeys(sources):
+        try:
+            videos[source] = index_video(source, hashed=not content.headers_only)
+        except InputError as error:
+            raise DriveFolderError(str(error)) from error
+        content.add(source.relative_to(root).as_posix(), b"".join(videos[source].sha256s))
     cameras = []
     for side, source in zip(SIDES, sources, strict=True):
         video, stored = videos[source], stored_camera(rig, side)
@@ -196,26 +202,11 @@ def _sources(root: Path, settings: Images) -> list[Path]:
     return found
 
 
-def _indexed(source: Path, root: Path, content: ContentHash) -> VideoIndex:
-    """The index of a video, whose packets become part of the drive's hash. Raises DriveFolderError."""
-    try:
-        video = index_video(source, hashed=not content.headers_only)
-    except InputError as error:
-        raise DriveFolderError(str(error)) from error
-    content.add(source.relative_to(root).as_posix(), b"".join(video.sha256s))
-    return video
-
-
 def _folder_camera(root: Path, source: Path) -> CameraImages:
     paths = image_files(source)
     if not paths:
         raise DriveFolderError(f"{source}: there are no images (*.jpg, *.png)")
     return CameraImages(source.relative_to(root).as_posix(), paths, np.empty(0), None, None)
-
-
-def _hashes(camera: CameraImages) -> list[tuple[Path, str]]:
-    video = camera.video
-    return [] if video is None else [(p, video.sha256(n, camera.region)) for n, p in enumerate(camera.paths)]
 
 
 def _add_files(path: Path, root: Path, content: ContentHash) -> None:

@@ -114,9 +114,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         raise DriveFolderError(
             f"{root}: no left image has a right one within {settings.pair_tolerance_ms:g} ms (pair_tolerance_ms in {DRIVE_YAML})"
         )
-    pairs = [
-        (t, {"left": a.path, "right": b.path}) for a, b in couples if a and b and (t := time_of((a, b))) is not None
-    ]
+    pairs = [(a.stamp, {"left": a.path, "right": b.path}) for a, b in couples if a and b and isinstance(a.stamp, int)]
 
     def read_image(number: int, side: Side) -> NDArray[np.uint8]:
         return read_rig_image(pairs[number][1][side], rig, side)
