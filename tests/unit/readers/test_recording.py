@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,6 @@ import pytest
 
 from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import RejectionReason
-from conetl.readers import recording as arriving
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.recording import ArrivingPair, ArrivingPlain, ArrivingStamps, open_arriving
@@ -83,12 +83,12 @@ def test_a_known_name_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert drive is not None and len(drive.new_pairs(None)) == 2
     asked: list[str] = []
 
-    def parts(name: str) -> tuple[str, str]:
+    def splitext(name: str) -> tuple[str, str]:
         asked.append(name)
         return real(name)
 
-    real = arriving._parts
-    monkeypatch.setattr(arriving, "_parts", parts)
+    real = os.path.splitext
+    monkeypatch.setattr(os.path, "splitext", splitext)
     assert drive.new_pairs(None) == [] and asked == []
     write_images(folder, 12)
     assert [pair.left_path for pair in drive.new_pairs(None)] == [folder.resolve() / "left" / "000012.jpg"]
