@@ -140,9 +140,6 @@ FAULTS: dict[str, tuple[Callable[[list[Frame]], list[Frame]], dict[int, R]]] = {
     ),
     "pose is NaN": (lambda f: changed(f, 4, oxts=(math.nan,) * 30), {4: R.POSE_INVALID}),
     "poses missing": (without_poses, dict.fromkeys(range(2, 8), R.POSE_MISSING)),
-    "a wild fix": (
-        lambda f: changed(f, 5, oxts=(f[5].oxts[0] + 0.01, *f[5].oxts[1:]) if f[5].oxts else None), {5: R.POSE_INVALID},
-    ),
 }  # fmt: skip
 
 

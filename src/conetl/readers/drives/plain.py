@@ -204,7 +204,6 @@ def _wild_rows(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dic
 
 
 def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
-    """Images by stem."""
     if not data.is_dir():
         raise DriveFolderError(
             f"{folder}: the folder {data.name} is missing; expected left/ and right/ with the same stems"

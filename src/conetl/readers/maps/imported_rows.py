@@ -347,6 +347,4 @@ def _require_different_positions(path: Path, xyz_m: Floats) -> None:
 
 
 def _text(values: Floats) -> str:
-    return ", ".join(
-        f"{value:g}" if not math.isfinite(value) else f"{value:.6f}".rstrip("0").rstrip(".") for value in values
-    )
+    return ", ".join(f"{value:.6f}".rstrip("0").rstrip(".") for value in values)

@@ -8,7 +8,6 @@ expected and what to do.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import Literal
@@ -37,7 +36,7 @@ FORMAT_NAMES: dict[Format, str] = {
     "zed": "ZED factory calibration", "oak": "OAK (DepthAI) calibration", "metashape": "Metashape cameras",
 }  # fmt: skip
 _READERS: dict[Format, Callable[..., Rig]] = {
-    "rig": read_rig_yaml, "kitti": partial(read_kitti_rig, body_required=False), "kalibr": read_kalibr_rig, "ros": read_ros_rig,
+    "rig": read_rig_yaml, "kitti": read_kitti_rig, "kalibr": read_kalibr_rig, "ros": read_ros_rig,
     "opencv": read_opencv_rig, "matlab": read_matlab_rig, "zed": read_zed_rig, "oak": read_oak_rig,
     "metashape": read_metashape_rig,
 }  # fmt: skip
@@ -88,7 +87,7 @@ def read_rig_for_images(path: Path, size: Size | None) -> Rig:
     """
     path, found = _recognise(path)
     if found == "kitti":
-        return read_kitti_rig(path, images=size, body_required=False)
+        return read_kitti_rig(path, images=size)
     return rectified_rig(read_rig(path, image_size=size if found == "zed" else None), path)
 
 

@@ -84,7 +84,6 @@ def _sections(path: Path) -> Sections:
 
 
 def _resolution(path: Path, sections: Sections, image_size: Size | None) -> str:
-    """Name of the resolution that is meant."""
     known = [name for name in RESOLUTIONS if f"LEFT_CAM_{name}" in sections and f"RIGHT_CAM_{name}" in sections]
     if not known:
         raise CalibrationError(

@@ -35,7 +35,7 @@ def read_kitti_rig(
     *,
     left: int = 2,
     right: int = 3,
-    body_required: bool,
+    body_required: bool = False,
     images: Literal["rectified", "raw"] | Size | None = "rectified",
     rig_id: str | None = None,
     sigma_px: float = 0.5,

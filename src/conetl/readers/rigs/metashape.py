@@ -80,7 +80,6 @@ def _unit_m(path: Path, chunk: Element, length_unit: str | None) -> float:
 
 
 def _of_sensor(path: Path, sensor: Element, key: str, name: str, shape: tuple[int, ...]) -> Node:
-    """Numbers of a sensor, of this shape."""
     node = Node(path, sensor.findtext(key), f"{name}.{key}")
     if node.value is None:
         raise node.bad("is missing: align the project with the relative position of the slave cameras")

@@ -264,7 +264,7 @@ def _role_of(name: str) -> str | None:
 
 
 def _scale_of(name: str) -> str:
-    """How a time is counted by the name of its column, see `tables.Layout.scale`."""
+    """How a time is counted by the name of its column, see `TableLayout.scale`."""
     plain = re.sub(r"[^a-z0-9]", "", _plain(name))
     if "utc" in plain or "unix" in plain or "posix" in plain:
         return "UTC"
