@@ -20,6 +20,7 @@ from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.geometry.intersection import fit_point
 from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import Drive, FramePair, Position, StereoMatch
 from conetl.perception.detections import check_boxes
@@ -158,7 +159,7 @@ def main() -> None:
     cones, _ = fuse_tracks(locate(last, drive, matches, params), matches, found, last, drive.rig, params)
     errors = pose_cov(with_cones, params.trajectory)
     variances = estimate_variance_factors(cones, matches, drive.rig, {p.frame_index: p.pose for p in last}, errors)
-    print("variances over stated ones: " + ", ".join(f"{k} {v:.2f}" for k, v in variances._asdict().items()))
+    print("variances over stated ones: " + ", ".join(f"{k} {v:.2f}" for k, v in variances[CONE]._asdict().items()))
     matches = with_variance_factors(matches, variances)
     groups = [cone.members for cone in cones]
     print(f"{len(cones)} cones, seen in {[len(g) for g in groups]} frame pairs; {with_cones.detail}")

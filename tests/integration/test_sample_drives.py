@@ -17,6 +17,7 @@ from conetl.mapping.changes import reconcile
 from conetl.mapping.visibility import check_visibility, observations_of_drive
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.errors import DriveFolderError
+from conetl.model.feature_classes import CONE
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams, MatchParams, Params, ReconcileParams, TrackParams
 from conetl.perception.model_card import read_model_card
@@ -47,7 +48,7 @@ def errors_of(truth: Path, results: AnalysedDrive, factor: float) -> PointErrors
     """Of single positions, with the sigmas of all image points multiplied by a factor."""
     drive = results.drive
     # What all sightings of a cone have in common of its disparity is a constant, which is not theirs to state.
-    scaled = with_variance_factors(results.records.matches, VarianceFactors(factor**2, factor**2, factor**2))
+    scaled = with_variance_factors(results.records.matches, {CONE: VarianceFactors(factor**2, factor**2, factor**2)})
     matches = [m.model_copy(update={"sigma_outline_px": factor * m.sigma_outline_px}) for m in scaled]
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     positions, _ = locate_positions(matches, pairs, drive.rig, PARAMS.position)

@@ -39,11 +39,15 @@ class FeatureClass:
     body: tuple[float, float] = (0.10, 0.31)
     """Of round objects: half width of the body at its upper and lower end, as shares of the width of the box, which holds the
     base too."""
+    board: float = 0.42
+    """Of flat objects on the road: half width of what is matched, as a share of the width of the box, which may hold a base."""
     axis_from_outline: bool = False
     """Whether the edges of the body in the image, instead of the box, give the axis: those of wide, straight bodies do."""
     outline_share: float | None = 0.02
-    """Sigma, as a share of the height of the box, of what all boxes of one object have in common: which part of it they take for
-    its foot and axis. Measured on rendered objects; None of cones, whose feet networks give."""
+    """Sigma across the rows, as a share of the height of the box, of what all boxes of one object have in common: which part of
+    it they take for its foot. Measured on rendered objects; None of cones, whose feet networks give."""
+    outline_aside: float = 1.0
+    """That along the rows, of its axis, as a share of it: two sides of the box show the axis, the lower one alone the foot."""
     geometry: Literal["point", "line"] = "point"
     """Point objects are found by the detector, lines by `perception/markings/`, which needs no network."""
 
@@ -54,27 +58,31 @@ FEATURE_CLASSES = {
     ),
     "tubular_marker": FeatureClass(
         (0.4, 1.4), (0.25, 2.0), 0.3, round_body=True, on_road=True, in_rows=True, letter="T", rim_share=0.5,
-        body=(0.20, 0.22), outline_share=0.006,
+        body=(0.20, 0.22), outline_share=0.003,
     ),
     "drum": FeatureClass(
         (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, letter="D", rim_share=0.5,
-        network_share=0.0, body=(0.33, 0.39), axis_from_outline=True, outline_share=0.01,
+        network_share=0.0, body=(0.33, 0.39), axis_from_outline=True, outline_share=0.003,
     ),
     "vertical_panel": FeatureClass(
         (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_share=0.5,
-        outline_share=0.012,
+        board=0.36, outline_share=0.01, outline_aside=0.7,
     ),
     "barricade": FeatureClass(
-        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B", outline_share=0.04
+        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B", outline_share=0.045,
+        outline_aside=0.3,
     ),
     "work_zone_sign": FeatureClass(
-        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False, letter="W"
+        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False, letter="W", outline_share=0.03,
+        outline_aside=0.3,
     ),
     "arrow_board": FeatureClass(
-        (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, letter="A", outline_share=0.05
+        (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, letter="A", outline_share=0.025,
+        outline_aside=2.3,
     ),
     "traffic_sign": FeatureClass(
-        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, letter="S", outline_share=0.025
+        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, letter="S", outline_share=0.03,
+        outline_aside=0.3,
     ),
     LANE_MARKING: FeatureClass(
         (0.0005, 0.006), (0.0, 0.02), 30.0, round_body=False, on_road=True, in_rows=False, letter="", geometry="line"

@@ -379,7 +379,8 @@ class StereoMatch(Record):
     sigma_pointing_px: NonNegative
     """Along the rows, common to both images: position of the cone's axis. Affects the bearing, not the range."""
     sigma_outline_px: NonNegative = 0.0
-    """Along and across the rows, common to all observations of one cone: the detector's foot and axis."""
+    """Across the rows, and times `FeatureClass.outline_aside` along them, common to all observations of one cone: the detector's
+    foot and axis."""
     refined: bool
     """True if refined by area-based matching, False if from box edges alone."""
     cost: NonNegative
@@ -403,8 +404,8 @@ class Position(Record):
     """The foot in the left camera's frame (x right, y down, z forward), free of GNSS error."""
     camera_cov_m2: Cov3
     sigma_outline_m: NonNegative = 0.0
-    """To the right and down, common to all observations of this cone (`StereoMatch.sigma_outline_px`); part of both
-    covariances."""
+    """Down, and times `FeatureClass.outline_aside` to the right, common to all observations of this cone
+    (`StereoMatch.sigma_outline_px`); part of both covariances."""
     range_m: Positive
     """Ground distance from the left camera to the foot."""
     ray_angle_rad: Positive

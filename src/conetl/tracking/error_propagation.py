@@ -18,6 +18,7 @@ from conetl.geometry.motion.chain_solver import cross_covariance, joint_covarian
 from conetl.geometry.motion.pose_graph import POSE, motion_jacobians
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Pose, Position, Rig
 from conetl.tracking.association import MotionError
@@ -188,10 +189,11 @@ def outline_errors(position: Position, rig: Rig) -> Floats:
     Columns: to the right and down, the detector's foot and axis (`Position.sigma_outline_m`); along the ray, the cone's shape
     in matching (`shared_disparity_px`).
     """
-    sigma_m, xyz_m = position.sigma_outline_m, np.array(position.camera_xyz_m)
+    down_m, xyz_m = position.sigma_outline_m, np.array(position.camera_xyz_m)
+    right_m = FEATURE_CLASSES[position.category].outline_aside * down_m
     per_px = xyz_m[2] ** 2 / (rig.left.fx_px * rig.baseline_m)
     away_m = shared_disparity_px(cov_matrix(position.camera_cov_m2)[2, 2] ** 0.5 / per_px) * per_px
-    return np.column_stack([[sigma_m, 0.0, 0.0], [0.0, sigma_m, 0.0], xyz_m / xyz_m[2] * away_m])
+    return np.column_stack([[right_m, 0.0, 0.0], [0.0, down_m, 0.0], xyz_m / xyz_m[2] * away_m])
 
 
 def outline_cov(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping[int, Floats], rig: Rig) -> Floats:

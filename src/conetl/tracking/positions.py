@@ -20,6 +20,7 @@ from conetl.geometry.calibration.covariance import calibration_cov
 from conetl.geometry.camera import add_pose_covariance
 from conetl.geometry.intersection import IntersectionStatus, intersect
 from conetl.geometry.packing import cov3, vec3
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import PositionParams
 from conetl.model.records import (
     Cov3,
@@ -89,7 +90,7 @@ class _Located(NamedTuple):
     foot_cov: Array
     """(M, 3, 3) m^2"""
     outline_m: Array
-    """(M,) m, the part of it common to all observations of a cone: sigma to the right and down"""
+    """(M,) m, the part of it common to all observations of a cone: sigma down, and times `outline_aside` to the right"""
     residual_rms: Array
     """(M,) px, over the eight image coordinates of foot and tip"""
     ray_angle: Array
@@ -234,8 +235,9 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
     foot_cov = result.cov_m2[:count].copy()
     pointing = np.array([m.sigma_pointing_px for m in matches])
     foot_cov[:, 0, 0] += (pointing * result.depth_m[:count, 0] / rig.left.fx_px) ** 2
+    aside = np.array([FEATURE_CLASSES[m.left.category].outline_aside for m in matches])
     outline_m = np.array([m.sigma_outline_px for m in matches]) * result.depth_m[:count, 0] / rig.left.fx_px
-    foot_cov[:, 0, 0] += outline_m**2
+    foot_cov[:, 0, 0] += (aside * outline_m) ** 2
     foot_cov[:, 1, 1] += outline_m**2
     return _Located(
         status=result.status.reshape(3, count),

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.records import Pose, Rig, StereoMatch, Track
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_sigma_px, shared_disparity_px
@@ -70,53 +71,61 @@ def estimate_variance_factors(
     rig: Rig,
     poses: Mapping[int, Pose],
     pose_cov: PoseCov | None = None,
-) -> VarianceFactors:
-    """Factors for the observations of one drive, from all its tracks.
+) -> dict[str, VarianceFactors]:
+    """Factors for the observations of one drive, from all its tracks, by their classes.
 
-    poses: by frame index, of a refined trajectory; pose_cov: of their errors, None without any. Only matches refined in the
-    images, of boxes with feet, count; with few of them the factors stay near 1.
+    Detectors show the edges of some classes better than those of others: each class has its own factors of columns and rows; that
+    of disparities is one. poses: by frame index, of a refined trajectory; pose_cov: of their errors, None without any. Only
+    matches refined in the images, whose shared errors are known, count; with few of them the factors stay near 1.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
-    cones = []
+    cones: list[tuple[int, _Cone]] = []
+    classes = sorted({track.category for track in tracks})
     for track in tracks:
         pairs = [match_of[member] for member in track.members if _is_usable(match_of[member])]
         if len(pairs) > 1:
-            cones.append(_cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov))
-    factors = np.ones(3)
+            cone = _cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov)
+            cones.append((classes.index(track.category), cone))
+    factors = np.ones((len(classes), 3))
     for _ in range(_MAX_ITERATIONS):
+        squares, freedom = np.zeros_like(factors), np.zeros_like(factors)
+        for number, cone in cones:
+            of_cone = _squares_and_freedom(cone, factors[number])
+            squares[number] += of_cone[0]
+            freedom[number] += of_cone[1]
+        squares[:, 2], freedom[:, 2] = squares[:, 2].sum(), freedom[:, 2].sum()
         # The stated variances count as so many residuals of the stated size.
-        squares, freedom = _STATED_DOF / factors, np.full(3, _STATED_DOF)
-        for cone in cones:
-            of_cone = _squares_and_freedom(cone, factors)
-            squares, freedom = squares + of_cone[0], freedom + of_cone[1]
-        step = squares / freedom
+        step = (squares + _STATED_DOF / factors) / (freedom + _STATED_DOF)
         factors = factors * step
-        if np.abs(step - 1).max() < _CONVERGED:
+        if np.abs(step - 1).max(initial=0.0) < _CONVERGED:
             break
-    return VarianceFactors(*np.clip(factors, _SIGMA_BOUNDS[0] ** 2, _SIGMA_BOUNDS[1] ** 2).tolist())
+    factors = np.clip(factors, _SIGMA_BOUNDS[0] ** 2, _SIGMA_BOUNDS[1] ** 2)
+    return {category: VarianceFactors(*own) for category, own in zip(classes, factors.tolist(), strict=True)}
 
 
-def with_variance_factors(matches: Sequence[StereoMatch], variances: VarianceFactors) -> list[StereoMatch]:
-    """The matches of a drive with the factors applied, where `estimate_variance_factors` used them."""
+def with_variance_factors(
+    matches: Sequence[StereoMatch], variances: Mapping[str, VarianceFactors]
+) -> list[StereoMatch]:
+    """The matches of a drive with the factors of their classes applied, where `estimate_variance_factors` used them."""
     return [
-        match.model_copy(
-            update={
-                "sigma_pointing_px": match.sigma_pointing_px * variances.columns**0.5,
-                "sigma_v_px": match.sigma_v_px * variances.rows**0.5,
-                "sigma_u_px": (
-                    (variances.disparity * matching_sigma_px(_disparity_px(match)) ** 2 + SHARED_DISPARITY_PX**2) / 2
-                )
-                ** 0.5,
-            }
-        )
-        if _is_usable(match)
-        else match
-        for match in matches
+        _weighed(m, variances[m.left.category]) if m.left.category in variances and _is_usable(m) else m
+        for m in matches
     ]
 
 
+def _weighed(match: StereoMatch, variances: VarianceFactors) -> StereoMatch:
+    own_px2 = variances.disparity * matching_sigma_px(_disparity_px(match)) ** 2
+    return match.model_copy(
+        update={
+            "sigma_pointing_px": match.sigma_pointing_px * variances.columns**0.5,
+            "sigma_v_px": match.sigma_v_px * variances.rows**0.5,
+            "sigma_u_px": ((own_px2 + SHARED_DISPARITY_PX**2) / 2) ** 0.5,
+        }
+    )
+
+
 def _is_usable(match: StereoMatch) -> bool:
-    return match.refined and match.left.foot_px is not None and match.right.foot_px is not None
+    return match.refined and match.sigma_outline_px > 0
 
 
 def _disparity_px(match: StereoMatch) -> float:
@@ -136,7 +145,9 @@ def _cone(
     observed = np.array([(*m.foot_left_uv_px, *m.foot_right_uv_px) for m in pairs])
     disparity = np.array([_disparity_px(m) for m in pairs])
     in_common = np.array([shared_disparity_px(_disparity_px(m)) for m in pairs])
-    shared = np.array([(m.sigma_outline_px, m.sigma_outline_px, px) for m, px in zip(pairs, in_common, strict=True)])
+    down_px = np.array([m.sigma_outline_px for m in pairs])
+    aside = np.array([FEATURE_CLASSES[m.left.category].outline_aside for m in pairs])
+    shared = np.stack([aside * down_px, down_px, in_common], axis=1)
     # What all observations of an object have in common causes no scatter.
     own = np.maximum(disparity**2 - in_common**2, 1e-6)
     stated = np.array([(m.sigma_pointing_px**2, m.sigma_v_px**2 / 2, px2) for m, px2 in zip(pairs, own, strict=True)])

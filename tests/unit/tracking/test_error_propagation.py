@@ -14,6 +14,7 @@ from conetl.geometry.consistency import Nees
 from conetl.geometry.intersection import fit_point, pair_jacobian
 from conetl.geometry.motion.chain_solver import cross_covariance
 from conetl.geometry.packing import cov_matrix
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import CalibrationCovariance, FramePair, Position
 from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_cov, pose_cov
@@ -180,6 +181,10 @@ def test_outline_errors_remain_from_one_side_and_cancel_from_opposite_ones() -> 
     sigma_px = cov_matrix(position.camera_cov_m2)[2, 2] ** 0.5 / per_px
     away = xyz_m / xyz_m[2] * shared_disparity_px(sigma_px) * per_px
     np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2 + away @ away)
+    aside = FEATURE_CLASSES["traffic_sign"].outline_aside
+    sign = position.model_copy(update={"category": "traffic_sign"})
+    of_sign = outline_cov([sign, sign], shares, left, RIG)
+    np.testing.assert_allclose(np.trace(of_sign), (1 + aside**2) * 0.02**2 + away @ away)
     turned = left[position.frame_index].copy()
     turned[:3, [0, 2]] *= -1  # from the other side: right and left, far and near are exchanged
     other = position.model_copy(update={"frame_index": 99})

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from conetl.geometry import pose as se3
+from conetl.model.feature_classes import CONE
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Detection, FramePair, Side, StereoMatch, Track
 from conetl.tracking.error_propagation import PoseCov, pose_cov
@@ -19,6 +20,7 @@ from tests.synthetic.world import ORIGIN_M, camera_pose, make_path, make_rig
 RIG, PATH = make_rig(), make_path(24)
 FEET_M = np.array([[x, y, 0.0] for x in (12.0, 18.0, 24.0, 30.0) for y in (-3.5, 3.0)]) + ORIGIN_M
 OUTLINE_PX = 0.3
+DRUM = {"category": "drum", "foot_px": None}
 
 
 def drawn(
@@ -81,6 +83,15 @@ def found(
     pairs: list[FramePair] = PATH,
     pose_cov: PoseCov | None = None,
 ) -> VarianceFactors:
+    return by_class(matches, tracks, pairs, pose_cov)[CONE]
+
+
+def by_class(
+    matches: list[StereoMatch],
+    tracks: list[Track],
+    pairs: list[FramePair] = PATH,
+    pose_cov: PoseCov | None = None,
+) -> dict[str, VarianceFactors]:
     return estimate_variance_factors(tracks, matches, RIG, {pair.frame_index: pair.pose for pair in pairs}, pose_cov)
 
 
@@ -117,10 +128,31 @@ def test_few_observations_change_little() -> None:
     """The stated variances prevail over two or three observations, and factors are limited."""
     matches, tracks = drawn(np.random.default_rng(1), (1.5, 1.5, 1.5), cones=1)
     few = tracks[0].model_copy(update={"members": tracks[0].members[:3]})
-    assert found(matches, []) == (1.0, 1.0, 1.0)
+    assert by_class(matches, []) == {}
+    assert found([m.model_copy(update={"refined": False}) for m in matches], tracks) == (1.0, 1.0, 1.0)
     assert np.array(found(matches, [few])) == pytest.approx(1.0, abs=0.5)
     assert found(*drawn(np.random.default_rng(2), (9.0, 9.0, 9.0))) == (4.0, 4.0, 4.0)
     assert found(*drawn(np.random.default_rng(3), (0.05, 0.05, 0.05))) == pytest.approx((0.25, 0.25, 0.25), rel=0.01)
+
+
+def test_each_class_has_its_own_edges_but_one_matching() -> None:
+    """Cones with wild columns beside drums with precise ones, whose boxes have no feet; half of the disparities are wild."""
+    rng, factors = np.random.default_rng(8), []
+    for _ in range(6):
+        matches, tracks = drawn(rng, (1.5, 0.7, 1.3))
+        others, drums = drawn(rng, (0.7, 1.5, 0.7))
+        for n, match in enumerate(others):
+            boxes = {side: getattr(match, side).model_copy(update=DRUM) for side in ("left", "right")}
+            others[n] = match.model_copy(update={**boxes, "match_index": match.match_index + 100})
+        for n, track in enumerate(drums):
+            members = tuple((frame, number + 100) for frame, number in track.members)
+            drums[n] = track.model_copy(update={"category": "drum", "members": members})
+        of_classes = by_class([*matches, *others], [*tracks, *drums])
+        assert of_classes[CONE].disparity == of_classes["drum"].disparity
+        factors.append([of_classes[CONE], of_classes["drum"]])
+    means = np.mean(factors, axis=0)
+    assert means[:, :2] == pytest.approx(np.array([[2.1, 0.55], [0.55, 2.1]]), rel=0.15)
+    assert means[0, 2] == pytest.approx((1.3**2 + 0.7**2) / 2, rel=0.15)
 
 
 def test_outliers_are_down_weighted() -> None:
@@ -135,10 +167,12 @@ def test_only_observations_that_were_used_change() -> None:
     """Without the part of the disparity common to all observations of a cone."""
     matches, tracks = drawn(np.random.default_rng(4), (1.0, 1.0, 1.0), cones=2)
     rough = matches[0].model_copy(update={"refined": False})
-    no_foot = matches[1].model_copy(update={"left": matches[1].left.model_copy(update={"foot_px": None})})
-    matches[:2] = [rough, no_foot]
-    changed = with_variance_factors(matches, VarianceFactors(columns=4.0, rows=0.25, disparity=0.25))
-    assert changed[:2] == [rough, no_foot]
+    box_alone = matches[1].model_copy(update={"sigma_outline_px": 0.0})
+    matches[:2] = [rough, box_alone]
+    factors = VarianceFactors(columns=4.0, rows=0.25, disparity=0.25)
+    changed = with_variance_factors(matches, {CONE: factors})
+    assert with_variance_factors(matches, {"drum": factors}) == matches
+    assert changed[:2] == [rough, box_alone]
     for old, new in zip(matches[2:], changed[2:], strict=True):
         assert new.sigma_pointing_px == pytest.approx(2 * old.sigma_pointing_px)
         assert new.sigma_v_px == pytest.approx(old.sigma_v_px / 2)

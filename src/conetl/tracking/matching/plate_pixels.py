@@ -19,8 +19,8 @@ from conetl.tracking.matching.cone_pixels import Beyond, BodyPixels, smooth, som
 Floats = NDArray[np.float64]
 #: Half axes of the ellipse inside of a plate, as shares of the box: that of a diamond touches it at 0.35.
 _ELLIPSE = 0.36
-#: The used part of the box of other flat objects: half width, and rows from the top, where their boards are.
-_HALF_WIDTH, _ROWS = 0.42, (0.04, 0.75)
+#: The used rows of the box of other flat objects, from the top, where their boards are; `FeatureClass.board` is half its width.
+_ROWS = (0.04, 0.75)
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,9 @@ class Plate:
 def find_plate(detection: Detection) -> Plate:
     """The part of a detection's box that shows its object."""
     middle, top = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px - 0.5
-    elliptic = not FEATURE_CLASSES[detection.category].on_road
-    half = detection.w_px * (_ELLIPSE if elliptic else _HALF_WIDTH)
+    its = FEATURE_CLASSES[detection.category]
+    elliptic = not its.on_road
+    half = detection.w_px * (_ELLIPSE if elliptic else its.board)
     first, last = (0.5 - _ELLIPSE, 0.5 + _ELLIPSE) if elliptic else _ROWS
     height = detection.h_px
     return Plate(middle - half, middle + half, top + first * height, top + last * height, top + height, elliptic)
