@@ -92,13 +92,8 @@ def load_result(path: Path, record_type: type[R]) -> tuple[list[R], list[Rejecti
 
 def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], list[Rejection]]:
     """All chunks of a drive, in order."""
-    records: list[R] = []
-    rejections: list[Rejection] = []
-    for path in paths:
-        more, refused = load_result(path, record_type)
-        records += more
-        rejections += refused
-    return records, rejections
+    chunks = [load_result(path, record_type) for path in paths]
+    return [r for records, _ in chunks for r in records], [r for _, refused in chunks for r in refused]
 
 
 def write_table(table: pa.Table, path: Path) -> None:

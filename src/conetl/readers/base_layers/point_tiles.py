@@ -185,10 +185,7 @@ def _file(folder: Path, ix: int, iy: int) -> Path:
 
 def top_level(extent_m: float) -> int:
     """The first level of a cloud of this extent: the finest whose tiles are as large as the cloud."""
-    level = 0
-    while level < CELL_LEVEL and tile_side_m(level + 1) >= extent_m:
-        level += 1
-    return level
+    return max((level for level in range(CELL_LEVEL + 1) if tile_side_m(level) >= extent_m), default=0)
 
 
 def tiles_of(cells: Iterable[tuple[int, int, Cloud]], top: int, voxel_m: float) -> Iterator[Tile]:

@@ -298,7 +298,13 @@ def drive_of_couples(
     rejections: list[Rejection] = []
     for number, couple in enumerate(couples):
         try:
-            captured = _captured_at(number, couple, wrong_times)
+            if number not in stamps:
+                text = str(couple[0].stamp) if couple[0] else "the image has no time stamp"
+                raise PairError(RejectionReason.TIMESTAMP_INVALID, text)
+            captured = stamps[number]
+            if number in wrong_times:
+                text = f"the time {captured} ns {wrong_times[number]}"
+                raise PairError(RejectionReason.TIMESTAMP_INVALID, text)
             images = images_of(*_both(couple, source.settings, names))
             pairs[number] = *images, captured, pose_at(captured)
         except PairError as error:
@@ -327,13 +333,3 @@ def time_of(couple: Couple) -> int | None:
     """The left image's time; the right one's where it is alone."""
     image = couple[0] or couple[1]
     return image.stamp if image is not None and isinstance(image.stamp, int) else None
-
-
-def _captured_at(number: int, couple: Couple, wrong_times: Mapping[int, str]) -> int:
-    stamp = time_of(couple)
-    if stamp is None:
-        detail = str(couple[0].stamp) if couple[0] else "the image has no time stamp"
-        raise PairError(RejectionReason.TIMESTAMP_INVALID, detail)
-    if number in wrong_times:
-        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"the time {stamp} ns {wrong_times[number]}")
-    return stamp

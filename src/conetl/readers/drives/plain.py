@@ -15,7 +15,6 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -43,7 +42,7 @@ from conetl.readers.drives.pairs import (
 from conetl.readers.drives.poses import checked_srid, to_pose, wild_fixes
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
-from conetl.readers.trajectories.times import misplaced, parse_timestamp
+from conetl.readers.trajectories.times import misplaced, parse_timestamp, stamp_or_problem
 
 NAME = "plain"
 READS_OBJECTS = True
@@ -173,10 +172,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     header.add_images(path, {side: root / side for side in ("left", "right")})
     header.add_file(path, RIG_YAML)
     rows = csv.DictReader(_trajectory_file(path, header.content).decode("utf-8-sig", errors="replace").splitlines())
-    stamps: list[int] = []
-    for row in rows:
-        with suppress(ValueError):
-            stamps.append(parse_timestamp(row.get("captured_at") or "", settings.timestamps_timezone))
+    stamps = [stamp_or_problem(row.get("captured_at") or "", settings.timestamps_timezone) for row in rows]
     header.set_times(stamps, path / TRAJECTORY)
     read_plain_rig(path, settings, ContentHash())
 

@@ -292,9 +292,6 @@ def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
     except ValueError:
         values = []
     if not least <= len(values) <= most or not np.isfinite(values).all():
-        raise InputError(
-            f"--{key} '{text[:60]}': expected {least} to {most} numbers with commas between"
-            if most > least
-            else f"--{key} '{text[:60]}': expected a number"
-        )
+        wanted = f"{least} to {most} numbers with commas between" if most > least else "a number"
+        raise InputError(f"--{key} '{text[:60]}': expected {wanted}")
     return values

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from conetl.files.documents import named
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.position_spline import (
@@ -109,13 +110,11 @@ def with_course(recorded: RecordedTrajectory) -> RecordedTrajectory:
 
 def _spline(name: str, times_ns: Sequence[int], positions_m: Floats, sigma_m: Floats) -> PositionSpline:
     defaults = TrajectoryParams()
-    try:
+    with named(f"{name}: positions cannot be interpolated", DriveFolderError):
         return position_spline(
             _seconds(times_ns, times_ns[0]), positions_m, sigma_m, white_share=defaults.gnss_white_share,
             correlation_s=defaults.gnss_correlation_s,
         )  # fmt: skip
-    except ValueError as error:
-        raise DriveFolderError(f"{name}: positions cannot be interpolated: {error}") from error
 
 
 def _course(name: str, spline: PositionSpline, times_s: Floats) -> tuple[Floats, Floats, Floats]:

@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import ArrayLike
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import first_message, named, read_limited, shown
+from conetl.files.documents import named, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.arrays import Floats
@@ -181,10 +181,8 @@ def camera_from_matrix(node: Node, k: Floats, size: Size, lens: Lens) -> Camera:
     # A principal point outside the image by the image's size belongs to another image size.
     if not (-width < cx < 2 * width and -height < cy < 2 * height):
         raise node.bad(f"has the principal point ({cx:.1f}, {cy:.1f}), far outside {width} x {height} pixels")
-    try:
+    with named(f"{node.path}: '{node.key}' cannot be used", CalibrationError):
         return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
-    except ValueError as error:
-        raise node.bad(f"cannot be used: {first_message(error)}") from error
 
 
 def pinhole_camera(node: Node, coefficients: str, lenses: Mapping[str | None, str | None]) -> Camera:
@@ -246,13 +244,11 @@ def stereo_rig(node: Node, tool: str, left: Camera, right: Camera, right_SE3_lef
 
     node: the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises CalibrationError.
     """
-    try:
+    with named(f"{node.path}: '{node.key}' cannot be used", CalibrationError):
         turn = se3.nearest_rotation(right_SE3_left[:3, :3])
         left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3]))
         check_stereo_baseline(left_SE3_right)
         return rig_of(tool, left, right, left_SE3_right)
-    except ValueError as error:
-        raise node.bad(f"cannot be used: {first_message(error)}") from error
 
 
 def rig_of(

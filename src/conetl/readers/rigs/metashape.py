@@ -43,7 +43,6 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
     }
     chosen = None if pair is None else tuple(names.get(name, name) for name in pair)
     left, right = choose_pair(path, [*names.values()], chosen)
-    by_name = {names[number]: sensor for number, sensor in sensors.items()}
     unit_m = _unit_m(path, chunks[0], length_unit)
     poses = {}
     for number, sensor in sensors.items():
@@ -59,7 +58,7 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
             f"{path}: the sensors {shown(left)} and {shown(right)} are not in one multi-camera system: neither is the master "
             "(master_id) of the other, nor have they the same"
         )
-    left_camera, right_camera = (_camera(path, by_name[name], name) for name in (left, right))
+    left_camera, right_camera = (_camera(path, sensors[numbers_of[name]], name) for name in (left, right))
     node = Node(path, None, f"{right}.location")
     return stereo_rig(node, "metashape", left_camera, right_camera, right_SE3_left)
 

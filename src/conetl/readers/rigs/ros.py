@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from conetl.files.documents import read_yaml, shown
+from conetl.files.documents import named, read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import intrinsics, matrix_k
@@ -122,10 +122,8 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
 
     Raises CalibrationError for a rig that cannot be rectified.
     """
-    try:
+    with named(f"{folder}: this rig cannot be rectified, as ROS requires", CalibrationError):
         flat = rectify(rig)
-    except ValueError as error:
-        raise CalibrationError(f"{folder}: this rig cannot be rectified, as ROS requires: {error}") from error
     base_m = rig.baseline_m
     raw_R_rect = [
         rigs.body_SE3_camera(rig, side)[:3, :3].T @ rigs.body_SE3_camera(flat, side)[:3, :3]

@@ -252,11 +252,7 @@ def _role_of(name: str) -> str | None:
     if len(name) > _LONGEST_NAME:
         return None
     unit = _unit_of(name)
-    base = (
-        re.sub(r"[\[(]" + re.escape(unit) + r"[\])]", "", name, flags=re.IGNORECASE)
-        if re.search(r"[\[(]", name)
-        else name
-    )
+    base = re.sub(r"[\[(]" + re.escape(unit) + r"[\])]", "", name, flags=re.IGNORECASE)
     whole = re.sub(r"[^a-z0-9]", "", _plain(base))
     short = whole.removesuffix(re.sub(r"[^a-z0-9]", "", unit)) if unit and base == name else whole
     role = _ROLE_OF.get(whole) or _ROLE_OF.get(short)

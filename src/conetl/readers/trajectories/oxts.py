@@ -55,11 +55,8 @@ def parse_oxts(text: str, *, accuracy_required: bool = True) -> OxtsRecord:
         raise ValueError(f"expected {FIELD_COUNT} numbers, found text that is not a number") from None
     lat, lon, height, roll, pitch, yaw = values[:6]
     record = OxtsRecord(lat, lon, height, roll, pitch, yaw, values[23])
-    limits = {
-        "roll_rad": math.pi + 1e-3, "pitch_rad": math.pi / 2 + 1e-3, "yaw_rad": 2 * math.pi + 1e-3,
-    }  # fmt: skip
-    for name, limit in limits.items():
-        value = getattr(record, name)
+    for name, value, turns in (("roll_rad", roll, 0.5), ("pitch_rad", pitch, 0.25), ("yaw_rad", yaw, 1.0)):
+        limit = 2 * math.pi * turns + 1e-3
         if not abs(value) <= limit:  # NaN and infinity fail too
             raise ValueError(f"{name} is {value}, expected a number between {-limit:g} and {limit:g}")
     check_fix(lat, lon, height)

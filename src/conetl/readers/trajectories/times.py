@@ -143,13 +143,15 @@ def parse_timestamp(text: str, zone: str = "UTC", order: Literal["dmy", "mdy"] |
 
 def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
     """Line number, from 0, -> UTC nanoseconds, or what is wrong with that line. Blank lines at the end do not count."""
-    stamps: dict[int, int | str] = {}
-    for number, line in enumerate(text.rstrip().splitlines()):
-        try:
-            stamps[number] = parse_timestamp(line, zone)
-        except ValueError as error:
-            stamps[number] = str(error)
-    return stamps
+    return {number: stamp_or_problem(line, zone) for number, line in enumerate(text.rstrip().splitlines())}
+
+
+def stamp_or_problem(text: str, zone: str) -> int | str:
+    """UTC nanoseconds of a time stamp, or what is wrong with it."""
+    try:
+        return parse_timestamp(text, zone)
+    except ValueError as error:
+        return str(error)
 
 
 @lru_cache(maxsize=4096)
