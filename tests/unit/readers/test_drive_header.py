@@ -50,16 +50,13 @@ def test_the_header_does_not_depend_on_the_path(drive: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    "change", ["another image", "another size", "another time", "another calibration", "other poses", "another pose"]
+    "change", ["another image", "another size", "another time", "another calibration", "another pose"]
 )
 def test_another_delivery_is_another_drive(drive: Path, change: str) -> None:
     before = read_header(drive).header_sha256
     image = drive / "image_02" / "data" / "0000000000.jpg"
     if change == "another image":
         shutil.copy(image, image.with_name("0000009999.jpg"))
-    elif change == "other poses":  # of as many digits
-        for path in (drive / "oxts" / "data").iterdir():
-            path.write_text(path.read_text().replace("4", "5", 1))
     elif change == "another pose":
         path = drive / "oxts" / "data" / "0000000000.txt"
         shutil.copy(path, path.with_name("0000009999.txt"))

@@ -244,9 +244,7 @@ def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Floats:
     found[~(found[:, :3] <= MAX_SIGMA_M).all(axis=1), :3] = np.nan
     for k, name in enumerate(("roll_deg", "pitch_deg", "yaw_deg"), 3):
         default = math.radians(getattr(given, name))
-        found[:, k] = (
-            default if name in given.model_fields_set else np.where(np.isnan(found[:, k]), default, found[:, k])
-        )
+        found[np.isnan(found[:, k]) | (name in given.model_fields_set), k] = default
     x, y, z = settings.antenna_t_m or (0.0, 0.0, 0.0)
     level_m, up_m = np.hypot(x, y), abs(z)
     tilt = found[:, 3:5].max(axis=1)

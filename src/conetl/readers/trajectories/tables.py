@@ -110,7 +110,8 @@ def table_records(
         for i in short:
             rows[i] = [""] * width
         words = _time_words(rows, layout)
-        weeks = _words(rows, layout.columns["week"]) if "week" in layout.columns else None
+        week = layout.columns.get("week")
+        weeks = None if week is None else [row[week.at] for row in rows]
         if read_times is None:
             read_times = time_reader(layout.clock or _clock(words, short, layout, settings, path))
         times, wrong = read_times(words, weeks)
@@ -157,12 +158,8 @@ def _time_words(rows: Sequence[list[str]], layout: TableLayout) -> list[str]:
     return [word.replace(",", ".") for word in words] if layout.comma else words
 
 
-def _words(rows: Sequence[list[str]], column: Column) -> list[str]:
-    return [row[column.at] for row in rows]
-
-
 def _numbers(rows: Sequence[list[str]], column: Column, comma: bool) -> Floats:
-    found = floats(_words(rows, column), comma=comma)
+    found = floats([row[column.at] for row in rows], comma=comma)
     if column.dms:
         minutes, seconds = (floats([row[column.at + k] for row in rows], comma=comma) for k in (1, 2))
         # The sign of -0 degrees counts.
