@@ -41,11 +41,11 @@ on conflict (drive_uuid) do nothing;
 -- name: statements
 -- What an imported map states. Parameters: drive_uuid. Columns: as MapFeature of version 1, then valid_from_ns.
 select
-    s.feature_id, 1, s.category, ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom),
-    s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,
-    ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom) + s.cone_height_m / 2,
+    s.feature_id, 1 as version, s.category, array[ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom)] as xyz_m,
+    array[s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz] as cov_m2,
+    array[ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom) + s.cone_height_m / 2] as centre_xyz_m,
     s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count, s.first_seen_ns, s.last_seen_ns,
-    null::bytea, null, null, null, null, null, null, null, null, s.valid_from_ns
+    null as shared_jacobian, null as line, s.valid_from_ns
 from conetl.statement s
 where s.drive_uuid = %(drive_uuid)s
 order by s.statement_index;
@@ -68,8 +68,8 @@ order by p.frame_index;
 -- The frame pairs of a drive. Parameters: drive_uuid; easting_m, northing_m, within_m: only those in a square around a position
 -- (map CRS; all null: everywhere). Columns: as FramePair and its Pose.
 select
-    p.frame_index, p.left_path, p.right_path, p.captured_at_ns, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom),
-    p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad, p.detail
+    p.frame_index, p.left_path, p.right_path, p.captured_at_ns,
+    array[ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom)] as map_t_body_m, p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad, p.detail
 from conetl.frame_pair p
 where p.drive_uuid = %(drive_uuid)s and (
     %(within_m)s::float8 is null
@@ -95,32 +95,34 @@ order by p.frame_index, p.match_index;
 
 -- name: tracks
 -- The tracks of a drive. Parameters: drive_uuid.
--- Columns: as Track (metres, m^2, ns); members as (frame, match) pairs in a two-dimensional array; last, calibrations
--- and shared_jacobian_m as PostgreSQL sends them, concatenated.
+-- Columns: as Track (metres, m^2, ns); members as (frame, match) pairs in a two-dimensional array; shared_jacobian:
+-- calibrations and shared_jacobian_m as PostgreSQL sends them, concatenated.
 select
-    t.track_index, t.category, ST_X(t.geom), ST_Y(t.geom), ST_Z(t.geom),
-    t.cov_xx, t.cov_xy, t.cov_xz, t.cov_yy, t.cov_yz, t.cov_zz,
-    t.relative_cov_xx, t.relative_cov_xy, t.relative_cov_xz, t.relative_cov_yy, t.relative_cov_yz, t.relative_cov_zz,
-    ST_X(t.centre_geom), ST_Y(t.centre_geom), ST_Z(t.centre_geom),
+    t.track_index, t.category, array[ST_X(t.geom), ST_Y(t.geom), ST_Z(t.geom)] as xyz_m,
+    array[t.cov_xx, t.cov_xy, t.cov_xz, t.cov_yy, t.cov_yz, t.cov_zz] as cov_m2,
+    array[
+        t.relative_cov_xx, t.relative_cov_xy, t.relative_cov_xz, t.relative_cov_yy, t.relative_cov_yz, t.relative_cov_zz
+    ] as relative_cov_m2,
+    array[ST_X(t.centre_geom), ST_Y(t.centre_geom), ST_Z(t.centre_geom)] as centre_xyz_m,
     t.cone_height_m, t.cone_height_sigma_m, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
     t.residual_rms_px, t.nearest_range_m,
     (
         select array_agg(array[m.frame_index, m.match_index] order by m.frame_index, m.match_index)
         from conetl.track_member m
         where m.drive_uuid = t.drive_uuid and m.track_index = t.track_index
-    ),
-    array_send(t.calibrations) || array_send(t.shared_jacobian_m)
+    ) as members,
+    array_send(t.calibrations) || array_send(t.shared_jacobian_m) as shared_jacobian
 from conetl.track t
 where t.drive_uuid = %(drive_uuid)s
 order by t.track_index;
 
 -- name: marking_tracks
 -- The lane markings of a drive. Parameters: drive_uuid.
--- Columns: as MarkingTrack (metres, m^2, ns), the last nine as in map.features_as_of from shared_jacobian on.
+-- Columns: as MarkingTrack (metres, m^2, ns), the last nine as in map.features_as_of.
 select
     t.marking_index, t.category, t.relative_cov, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
-    t.contrast, t.blur_px, array_send(t.calibrations) || array_send(t.shared_jacobian_m),
-    ST_AsBinary(t.line, 'NDR'), t.line_cov, t.width_m, t.width_sigma_m, t.colour, t.pattern, t.dash_m, t.gap_m
+    t.contrast, t.blur_px, array_send(t.calibrations) || array_send(t.shared_jacobian_m) as shared_jacobian,
+    ST_AsBinary(t.line, 'NDR') as line, t.line_cov, t.width_m, t.width_sigma_m, t.colour, t.pattern, t.dash_m, t.gap_m
 from conetl.marking_track t
 where t.drive_uuid = %(drive_uuid)s
 order by t.marking_index;
@@ -224,8 +226,9 @@ where d.drive_uuid = any(%(drive_uuids)s) and (
 -- The first and the last frame pairs of some drives. Parameters: drive_uuids (uuid[]); count (at each end).
 -- Columns: as frame_pairs, then drive_uuid; in the order of their time.
 select
-    p.frame_index, p.left_path, p.right_path, p.captured_at_ns, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom),
-    p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad, p.detail, p.drive_uuid
+    p.frame_index, p.left_path, p.right_path, p.captured_at_ns,
+    array[ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom)] as map_t_body_m, p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad, p.detail,
+    p.drive_uuid
 from (
     select
         f.*,

@@ -102,12 +102,13 @@ evidence as (
     group by v.feature_id
 )
 select
-    v.feature_id, v.version, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
-    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
+    array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
+    array[ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom)] as centre_xyz_m,
     v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability) as existence_probability,
-    v.observation_count, v.first_seen_ns, v.last_seen_ns, array_send(v.calibrations) || array_send(v.shared_jacobian_m),
-    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m) as shared_jacobian,
+    ST_AsBinary(v.line, 'NDR') as line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
     coalesce(e.seen_count, 0) as seen_count, coalesce(e.missed_count, 0) as missed_count
 from v
@@ -158,17 +159,17 @@ order by v.feature_id, v.version;
 -- included. Parameters: map_name; feature_id (null: all); valid_until (timestamptz; 'infinity' = all).
 -- Columns: as FeatureVersion, valid_to_ns to the microsecond.
 select
-    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
-    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
+    array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
+    array[ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom)] as centre_xyz_m,
     v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m),
-    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
-    v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns,
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m) as shared_jacobian,
+    ST_AsBinary(v.line, 'NDR') as line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    v.changeset_id, v.present or v.suppressed as present, v.suppressed, v.valid_from_ns,
     case
         when upper_inf(v.valid_period) then null
         else (extract(epoch from upper(v.valid_period)) * 1000000)::bigint * 1000
-    end
+    end as valid_to_ns
 from conetl.feature_version v
 join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and upper_inf(v.system_period) and lower(v.valid_period) <= %(valid_until)s::timestamptz

@@ -54,13 +54,13 @@ and ST_DWithin(d.area, ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing
 -- The features that stand around a drive's path now, suppressed ones included: what the drive is compared with where no
 -- later drive has been. Parameters: drive_uuid. Columns: as FeatureVersion.
 select distinct on (v.feature_id)
-    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
-    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
+    array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
+    array[ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom)] as centre_xyz_m,
     v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m),
-    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
-    v.changeset_id, true, v.suppressed, v.valid_from_ns, null::bigint
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m) as shared_jacobian,
+    ST_AsBinary(v.line, 'NDR') as line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    v.changeset_id, true as present, v.suppressed, v.valid_from_ns, null::bigint as valid_to_ns
 from conetl.drive d
 cross join lateral conetl.pieces(d.area) piece
 join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece and ST_Intersects(v.geom, piece)
@@ -87,8 +87,8 @@ select
             x.existence_after
             order by m.captured_from_ns desc, m.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
         )
-    )[1],
-    min(x.changed_at_ns)
+    )[1] as existence_probability,
+    min(x.changed_at_ns) as first_missed_ns
 from around v
 join conetl.delta x on x.cell = v.cell and x.feature_id = v.feature_id and x.old_version = v.version
 join conetl.changeset c on c.changeset_id = x.changeset_id
@@ -103,14 +103,14 @@ order by v.feature_id;
 -- Columns: as FeatureVersion, then version_row_id, drive_uuid, and the drive's fold key: captured_from_ns,
 -- content_sha256, idempotency_key.
 select
-    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
-    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
+    array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
+    array[ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom)] as centre_xyz_m,
     v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m),
-    ST_AsBinary(v.line, 'NDR'), v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
-    v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns,
-    lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)),
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m) as shared_jacobian,
+    ST_AsBinary(v.line, 'NDR') as line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    v.changeset_id, v.present or v.suppressed as present, v.suppressed, v.valid_from_ns,
+    lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)) as valid_to_ns,
     v.version_row_id, d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
 from conetl.feature_version v
 join conetl.changeset c on c.changeset_id = v.changeset_id
@@ -128,9 +128,10 @@ order by v.feature_id, lower(v.valid_period);
 -- name: misses_around
 -- Every current miss (a drive to which the feature was visible did not observe it) of features that ever stood around
 -- the paths of some drives. Parameters: drive_uuids (uuid[], of one map).
--- Columns: as Miss, then drive_uuid and the drive's fold key: captured_from_ns, content_sha256, idempotency_key.
+-- Columns: as MissedObservation, then drive_uuid and the drive's fold key: captured_from_ns, content_sha256, idempotency_key.
 select
-    x.feature_id, x.changeset_id, x.old_version, x.existence_after, x.changed_at_ns,
+    x.feature_id, x.changeset_id, x.old_version as version, x.existence_after as existence_probability,
+    x.changed_at_ns as first_missed_ns,
     d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
 from conetl.delta x
 join conetl.changeset c on c.changeset_id = x.changeset_id

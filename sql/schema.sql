@@ -60,7 +60,7 @@ begin
     foreach role_name in array array['conetl_reader', 'conetl_writer'] loop
         begin
             if not exists (select from pg_roles where rolname = role_name) then
-                execute format('create role %I nologin', role_name);
+                execute format('create role %%I nologin', role_name);
             end if;
         exception when duplicate_object or unique_violation then
             null;  -- made by another database of this server at the same moment
@@ -82,7 +82,7 @@ grant update, delete on conetl.watched_drive, conetl.provisional_feature to cone
 revoke insert on conetl.schema_migration from conetl_writer;
 do $$
 begin
-    execute format('grant temporary on database %I to conetl_writer', current_database());
+    execute format('grant temporary on database %%I to conetl_writer', current_database());
 end
 $$;
 

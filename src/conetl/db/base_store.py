@@ -11,11 +11,11 @@ from uuid import UUID, uuid4
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from conetl.db import copy_binary as binary
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
+from conetl.db.connection import Connection, copy_columns, query, read, stream_values, transaction
 from conetl.db.copy_binary import Column
+from conetl.model.arrays import Floats
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import MapGround, ground_under
 from conetl.readers.base_layers.lines import Line, bounds_lanes, full_kind
@@ -58,19 +58,16 @@ class BaseCounts:
 
 def read_map_ground(conn: Connection, map_name: str, srid: int) -> MapGround:
     """Location of a map's drives and the height of the road there."""
-    with database_errors(f"The drives of map {map_name} cannot be read"):
-        poses = _points(conn, "base_layers.poses", {"map_name": map_name, "max_rows": _MAX_POSES})
-        feet = _points(conn, "base_layers.feet", {"map_name": map_name, "max_rows": _MAX_FEET})
+    poses = _points(conn, "base_layers.poses", map_name, _MAX_POSES)
+    feet = _points(conn, "base_layers.feet", map_name, _MAX_FEET)
     return MapGround(srid, ground_under(poses, feet))
 
 
-def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) -> dict[int, NDArray[np.float64]]:
+def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) -> dict[int, Floats]:
     """Frame index -> (4, 4) map_SE3_body of the ingested drive with this content; {} if the map does not have it."""
-    parameters = {"map_name": map_name, "content_sha256": content_sha256}
-    with database_errors(f"The poses of a drive of map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("base_layers.ingested_poses"), parameters)
+    what = f"The poses of a drive of map {map_name} cannot be read"
     poses = {}
-    for row in rows:
+    for row in read(conn, what, "base_layers.ingested_poses", map_name=map_name, content_sha256=content_sha256):
         pose = np.eye(4)
         pose[:3, :3] = np.reshape(row["map_r_body"], (3, 3))
         pose[:3, 3] = row["easting_m"], row["northing_m"], row["height_m"]
@@ -80,10 +77,8 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
 
 def find_base_file(conn: Connection, file: BaseFile) -> int | None:
     """Number of points or lines kept by an earlier import of this file; None if there was none."""
-    with database_errors(f"The base layers of map {file.map_name} cannot be read"):
-        rows = execute(
-            conn, load_sql("base_layers.find_source"), asdict(file) | {"params": binary.json_text(file.params)}
-        )
+    identity = asdict(file) | {"params": binary.json_text(file.params)}
+    rows = read(conn, _unread(file.map_name), "base_layers.find_source", **identity)
     return int(rows[0]["kept_count"]) if rows else None
 
 
@@ -105,14 +100,13 @@ def write_lines(conn: Connection, file: BaseFile, counts: BaseCounts, lines: Ite
 
 def list_base_sources(conn: Connection, map_name: str) -> list[dict[str, Any]]:
     """All imported files of a map, by layer: columns of `base_layers.sources`."""
-    with database_errors(f"The base layers of map {map_name} cannot be read"):
-        return execute(conn, load_sql("base_layers.sources"), {"map_name": map_name})
+    return read(conn, _unread(map_name), "base_layers.sources", map_name=map_name)
 
 
 def drop_base_layer(conn: Connection, map_name: str, layer_name: str) -> list[int]:
     """Drop a layer; numbers of points or lines of its files, [] if there was no such layer."""
     with transaction(conn, f"The base layer {layer_name} of map {map_name} was not dropped"):
-        rows = execute(conn, load_sql("base_layers.drop_layer"), {"map_name": map_name, "layer_name": layer_name})
+        rows = query(conn, "base_layers.drop_layer", map_name=map_name, layer_name=layer_name)
     return [int(row["kept_count"]) for row in rows]
 
 
@@ -131,10 +125,10 @@ def _write(
             kept += count
         own = {"params": binary.json_text(file.params), "source_id": source_id, "kept_count": kept}
         parameters = asdict(file) | asdict(counts) | own
-        if not execute(conn, load_sql("base_layers.insert_source"), parameters):
+        if not query(conn, "base_layers.insert_source", **parameters):
             conn.rollback()
             return None
-        execute(conn, load_sql("base_layers.drop_older_source"), parameters)
+        query(conn, "base_layers.drop_older_source", **parameters)
         return kept
 
 
@@ -163,8 +157,12 @@ def _line_columns(source_id: UUID, lines: list[Line], srid: int) -> dict[str, Co
     }
 
 
-def _points(conn: Connection, name: str, parameters: Mapping[str, Any]) -> NDArray[np.float64]:
-    rows = execute(conn, load_sql(name), parameters)
+def _unread(map_name: str) -> str:
+    return f"The base layers of map {map_name} cannot be read"
+
+
+def _points(conn: Connection, name: str, map_name: str, max_rows: int) -> Floats:
+    rows = read(conn, f"The drives of map {map_name} cannot be read", name, map_name=map_name, max_rows=max_rows)
     return np.array([(r["easting_m"], r["northing_m"], r["height_m"]) for r in rows], np.float64).reshape(-1, 3)
 
 
@@ -175,7 +173,7 @@ def _batches(items: Iterable[Any], size: int) -> Iterator[list[Any]]:
 
 
 def read_lanes_near(
-    conn: Connection, places_m: Sequence[NDArray[np.float64]], *, map_name: str
+    conn: Connection, places_m: Sequence[Floats], *, map_name: str
 ) -> tuple[list[list[LaneLine]], list[str]]:
     """Lane lines of the map's base layers near each set of positions, and the names of these layers.
 
@@ -185,17 +183,12 @@ def read_lanes_near(
     layers: set[str] = set()
     low = [places.min(axis=0) - _LANE_REACH_M for places in places_m]
     high = [places.max(axis=0) + _LANE_REACH_M for places in places_m]
-    parameters = {
-        "map_name": map_name,
-        "west_m": [float(corner[0]) for corner in low],
-        "south_m": [float(corner[1]) for corner in low],
-        "east_m": [float(corner[0]) for corner in high],
-        "north_m": [float(corner[1]) for corner in high],
-    }
-    with database_errors(f"The base layers of map {map_name} cannot be read"):
-        for box, layer, kind, attributes, wkb in stream(conn, load_sql("base_layers.lines_near"), parameters):
-            if bounds_lanes(kind, attributes):
-                line = shapely.get_coordinates(shapely.from_wkb(bytes(wkb)))
-                found[box].append(LaneLine(line, full_kind(kind, attributes)))
-                layers.add(layer)
+    corners = np.hstack([low, high]).reshape(-1, 4).T.tolist()
+    box = dict(zip(("west_m", "south_m", "east_m", "north_m"), corners, strict=True))
+    rows = stream_values(conn, _unread(map_name), "base_layers.lines_near", map_name=map_name, **box)
+    for zone, layer, kind, attributes, wkb in rows:
+        if bounds_lanes(kind, attributes):
+            line = shapely.get_coordinates(shapely.from_wkb(bytes(wkb)))
+            found[zone].append(LaneLine(line, full_kind(kind, attributes)))
+            layers.add(layer)
     return found, sorted(layers)

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from datetime import datetime
 from functools import cache
 from io import BufferedReader, BytesIO
 from pathlib import Path
@@ -94,7 +95,7 @@ def connect(url: str) -> Connection:
     psycopg2.extras.register_uuid(conn_or_curs=conn)
     with database_errors("The connection could not be prepared"):
         conn.autocommit = True
-        execute(conn, load_sql("schema.search_path"))
+        query(conn, "schema.search_path")
         conn.autocommit = False
     _addresses[conn] = url
     _watch.add(conn)
@@ -109,7 +110,7 @@ def _blockers(conn: Connection) -> list[str]:
     """Who blocks a connection, asked in a session of its own; nobody where the server does not answer."""
     try:
         with closing(psycopg2.connect(_addresses[conn], connect_timeout=CONNECT_TIMEOUT_S)) as asking:
-            rows = execute(asking, load_sql("locks.blockers"), {"pid": conn.info.backend_pid})
+            rows = query(asking, "locks.blockers", pid=conn.info.backend_pid)
     except psycopg2.Error:
         return []
     return [
@@ -169,12 +170,43 @@ def execute_count(conn: Connection, sql: str, parameters: Mapping[str, Any] | No
         return int(cursor.rowcount)
 
 
-def stream(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
-    """Rows of one statement as tuples, some at a time in memory (server-side cursor inside the open transaction)."""
-    with conn.cursor(name="conetl_stream") as cursor:
-        cursor.itersize = 10_000
-        cursor.execute(sql, parameters)
+def query(conn: Connection, name: str, /, **parameters: Any) -> list[dict[str, Any]]:
+    """Run a named statement of sql/, such as "map.find_map"; its rows as dictionaries, [] if it returns none."""
+    return execute(conn, load_sql(name), parameters)
+
+
+def read(conn: Connection, what: str, name: str, /, **parameters: Any) -> list[dict[str, Any]]:
+    """As `query`; an error of the database becomes a `DatabaseError` that says `what` failed."""
+    with database_errors(what):
+        return query(conn, name, **parameters)
+
+
+def stream(conn: Connection, what: str, name: str, /, **parameters: Any) -> Iterator[dict[str, Any]]:
+    """As `read`, some rows at a time in memory (server-side cursor inside the open transaction)."""
+    with _streaming(conn, what, name, parameters) as cursor:
+        names: list[str] = []
+        for row in cursor:
+            names = names or [column.name for column in cursor.description or ()]  # known from the first row on
+            yield dict(zip(names, row, strict=True))
+
+
+def stream_values(conn: Connection, what: str, name: str, /, **parameters: Any) -> Iterator[tuple[Any, ...]]:
+    """As `stream`, each row as the values of its columns."""
+    with _streaming(conn, what, name, parameters) as cursor:
         yield from cursor
+
+
+@contextmanager
+def _streaming(conn: Connection, what: str, name: str, parameters: Mapping[str, Any]) -> Iterator[Any]:
+    with database_errors(what), conn.cursor(name="conetl_stream") as cursor:
+        cursor.itersize = 10_000
+        cursor.execute(load_sql(name), parameters)
+        yield cursor
+
+
+def latest_or(instant: datetime | None) -> str:
+    """An instant as text for PostgreSQL, after all others where none is given."""
+    return "infinity" if instant is None else instant.isoformat()
 
 
 @contextmanager

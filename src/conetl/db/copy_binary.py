@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from typing import Any
 from uuid import UUID
 
@@ -50,24 +51,8 @@ def fixed(values: Any, dtype: str) -> Column:
     return Column(array, lengths)
 
 
-def integers(values: Any) -> Column:
-    """integer; None becomes NULL."""
-    return fixed(values, ">i4")
-
-
-def bigints(values: Any) -> Column:
-    """bigint."""
-    return fixed(values, ">i8")
-
-
-def doubles(values: Any) -> Column:
-    """float8; None becomes NULL."""
-    return fixed(values, ">f8")
-
-
-def booleans(values: Any) -> Column:
-    """boolean."""
-    return fixed(values, "?")
+#: integer, bigint, float8 and boolean; None becomes NULL.
+integers, bigints, doubles, booleans = (partial(fixed, dtype=dtype) for dtype in (">i4", ">i8", ">f8", "?"))
 
 
 def timestamps_from_ns(nanoseconds: Any) -> Column:

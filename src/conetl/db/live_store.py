@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, execute_count, load_sql, transaction
+from conetl.db.connection import Connection, execute_count, load_sql, query, read, transaction
 from conetl.db.copy_binary import clean_text
 from conetl.db.receipt_store import held_locks
 from conetl.model.records import Drive, Track
@@ -40,7 +40,7 @@ def clear_watches(conn: Connection, *, map_name: str, drive_id: str) -> int:
     """
     with transaction(conn, "The watched drives cannot be read"):
         parameters = {"map_name": map_name, "drive_id": clean_text(drive_id), "keep_days": KEEP_DAYS}
-        found = execute(conn, load_sql("live.watches_to_drop"), parameters)
+        found = query(conn, "live.watches_to_drop", **parameters)
     others = {watch_lock(map_name, row["drive_id"]) for row in found if row["drive_id"] != clean_text(drive_id)}
     alive = held_locks(conn, sorted(others))
     dead = [row["watch_id"] for row in found if watch_lock(map_name, row["drive_id"]) not in alive]
@@ -68,7 +68,7 @@ def write_live(
             "drive_id": clean_text(watch.drive_id), "source_path": clean_text(watch.source_path),
             "captured_from_ns": captured_ns[0], "captured_to_ns": captured_ns[1], "frame_pair_count": frame_pair_count,
         }  # fmt: skip
-        execute(conn, load_sql("live.upsert_watched_drive"), named | drive)
+        query(conn, "live.upsert_watched_drive", **named | drive)
         for index, track in tracks.items():
             sigma_m = ((track.cov_m2[0] + track.cov_m2[3]) / 2) ** 0.5
             row = {
@@ -77,30 +77,27 @@ def write_live(
                 "existence_probability": track.existence_probability, "observation_count": track.observation_count,
                 "first_seen_ns": track.first_seen_ns, "last_seen_ns": track.last_seen_ns, "reach_m": least_reach_m + 3 * sigma_m,
             }  # fmt: skip
-            execute(conn, load_sql("live.upsert_provisional_feature"), named | row)
+            query(conn, "live.upsert_provisional_feature", **named | row)
         for index in taken_back:
-            execute(
-                conn, load_sql("live.drop_provisional_feature"), {"watch_id": watch.watch_id, "feature_index": index}
-            )
+            query(conn, "live.drop_provisional_feature", watch_id=watch.watch_id, feature_index=index)
 
 
 def end_watch(conn: Connection, watch: WatchedDrive) -> None:
     """Mark a watch as ended regularly; its features stay until the drive is ingested."""
     with transaction(conn, f"The end of drive {watch.drive_id} cannot be written"):
-        execute(conn, load_sql("live.end_watch"), {"watch_id": watch.watch_id})
+        query(conn, "live.end_watch", watch_id=watch.watch_id)
 
 
 def drop_watched_recording(conn: Connection, drive: Drive, *, map_name: str) -> int:
     """Remove the watches of a drive that was recorded, inside the caller's transaction; how many."""
-    times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    captured_from_ns, captured_to_ns = drive.captured_ns
     parameters = {
         "map_name": map_name, "drive_id": clean_text(drive.drive_id),
-        "captured_from_ns": min(times_ns), "captured_to_ns": max(times_ns),
+        "captured_from_ns": captured_from_ns, "captured_to_ns": captured_to_ns,
     }  # fmt: skip
     return execute_count(conn, load_sql("live.drop_watched_recording"), parameters)
 
 
 def read_provisional(conn: Connection, *, map_name: str) -> list[dict[str, Any]]:
     """Provisional features of a map, drive by drive; columns as in `live.provisional_features`."""
-    with database_errors(f"The map {map_name} cannot be read"):
-        return execute(conn, load_sql("live.provisional_features"), {"map_name": map_name})
+    return read(conn, f"The map {map_name} cannot be read", "live.provisional_features", map_name=map_name)

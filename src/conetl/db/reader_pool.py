@@ -85,7 +85,7 @@ class ReaderPool:
         conn = open_reader(self._url)
         with db.database_errors("The connection could not listen for changes"):
             conn.autocommit = True
-            db.execute(conn, db.load_sql("schema.listen"))
+            db.query(conn, "schema.listen")
         return conn
 
     def close(self) -> None:
@@ -115,7 +115,7 @@ def open_reader(url: str, timeout: str = STATEMENT_TIMEOUT) -> Connection:
     conn = db.connect(url)
     with db.database_errors("The connection could not be made read-only"):
         conn.autocommit = True
-        db.execute(conn, db.load_sql("schema.reader_session"), {"timeout": timeout})
+        db.query(conn, "schema.reader_session", timeout=timeout)
         conn.autocommit = False
     return conn
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, connect, database_errors, execute, load_sql, transaction
+from conetl.db.connection import Connection, connect, database_errors, query, transaction
 from conetl.files.atomic import atomic_text_file
 from conetl.files.names import file_name_part, printable
 from conetl.model.errors import DatabaseError, InputError, StorageError
@@ -104,7 +104,7 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
     """
     parameters = {k: printable(v) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
     with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
-        execute(conn, load_sql("receipts.insert_receipt"), parameters)
+        query(conn, "receipts.insert_receipt", **parameters)
         written = _latest(conn, receipt.map_name, [receipt.header_sha256])
     name = f"{file_name_part(receipt.drive_id)}-{receipt.header_sha256[:12]}.json"
     try:
@@ -124,34 +124,34 @@ def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str]) 
 def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Receipt]:
     """The receipts of attempts that ended, by attempt."""
     with transaction(conn, "The receipts cannot be read"):
-        rows = execute(conn, load_sql("receipts.receipt_ends"), {"attempt_ids": [str(a) for a in attempt_ids]})
+        rows = query(conn, "receipts.receipt_ends", attempt_ids=[str(a) for a in attempt_ids])
     return {row["attempt_id"]: Receipt(**row) for row in rows}
 
 
 def drives_on_map(conn: Connection, *, map_name: str) -> list[DriveOnMap]:
     """Every recording that was committed, oldest changeset first."""
     with transaction(conn, "The drives of the map cannot be read"):
-        rows = execute(conn, load_sql("drives.committed_drives"), {"map_name": map_name})
+        rows = query(conn, "drives.committed_drives", map_name=map_name)
         return [DriveOnMap(**{**row, "headers": tuple(row["headers"])}) for row in rows]
 
 
 def pairs_per_second(conn: Connection, *, map_name: str) -> float | None:
     """Median frame pairs per second of recent drives; None if none was timed."""
     with transaction(conn, "The receipts cannot be read"):
-        rate = execute(conn, load_sql("receipts.pairs_per_second"), {"map_name": map_name})[0]["pairs_per_second"]
+        rate = query(conn, "receipts.pairs_per_second", map_name=map_name)[0]["pairs_per_second"]
     return None if rate is None else float(rate)
 
 
 def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
     """Those of the locks that a running process holds."""
     with transaction(conn, "The locks cannot be read"):
-        return {row["name"] for row in execute(conn, load_sql("locks.held_locks"), {"names": list(names)})}
+        return {row["name"] for row in query(conn, "locks.held_locks", names=list(names))}
 
 
 def drives_under_way(conn: Connection, *, map_name: str) -> list[str]:
     """Ids of the drives that a running process ingests into the map."""
     with transaction(conn, "The receipts cannot be read"):
-        begun = execute(conn, load_sql("receipts.under_way"), {"map_name": map_name})
+        begun = query(conn, "receipts.under_way", map_name=map_name)
     held = held_locks(conn, [drive_lock(map_name, row["header_sha256"]) for row in begun])
     return sorted(row["drive_id"] for row in begun if drive_lock(map_name, row["header_sha256"]) in held)
 
@@ -161,7 +161,7 @@ def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
     """Hold a lock in a session that is also used for the work, if it is free; yields whether it was."""
     with database_errors("A lock in PostgreSQL could not be taken"):
         conn.rollback()
-        taken = bool(execute(conn, load_sql("locks.try_lock"), {"name": name})[0]["taken"])
+        taken = bool(query(conn, "locks.try_lock", name=name)[0]["taken"])
         conn.commit()
     try:
         yield taken
@@ -170,7 +170,7 @@ def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
             # A lost session holds nothing.
             with suppress(DatabaseError), database_errors("A lock could not be freed"):
                 conn.rollback()
-                execute(conn, load_sql("locks.free_lock"), {"name": name})
+                query(conn, "locks.free_lock", name=name)
                 conn.commit()
 
 
@@ -185,7 +185,7 @@ def end_crashed(conn: Connection, started: Receipt, reason: str, folder: Path) -
 
 
 def _latest(conn: Connection, map_name: str, headers: Sequence[str]) -> dict[str, Receipt]:
-    rows = execute(conn, load_sql("receipts.latest_receipts"), {"map_name": map_name, "headers": list(headers)})
+    rows = query(conn, "receipts.latest_receipts", map_name=map_name, headers=list(headers))
     return {row["header_sha256"]: Receipt(**row) for row in rows}
 
 
@@ -222,7 +222,7 @@ class _HeldLocks:
             with suppress(DatabaseError), database_errors("A lock could not be freed"):
                 for name in self._names:
                     if name not in self._missing:
-                        execute(self._conn, load_sql("locks.free_lock"), {"name": name})
+                        query(self._conn, "locks.free_lock", name=name)
             self._conn.close()
 
     def _take_all(self) -> Connection:
@@ -230,9 +230,9 @@ class _HeldLocks:
         try:
             with database_errors("A lock in PostgreSQL could not be taken"):
                 conn.autocommit = True
-                execute(conn, load_sql("locks.wait_without_limit"))
+                query(conn, "locks.wait_without_limit")
                 for name in self._names:
-                    execute(conn, load_sql("locks.take_lock"), {"name": name})
+                    query(conn, "locks.take_lock", name=name)
         except BaseException:
             conn.close()
             raise
@@ -255,7 +255,7 @@ class _HeldLocks:
             with database_errors("A lock in PostgreSQL could not be taken"):
                 self._conn.autocommit = True
                 for name in tuple(self._missing):
-                    if execute(self._conn, load_sql("locks.try_lock"), {"name": name})[0]["taken"]:
+                    if query(self._conn, "locks.try_lock", name=name)[0]["taken"]:
                         self._missing.remove(name)
         except DatabaseError:  # retried, but not immediately: the server may be starting
             if self._conn is not None:
@@ -287,14 +287,8 @@ def write_run_steps(conn: Connection, changeset_id: UUID, steps: Iterable[StepTi
     """Write the durations of a changeset's run, in a transaction of their own; existing ones stay."""
     with transaction(conn, "The times of the run cannot be written"):
         for time in steps:
-            execute(
-                conn,
-                load_sql("commit.insert_run_step"),
-                {
-                    "changeset_id": changeset_id, "step": time.step, "task_count": time.task_count, "busy_s": time.busy_s,
-                    "started_s": time.started_s, "ended_s": max(time.ended_s, time.started_s),
-                },
-            )  # fmt: skip
+            times = time._asdict() | {"ended_s": max(time.ended_s, time.started_s)}
+            query(conn, "commit.insert_run_step", changeset_id=changeset_id, **times)
 
 
 @dataclass(frozen=True)
@@ -318,25 +312,25 @@ class PendingChangeset:
 
 def is_published(conn: Connection, changeset_id: UUID) -> bool:
     """Whether the events of this changeset were handed to Prefect."""
-    return bool(execute(conn, load_sql("commit.is_published"), {"changeset_id": changeset_id})[0]["is_published"])
+    return bool(query(conn, "commit.is_published", changeset_id=changeset_id)[0]["is_published"])
 
 
 def pending_changesets(conn: Connection, *, map_name: str, quiet: timedelta) -> list[PendingChangeset]:
     """Changesets of drives that were not published, oldest first, except those committed within `quiet`."""
-    parameters = {"map_name": map_name, "quiet_s": quiet.total_seconds()}
     with transaction(conn, "The pending changesets cannot be read"):
-        return [PendingChangeset(**row) for row in execute(conn, load_sql("commit.pending_changesets"), parameters)]
+        rows = query(conn, "commit.pending_changesets", map_name=map_name, quiet_s=quiet.total_seconds())
+    return [PendingChangeset(**row) for row in rows]
 
 
 def mark_published(conn: Connection, changeset_id: UUID) -> None:
     """Remember that the events of this changeset were handed to Prefect."""
     with transaction(conn, "The publication of a changeset cannot be recorded"):
-        execute(conn, load_sql("commit.mark_published"), {"changeset_id": changeset_id})
+        query(conn, "commit.mark_published", changeset_id=changeset_id)
 
 
 def removed_by_changeset(conn: Connection, changeset_id: UUID) -> list[RemovedCone]:
     """The cones that a changeset removed, as it was committed."""
-    rows = execute(conn, load_sql("commit.removed_features"), {"changeset_id": changeset_id})
+    rows = query(conn, "commit.removed_features", changeset_id=changeset_id)
     return [
         RemovedCone(r["feature_id"], (r["easting_m"], r["northing_m"], r["height_m"]), r["cone_height_m"]) for r in rows
     ]

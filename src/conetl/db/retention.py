@@ -12,7 +12,7 @@ drive with a file per table (columns: `records_of_...` in `sql/retention.sql`).
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,8 +22,17 @@ from uuid import UUID
 import pyarrow as pa
 from pyarrow import csv
 
-from conetl.db.connection import Connection, copied_csv, copy_columns, database_errors, execute, load_sql, query_columns
-from conetl.db.copy_binary import booleans, constant_uuid, doubles, integers, texts
+from conetl.db.connection import (
+    Connection,
+    copied_csv,
+    copy_columns,
+    database_errors,
+    execute,
+    load_sql,
+    query,
+    query_columns,
+)
+from conetl.db.copy_binary import Column, booleans, constant_uuid, doubles, integers, texts
 from conetl.db.map.map_store import map_transaction
 from conetl.files.atomic import atomic_files
 from conetl.files.parquet_store import read_table, write_table
@@ -32,7 +41,12 @@ from conetl.model.errors import InputError, MapMismatchError
 _RAW_TABLES = ("detection", "stereo_match", "position")
 #: By PostgreSQL's number of a type: bool, int4, text, float8, uuid.
 _ARROW_TYPES = {16: pa.bool_(), 23: pa.int32(), 25: pa.string(), 701: pa.float64(), 2950: pa.string()}
-_ENCODERS = {pa.bool_(): booleans, pa.int32(): integers, pa.string(): texts, pa.float64(): doubles}
+_ENCODERS: dict[pa.DataType, Callable[[Any], Column]] = {
+    pa.bool_(): booleans,
+    pa.int32(): integers,
+    pa.string(): texts,
+    pa.float64(): doubles,
+}
 
 
 @dataclass(frozen=True)
@@ -51,9 +65,7 @@ class PrunableDrive:
 def prunable_drives(conn: Connection, before: datetime) -> list[PrunableDrive]:
     """Drives of all maps that were recorded and committed before an instant and still have their raw records."""
     with database_errors("The drives cannot be read"):
-        found = [
-            PrunableDrive(**row) for row in execute(conn, load_sql("retention.prunable_drives"), {"before": before})
-        ]
+        found = [PrunableDrive(**row) for row in query(conn, "retention.prunable_drives", before=before)]
         conn.rollback()
     return found
 
@@ -65,13 +77,13 @@ def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: date
         own = [drive.drive_uuid for drive in drives if drive.map_name == map_name]
         parameters = {"drive_uuids": own, "pruned_at": now or datetime.now(UTC)}
         with map_transaction(conn, map_name):
-            deleted += execute(conn, load_sql("retention.prune_drives"), parameters)[0]["deleted"]
+            deleted += query(conn, "retention.prune_drives", **parameters)[0]["deleted"]
     return deleted
 
 
 def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
     """Bring back archived raw records of drives that must be compared with the map again. Raises InputError if one was pruned."""
-    gone = execute(conn, load_sql("retention.pruned_drives"), {"drive_uuids": list(drive_uuids)})
+    gone = query(conn, "retention.pruned_drives", drive_uuids=list(drive_uuids))
     pruned = [drive for drive in gone if drive["archive_path"] is None]
     if pruned:
         first = pruned[0]
@@ -96,7 +108,7 @@ def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: 
     finals = [path / f"{table}.parquet" for table in _RAW_TABLES]
     counts = (drive.detection_count, drive.match_count, drive.position_count)
     with map_transaction(conn, drive.map_name):
-        if execute(conn, load_sql("retention.pruned_drives"), {"drive_uuids": [drive.drive_uuid]}):
+        if query(conn, "retention.pruned_drives", drive_uuids=[drive.drive_uuid]):
             return 0
         with atomic_files(*finals) as files:
             for table, count, file in zip(_RAW_TABLES, counts, files, strict=True):
@@ -108,18 +120,18 @@ def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: 
                     )
                 write_table(records, file)
         pruned = {"drive_uuids": [drive.drive_uuid], "pruned_at": now or datetime.now(UTC)}
-        if (deleted := execute(conn, load_sql("retention.prune_drives"), pruned)[0]["deleted"]) != sum(counts):
+        if (deleted := query(conn, "retention.prune_drives", **pruned)[0]["deleted"]) != sum(counts):
             raise MapMismatchError(
                 f"drive {drive.drive_id}: {deleted} rows, but {sum(counts)} in its files; nothing was archived"
             )
-        execute(conn, load_sql("retention.mark_archived"), parameters | {"archive_path": str(path)})
+        query(conn, "retention.mark_archived", **parameters | {"archive_path": str(path)})
     return sum(final.stat().st_size for final in finals)
 
 
 def restore_drives(conn: Connection, map_name: str, drive_id: str | None = None) -> list[str]:
     """Bring the archived raw records of drives of a map back into the tables, of one or of all; the ids of the drives."""
     with map_transaction(conn, map_name):
-        found = execute(conn, load_sql("retention.archived_drives"), {"map_name": map_name, "drive_id": drive_id})
+        found = query(conn, "retention.archived_drives", map_name=map_name, drive_id=drive_id)
         require_comparable(conn, [drive["drive_uuid"] for drive in found])
     return [drive["drive_id"] for drive in found]
 
@@ -160,9 +172,9 @@ def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, 
         execute(conn, stage, {"drive_uuid": drive_uuid})
         columns = {name: _ENCODERS[column.type](column.to_pylist()) for name, column in _columns(records)}
         copy_columns(conn, "record_stage", columns | {"drive_uuid": constant_uuid(drive_uuid, len(records))})
-        execute(conn, load_sql(f"retention.restore_{table}"))
+        query(conn, f"retention.restore_{table}")
         execute(conn, "drop table record_stage")
-    execute(conn, load_sql("retention.mark_restored"), {"drive_uuid": drive_uuid})
+    query(conn, "retention.mark_restored", drive_uuid=drive_uuid)
 
 
 def _columns(records: pa.Table) -> list[tuple[str, pa.ChunkedArray]]:

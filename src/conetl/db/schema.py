@@ -42,7 +42,7 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     """
     wanted = _migration_files(directory or db.sql_directory() / "migrations")
     with db.transaction(conn, "The state of the database cannot be read"):
-        if db.execute(conn, db.load_sql("schema.status"))[0]["has_schema"]:
+        if db.query(conn, "schema.status")[0]["has_schema"]:
             applied = _applied(conn)
             _check_history(applied, wanted)
             if not wanted.keys() - applied.keys() and (not _missing_roles(conn) or not _may_create_roles(conn)):
@@ -50,16 +50,16 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     done: list[str] = []
     with db.transaction(conn, "The database could not be migrated, and is as it was before"):
         db.execute(conn, "select pg_advisory_xact_lock(%(key)s)", {"key": MIGRATION_LOCK})
-        db.execute(conn, db.load_sql("schema.schema_migration"))
+        db.query(conn, "schema.schema_migration")
         applied = _applied(conn)
         _check_history(applied, wanted)
         for name in [name for name in wanted if name not in applied]:
             _require_extensions(conn, name)
             db.execute(conn, wanted[name])
-            db.execute(conn, db.load_sql("schema.insert_migration"), {"name": name, "sha256": _sha256(wanted[name])})
+            db.query(conn, "schema.insert_migration", name=name, sha256=_sha256(wanted[name]))
             done.append(name)
         if _may_create_roles(conn):
-            db.execute(conn, db.load_sql("schema.roles"))
+            db.query(conn, "schema.roles")
     return done
 
 
@@ -75,9 +75,9 @@ def database_status(conn: Connection) -> dict[str, Any]:
     may_create_roles; otherwise a superuser has to run it once. maps: (name, SRID) of each.
     """
     with db.transaction(conn, "The state of the database cannot be read"):
-        facts = db.execute(conn, db.load_sql("schema.status"))[0]
+        facts = db.query(conn, "schema.status")[0]
         applied = _applied(conn) if facts["has_schema"] else {}
-        maps = db.execute(conn, db.load_sql("map.maps")) if facts["has_map"] else []
+        maps = db.query(conn, "map.maps") if facts["has_map"] else []
         wanted = _migration_files(db.sql_directory() / "migrations")
         return {
             "database": facts["database"],
@@ -103,8 +103,8 @@ def prefect_database(url: str) -> str:
         ),
     ):
         conn.autocommit = True
-        if not db.execute(conn, db.load_sql("schema.database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
-            db.execute(conn, db.load_sql("schema.create_prefect_database"))
+        if not db.query(conn, "schema.database_exists", name=PREFECT_DATABASE)[0]["found"]:
+            db.query(conn, "schema.create_prefect_database")
     return db.sqlalchemy_url(url, PREFECT_DATABASE)
 
 
@@ -117,7 +117,7 @@ def _migration_files(directory: Path) -> dict[str, str]:
 
 
 def _applied(conn: Connection) -> dict[str, str]:
-    return {row["name"]: row["sha256"] for row in db.execute(conn, db.load_sql("schema.applied_migrations"))}
+    return {row["name"]: row["sha256"] for row in db.query(conn, "schema.applied_migrations")}
 
 
 def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> None:
@@ -140,7 +140,7 @@ def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> Non
 
 def _require_extensions(conn: Connection, migration: str) -> None:
     """Name the missing extension, where PostgreSQL would only name a control file."""
-    missing = [row["name"] for row in db.execute(conn, db.load_sql("schema.missing_extensions"))]
+    missing = [row["name"] for row in db.query(conn, "schema.missing_extensions")]
     if missing:
         raise DatabaseError(
             f"migration {migration} requires the extension(s) {', '.join(missing)}, which this server does not offer: install "
@@ -149,12 +149,12 @@ def _require_extensions(conn: Connection, migration: str) -> None:
 
 
 def _missing_roles(conn: Connection) -> tuple[str, ...]:
-    ready = {row["rolname"] for row in db.execute(conn, db.load_sql("schema.ready_roles"), {"names": list(ROLES)})}
+    ready = {row["rolname"] for row in db.query(conn, "schema.ready_roles", names=list(ROLES))}
     return tuple(name for name in ROLES if name not in ready)
 
 
 def _may_create_roles(conn: Connection) -> bool:
-    return bool(db.execute(conn, db.load_sql("schema.may_create_roles"))[0]["may_create_roles"])
+    return bool(db.query(conn, "schema.may_create_roles")[0]["may_create_roles"])
 
 
 def _sha256(text: str) -> str:
@@ -182,7 +182,7 @@ class AuditResult:
 def run_audits(conn: Connection) -> list[AuditResult]:
     """Run all audits over all maps of the database, on one snapshot; changes nothing."""
     with db.transaction(conn, "The audits could not be run"):
-        db.execute(conn, db.load_sql("exports.snapshot"))
+        db.query(conn, "exports.snapshot")
         return audits_of_open_transaction(conn)
 
 

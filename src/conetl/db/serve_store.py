@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
+from conetl.db.connection import Connection, latest_or, read, stream_values
+from conetl.model.arrays import Floats
 from conetl.model.params import ReconcileParams
 
 Row = dict[str, Any]
@@ -19,8 +19,7 @@ Row = dict[str, Any]
 
 def read_rows(conn: Connection, statement: str, **parameters: Any) -> list[Row]:
     """Rows of a statement of sql/, such as "serving.sightings". Raises DatabaseError."""
-    with database_errors("The map cannot be read"):
-        return execute(conn, load_sql(statement), parameters)
+    return read(conn, "The map cannot be read", statement, **parameters)
 
 
 class Head(NamedTuple):
@@ -49,7 +48,7 @@ def read_features(
     conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None, max_rows: int
 ) -> list[Row]:
     """Standing features at `valid_at` (None: latest) as known at `known_at` (None: now), by id."""
-    instants = {"valid_at": _instant(valid_at), "known_at": _instant(known_at)}
+    instants = {"valid_at": latest_or(valid_at), "known_at": latest_or(known_at)}
     return read_rows(conn, "serving.features", map_name=map_name, max_rows=max_rows, **instants)
 
 
@@ -65,10 +64,10 @@ def read_changes_between(
     """How the map differs between two (valid, known) instants (None: latest); from `moved_from_m` on a feature was moved, a lane
     marking from the distance at which the fold takes it for another one."""
     instants = {
-        "from_valid_at": _instant(before[0]),
-        "from_known_at": _instant(before[1]),
-        "to_valid_at": _instant(after[0]),
-        "to_known_at": _instant(after[1]),
+        "from_valid_at": latest_or(before[0]),
+        "from_known_at": latest_or(before[1]),
+        "to_valid_at": latest_or(after[0]),
+        "to_known_at": latest_or(after[1]),
     }
     distances = {"moved_from_m": moved_from_m, "line_moved_from_m": ReconcileParams().marking_gate_m}
     return read_rows(conn, "serving.changes_between", map_name=map_name, max_rows=max_rows, **distances, **instants)
@@ -82,7 +81,7 @@ def read_feature_history(
     [] if the map has no such feature.
     """
     return read_rows(
-        conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=_instant(known_at)
+        conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=latest_or(known_at)
     )
 
 
@@ -90,10 +89,6 @@ def read_base_tile(conn: Connection, map_name: str, sha256: str) -> bytes | None
     """The bytes of one tile, in gzip; None if the map has no such tile."""
     rows = read_rows(conn, "base_layers.tile", map_name=map_name, sha256=sha256)
     return bytes(rows[0]["payload"]) if rows else None
-
-
-def _instant(time: datetime | None) -> str:
-    return "infinity" if time is None else time.isoformat()
 
 
 def drives_past(
@@ -122,14 +117,13 @@ def observed_frames(conn: Connection, map_name: str, feature_id: UUID) -> dict[U
 
 def tracks_near(
     conn: Connection, drive_uuid: UUID, xy_m: tuple[float, float], radius_m: float, feature_id: UUID
-) -> NDArray[np.float64]:
+) -> Floats:
     """(M, 3) tracks of a drive around a position, in the drive's map frame, without the one of the feature."""
     parameters = {
         "drive_uuid": drive_uuid, "easting_m": xy_m[0], "northing_m": xy_m[1], "radius_m": radius_m, "feature_id": feature_id,
     }  # fmt: skip
-    with database_errors("The tracks of a drive cannot be read"):
-        rows = list(stream(conn, load_sql("judging.tracks_near"), parameters))
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+    rows = stream_values(conn, "The tracks of a drive cannot be read", "judging.tracks_near", **parameters)
+    return np.array(list(rows), dtype=np.float64).reshape(-1, 3)
 
 
 def track_ranges(

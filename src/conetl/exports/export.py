@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from conetl.db.connection import Connection, execute, load_sql, transaction
+from conetl.db.connection import Connection, query, transaction
 from conetl.exports import FORMATS, Format, writer_of
 from conetl.exports.source import ExportRequest, Source, What, open_source
 from conetl.exports.text_files import iso_utc
@@ -37,8 +37,8 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
         raise InputError(f"unknown format {file_format}: choose one of {', '.join(FORMATS)}")
     chosen = FORMATS[file_format]
     with transaction(conn, f"The map {request.map_name} cannot be read"):
-        execute(conn, load_sql("exports.snapshot"))
-        execute(conn, load_sql("exports.memory"), {"work_mem": _WORK_MEM[request.what]})
+        query(conn, "exports.snapshot")
+        query(conn, "exports.memory", work_mem=_WORK_MEM[request.what])
         with open_source(conn, request, chosen.order) as sources:
             groups = [[source] for source in sources] if chosen.one_geometry else [sources]
             paths = [path, lines_path(path)][: len(groups)]
@@ -71,7 +71,7 @@ def _manifest(sources: Sequence[Source], file_format: str, chosen: Format, file:
     """Of a file that holds all rows of the sources."""
     source, counts = sources[0], sum((one.counts for one in sources), Counter[str]())
     request = source.request
-    facts = execute(source.conn, load_sql("exports.facts"), {"map_name": request.map_name})[0]
+    facts = query(source.conn, "exports.facts", map_name=request.map_name)[0]
     return {
         "manifest_version": MANIFEST_VERSION,
         "file": file.name,

@@ -16,7 +16,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from pyproj import CRS
 
-from conetl.db.connection import Connection, address, database_errors, execute, load_sql, query_columns
+from conetl.db.connection import Connection, address, database_errors, load_sql, query_columns, read
 from conetl.db.map.map_store import require_map
 from conetl.exports.fields import FIELDS
 from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT
@@ -70,8 +70,7 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
     if path.suffix.lower() not in (".qgz", ".qgs"):
         raise InputError(f"{path}: a QGIS project is a .qgz or .qgs file")
     info = require_map(conn, map_name)
-    with database_errors(f"The map {map_name} cannot be read"):
-        extent = execute(conn, load_sql("exports.qgis_extent"), {"map_name": map_name})[0]
+    extent = read(conn, f"The map {map_name} cannot be read", "exports.qgis_extent", map_name=map_name)[0]
     server = address(conn) | ({"user": user} if user else {})
     template = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyarrow import csv
 from pyproj import CRS, Transformer
 
-from conetl.db.connection import Connection, copied_csv, database_errors, execute, load_sql, query_columns
+from conetl.db.connection import Connection, copied_csv, database_errors, latest_or, load_sql, query, query_columns
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.exports import Order
@@ -224,10 +224,10 @@ class Source:
             "map_name": request.map_name,
             "map_id": self.info.map_id,
             "every_version": request.what is What.HISTORY,
-            "valid_at": _instant(request.as_of),
-            "known_at": None if every_state else _instant(request.believed_at),
+            "valid_at": latest_or(request.as_of),
+            "known_at": None if every_state else latest_or(request.believed_at),
             "from_valid_at": "-infinity" if request.since is None else request.since.isoformat(),
-            "to_valid_at": _instant(request.until),
+            "to_valid_at": latest_or(request.until),
             "moved_from_m": ReconcileParams().min_gate_m,
             "line_moved_from_m": ReconcileParams().marking_gate_m,
             "with_change": self._has_change,
@@ -271,7 +271,7 @@ def open_source(conn: Connection, request: ExportRequest, order: Order = Order.B
     sources = [points, replace(points, lines=True)]
     if request.category is not None:
         sources = [sources[request.category in LINE_CLASSES]]
-    elif not execute(conn, load_sql("exports.has_lines"), {"map_id": points.info.map_id})[0]["found"]:
+    elif not query(conn, "exports.has_lines", map_id=points.info.map_id)[0]["found"]:
         sources.pop()
     with ExitStack() as stack:
         for source in sources:
@@ -282,9 +282,7 @@ def open_source(conn: Connection, request: ExportRequest, order: Order = Order.B
 def _require_class(source: Source) -> None:
     """Raise InputError for a class that neither conetl nor the map knows."""
     if (category := source.request.category) is not None:
-        of_map = execute(
-            source.conn, load_sql("exports.has_class"), {"map_id": source.info.map_id, "category": category}
-        )
+        of_map = query(source.conn, "exports.has_class", map_id=source.info.map_id, category=category)
         require_classes([category], [category] if of_map[0]["found"] else [])
 
 
@@ -301,7 +299,3 @@ def _check(request: ExportRequest) -> None:
         raise InputError("an export of changes covers the whole map: leave out the box")
     if request.as_of is not None and request.what is not What.FEATURES:
         raise InputError(f"--as-of requires an export of features: an export of the {request.what} covers all times")
-
-
-def _instant(instant: datetime | None) -> str:
-    return "infinity" if instant is None else instant.isoformat()

@@ -322,12 +322,18 @@ class Drive(Record):
         return self
 
     @property
+    def captured_ns(self) -> tuple[int, int]:
+        """Instants of the first and the last frame pair."""
+        times_ns = [pair.captured_at_ns for pair in self.frame_pairs]
+        return min(times_ns), max(times_ns)
+
+    @property
     def captured_from(self) -> datetime:
-        return utc_from_ns(min(pair.captured_at_ns for pair in self.frame_pairs))
+        return utc_from_ns(self.captured_ns[0])
 
     @property
     def captured_to(self) -> datetime:
-        return utc_from_ns(max(pair.captured_at_ns for pair in self.frame_pairs))
+        return utc_from_ns(self.captured_ns[1])
 
 
 # --------------------------------------------------------------------------- image space

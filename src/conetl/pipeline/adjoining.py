@@ -13,17 +13,16 @@ from typing import NamedTuple
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.db.connection import Connection
 from conetl.db.map.drive_store import AdjoiningDrive, adjoining_drives, read_ends, trusted_drives
 from conetl.geometry.motion.steps import driven_apart_m
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
+from conetl.model.arrays import Floats
 from conetl.model.health import ADJOINING, HealthCheck, Verdict
 from conetl.model.records import Drive, FramePair, Rig
 
-Floats = NDArray[np.float64]
 #: Drives that begin so many seconds after another ended may be parts of one recording; of longer ones nothing can be said.
 WITHIN_NS = 5_000_000_000
 #: The frame pairs of half a second, at most so many and at least two, say how fast the vehicle was; it drives on in about the

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import HealthCheck
-from conetl.model.params import IngestParams, params_sha256
+from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.records import Detection, Drive, DriveRecords, ImageDetail, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
 from conetl.perception.detections import with_detail, without_unread
@@ -24,6 +25,7 @@ from conetl.pipeline.detect import Along, Detected, detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
 from conetl.pipeline.markings import mark, marking_points
 from conetl.pipeline.odometry import (
+    Odometry,
     check_poses,
     motions_again,
     moved,
@@ -96,25 +98,23 @@ def analyse(
     params, settings = params or IngestParams(), settings or read_settings()
     given = drive.rig
     drive, health = check_stereo(drive)
-    rig = drive.rig
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         card = read_model_card(settings.model_path)
         searched = params.detection.categories
         card.require_categories(set(searched) - set(LINE_CLASSES))
-        chunks = chunks_of(drive, settings, _for_corrected_rows(params) if rig != given else params)
+        chunks = chunks_of(drive, settings, _for_corrected_rows(params) if drive.rig != given else params)
         found = _run_chunks(drive, chunks, executor, progress, with_markings=LANE_MARKING in searched)
-        detection_paths, match_paths, motion_paths, marking_paths, calibration, rig = found
-        drive = drive.model_copy(update={"rig": rig})
-        trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)
+        drive = drive.model_copy(update={"rig": found.rig})
+        trajectory: RefinedTrajectory = executor.run(refine, drive, found.motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-        position_paths = executor.run(locate, moved(with_rig(chunks, rig), trajectory), match_paths)
-        detections, refused_detections = load_results(detection_paths, Detection)
+        position_paths = executor.run(locate, moved(with_rig(chunks, found.rig), trajectory), found.matches)
+        detections, refused_detections = load_results(found.detections, Detection)
         drive, detections = without_unread(drive, detections, refused_detections)
-        details, _ = load_results(map(detail_path, detection_paths), ImageDetail)
+        details, _ = load_results(map(detail_path, found.detections), ImageDetail)
         drive, without_detail = with_detail(drive, details)
-        health += check_poses(drive, motion_paths, trajectory, params.trajectory)
-        matches, refused_matches = load_results(match_paths, StereoMatch)
+        health += check_poses(drive, found.motions, trajectory, params.trajectory)
+        matches, refused_matches = load_results(found.matches, StereoMatch)
         positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(
             fuse, drive, detections, matches, positions, params, card.evidence, trajectory
@@ -125,11 +125,12 @@ def analyse(
             tracks, refused_tracks = executor.run(
                 fuse, drive, detections, matches, positions, params, card.evidence, trajectory
             )
-        markings = executor.run(mark, drive, marking_paths, params, trajectory) if marking_paths else []
+        points = found.marking_points
+        markings = executor.run(mark, drive, points, params, trajectory) if points else []
     refused = [*rejections, *refused_detections, *without_detail, *refused_matches, *refused_positions, *refused_tracks]
     records = DriveRecords(drive, detections, matches, positions, tracks, refused, markings)
-    health += check_calibration(calibration)
-    return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
+    health += check_calibration(found.calibration)
+    return AnalysedDrive(records, trajectory, found.calibration, params, tuple(health))
 
 
 def _for_corrected_rows(params: IngestParams) -> IngestParams:
@@ -138,11 +139,60 @@ def _for_corrected_rows(params: IngestParams) -> IngestParams:
     return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=small)})
 
 
+class _ChunkResults(NamedTuple):
+    """Parquet files of the steps that read images, in the order of the drive; its calibration, and its rig after that."""
+
+    detections: list[Path]
+    matches: list[Path]
+    motions: list[Path]
+    """Empty where the trajectory is not refined."""
+    marking_points: list[Path]
+    """Empty where no lane markings are searched for."""
+    calibration: SelfCalibration
+    rig: Rig
+
+
+class _Parts:
+    """The parts (`parts_of`) of all chunks of a drive, by number, and the steps of each that were submitted, each once."""
+
+    def __init__(
+        self, chunks: Sequence[Chunk], executor: Executor, progress: Progress | None, *, with_markings: bool
+    ) -> None:
+        self.parts = [(chunk, part) for chunk in chunks for part in range(len(parts_of(chunk)))]
+        self.followed: dict[int, Submitted] = {}
+        """Odometry as a step of its own, by the rig as it was given."""
+        self.detected: dict[int, Submitted] = {}
+        """Detections, with matches, odometry and markings along with them once the rig is known."""
+        self._executor, self._refine, self._with_markings = executor, chunks[0].params.trajectory.refine, with_markings
+        pairs = [len(chunk.frame_pairs[parts_of(chunk)[part]]) for chunk, part in self.parts]
+        self._images = [2 * count for count in pairs]
+        self._motions = [*pairs[:-1], pairs[-1] - 1] if self._refine else [0] * len(pairs)
+        self._count = ProgressCount(executor, sum(self._images) + sum(self._motions), progress)
+
+    def of(self, chunk: Chunk | None) -> list[int]:
+        """Numbers of the parts of a chunk; none of none."""
+        return [k for k, (whole, _) in enumerate(self.parts) if whole is chunk]
+
+    def follow(self, numbers: Iterable[int]) -> None:
+        """Submit the odometry of those parts that lack it."""
+        for k in numbers:
+            if k not in self.followed:
+                self.followed[k] = self._executor.submit(odometry, *self.parts[k], self._count.tick)
+                self._count.follow(self.followed[k], self._motions[k])
+
+    def detect(self, numbers: Iterable[int], rig: Rig | None) -> None:
+        """Submit the detections of those parts that lack them. rig: None before the self-calibration."""
+        for k in numbers:
+            if k not in self.detected:
+                along = Along(odometry=self._refine and k not in self.followed, markings=self._with_markings)
+                self.detected[k] = self._executor.submit(detect, *self.parts[k], rig, along, self._count.tick)
+                self._count.follow(self.detected[k], self._images[k] + (self._motions[k] if along.odometry else 0))
+
+
 def _run_chunks(
     drive: Drive, chunks: Sequence[Chunk], executor: Executor, progress: Progress | None, *, with_markings: bool
-) -> tuple[list[Path], list[Path], list[Path], list[Path], SelfCalibration, Rig]:
-    """Detections, matches, motions and points of markings of all chunks; what the drive says about its calibration, and its rig
-    after that.
+) -> _ChunkResults:
+    """All steps that read images.
 
     Matching waits for the calibration, which needs the odometry of some parts of the drive. So that comes first, and while Python
     itself works out the calibration in the caller's own thread, detections of these parts, which leave the interpreter to others,
@@ -150,54 +200,48 @@ def _run_chunks(
     only matches and markings of what was found meanwhile need them again.
     """
     params = chunks[0].params.trajectory
-    of_chunk: list[Sequence[int]] = []
-    parts: list[tuple[Chunk, int]] = []
-    for chunk in chunks:
-        of_chunk.append(range(len(parts), len(parts) + len(parts_of(chunk))))
-        parts += [(chunk, part) for part in range(len(parts_of(chunk)))]
-    pairs = [len(chunk.frame_pairs[parts_of(chunk)[part]]) for chunk, part in parts]
-    intervals = [*pairs[:-1], pairs[-1] - 1] if params.refine else [0] * len(parts)
-    count = ProgressCount(executor, 2 * sum(pairs) + sum(intervals), progress)
-    followed: dict[int, Submitted] = {}
-    detected: dict[int, Submitted] = {}
-
-    def submit_odometry(numbers: Iterable[int]) -> None:
-        for k in numbers:
-            if k not in followed:
-                followed[k] = executor.submit(odometry, *parts[k], count.tick)
-                count.follow(followed[k], intervals[k])
-
-    def submit_detections(numbers: Iterable[int], rig: Rig | None) -> None:
-        for k in numbers:
-            if k not in detected:
-                along = Along(odometry=params.refine and k not in followed, markings=with_markings)
-                detected[k] = executor.submit(detect, *parts[k], rig, along, count.tick)
-                count.follow(detected[k], 2 * pairs[k] + (intervals[k] if along.odometry else 0))
-
-    calibration: SelfCalibration = SWITCHED_OFF
+    parts = _Parts(chunks, executor, progress, with_markings=with_markings)
+    calibration = SWITCHED_OFF
     if params.self_calibrate and params.refine:
-        needed = parts_to_follow(parts, params)
-        submit_odometry(needed)
-        submit_detections(needed[: os.cpu_count() or 1], None)
-        calibration = executor.run(self_calibrate, chunks[0], _in_order(followed))
-        if len(followed) < len(parts) and calibration.span_count < params.self_calibration_max_spans / 2:
-            submit_odometry(range(len(parts)))
-            calibration = executor.run(self_calibrate, chunks[0], _in_order(followed))
+        calibration = _calibrate(parts, executor, params)
     rig = self_calibrated_rig(drive.rig, calibration, params)
-    early, motions = sorted(detected), _in_order(followed)
-    moving = None
-    if followed and rig != drive.rig:
-        moving = executor.submit(motions_again, [parts[k] for k in sorted(followed)], rig, motions)
-    marked = {k: executor.submit(marking_points, *parts[k], rig) for k in early if with_markings}
+    found_early = sorted(parts.detected)
+    motions_of_followed = _motions_by(rig, drive.rig, parts, executor)
+    marked_late = {k: executor.submit(marking_points, *parts.parts[k], rig) for k in found_early if with_markings}
     matched = []
-    for chunk, own, following in zip(chunks, of_chunk, [*of_chunk[1:], ()], strict=True):
-        submit_detections([*own, *following], rig)  # steps begin in this order, so that matching waits for nothing
-        matched.append(executor.submit(match, chunk, rig, *(detected[k] for k in own)))
-    found: list[Detected] = _in_order(detected)
-    by_number = dict(zip(sorted(followed), motions if moving is None else moving.result(), strict=True))
-    motion_paths = [(found[k].odometry or by_number[k]).motions for k in range(len(parts))] if params.refine else []
-    marking_paths = [each.marking_points or marked[k].result() for k, each in enumerate(found)] if with_markings else []
-    return [each.detections for each in found], results(matched), motion_paths, marking_paths, calibration, rig
+    for chunk, following in zip_longest(chunks, chunks[1:]):
+        parts.detect([*parts.of(chunk), *parts.of(following)], rig)  # in this order, so that matching waits for nothing
+        matched.append(executor.submit(match, chunk, rig, *(parts.detected[k] for k in parts.of(chunk))))
+    found: list[Detected] = _in_order(parts.detected)
+    motions, marks = [], []
+    if params.refine:
+        followed = dict(zip(sorted(parts.followed), motions_of_followed(), strict=True))
+        motions = [(each.odometry or followed[k]).motions for k, each in enumerate(found)]
+    if with_markings:
+        marks = [each.marking_points or marked_late[k].result() for k, each in enumerate(found)]
+    return _ChunkResults([each.detections for each in found], results(matched), motions, marks, calibration, rig)
+
+
+def _calibrate(parts: _Parts, executor: Executor, params: TrajectoryParams) -> SelfCalibration:
+    """Self-calibration from some parts of the drive; from all of them where these show too little."""
+    whole = parts.parts[0][0]
+    needed = parts_to_follow(parts.parts, params)
+    parts.follow(needed)
+    parts.detect(needed[: os.cpu_count() or 1], None)
+    calibration: SelfCalibration = executor.run(self_calibrate, whole, _in_order(parts.followed))
+    if len(parts.followed) < len(parts.parts) and calibration.span_count < params.self_calibration_max_spans / 2:
+        parts.follow(range(len(parts.parts)))
+        calibration = executor.run(self_calibrate, whole, _in_order(parts.followed))
+    return calibration
+
+
+def _motions_by(rig: Rig, given: Rig, parts: _Parts, executor: Executor) -> Callable[[], list[Odometry]]:
+    """A function that waits for the motions of the parts that were followed, by the rig after self-calibration."""
+    before: list[Odometry] = _in_order(parts.followed)
+    if not before or rig == given:
+        return lambda: before
+    again = executor.submit(motions_again, [parts.parts[k] for k in sorted(parts.followed)], rig, before)
+    return again.result
 
 
 def _in_order(steps: Mapping[int, Submitted]) -> list[Any]:

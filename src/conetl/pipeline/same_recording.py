@@ -23,10 +23,10 @@ _SAME_CAMERA_M, _SAME_CAMERA_RAD = 2.0, 0.5
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
     """Raise MapMismatchError where the recording is on the map with other content: one drive would count as two surveys."""
     with database.connection() as conn, transaction(conn, "The map cannot be read"):
-        instants_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
-        captured_ns = min(instants_ns), max(instants_ns)
-        numbers = other_deliveries(conn, drive.drive_id, captured_ns, drive.content_sha256, map_name=settings.map_name)
-        then = drives_at_the_same_time(conn, drive, captured_ns, path_wkt(drive), map_name=settings.map_name)
+        numbers = other_deliveries(
+            conn, drive.drive_id, drive.captured_ns, drive.content_sha256, map_name=settings.map_name
+        )
+        then = drives_at_the_same_time(conn, drive, path_wkt(drive), map_name=settings.map_name)
         same = [one for one in then if is_same_camera(drive, one.rig, read_frame_pairs(conn, one.drive_uuid))]
     if numbers:
         number = numbers[-1]

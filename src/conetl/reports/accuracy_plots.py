@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
-from numpy.typing import NDArray
 from scipy import stats
 
+from conetl.model.arrays import Bools, Floats
 from conetl.reports.figures import (
     BLACK,
     GREEN,
@@ -17,7 +17,6 @@ from conetl.reports.figures import (
     ORANGE,
     PINK,
     SKY,
-    Floats,
     add_grid,
     draw_arrow,
     frame_plan,
@@ -85,7 +84,7 @@ def error_plan(
     path_m: Floats,
     truth_m: Floats,
     names: Sequence[str],
-    found: NDArray[np.bool_],
+    found: Bools,
     errors_m: Floats,
     cov_m2: Floats,
     single_truth_m: Floats,

@@ -8,15 +8,15 @@ from typing import Any
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
+from conetl.db.connection import Connection, read, stream_values
 from conetl.db.map.decision_store import hold_events, map_checks
 from conetl.db.map.drive_store import load_stored_drive, read_frame_pairs
 from conetl.db.map.map_store import list_changesets, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.serve_store import read_rows
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
 from conetl.model.map_records import DeltaKind, MapFeature
@@ -24,7 +24,6 @@ from conetl.model.records import FramePair, Rig, Track
 from conetl.reports.drive_passes import reasons_of
 from conetl.reports.figures import MarkingChange, change_of_row, changes_of
 
-Floats = NDArray[np.float64]
 Row = dict[str, Any]
 #: Features within this distance of the path are drawn on the plan.
 _AROUND_M = 30.0
@@ -140,18 +139,15 @@ def find_drive(conn: Connection, name: str, *, map_name: str) -> CommittedChange
 
 def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_name: str) -> DriveFacts:
     """Facts of one changeset; read-only. Raises InputError for an imported map."""
-    parameters = {"changeset_id": changeset.changeset_id}
-    with database_errors(f"Drive {changeset.drive_id} cannot be read"):
-        header = execute(conn, load_sql("reports.changeset"), parameters)[0]
-        if header["rig"] is None:
-            raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
-        evaluated = read_rows(
-            conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset.changeset_no
-        )
-        rejections = execute(conn, load_sql("reports.rejections"), parameters)
-        residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
-        events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
-        against_map = map_checks(conn, changeset.changeset_id)
+    what = f"Drive {changeset.drive_id} cannot be read"
+    header = read(conn, what, "reports.changeset", changeset_id=changeset.changeset_id)[0]
+    if header["rig"] is None:
+        raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
+    evaluated = read_rows(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset.changeset_no)
+    rejections = read(conn, what, "reports.rejections", changeset_id=changeset.changeset_id)
+    residuals = np.array(list(stream_values(conn, what, "reports.residuals", drive_uuid=changeset.drive_uuid)))
+    events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
+    against_map = map_checks(conn, changeset.changeset_id)
     checks = tuple(HealthCheck(**check) for check in (header["facts"] or {}).get("health", ()))
     accepted = [event.what for event in events if "accept" in event.what][-1:] == ["accepted"]
     if checks and not against_map and not accepted and not holding(checks):

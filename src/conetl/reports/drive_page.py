@@ -13,7 +13,7 @@ from uuid import UUID
 import numpy as np
 from markupsafe import Markup
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.connection import Connection, read
 from conetl.db.map.results import CommittedChangeset
 from conetl.mapping.visibility import DriveObservations, observations_of_drive, pairs_in_view
 from conetl.model.errors import StorageError
@@ -38,6 +38,7 @@ _NORMAL_TRAJECTORIES = {"refined", "switched_off"}
 _NORMAL_CALIBRATIONS = {"insignificant", "no_estimate", "switched_off"}
 #: Changes with images on one page; the table lists all.
 MAX_ILLUSTRATED = 120
+_UNREAD = "The sightings cannot be read"
 
 
 class Alert(NamedTuple):
@@ -239,7 +240,8 @@ def _of_change(conn: Connection, facts: DriveFacts, change: DriveChange, drive: 
     found: list[PairOfCrops] = []
     if not change.kind.founds:
         captured_from_ns = facts.changeset.captured_from_ns
-        for row in _rows(conn, "seen_before", feature_id=change.feature_id, before_ns=captured_from_ns)[:1]:
+        before = {"feature_id": change.feature_id, "before_ns": captured_from_ns}
+        for row in read(conn, _UNREAD, "reports.seen_before", **before)[:1]:
             title = f"before: {row['drive_id']}, {utc_from_ns(row['captured_from_ns']):%Y-%m-%d}"
             found.append(_sighting(conn, row["drive_uuid"], row["track_index"], title))
     if change.track_index is not None:
@@ -251,7 +253,7 @@ def _of_change(conn: Connection, facts: DriveFacts, change: DriveChange, drive: 
 
 def _sighting(conn: Connection, drive_uuid: UUID, track_index: int, title: str) -> PairOfCrops:
     """The nearest frame pair of a track."""
-    rows = _rows(conn, "sighting", drive_uuid=drive_uuid, track_index=track_index)
+    rows = read(conn, _UNREAD, "reports.sighting", drive_uuid=drive_uuid, track_index=track_index)
     if not rows:
         return PairOfCrops(title, (), "its raw records were pruned")
     row = rows[0]
@@ -284,8 +286,3 @@ def _crops(title: str, source_path: str, rig: Rig, paths: Sequence[str], boxes: 
     except (ImageMissingError, ImageFileError, StorageError, OSError) as error:
         return PairOfCrops(title, (), f"{Path(paths[0]).name}: {error}")
     return PairOfCrops(title, tuple(crops))
-
-
-def _rows(conn: Connection, name: str, **parameters: Any) -> list[dict[str, Any]]:
-    with database_errors("The sightings cannot be read"):
-        return execute(conn, load_sql(f"reports.{name}"), parameters)

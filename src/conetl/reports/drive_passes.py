@@ -7,7 +7,6 @@ from typing import Any, Literal, NamedTuple
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.db import serve_store as store
 from conetl.db.connection import Connection
@@ -16,6 +15,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.mapping.reasons import ChangeFacts, why
 from conetl.mapping.visibility import observations_of_drive, pairs_in_view, visible_pairs
+from conetl.model.arrays import Floats
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.feature_classes import CONE, LINE_CLASSES, noun_of
 from conetl.model.map_records import DeltaKind
@@ -42,7 +42,7 @@ class FrameInView(NamedTuple):
     state: FrameState
     """observed: belongs to the feature's track; empty: visible, and no cone was observed; occupied: another detection is there;
     hidden: behind a nearer detection, or the image shows too little."""
-    camera_m: NDArray[np.float64]
+    camera_m: Floats
     """(3,) left camera in the map."""
 
 
@@ -100,7 +100,7 @@ def _frames_in_view(
     conn: Connection,
     header: Mapping[str, Any],
     feature_id: UUID,
-    foot_m: NDArray[np.float64],
+    foot_m: Floats,
     height_m: float,
     category: str,
     observed: Collection[int],

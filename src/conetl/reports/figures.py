@@ -17,15 +17,15 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import ScaledTranslation
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT, STANDING, KindMark, dashes_of
 from conetl.files.atomic import atomic_files
+from conetl.model.arrays import Floats
 from conetl.model.feature_classes import FEATURE_CLASSES, known_of, letter_of, noun_of
 from conetl.model.map_records import Delta, DeltaKind, FeatureChange, MapFeature
 from conetl.model.markings import Marking
 
-Floats = NDArray[np.float64]
 #: Safe for the colour-blind (Okabe & Ito).
 BLUE, SKY, GREEN, ORANGE, PINK, GREY, BLACK = (
     "#0072b2",

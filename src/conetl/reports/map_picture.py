@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import list_changesets, read_paths
+from conetl.db.map.map_store import Bbox, list_changesets, read_paths
 from conetl.db.serve_store import read_base_tile, read_rows
 from conetl.exports import kind_marks as marks
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import letter_of
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
@@ -40,8 +41,6 @@ from conetl.reports.figures import (
     save_figure,
 )
 
-Array = NDArray[np.float64]
-Bbox = tuple[float, float, float, float]
 SUFFIXES = (".png", ".svg", ".pdf")
 
 _INK = "#1d2733"
@@ -64,11 +63,11 @@ class PlanContent:
     standing: Sequence[MapFeature]
     changes: Sequence[FeatureChange] | None
     """None without a comparison of two states."""
-    paths_m: Sequence[Array]
+    paths_m: Sequence[Floats]
     """(N, 2) each: paths of the drives."""
-    lines_m: Sequence[Array]
+    lines_m: Sequence[Floats]
     """(N, 2) each: lane boundaries."""
-    points_m: Array
+    points_m: Floats
     """(N, 2) LiDAR points."""
     shades: NDArray[np.uint8]
     """(N,) their intensity."""
@@ -96,7 +95,7 @@ def read_plan_content(
     )  # fmt: skip
 
 
-def drive_paths(conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None) -> list[Array]:
+def drive_paths(conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None) -> list[Floats]:
     """(N, 2) drive paths until an instant, of the drives committed until an instant of the database."""
     paths = read_paths(conn, map_name=map_name, until=valid_at)
     if known_at is None:
@@ -105,13 +104,13 @@ def drive_paths(conn: Connection, map_name: str, valid_at: datetime | None, know
     return [path.xy_m for path in paths if path.drive_id in known]
 
 
-def _lane_boundaries(conn: Connection, map_name: str, around: Bbox) -> list[Array]:
+def _lane_boundaries(conn: Connection, map_name: str, around: Bbox) -> list[Floats]:
     rows = read_rows(conn, "base_layers.lines", map_name=map_name, max_rows=_MAX_LINES)
     shapes = shapely.from_wkb([bytes(row["geom"]) for row in rows])
     return [shapely.get_coordinates(shape) for shape in shapes if shapely.intersects(shape, shapely.box(*around))]
 
 
-def _points(conn: Connection, map_name: str, around: Bbox) -> tuple[Array, NDArray[np.uint8]]:
+def _points(conn: Connection, map_name: str, around: Bbox) -> tuple[Floats, NDArray[np.uint8]]:
     """(N, 2) points and (N,) intensities of the tiles around, coarse ones first, up to _MAX_POINTS."""
     west, south, east, north = around
     points, shades, count = [np.empty((0, 2))], [np.empty(0, np.uint8)], 0
@@ -275,7 +274,7 @@ def _arrows(axes: Axes, moved: Sequence[FeatureChange], colour: str, box: Bbox) 
             )  # fmt: skip
 
 
-def _inside(positions: Array, box: Bbox) -> NDArray[np.bool_]:
+def _inside(positions: Floats, box: Bbox) -> NDArray[np.bool_]:
     """(N,) mask of positions (N, 2) inside west, east, south, north."""
     return np.asarray(((positions >= box[::2]) & (positions <= box[1::2])).all(axis=1))
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.connection import Connection, database_errors, query
 from conetl.db.map.decision_store import held_drives, hold_events
 from conetl.db.map.map_store import list_changesets, require_map
 from conetl.model.errors import InputError
@@ -60,13 +60,13 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     require_map(conn, map_name)
     period = {"map_name": map_name, "since": since, "until": until}
     with database_errors(f"The map {map_name} cannot be read"):
-        drives = execute(conn, load_sql("reports.night_drives"), period)
+        drives = query(conn, "reports.night_drives", **period)
         changesets = {one.changeset_id: one for one in list_changesets(conn, map_name=map_name)}
-        sizes = execute(conn, load_sql("reports.map_size"), {"map_name": map_name})
-        failures = execute(conn, load_sql("reports.night_failures"), period)
-        vanished = execute(conn, load_sql("reports.night_removed"), period | {"max_rows": _MAX_ROWS})
-        rejections = execute(conn, load_sql("reports.night_rejections"), period)
-        markings = execute(conn, load_sql("reports.night_markings"), period)
+        sizes = query(conn, "reports.map_size", map_name=map_name)
+        failures = query(conn, "reports.night_failures", **period)
+        vanished = query(conn, "reports.night_removed", **period | {"max_rows": _MAX_ROWS})
+        rejections = query(conn, "reports.night_rejections", **period)
+        markings = query(conn, "reports.night_markings", **period)
         held = [drive for drive in held_drives(conn, map_name=map_name) if drive.since < until]
         events = hold_events(conn, map_name=map_name, since=since, until=until)
         conn.rollback()

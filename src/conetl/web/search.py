@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from fastapi import APIRouter, HTTPException, Query, Request
-from numpy.typing import NDArray
 
 from conetl.db.map.map_store import find_features, list_changesets, require_map
 from conetl.geometry.geodesy import to_geodetic, to_map
+from conetl.model.arrays import Floats
 from conetl.model.records import Vec3, utc_from_ns
 from conetl.web import models as m
 from conetl.web import rows as to
@@ -40,7 +40,6 @@ _METRES_PER_DEGREE = 111_320.0
 #: Points per side of the fitted and of the checked grid.
 _FITTED, _CHECKED = 13, 8
 Metres = Annotated[float, Query(ge=-5e6, le=5e6, allow_inf_nan=False)]
-Floats = NDArray[np.float64]
 
 
 @router.get("/maps/{map_name}/search", tags=["search"])

@@ -52,8 +52,7 @@ class _Manifest(BaseModel):
 
 def list_maps(conn: Connection) -> list[dict[str, Any]]:
     """All maps of the database, by name: columns of `archive.list_maps`."""
-    with db.database_errors("The maps of the database cannot be read"):
-        return db.execute(conn, db.load_sql("archive.list_maps"))
+    return db.read(conn, "The maps of the database cannot be read", "archive.list_maps")
 
 
 def rename_map(conn: Connection, map_name: str, new_name: str) -> None:
@@ -66,8 +65,7 @@ def rename_map(conn: Connection, map_name: str, new_name: str) -> None:
         map_lock(conn, new_name)
         info = require_map(conn, map_name)
         _require_free_name(conn, new_name)
-        names = {"map_id": info.map_id, "map_name": map_name, "new_name": new_name}
-        db.execute(conn, db.load_sql("archive.rename_map"), names)
+        db.query(conn, "archive.rename_map", map_id=info.map_id, map_name=map_name, new_name=new_name)
 
 
 def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
@@ -81,11 +79,11 @@ def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
         info = require_map(conn, map_name)
         rows = _write_dump(conn, info, dump)
         key = {"map_id": info.map_id, "map_name": map_name}
-        runs = [row["run_id"] for row in db.execute(conn, db.load_sql("archive.run_ids"), key)]
-        for table in reversed(db.execute(conn, db.load_sql("archive.tables"), {})):
+        runs = [row["run_id"] for row in db.query(conn, "archive.run_ids", **key)]
+        for table in reversed(db.query(conn, "archive.tables")):
             if table["table_name"] not in ("run", "run_step"):  # which are known by the changesets
                 db.execute(conn, f"delete from conetl.{table['table_name']} where {table['condition']}", key)
-        db.execute(conn, db.load_sql("archive.delete_map_row"), key | {"run_ids": runs})
+        db.query(conn, "archive.delete_map_row", **key | {"run_ids": runs})
     return rows
 
 
@@ -121,9 +119,9 @@ def restore_map(conn: Connection, dump: Path, map_name: str | None = None) -> Ma
 
 def _write_dump(conn: Connection, info: MapInfo, dump: Path) -> dict[str, int]:
     key = {"map_id": info.map_id, "map_name": info.map_name}
-    row = db.execute(conn, db.load_sql("archive.map_row"), key)[0]
+    row = db.query(conn, "archive.map_row", **key)[0]
     rows: dict[str, int] = {}
-    tables = db.execute(conn, db.load_sql("archive.tables"), {})
+    tables = db.query(conn, "archive.tables")
     dump.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     with atomic_files(dump) as [path], zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for table in tables:
@@ -146,7 +144,7 @@ def _write_dump(conn: Connection, info: MapInfo, dump: Path) -> dict[str, int]:
 
 def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: _Manifest, map_name: str) -> MapInfo:
     with db.transaction(conn, "The schema of the database cannot be read"):
-        schema, tables = applied_migrations(conn), db.execute(conn, db.load_sql("archive.tables"), {})
+        schema, tables = applied_migrations(conn), db.query(conn, "archive.tables")
     if manifest.schema_ != schema or manifest.columns != {t["table_name"]: t["columns"] for t in tables}:
         raise InputError(
             f"{dump}: was written with the database schema {manifest.schema_[-1]:.80}, this one has {schema[-1]}: restore it "
@@ -155,15 +153,13 @@ def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: _Man
     with map_transaction(conn, map_name):
         _require_free_name(conn, map_name)
         row = manifest.map.model_dump()
-        for other in db.execute(conn, db.load_sql("archive.same_ids"), {"id_name": row["id_name"]}):
+        for other in db.query(conn, "archive.same_ids", id_name=row["id_name"]):
             raise InputError(
                 f"{dump}: its features have the same ids as those of the map {other['map_name']}: restore it into another "
                 f"database, or delete that map first (`conetl map delete {other['map_name']}`)"
             )
         id_name = None if row["id_name"] == map_name else row["id_name"]
-        made = db.execute(
-            conn, db.load_sql("archive.restore_map_row"), row | {"map_name": map_name, "id_name": id_name}
-        )[0]
+        made = db.query(conn, "archive.restore_map_row", **row | {"map_name": map_name, "id_name": id_name})[0]
         key = {"map_id": made["map_id"], "map_name": map_name}
         for table in tables:
             name, columns, own = table["table_name"], table["columns"], table["map_column"]

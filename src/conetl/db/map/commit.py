@@ -37,7 +37,7 @@ from conetl.model.errors import MapMismatchError
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import Changeset, DeltaKind
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Drive, DriveRecords, utc_from_ns
+from conetl.model.records import Drive, DriveRecords
 
 #: A drive may see features this far around its path: the farthest position plus the largest offset and move.
 INFLUENCE_M = 60.0
@@ -76,12 +76,10 @@ def place_drive(
     """
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
-    elsewhere = {"drive_uuid": drive_uuid, "map_id": info.map_id}
-    if db.execute(conn, db.load_sql("drives.belongs_elsewhere"), elsewhere)[0][
-        "elsewhere"
-    ]:  # a map of this name was set aside
+    if db.query(conn, "drives.belongs_elsewhere", drive_uuid=drive_uuid, map_id=info.map_id)[0]["elsewhere"]:
+        # A map of this name was set aside.
         drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{info.map_id}/{idempotency_key}")
-    times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    captured_from_ns, captured_to_ns = drive.captured_ns
     parameters = {
         "drive_uuid": drive_uuid,
         "map_id": info.map_id,
@@ -90,23 +88,23 @@ def place_drive(
         "source_path": clean_text(drive.source_path),
         "content_sha256": drive.content_sha256,
         "rig": json_text(drive.rig.model_dump(mode="json")),
-        "captured_from_ns": min(times_ns),
-        "captured_to_ns": max(times_ns),
-        "captured_from": utc_from_ns(min(times_ns)),
-        "captured_to": utc_from_ns(max(times_ns)),
+        "captured_from_ns": captured_from_ns,
+        "captured_to_ns": captured_to_ns,
+        "captured_from": drive.captured_from,
+        "captured_to": drive.captured_to,
         "expected_frame_count": drive.expected_frame_count,
         "reconcile": json_text((reconcile or ReconcileParams()).model_dump(mode="json")),
         "influence_m": influence_m,
         "absence_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
         "path_wkt": path_wkt(drive),
     }
-    db.execute(conn, db.load_sql("drives.insert_drive"), parameters)
+    db.query(conn, "drives.insert_drive", **parameters)
     return drive_uuid
 
 
 def with_free_id(conn: Connection, changeset: Changeset, drive_uuid: UUID) -> Changeset:
     """A new changeset, with another id where its own is that of the same drive on a map of this name that was set aside."""
-    if db.execute(conn, db.load_sql("commit.changeset_exists"), {"changeset_id": changeset.changeset_id})[0]["found"]:
+    if db.query(conn, "commit.changeset_exists", changeset_id=changeset.changeset_id)[0]["found"]:
         return changeset.model_copy(update={"changeset_id": uuid5(drive_uuid, str(changeset.changeset_id))})
     return changeset
 
@@ -176,7 +174,7 @@ def insert_changeset(
     if run is not None:
         facts = None if run.facts is None else json_text(dict(run.facts))
         kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
-        db.execute(conn, db.load_sql("commit.insert_run"), vars(run) | kept)
+        db.query(conn, "commit.insert_run", **vars(run) | kept)
     kinds, line_kinds = (
         Counter(delta.kind for delta in changeset.deltas if delta.is_of_line is of_line) for of_line in (False, True)
     )
@@ -195,7 +193,7 @@ def insert_changeset(
         "frame_pair_count": len(records.drive.frame_pairs) if records else 0,
         **{f"{name}_count": len(getattr(records, some, ())) for name, some in _COUNTED.items()},
     }
-    db.execute(conn, db.load_sql("commit.insert_changeset"), parameters)
+    db.query(conn, "commit.insert_changeset", **parameters)
 
 
 def committed_result(conn: Connection, changeset: Changeset, versions_written: int, *, map_name: str) -> CommitResult:
@@ -302,13 +300,13 @@ def _stage_deltas(
     conn: Connection, info: MapInfo, drive_uuid: UUID, changeset: Changeset, suppressed: Collection[UUID]
 ) -> None:
     """All deltas, and the versions that they start from, into tables of the transaction's own. Raises MapMismatchError."""
-    db.execute(conn, db.load_sql("commit.create_delta_stage"))
+    db.query(conn, "commit.create_delta_stage")
     db.copy_columns(conn, "delta_stage", map_rows.delta_columns(info.srid, changeset.deltas, suppressed))
     db.execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
-    db.execute(conn, db.load_sql("commit.create_open_version"), {"drive_uuid": drive_uuid})
+    db.query(conn, "commit.create_open_version", drive_uuid=drive_uuid)
     db.execute(conn, "analyze open_version")
-    db.execute(conn, db.load_sql("commit.add_open_versions"))
-    conflicts = db.execute(conn, db.load_sql("commit.delta_conflicts"), {"map_id": info.map_id})
+    db.query(conn, "commit.add_open_versions")
+    conflicts = db.query(conn, "commit.delta_conflicts", map_id=info.map_id)
     if conflicts:
         raise MapMismatchError(_conflict_text(info.map_name, conflicts[0]))
 
@@ -321,16 +319,13 @@ def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committ
         "changeset_id": changeset.changeset_id,
         "committed_at": committed_at,
     }
-    db.execute(conn, db.load_sql("commit.insert_features"), parameters)
-    db.execute(conn, db.load_sql("commit.close_versions"), parameters)
-    db.execute(conn, db.load_sql("commit.insert_ended_versions"), parameters)
+    db.query(conn, "commit.insert_features", **parameters)
+    db.query(conn, "commit.close_versions", **parameters)
+    db.query(conn, "commit.insert_ended_versions", **parameters)
     versions = db.execute_count(conn, db.load_sql("commit.insert_versions"), parameters)
-    db.execute(conn, db.load_sql("commit.insert_deltas"), parameters)
+    db.query(conn, "commit.insert_deltas", **parameters)
     db.execute(conn, "drop table delta_stage, open_version")
-    if (
-        versions >= ANALYSE_FROM_VERSIONS
-        and db.execute(conn, db.load_sql("commit.has_outgrown"), {"versions": versions})[0]["outgrown"]
-    ):
+    if versions >= ANALYSE_FROM_VERSIONS and db.query(conn, "commit.has_outgrown", versions=versions)[0]["outgrown"]:
         db.execute(conn, "analyze conetl.feature, conetl.feature_version")
     return versions
 

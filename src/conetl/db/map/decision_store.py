@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from uuid import UUID, uuid4
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.connection import Connection, query, read
 from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.map.results import Decidable, MapInfo, StoredDecision
 from conetl.model.health import HealthCheck, HeldDrive, HoldChange, HoldEvent, hold_reason
@@ -15,8 +15,8 @@ from conetl.model.map_records import Classification, Decisions, Location
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
     """The decisions that were not withdrawn, and the drives on hold, oldest first."""
-    with database_errors(f"The decisions about map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("decisions.active_decisions"), {"map_name": map_name})
+    what = f"The decisions about map {map_name} cannot be read"
+    rows = read(conn, what, "decisions.active_decisions", map_name=map_name)
     return [StoredDecision(**{name: row[name] for name in row if name != "drive_id"}) for row in rows]
 
 
@@ -34,9 +34,9 @@ def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
 
 def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:
     """Changesets and decisions whose id begins with a text, or the changeset of that number; at most two."""
-    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
-    with database_errors(f"The map {map_name} cannot be read"):
-        return [Decidable(**row) for row in execute(conn, load_sql("decisions.find_decisions"), parameters)]
+    wanted = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
+    rows = read(conn, f"The map {map_name} cannot be read", "decisions.find_decisions", **wanted)
+    return [Decidable(**row) for row in rows]
 
 
 def insert_decision(
@@ -58,25 +58,26 @@ def insert_decision(
     """
     decision_id = uuid4()
     easting_m, northing_m = place.xy_m if place else (None, None)
-    parameters = {
-        "decision_id": decision_id,
-        "map_id": info.map_id,
-        "srid": info.srid,
-        "kind": kind,
-        "easting_m": easting_m,
-        "northing_m": northing_m,
-        "radius_m": place.radius_m if place else None,
-        "category": getattr(place, "category", None),
-        "found_as": getattr(place, "found_as", None),
-        "feature_id": feature_id,
-        "changeset_id": changeset_id,
-        "withdraws": withdraws,
-        "note": clean_text(note),
-        "decided_by": clean_text(decided_by) if decided_by else None,
-        "decided_at": decided_at,
-        "of_line": place is not None and place.of_line,
-    }
-    execute(conn, load_sql("decisions.insert_decision"), parameters)
+    query(
+        conn,
+        "decisions.insert_decision",
+        decision_id=decision_id,
+        map_id=info.map_id,
+        srid=info.srid,
+        kind=kind,
+        easting_m=easting_m,
+        northing_m=northing_m,
+        radius_m=place.radius_m if place else None,
+        category=getattr(place, "category", None),
+        found_as=getattr(place, "found_as", None),
+        feature_id=feature_id,
+        changeset_id=changeset_id,
+        withdraws=withdraws,
+        note=clean_text(note),
+        decided_by=clean_text(decided_by) if decided_by else None,
+        decided_at=decided_at,
+        of_line=place is not None and place.of_line,
+    )
     return decision_id
 
 
@@ -93,14 +94,18 @@ def write_holds(
             "committed_at": committed_at,
         }
         written = [json_text([check.model_dump(mode="json") for check in found]) for found in checks.values()]
-        execute(conn, load_sql("holds.end_holds"), parameters)
-        execute(conn, load_sql("holds.begin_holds"), parameters | {"by_map": by_map, "checks": written})
+        query(conn, "holds.end_holds", **parameters)
+        query(conn, "holds.begin_holds", **parameters | {"by_map": by_map, "checks": written})
+
+
+def _unread(map_name: str) -> str:
+    return f"The drives on hold on map {map_name} cannot be read"
 
 
 def held_drives(conn: Connection, *, map_name: str) -> list[HeldDrive]:
     """The drives of a map that are on hold, the one that waits longest first."""
-    with database_errors(f"The drives on hold on map {map_name} cannot be read"):
-        return [HeldDrive(**row) for row in execute(conn, load_sql("holds.held_drives"), {"map_name": map_name})]
+    rows = read(conn, _unread(map_name), "holds.held_drives", map_name=map_name)
+    return [HeldDrive(**row) for row in rows]
 
 
 def hold_changes(
@@ -120,13 +125,12 @@ def hold_changes(
     changed_ids = was.keys() ^ held.keys()
     if not changed_ids:
         return ()
-    with database_errors(f"The drives on hold on map {map_name} cannot be read"):
-        if by is not None:
-            replaced = execute(conn, load_sql("holds.earlier_deliveries"), {"changeset_id": by})
-            changed_ids &= {*among, *(row["changeset_id"] for row in replaced)}
-        states = dict.fromkeys(changed_ids & held.keys(), "on hold")
-        gone = {"changeset_ids": list(changed_ids & was.keys())}
-        states |= {row["changeset_id"]: row["state"] for row in execute(conn, load_sql("holds.unheld_states"), gone)}
+    if by is not None:
+        replaced = read(conn, _unread(map_name), "holds.earlier_deliveries", changeset_id=by)
+        changed_ids &= {*among, *(row["changeset_id"] for row in replaced)}
+    states = dict.fromkeys(changed_ids & held.keys(), "on hold")
+    gone = read(conn, _unread(map_name), "holds.unheld_states", changeset_ids=list(changed_ids & was.keys()))
+    states |= {row["changeset_id"]: row["state"] for row in gone}
     changed = [(was | held)[drive] for drive in states]
     return tuple(
         HoldChange(
@@ -142,20 +146,17 @@ def hold_events(
     conn: Connection, *, map_name: str, since: datetime | None = None, until: datetime | None = None
 ) -> list[HoldEvent]:
     """What happened in [since, until) to drives that are or were on hold, in order."""
-    parameters = {"map_name": map_name, "since": since, "until": until}
-    with database_errors(f"The drives on hold on map {map_name} cannot be read"):
-        return [HoldEvent(**row) for row in execute(conn, load_sql("holds.hold_events"), parameters)]
+    rows = read(conn, _unread(map_name), "holds.hold_events", map_name=map_name, since=since, until=until)
+    return [HoldEvent(**row) for row in rows]
 
 
 def replaced_by_delivery(conn: Connection, changeset_id: UUID) -> int | None:
     """Number of the later delivery of the recording that takes a changeset's place; None where none does."""
-    with database_errors("The deliveries of the drive cannot be read"):
-        rows = execute(conn, load_sql("holds.replaced_by"), {"changeset_id": changeset_id})
+    rows = read(conn, "The deliveries of the drive cannot be read", "holds.replaced_by", changeset_id=changeset_id)
     return rows[0]["changeset_no"] if rows else None
 
 
 def map_checks(conn: Connection, changeset_id: UUID) -> tuple[HealthCheck, ...]:
     """The checks by which the map holds a drive, also one that is reverted or replaced; none where it agrees."""
-    with database_errors("The drives on hold cannot be read"):
-        rows = execute(conn, load_sql("holds.map_checks"), {"changeset_id": changeset_id})
+    rows = read(conn, "The drives on hold cannot be read", "holds.map_checks", changeset_id=changeset_id)
     return tuple(HealthCheck(**check) for row in rows for check in row["checks"])

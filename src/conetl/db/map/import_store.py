@@ -8,7 +8,8 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
+from conetl.db import connection as db
+from conetl.db.connection import Connection
 from conetl.db.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
 from conetl.db.map import rows as map_rows
 from conetl.db.map.commit import committed_result, insert_changeset
@@ -39,8 +40,7 @@ class KnownId(NamedTuple):
 
 def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, KnownId]:
     """Those of the ids that features of this database have, in any map."""
-    with database_errors("The features of the database cannot be read"):
-        rows = execute(conn, load_sql("map.known_ids"), {"feature_ids": list(feature_ids)})
+    rows = db.read(conn, "The features of the database cannot be read", "map.known_ids", feature_ids=list(feature_ids))
     return {
         row["feature_id"]: KnownId(
             row["map_name"], None if row["easting_m"] is None else (row["easting_m"], row["northing_m"])
@@ -63,10 +63,11 @@ class StatedVersion(NamedTuple):
 def versions_of_ids(conn: Connection, info: MapInfo, feature_ids: Sequence[UUID]) -> dict[UUID, list[StatedVersion]]:
     """All versions of those of the ids that are features of the map."""
     found: dict[UUID, list[StatedVersion]] = {}
-    with database_errors(f"The map {info.map_name} cannot be read"):
-        rows = stream(conn, load_sql("map.versions_of_ids"), {"map_id": info.map_id, "feature_ids": list(feature_ids)})
-        for feature_id, version, east, north, height, *values in rows:
-            found.setdefault(feature_id, []).append(StatedVersion(version, (east, north, height), *values))
+    what, wanted = f"The map {info.map_name} cannot be read", {"map_id": info.map_id, "feature_ids": list(feature_ids)}
+    for feature_id, version, east, north, height, *values in db.stream_values(
+        conn, what, "map.versions_of_ids", **wanted
+    ):
+        found.setdefault(feature_id, []).append(StatedVersion(version, (east, north, height), *values))
     return found
 
 
@@ -94,7 +95,7 @@ def place_import(
         "cells_wkt": "MULTIPOINT(" + ", ".join(f"({x!r} {y!r})" for x, y in cells) + ")",
         "cell_m": cell_m,
     }
-    execute(conn, load_sql("drives.insert_import"), parameters)
+    db.query(conn, "drives.insert_import", **parameters)
     return drive_uuid
 
 
@@ -112,33 +113,32 @@ def commit_import(
     info = map_for(conn, map_name, imported.srid, imported.name)
     committed_at = system_time(conn, info)
     insert_changeset(conn, info, drive_uuid, changeset, None, run, committed_at)
-    copy_columns(conn, "conetl.statement", _statement_columns(drive_uuid, info.srid, imported.statements))
+    db.copy_columns(conn, "conetl.statement", _statement_columns(drive_uuid, info.srid, imported.statements))
     versions_written = write_replay(conn, info, replay, committed_at)
     if versions_written:
-        execute(conn, "analyze conetl.feature, conetl.feature_version")
+        db.execute(conn, "analyze conetl.feature, conetl.feature_version")
     return committed_result(conn, changeset, versions_written, map_name=map_name)
 
 
 def read_statements(conn: Connection, drive_uuid: UUID) -> list[ImportedFeature]:
     """What an imported map states, in the order of its file."""
-    rows = stream(conn, load_sql("drives.statements"), {"drive_uuid": drive_uuid})
-    return [ImportedFeature.model_construct(feature=feature_of(row), valid_from_ns=row[30]) for row in rows]
+    rows = db.stream(conn, f"Drive {drive_uuid} cannot be read", "drives.statements", drive_uuid=drive_uuid)
+    return [
+        ImportedFeature.model_construct(feature=feature_of(row), valid_from_ns=row["valid_from_ns"]) for row in rows
+    ]
 
 
 def read_licence(conn: Connection, map_name: str) -> str | None:
     """Licence of a map's data, None if none was set. Raises InputError if the map does not exist."""
     require_map(conn, map_name)
-    with database_errors(f"The map {map_name} cannot be read"):
-        licence: str | None = execute(conn, load_sql("exports.facts"), {"map_name": map_name})[0]["licence"]
-    return licence
+    facts = db.read(conn, f"The map {map_name} cannot be read", "exports.facts", map_name=map_name)[0]
+    return facts["licence"]  # type: ignore[no-any-return]
 
 
 def set_licence(conn: Connection, map_name: str, licence: str) -> None:
     """Set the licence of a map's data; an empty text removes it."""
-    with transaction(conn, f"The licence of the map {map_name} could not be set"):
-        execute(
-            conn, load_sql("map.set_licence"), {"map_name": map_name, "licence": clean_text(licence).strip() or None}
-        )
+    with db.transaction(conn, f"The licence of the map {map_name} could not be set"):
+        db.query(conn, "map.set_licence", map_name=map_name, licence=clean_text(licence).strip() or None)
 
 
 def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[ImportedFeature]) -> Mapping[str, Any]:

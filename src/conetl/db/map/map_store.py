@@ -47,19 +47,18 @@ def drive_transaction(
 ) -> Iterator[None]:
     """As `map_transaction`, but without a lock: for one drive, which takes its own ones (`lock_neighbourhood`)."""
     with db.transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
-        db.execute(conn, db.load_sql("commit.set_lock_timeout"), {"timeout": f"{lock_timeout_s * 1000:.0f}ms"})
+        db.query(conn, "commit.set_lock_timeout", timeout=f"{lock_timeout_s * 1000:.0f}ms")
         yield
 
 
 def map_lock(conn: Connection, map_name: str = "default", *, shared: bool = False) -> None:
     """Take the map's lock until the end of the open transaction. shared: together with others who share it."""
-    db.execute(conn, db.load_sql("commit.share_map" if shared else "commit.lock_map"), {"map_name": map_name})
+    db.query(conn, "commit.share_map" if shared else "commit.lock_map", map_name=map_name)
 
 
 def find_map(conn: Connection, map_name: str = "default") -> MapInfo | None:
     """The map, None before anything was committed to it."""
-    with db.database_errors(f"The map {map_name} cannot be read"):
-        rows = db.execute(conn, db.load_sql("map.find_map"), {"map_name": map_name})
+    rows = db.read(conn, f"The map {map_name} cannot be read", "map.find_map", map_name=map_name)
     return MapInfo(**rows[0]) if rows else None
 
 
@@ -84,8 +83,7 @@ def require_map(conn: Connection, map_name: str) -> MapInfo:
 
 def map_names(conn: Connection) -> list[str]:
     """Names of all maps, in alphabetical order."""
-    with db.database_errors("The maps of the database cannot be read"):
-        return [row["map_name"] for row in db.execute(conn, db.load_sql("map.maps"))]
+    return [row["map_name"] for row in db.read(conn, "The maps of the database cannot be read", "map.maps")]
 
 
 def read_current_features(conn: Connection, *, map_name: str = "default", lines: bool = False) -> list[MapFeature]:
@@ -115,12 +113,11 @@ def read_features_as_of(
         "map_name": map_name, "srid": info.srid if info else 0, "max_rows": None,
         "west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m,
         "lines": lines,
-        "valid_at": valid_at.isoformat() if valid_at else "infinity",
-        "known_at": known_at.isoformat() if known_at else "infinity",
+        "valid_at": db.latest_or(valid_at), "known_at": db.latest_or(known_at),
     }  # fmt: skip
-    with db.database_errors(f"The features of map {map_name} cannot be read"):
-        for row in db.stream(conn, db.load_sql("map.features_as_of"), parameters):
-            yield FeatureAtInstant(feature_of(row), *row[30:35])
+    own = ("valid_from", "valid_to", "changeset_id", "seen_count", "missed_count")
+    for row in db.stream(conn, f"The features of map {map_name} cannot be read", "map.features_as_of", **parameters):
+        yield FeatureAtInstant(feature_of(row), **{name: row[name] for name in own})
 
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:
@@ -133,29 +130,28 @@ def list_changesets(
     conn: Connection, *, map_name: str = "default", idempotency_key: str | None = None
 ) -> list[CommittedChangeset]:
     """Changesets of a map, newest first; or the one of an idempotency key."""
-    parameters = {"map_name": map_name, "idempotency_key": idempotency_key}
-    with db.database_errors(f"The changesets of map {map_name} cannot be read"):
-        return [CommittedChangeset(**row) for row in db.execute(conn, db.load_sql("history.changesets"), parameters)]
+    what = f"The changesets of map {map_name} cannot be read"
+    rows = db.read(conn, what, "history.changesets", map_name=map_name, idempotency_key=idempotency_key)
+    return [CommittedChangeset(**row) for row in rows]
 
 
 def feature_log(conn: Connection, feature_id: UUID) -> list[dict[str, Any]]:
     """Everything that happened to a feature, oldest first, columns of `history.feature_log`; [] without such a feature."""
-    with db.database_errors(f"The history of feature {feature_id} cannot be read"):
-        rows = db.execute(conn, db.load_sql("history.feature_log"), {"feature_id": feature_id})
+    what = f"The history of feature {feature_id} cannot be read"
+    rows = db.read(conn, what, "history.feature_log", feature_id=feature_id)
     return [row | {"kind": DeltaKind(row["kind"])} for row in rows]
 
 
 def find_features(conn: Connection, beginning: str, *, map_name: str = "default", max_rows: int = 2) -> list[UUID]:
     """Ids that begin with `beginning`, of standing and removed features; two show that it is ambiguous."""
-    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower(), "max_rows": max_rows}
-    with db.database_errors(f"The map {map_name} cannot be read"):
-        return [row["feature_id"] for row in db.execute(conn, db.load_sql("map.find_features"), parameters)]
+    wanted = {"beginning": clean_text(beginning).lower(), "max_rows": max_rows}
+    rows = db.read(conn, f"The map {map_name} cannot be read", "map.find_features", map_name=map_name, **wanted)
+    return [row["feature_id"] for row in rows]
 
 
 def map_summary(conn: Connection, map_name: str = "default") -> dict[str, Any] | None:
     """The map in figures, columns of `map.summary`; None without such a map."""
-    with db.database_errors(f"The map {map_name} cannot be read"):
-        rows = db.execute(conn, db.load_sql("map.summary"), {"map_name": map_name})
+    rows = db.read(conn, f"The map {map_name} cannot be read", "map.summary", map_name=map_name)
     return rows[0] if rows else None
 
 
@@ -167,7 +163,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
     info = find_map(conn, map_name)
     if info is not None and info.srid != srid and not info.counts:
         new_name = f"{map_name[:20]}-held-{info.srid}-{info.map_id}"
-        db.execute_count(conn, db.load_sql("map.set_aside"), {"map_id": info.map_id, "new_name": new_name})
+        db.query(conn, "map.set_aside", map_id=info.map_id, new_name=new_name)
         _log.warning("No drive of map %s counts: it is called %s from now on", map_name, new_name)
         info = None
     if info is None:
@@ -185,13 +181,8 @@ def insert_map(
     conn: Connection, map_name: str, srid: int, *, vertical_srid: int | None = None, now: datetime | None = None
 ) -> MapInfo | None:
     """Create a map unless it exists; does not commit. The map of that name."""
-    created = {
-        "map_name": map_name,
-        "srid": srid,
-        "vertical_srid": vertical_srid,
-        "created_at": now or datetime.now(UTC),
-    }
-    db.execute(conn, db.load_sql("map.insert_map"), created)
+    created_at = now or datetime.now(UTC)
+    db.query(conn, "map.insert_map", map_name=map_name, srid=srid, vertical_srid=vertical_srid, created_at=created_at)
     return find_map(conn, map_name)
 
 
@@ -200,27 +191,22 @@ def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) ->
 
     Under the map's lock, or in turn (`take_turn`).
     """
-    clock = {"now": now, "map_id": info.map_id}
-    instant: datetime = db.execute(conn, db.load_sql("commit.system_time"), clock)[0]["committed_at"]
+    instant: datetime = db.query(conn, "commit.system_time", now=now, map_id=info.map_id)[0]["committed_at"]
     return instant
 
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
     """Every current version that began until then (None: all), by feature; [] without such a map."""
-    parameters = {"map_name": map_name, "feature_id": None, "valid_until": until.isoformat() if until else "infinity"}
-    with db.database_errors(f"The history of map {map_name} cannot be read"):
-        return [version_of(row) for row in db.stream(conn, db.load_sql("map.current_versions"), parameters)]
+    parameters = {"map_name": map_name, "feature_id": None, "valid_until": db.latest_or(until)}
+    rows = db.stream(conn, f"The history of map {map_name} cannot be read", "map.current_versions", **parameters)
+    return [version_of(row) for row in rows]
 
 
 def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[DrivePath]:
     """The paths of the active drives that began until then (None: all), by time."""
-    parameters = {
-        "map_name": map_name,
-        "valid_until": until.isoformat() if until else "infinity",
-        "tolerance_m": _PATH_TOLERANCE_M,
-    }
-    with db.database_errors(f"The drives of map {map_name} cannot be read"):
-        return [
-            DrivePath(row[0], row[1], np.stack([np.array(row[2]), np.array(row[3])], axis=1))
-            for row in db.stream(conn, db.load_sql("drives.paths_of_map"), parameters)
-        ]
+    parameters = {"map_name": map_name, "valid_until": db.latest_or(until), "tolerance_m": _PATH_TOLERANCE_M}
+    rows = db.stream(conn, f"The drives of map {map_name} cannot be read", "drives.paths_of_map", **parameters)
+    return [
+        DrivePath(row["drive_id"], row["captured_from_ns"], np.column_stack([row["eastings_m"], row["northings_m"]]))
+        for row in rows
+    ]

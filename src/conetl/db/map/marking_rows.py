@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,11 @@ from conetl.db.copy_binary import Column
 from conetl.model.markings import Marking
 from conetl.model.records import Cov3, sound
 
+Row = Mapping[str, Any]
 _EWKB_LINE_Z_SRID = 0x80000000 | 0x20000000 | 2
 _DOUBLE_TYPE, _DOUBLE_BYTES = 701, 8
 _DOUBLES = np.dtype([("length", ">i4"), ("value", ">f8")])
-#: Columns that are named as the attributes, in the order of `map.features_as_of`.
+#: Columns that are named as the attributes.
 _ATTRIBUTES: dict[str, Callable[[list[Any]], Column]] = {
     "width_m": binary.doubles, "width_sigma_m": binary.doubles, "colour": binary.texts, "pattern": binary.texts,
     "dash_m": binary.doubles, "gap_m": binary.doubles,
@@ -25,14 +26,16 @@ _ATTRIBUTES: dict[str, Callable[[list[Any]], Column]] = {
 _WKB_HEAD = 9
 
 
-def marking_of(row: tuple[Any, ...]) -> Marking:
-    """Columns as in `map.features_as_of` from the line to gap_m."""
-    vertices_m = np.frombuffer(row[0], "<f8", offset=_WKB_HEAD).reshape(-1, 3)
+def marking_of(row: Row) -> Marking | None:
+    """Columns as in `map.features_as_of` from the line to gap_m; None of point objects."""
+    if row["line"] is None:
+        return None
+    vertices_m = np.frombuffer(row["line"], "<f8", offset=_WKB_HEAD).reshape(-1, 3)
     return sound(
         Marking,
         vertices_m=tuple(map(tuple, vertices_m.tolist())),
-        cov_m2=covariances(row[1]),
-        **dict(zip(_ATTRIBUTES, row[2:], strict=True)),
+        cov_m2=covariances(row["line_cov"]),
+        **{name: row[name] for name in _ATTRIBUTES},
     )
 
 

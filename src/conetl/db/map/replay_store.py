@@ -17,10 +17,12 @@ from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, execute_count, load_sql, stream
+from conetl.db import connection as db
+from conetl.db.connection import Connection
 from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
 from conetl.db.map.map_store import find_changeset, find_map, map_lock
+from conetl.db.map.marking_rows import Row
 from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
 from conetl.db.map.rows import version_of
 from conetl.model.map_records import Delta, DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
@@ -32,13 +34,14 @@ REGION_M = 2048.0
 MARGIN_M = 50.0
 #: A drive that comes near more of them takes the whole map: the private server has room for 5,000 locks of all sessions.
 MAX_REGIONS = 200
+_UNREAD = "The neighbourhood of the drives cannot be read"
 
 
 def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, FeatureVersion]:
     """Open versions of the features that stand around a drive's path, suppressed ones too, by feature id."""
-    with database_errors("The features around the drive cannot be read"):
-        rows = stream(conn, load_sql("replay.standing_around"), {"drive_uuid": drive_uuid})
-        return {row[0]: version_of(row) for row in rows}
+    what = "The features around the drive cannot be read"
+    rows = db.stream(conn, what, "replay.standing_around", drive_uuid=drive_uuid)
+    return {row["feature_id"]: version_of(row) for row in rows}
 
 
 def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[DriveRef]:
@@ -46,15 +49,13 @@ def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[Drive
 
     The active ones of `drive_uuids`, and all later ones whose areas they meet, directly or through others.
     """
-    rows = execute(conn, load_sql("replay.affected_drives"), {"drive_uuids": list(drive_uuids)})
+    rows = db.query(conn, "replay.affected_drives", drive_uuids=list(drive_uuids))
     return [DriveRef(**row) for row in rows]
 
 
 def superseded_drives(conn: Connection, drive_uuid: UUID) -> list[UUID]:
     """The other analysis or delivery of the same recording that is active, which this one replaces."""
-    return [
-        row["drive_uuid"] for row in execute(conn, load_sql("replay.superseded_drives"), {"drive_uuid": drive_uuid})
-    ]
+    return [row["drive_uuid"] for row in db.query(conn, "replay.superseded_drives", drive_uuid=drive_uuid)]
 
 
 def other_deliveries(
@@ -64,58 +65,50 @@ def other_deliveries(
 
     captured_ns: instants of its first and last frame pair.
     """
-    parameters = {
-        "map_name": map_name,
-        "drive_id": drive_id,
-        "captured_from_ns": captured_ns[0],
-        "captured_to_ns": captured_ns[1],
-        "content_sha256": content_sha256,
-    }
-    with database_errors("Other deliveries of the drive cannot be read"):
-        return [row["changeset_no"] for row in execute(conn, load_sql("drives.other_deliveries"), parameters)]
+    rows = db.read(
+        conn, "Other deliveries of the drive cannot be read", "drives.other_deliveries", map_name=map_name,
+        drive_id=drive_id, captured_from_ns=captured_ns[0], captured_to_ns=captured_ns[1], content_sha256=content_sha256,
+    )  # fmt: skip
+    return [row["changeset_no"] for row in rows]
 
 
 def drives_at(conn: Connection, map_name: str, place: Location) -> list[UUID]:
     """The active drives that may judge features at a place (map CRS), anywhere within its radius."""
     easting_m, northing_m = place.xy_m
-    parameters = {"map_name": map_name, "easting_m": easting_m, "northing_m": northing_m, "radius_m": place.radius_m}
-    return [row["drive_uuid"] for row in execute(conn, load_sql("replay.drives_at"), parameters)]
+    around = {"easting_m": easting_m, "northing_m": northing_m, "radius_m": place.radius_m}
+    return [row["drive_uuid"] for row in db.query(conn, "replay.drives_at", map_name=map_name, **around)]
 
 
 def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredVersion]:
     """All current versions of the features that ever stood around the drives."""
-    with database_errors("The neighbourhood of the drives cannot be read"):
-        return [
-            StoredVersion(version_row_id=row[35], drive_uuid=row[36], key=row[37:40], version=version_of(row))
-            for row in stream(conn, load_sql("replay.versions_around"), {"drive_uuids": list(drive_uuids)})
-        ]
+    rows = db.stream(conn, _UNREAD, "replay.versions_around", drive_uuids=list(drive_uuids))
+    return [StoredVersion(row["version_row_id"], row["drive_uuid"], _key(row), version_of(row)) for row in rows]
 
 
 def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, MissSummary]:
     """Doubts of drives that missed them about the features that stand around a drive's path, by feature id."""
-    with database_errors("The doubts about the features around the drive cannot be read"):
-        rows = stream(conn, load_sql("replay.doubts_around"), {"drive_uuid": drive_uuid})
-        return {row[0]: MissSummary(existence_probability=row[1], first_missed_ns=row[2]) for row in rows}
+    what = "The doubts about the features around the drive cannot be read"
+    rows = db.stream(conn, what, "replay.doubts_around", drive_uuid=drive_uuid)
+    return {row["feature_id"]: map_rows.record_of(MissSummary, row) for row in rows}
 
 
 def read_misses(
     conn: Connection, drive_uuids: Sequence[UUID], *, without: Collection[UUID]
 ) -> list[tuple[DriveOrder, MissedObservation]]:
     """Every current miss of features that ever stood around the drives, by drives that are not in `without`."""
-    names = ("feature_id", "changeset_id", "version", "existence_probability", "first_missed_ns")
-    with database_errors("The neighbourhood of the drives cannot be read"):
-        return [
-            (row[6:9], MissedObservation.model_construct(**dict(zip(names, row[:5], strict=True))))
-            for row in stream(conn, load_sql("replay.misses_around"), {"drive_uuids": list(drive_uuids)})
-            if row[5] not in without
-        ]
+    rows = db.stream(conn, _UNREAD, "replay.misses_around", drive_uuids=list(drive_uuids))
+    return [(_key(row), map_rows.record_of(MissedObservation, row)) for row in rows if row["drive_uuid"] not in without]
+
+
+def _key(row: Row) -> DriveOrder:
+    return row["captured_from_ns"], row["content_sha256"], row["idempotency_key"]
 
 
 def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> StoredDeltas:
     """The current deltas of the drives."""
-    with database_errors("The deltas of the drives cannot be read"):
-        rows = stream(conn, load_sql("replay.current_deltas"), {"drive_uuids": list(drive_uuids)})
-        return {row[1:]: row[0] for row in rows}
+    what = "The deltas of the drives cannot be read"
+    rows = db.stream_values(conn, what, "replay.current_deltas", drive_uuids=list(drive_uuids))
+    return {tuple(values): row_id for row_id, *values in rows}
 
 
 def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: datetime) -> int:
@@ -130,17 +123,17 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
     new_deltas = [change for value, change in values.items() if value not in known]
 
     parameters = {"map_id": info.map_id, "srid": info.srid, "committed_at": committed_at}
-    execute(conn, load_sql("replay.create_version_stage"))
-    copy_columns(conn, "version_stage", map_rows.version_columns(info.srid, new))
-    execute(conn, load_sql("replay.create_replayed_delta_stage"))
-    copy_columns(conn, "replayed_delta_stage", map_rows.replayed_delta_columns(new_deltas))
-    execute(conn, "analyze version_stage, replayed_delta_stage")
-    execute(conn, load_sql("replay.insert_staged_features"), parameters)
-    execute(conn, load_sql("replay.close_version_rows"), parameters | {"row_ids": closed})
-    execute(conn, load_sql("replay.close_delta_rows"), parameters | {"row_ids": closed_deltas})
-    written = execute_count(conn, load_sql("replay.insert_staged_versions"), parameters)
-    execute(conn, load_sql("replay.insert_replayed_deltas"), parameters)
-    execute(conn, "drop table version_stage, replayed_delta_stage")
+    db.query(conn, "replay.create_version_stage")
+    db.copy_columns(conn, "version_stage", map_rows.version_columns(info.srid, new))
+    db.query(conn, "replay.create_replayed_delta_stage")
+    db.copy_columns(conn, "replayed_delta_stage", map_rows.replayed_delta_columns(new_deltas))
+    db.execute(conn, "analyze version_stage, replayed_delta_stage")
+    db.query(conn, "replay.insert_staged_features", **parameters)
+    db.query(conn, "replay.close_version_rows", **parameters | {"row_ids": closed})
+    db.query(conn, "replay.close_delta_rows", **parameters | {"row_ids": closed_deltas})
+    written = db.execute_count(conn, db.load_sql("replay.insert_staged_versions"), parameters)
+    db.query(conn, "replay.insert_replayed_deltas", **parameters)
+    db.execute(conn, "drop table version_stage, replayed_delta_stage")
     checks = {changeset: () if check is None else (check,) for changeset, check in replay.holds.items()}
     write_holds(conn, checks, committed_at, by_map=True)
     return written
@@ -164,9 +157,9 @@ def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:
 
 def read_open_version(conn: Connection, map_name: str, feature_id: UUID) -> FeatureVersion | None:
     """The current open version of one feature, standing, suppressed or removed; None if it has none."""
-    with database_errors(f"Feature {feature_id} cannot be read"):
-        parameters = {"map_name": map_name, "feature_id": feature_id, "valid_until": "infinity"}
-        versions = [version_of(row) for row in stream(conn, load_sql("map.current_versions"), parameters)]
+    wanted = {"map_name": map_name, "feature_id": feature_id, "valid_until": "infinity"}
+    rows = db.stream(conn, f"Feature {feature_id} cannot be read", "map.current_versions", **wanted)
+    versions = [version_of(row) for row in rows]
     return next((version for version in versions if version.valid_to_ns is None), None)
 
 
@@ -207,20 +200,19 @@ def lock_neighbourhood(
     """
     recording = {f"{map_name}/drive/{drive.drive_id}", f"{map_name}/content/{drive.content_sha256}"}
     if path_wkt is not None and adjoining_ns:
-        times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
         slots = {
             (at_ns + off_ns) // (2 * adjoining_ns)
-            for at_ns in (min(times_ns), max(times_ns))
+            for at_ns in drive.captured_ns
             for off_ns in (-adjoining_ns, adjoining_ns)
         }
         recording |= {f"{map_name}/rig/{drive.rig.rig_id}/{slot}" for slot in slots}
     regions = set[str]() if path_wkt is None else regions_of(conn, [], path_wkt=path_wkt, influence_m=influence_m)
     whole = far = False
     while True:
-        execute(conn, "savepoint neighbourhood")
+        db.execute(conn, "savepoint neighbourhood")
         map_lock(conn, map_name, shared=not whole)
         names = recording | {f"{map_name}/region/{region}" for region in regions}
-        execute(conn, load_sql("locks.take_parts"), {"names": [] if whole else sorted(names)})
+        db.query(conn, "locks.take_parts", names=[] if whole else sorted(names))
         info = find_map(conn, map_name)
         # A drive that may create the map, or set it aside, does so alone.
         if whole or (info is not None and info.counts and len(regions) <= MAX_REGIONS):
@@ -236,29 +228,26 @@ def lock_neighbourhood(
             if whole or near <= regions:
                 far = path_wkt is not None and reaches_far(found)
                 if whole or not far:
-                    execute(conn, "release savepoint neighbourhood")
+                    db.execute(conn, "release savepoint neighbourhood")
                     return found._replace(reaches_far=far)
             regions |= near  # another drive was there meanwhile, or a late one affects drives farther away
         whole = far or len(regions) > MAX_REGIONS or info is None or not info.counts
-        execute(conn, "rollback to savepoint neighbourhood")  # frees the locks, too
+        db.execute(conn, "rollback to savepoint neighbourhood")  # frees the locks, too
 
 
 def regions_of(
     conn: Connection, drive_uuids: Collection[UUID], *, path_wkt: str | None = None, influence_m: float = 0.0
 ) -> set[str]:
     """The regions that the areas of some drives, and of a path of a drive that is not stored yet, come near."""
-    parameters = {
-        "drive_uuids": list(drive_uuids),
-        "path_wkt": path_wkt,
-        "influence_m": influence_m,
-        "side_m": REGION_M,
-        "margin_m": MARGIN_M,
-    }
     if not drive_uuids and path_wkt is None:
         return set()
-    return {row["region"] for row in execute(conn, load_sql("locks.regions"), parameters)}
+    rows = db.query(
+        conn, "locks.regions", drive_uuids=list(drive_uuids), path_wkt=path_wkt, influence_m=influence_m,
+        side_m=REGION_M, margin_m=MARGIN_M,
+    )  # fmt: skip
+    return {row["region"] for row in rows}
 
 
 def take_turn(conn: Connection, map_name: str) -> None:
     """Be the only one that numbers and commits a changeset of the map, until the transaction ends."""
-    execute(conn, load_sql("locks.take_parts"), {"names": [f"{map_name}/turn"]})
+    db.query(conn, "locks.take_parts", names=[f"{map_name}/turn"])

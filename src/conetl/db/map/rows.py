@@ -10,19 +10,20 @@ import struct
 from collections.abc import Callable, Collection, Sequence
 from functools import lru_cache
 from operator import attrgetter
-from typing import Any
+from typing import Any, TypeVar
 from uuid import UUID
 
 import numpy as np
 
 from conetl.db import copy_binary as binary
 from conetl.db.copy_binary import Column
-from conetl.db.map.marking_rows import marking_columns, marking_of, matrices
+from conetl.db.map.marking_rows import Row, marking_columns, marking_of, matrices
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
 from conetl.model.markings import MarkingTrack
-from conetl.model.records import Detection, FramePair, Position, SharedErrorJacobian, StereoMatch, Track, sound
+from conetl.model.records import Detection, FramePair, Position, Record, SharedErrorJacobian, StereoMatch, Track, sound
 from conetl.model.rejections import Rejection
 
+R = TypeVar("R", bound=Record)
 Columns = dict[str, Column]
 _COV_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 _UUID_TYPE, _REAL_TYPE = 2950, 700
@@ -32,38 +33,23 @@ _HEAD_OF_ONE, _HEAD_OF_THREE, _LENGTH_AT = 20, 36, 12
 _REALS = np.dtype([("length", ">i4"), ("value", ">f4")])
 
 
-def feature_of(row: tuple[Any, ...]) -> MapFeature:
-    """Columns as in `map.features_as_of`; further ones may follow."""
-    return sound(
-        MapFeature,
-        feature_id=row[0],
-        version=row[1],
-        category=row[2],
-        xyz_m=row[3:6],
-        cov_m2=row[6:12],
-        centre_xyz_m=row[12:15],
-        cone_height_m=row[15],
-        cone_height_sigma_m=row[16],
-        existence_probability=row[17],
-        observation_count=row[18],
-        first_seen_ns=row[19],
-        last_seen_ns=row[20],
-        shared_jacobian=None if row[21] is None else jacobian_from_wire(row[21]),
-        marking=None if row[22] is None else marking_of(row[22:30]),
-    )
+def record_of(record_type: type[R], row: Row, **computed: Any) -> R:
+    """A record (unchecked) whose fields are columns of the same name, arrays as tuples, or computed from others."""
+    values = {}
+    for name in record_type.__pydantic_fields__:
+        value = computed[name] if name in computed else row[name]
+        values[name] = tuple(value) if type(value) is list else value
+    return sound(record_type, **values)
 
 
-def version_of(row: tuple[Any, ...]) -> FeatureVersion:
-    """Columns as in `replay.standing_around`; further ones may follow."""
-    return sound(
-        FeatureVersion,
-        feature=feature_of(row),
-        changeset_id=row[30],
-        present=row[31],
-        suppressed=row[32],
-        valid_from_ns=row[33],
-        valid_to_ns=row[34],
-    )
+def feature_of(row: Row) -> MapFeature:
+    """Columns as in `map.features_as_of`."""
+    return record_of(MapFeature, row, shared_jacobian=jacobian_of(row), marking=marking_of(row))
+
+
+def version_of(row: Row) -> FeatureVersion:
+    """Columns as in `map.current_versions`."""
+    return record_of(FeatureVersion, row, feature=feature_of(row))
 
 
 def frame_pair_columns(drive_uuid: UUID, srid: int, pairs: Sequence[FramePair]) -> Columns:
@@ -289,8 +275,10 @@ def jacobian_columns(jacobians: Sequence[SharedErrorJacobian | None]) -> Columns
     }
 
 
-def jacobian_from_wire(wire: bytes | memoryview) -> SharedErrorJacobian:
-    """Both columns as `array_send` makes them, concatenated."""
+def jacobian_of(row: Row) -> SharedErrorJacobian | None:
+    """Of the column shared_jacobian: both arrays as `array_send` makes them, concatenated."""
+    if (wire := row["shared_jacobian"]) is None:
+        return None
     both, (count,) = bytes(wire), struct.unpack_from(">i", wire, _LENGTH_AT)
     step = 4 + _UUID_BYTES
     starts = range(_HEAD_OF_ONE, _HEAD_OF_ONE + count * step, step)

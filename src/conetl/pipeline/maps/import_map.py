@@ -11,7 +11,6 @@ from typing import NamedTuple
 from uuid import UUID, uuid5
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from conetl.db.connection import Connection
@@ -23,6 +22,7 @@ from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
 from conetl.mapping.agreement import height_difference
 from conetl.mapping.history import DriveEvidence
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap
 from conetl.model.params import ImportParams, params_sha256
@@ -165,7 +165,7 @@ def _states_the_same_places(conn: Connection, drive_uuid: UUID, imported: Import
     return before_m.shape == now_m.shape and bool((np.abs(before_m - now_m) < 1e-3).all())
 
 
-def _places_m(statements: Sequence[ImportedFeature]) -> NDArray[np.float64]:
+def _places_m(statements: Sequence[ImportedFeature]) -> Floats:
     """(n, 3) in the map's CRS."""
     return np.array([statement.feature.xyz_m for statement in statements], dtype=np.float64).reshape(-1, 3)
 
