@@ -93,7 +93,8 @@ def test_maps_are_created_listed_and_renamed(conetl, conn, two_maps):
 def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, two_maps, database_url, tmp_path):
     """The next drive of the backfill would make a new map of the old name."""
     started = Receipt(
-        uuid4(), "north", "/drives/d9", "d9", "0" * 64, "1" * 64, None, "started", "", True, None, 9, None, None, "here"
+        attempt_id=uuid4(), map_name="north", drive_path="/drives/d9", drive_id="d9", header_sha256="0" * 64,
+        analysis_sha256="1" * 64, frame_pairs=9, flow_run_id=None, host="here",
     )  # fmt: skip
     write_receipt(conn, started, tmp_path)
     with closing(connect(database_url)) as other, held_if_free(other, started.drive_lock):

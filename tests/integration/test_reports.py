@@ -175,11 +175,11 @@ def test_an_empty_drive_has_a_report(conn: Any, samples: Any) -> None:
 
 
 def failed(header: str, state: str, **values: Any) -> Receipt:
-    receipt = Receipt(
-        uuid4(), "default", f"/in/{EVIL}", f"{EVIL} {header}", header * 64, "0" * 64, None, "started", "", True,
-        None, 10, None, None, "here",
+    return Receipt(
+        attempt_id=uuid4(), map_name="default", drive_path=f"/in/{EVIL}", drive_id=f"{EVIL} {header}",
+        header_sha256=header * 64, analysis_sha256="0" * 64, frame_pairs=10, flow_run_id=None, host="here", state=state,
+        **values,
     )  # fmt: skip
-    return replace(receipt, state=state, **values)
 
 
 def test_the_report_of_a_night(conn: Any, latest: CommittedChangeset, tmp_path: Path) -> None:

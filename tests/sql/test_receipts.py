@@ -64,8 +64,8 @@ def receipt(conn: Any, tmp_path: Path) -> Any:
     def write(header: DriveHeader, state: str, **values: Any) -> Receipt:
         analysis = analysis_of(IngestParams(), Settings()).sha256
         started = Receipt(
-            uuid4(), "default", str(header.path), header.drive_id, header.header_sha256, analysis, None, "started", "", True,
-            None, 100, None, None, "here",
+            attempt_id=uuid4(), map_name="default", drive_path=str(header.path), drive_id=header.drive_id,
+            header_sha256=header.header_sha256, analysis_sha256=analysis, frame_pairs=100, flow_run_id=None, host="here",
         )  # fmt: skip
         started = replace(started, **{k: v for k, v in values.items() if k == "analysis_sha256"})
         write_receipt(conn, started, tmp_path)

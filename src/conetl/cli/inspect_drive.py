@@ -8,16 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import (
-    Columns,
-    JsonOption,
-    MapSridOption,
-    print_all_checks,
-    print_json,
-    print_records,
-    print_table,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.files.names import minutes
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
 from conetl.model.health import Verdict
@@ -49,8 +40,8 @@ def inspect(
     page: Annotated[
         Path | None, typer.Option(help="HTML page to write: all of it, with the image and the checks.")
     ] = None,
-    map_srid: MapSridOption = None,
-    as_json: JsonOption = False,
+    map_srid: ui.MapSridOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Show what a drive contains: format, rig, frame pairs and losses, rate, gaps, pose quality, extent, expected time.
 
@@ -76,16 +67,18 @@ def inspect(
     if as_json:
         values = {"format": kind, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
         values["health"] = [check.model_dump(mode="json") for check in checks]
-        print_json({**values, "picture": picture and str(picture), "page": page and str(page)})
+        ui.print_json({**values, "picture": picture and str(picture), "page": page and str(page)})
     else:
         _print(drive, facts, summary)
-        print_all_checks(checks)
+        ui.print_all_checks(checks)
         if kind == "bag":
-            say("Health checks: none, because the images of a bag are not unpacked here; `conetl ingest` makes them.")
+            ui.say(
+                "Health checks: none, because the images of a bag are not unpacked here; `conetl ingest` makes them."
+            )
         if picture is not None:
-            say(f"Image: {picture}")
+            ui.say(f"Image: {picture}")
         if page is not None:
-            say(f"Page: {page}")
+            ui.say(f"Page: {page}")
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs
     warned = any(check.verdict in (Verdict.WARN, Verdict.HOLD) for check in checks)
     doubtful = lost > IngestParams().max_rejected_fraction or summary.poses.jumps or warned
@@ -129,9 +122,9 @@ def _facts(kind: str, summary: DriveSummary, seconds: float, workers: int) -> li
 
 
 def _print(drive: Path, facts: Sequence[tuple[str, object]], summary: DriveSummary) -> None:
-    print_table(str(drive), ("property", "value"), facts, numbers_from=2)
+    ui.print_table(str(drive), ("property", "value"), facts, numbers_from=2)
     _print_first("Lost pairs", {"record": "record", "reason": "reason", "detail": "detail"}, summary.lost)
-    gaps: Columns = {
+    gaps: ui.Columns = {
         "from frame": "after_frame",
         "to frame": "before_frame",
         "seconds": lambda gap: f"{gap.seconds:.2f}",
@@ -141,14 +134,14 @@ def _print(drive: Path, facts: Sequence[tuple[str, object]], summary: DriveSumma
         ),
     }
     _print_first("Gaps", gaps, summary.gaps)
-    jumps: Columns = {"frame": "frame", "not explained by its neighbours (m)": lambda jump: f"{jump.off_m:.2f}"}
+    jumps: ui.Columns = {"frame": "frame", "not explained by its neighbours (m)": lambda jump: f"{jump.off_m:.2f}"}
     _print_first("Position jumps", jumps, summary.poses.jumps)
 
 
 def _print_first(title: str, columns: Mapping[str, Any], records: Sequence[Any]) -> None:
     """A table of the first records, and how many more there are."""
     if records:
-        say()
-        print_records(title, columns, records[:_MAX_LINES], numbers_from=len(columns))
+        ui.say()
+        ui.print_records(title, columns, records[:_MAX_LINES], numbers_from=len(columns))
         if len(records) > _MAX_LINES:
-            say(f"... and {len(records) - _MAX_LINES} more (--json lists all)")
+            ui.say(f"... and {len(records) - _MAX_LINES} more (--json lists all)")

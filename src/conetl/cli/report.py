@@ -8,17 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import (
-    JsonOption,
-    MapOption,
-    answer,
-    counted,
-    parse_instant,
-    parse_time,
-    print_held,
-    print_hold_events,
-    say,
-)
+from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.settings import read_settings
@@ -29,8 +19,8 @@ def drive(
     output: Annotated[
         Path | None, typer.Option("--out", help="HTML file; default: exports/reports/<map>/<drive>.html.")
     ] = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Report one drive: counts, changes with images, residuals, rejected records, times, versions and hashes."""
     from conetl.reports.drive_facts import find_drive
@@ -53,8 +43,8 @@ def night(
     output: Annotated[
         Path | None, typer.Option("--out", help="HTML file; default: exports/reports/<map>/night-<until>.html.")
     ] = None,
-    map_name: MapOption = None,
-    as_json: JsonOption = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
 ) -> None:
     """Report all drives processed in a period: committed, on hold, failed and why, changes, worst drives, size of the map.
 
@@ -69,12 +59,12 @@ def night(
         facts = write_night_page(conn, path, map_name=settings.map_name, since=begin, until=end)
     period = {"since": begin.isoformat(), "until": end.isoformat()}
     if not as_json:
-        print_held(facts.held)
-        print_hold_events(facts.hold_events)
-        drives = counted(len(facts.drives), "drive") if facts.drives else "No drives"
+        ui.print_held(facts.held)
+        ui.print_hold_events(facts.hold_events)
+        drives = ui.counted(len(facts.drives), "drive") if facts.drives else "No drives"
         failed = f", {len(facts.failures)} failed" if facts.failures else ""
         hint = "" if facts.drives or failed else " Drives are listed by when they were processed, not recorded."
-        say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")
+        ui.say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")
     counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
     _print_written(as_json, path, {**period, **counts, "held": facts.held, "hold_events": facts.hold_events})
     if facts.held:
@@ -83,7 +73,7 @@ def night(
 
 def _print_written(as_json: bool, path: Path, facts: dict[str, Any]) -> None:
     size = path.stat().st_size
-    answer(as_json, {"written": str(path), "bytes": size} | facts, f"{path} ({size / 1e3:.0f} kB)")
+    ui.answer(as_json, {"written": str(path), "bytes": size} | facts, f"{path} ({size / 1e3:.0f} kB)")
 
 
 def _period(day: str | None, since: str | None, until: str | None) -> tuple[datetime, datetime]:
@@ -91,11 +81,11 @@ def _period(day: str | None, since: str | None, until: str | None) -> tuple[date
     if day is not None:
         if since or until:
             raise InputError("give either a day, or --since and --until")
-        if (begin := parse_time(day)) is not None:
+        if (begin := ui.parse_time(day)) is not None:
             begin = begin.replace(hour=0, minute=0, second=0, microsecond=0)
             try:
                 return begin, begin + timedelta(days=1)
             except OverflowError:
                 raise InputError(f"invalid time {day!r}: the calendar ends here") from None
-    end = parse_instant(until) or datetime.now(UTC)
-    return parse_time(since) or end - timedelta(days=1), end
+    end = ui.parse_instant(until) or datetime.now(UTC)
+    return ui.parse_time(since) or end - timedelta(days=1), end

@@ -38,7 +38,7 @@ CHECK_EVERY_S = 1.0
 QUIET = timedelta(minutes=2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Receipt:
     """One row of `conetl.receipt`."""
 
@@ -48,13 +48,13 @@ class Receipt:
     drive_id: str
     header_sha256: str
     analysis_sha256: str
-    content_sha256: str | None
-    state: State
-    reason: str
-    may_pass: bool
-    changeset_id: UUID | None
+    content_sha256: str | None = None
+    state: State = "started"
+    reason: str = ""
+    may_pass: bool = True
+    changeset_id: UUID | None = None
     frame_pairs: int | None
-    seconds: float | None
+    seconds: float | None = None
     flow_run_id: str | None
     host: str
     at: datetime | None = None

@@ -175,13 +175,7 @@ def new_receipt(
         drive_id=header.drive_id,
         header_sha256=header.header_sha256,
         analysis_sha256=analysis_sha256,
-        content_sha256=None,
-        state="started",
-        reason="",
-        may_pass=True,
-        changeset_id=None,
         frame_pairs=header.frame_pairs,
-        seconds=None,
         flow_run_id=flow_run_id,
         host=socket.gethostname(),
     )
