@@ -111,7 +111,7 @@ def rows_near(box: Degrees, served: ServedMap) -> Metres:
     Only its intersection with the map's extent is used: far from its zone a projection is meaningless.
     """
     reach = _grown(served.extent)
-    parts = _parts(box, reach)
+    parts = parts_of_box(box, reach)
     if reach in parts:
         return ALL_ROWS
     if not parts:
@@ -122,17 +122,17 @@ def rows_near(box: Degrees, served: ServedMap) -> Metres:
 
 def rows_within(box: Degrees, served: ServedMap) -> Metres:
     """The largest box in the map's CRS that is certainly inside `box`: its features need no test in degrees."""
-    inner = [_inside(part, served.srid) for part in _parts(box, _grown(served.extent))]
+    inner = [_inside(part, served.srid) for part in parts_of_box(box, _grown(served.extent))]
     return max(inner, key=_area, default=NOTHING_INSIDE)
 
 
 def part_of_map(box: Degrees | None, served: ServedMap) -> float:
     """Share of the map's extent inside `box`, 0 to 1 by area in degrees."""
     reach = _grown(served.extent)
-    return 1.0 if box is None else sum(_area(part) for part in _parts(box, reach)) / _area(reach)
+    return 1.0 if box is None else sum(_area(part) for part in parts_of_box(box, reach)) / _area(reach)
 
 
-def _parts(box: Degrees, reach: Degrees) -> list[Degrees]:
+def parts_of_box(box: Degrees, reach: Degrees) -> list[Degrees]:
     """The parts of a box (two if it crosses 180 degrees) inside another one."""
     west, south, east, north = box
     low_x, low_y, high_x, high_y = reach

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from uuid import UUID
 
 from conetl.db import connection as db
@@ -25,7 +25,7 @@ from conetl.db.map.map_store import find_changeset, find_map, map_lock
 from conetl.db.map.marking_rows import Row
 from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
 from conetl.db.map.rows import version_of
-from conetl.model.map_records import Delta, DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
+from conetl.model.map_records import DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
 from conetl.model.records import Drive
 
 #: A town is a few regions, a drive of 100 km about a hundred.
@@ -118,7 +118,9 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
     closed = [row_id for version, row_id in kept.items() if version not in wanted]
     new = [version for version in replay.versions if version not in kept]
     known = replay.deltas_before
-    values = {_delta_values(changeset_id, delta): (changeset_id, delta) for changeset_id, delta in replay.deltas}
+    values = {
+        (changeset_id, *map_rows.change_values(delta)): (changeset_id, delta) for changeset_id, delta in replay.deltas
+    }
     closed_deltas = [row_id for value, row_id in known.items() if value not in values]
     new_deltas = [change for value, change in values.items() if value not in known]
 
@@ -137,22 +139,6 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
     checks = {changeset: () if check is None else (check,) for changeset, check in replay.holds.items()}
     write_holds(conn, checks, committed_at, by_map=True)
     return written
-
-
-def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:
-    """As the keys of `StoredDeltas`."""
-    return (
-        changeset_id,
-        delta.feature_id,
-        delta.kind.value,
-        delta.old.version if delta.old else None,
-        map_rows.version_after(delta),
-        delta.track_index,
-        delta.changed_at_ns,
-        delta.shift_m,
-        delta.other_feature_id,
-        *map_rows.evidence_values(delta),
-    )
 
 
 def read_open_version(conn: Connection, map_name: str, feature_id: UUID) -> FeatureVersion | None:

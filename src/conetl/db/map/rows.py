@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Collection, Sequence
 from functools import lru_cache
+from itertools import repeat
 from operator import attrgetter
 from typing import Any, TypeVar
 from uuid import UUID
@@ -31,6 +32,13 @@ _UUID_BYTES, _REAL_BYTES = 16, 4
 #: Bytes before the items of an array of one dimension and of three, and the offset of the former's length.
 _HEAD_OF_ONE, _HEAD_OF_THREE, _LENGTH_AT = 20, 36, 12
 _REALS = np.dtype([("length", ">i4"), ("value", ">f4")])
+#: Columns of a delta's row in the order of `replay.current_deltas`. new_version: the old one if a confirmation changed nothing.
+_CHANGE: dict[str, Callable[[Any], Column]] = {
+    "feature_id": binary.uuids, "kind": binary.texts, "old_version": binary.integers, "new_version": binary.integers,
+    "track_index": binary.integers, "changed_at_ns": binary.bigints, "shift_m": binary.doubles,
+    "other_feature_id": binary.uuids, "log_likelihood_ratio": binary.doubles, "existence_after": binary.doubles,
+    "frames_seen": binary.integers, "frames_empty": binary.integers,
+}  # fmt: skip
 
 
 def record_of(record_type: type[R], row: Row, **computed: Any) -> R:
@@ -156,8 +164,10 @@ def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUI
     A removed feature keeps its last state, marked as not present. suppressed: features that end where a person decided that
     nothing stands.
     """
+    changes = _change_columns(deltas)
+    del changes["new_version"]  # numbered when the deltas are merged
     return {
-        **_change_columns(deltas),
+        **changes,
         **_attributes(deltas, binary.booleans, "is_change"),
         "present": binary.booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
         "suppressed": binary.booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
@@ -170,7 +180,6 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
     deltas = [delta for _, delta in changes]
     return {
         "changeset_id": binary.uuids([changeset_id for changeset_id, _ in changes]),
-        "new_version": binary.integers([version_after(d) for d in deltas]),
         "of_line": binary.booleans([d.is_of_line for d in deltas]),
         **_change_columns(deltas),
     }
@@ -192,19 +201,24 @@ def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
     }
 
 
-def evidence_values(delta: Delta) -> tuple[float | None, float | None, int | None, int | None]:
-    """log_likelihood_ratio, existence_after, frames_seen, frames_empty of a delta's row."""
-    e = delta.evidence
-    if e is None:
-        return None, None, None, None
-    return e.log_likelihood_ratio, e.existence_probability, e.frames_seen, e.frames_empty
-
-
-def version_after(delta: Delta) -> int:
-    """Number of the version after a delta: the old one's if a confirmation changed nothing."""
-    if delta.old is None:
-        return delta.state_after.version
-    return delta.old.version + 1 if delta.is_change else delta.old.version
+def change_values(delta: Delta) -> tuple[Any, ...]:
+    """Values of the columns `_CHANGE` of a delta's row."""
+    e, old = delta.evidence, None if delta.old is None else delta.old.version
+    new = delta.state_after.version if old is None else old + 1 if delta.is_change else old
+    evidence: tuple[float | None, ...] = (None,) * 4
+    if e is not None:
+        evidence = e.log_likelihood_ratio, e.existence_probability, e.frames_seen, e.frames_empty
+    return (
+        delta.feature_id,
+        delta.kind.value,
+        old,
+        new,
+        delta.track_index,
+        delta.changed_at_ns,
+        delta.shift_m,
+        delta.other_feature_id,
+        *evidence,
+    )
 
 
 def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Columns:
@@ -238,21 +252,9 @@ def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Co
 
 
 def _change_columns(deltas: Sequence[Delta]) -> Columns:
-    evidence = [evidence_values(delta) for delta in deltas]
-    ratios, existence, seen, empty = zip(*evidence, strict=True) if evidence else ((), (), (), ())
-    return {
-        **_attributes(deltas, binary.uuids, "feature_id", "other_feature_id"),
-        "kind": binary.texts([d.kind.value for d in deltas]),
-        "old_version": binary.integers([d.old.version if d.old else None for d in deltas]),
-        **_attributes(deltas, binary.integers, "track_index"),
-        **_attributes(deltas, binary.bigints, "changed_at_ns"),
-        "changed_at": binary.timestamps_from_ns([d.changed_at_ns for d in deltas]),
-        **_attributes(deltas, binary.doubles, "shift_m"),
-        "log_likelihood_ratio": binary.doubles(ratios),
-        "existence_after": binary.doubles(existence),
-        "frames_seen": binary.integers(seen),
-        "frames_empty": binary.integers(empty),
-    }
+    values = zip(*map(change_values, deltas), strict=True) if deltas else repeat(())
+    columns = {name: encode(column) for (name, encode), column in zip(_CHANGE.items(), values, strict=False)}
+    return columns | {"changed_at": binary.timestamps_from_ns([d.changed_at_ns for d in deltas])}
 
 
 def _attributes(records: Sequence[Any], encode: Callable[[list[Any]], Column], *names: str) -> Columns:

@@ -10,7 +10,7 @@ from tipg.collections import CollectionList
 from tipg.errors import NotFound
 from tipg.resources.enums import MediaType
 
-from conetl.db.ogc_store import Degrees, MapDirectory, ServedMap
+from conetl.db.ogc_store import Degrees, MapDirectory, ServedMap, parts_of_box
 from conetl.db.reader_pool import AsyncReaderPool
 from conetl.web.ogc.collections import COLLECTIONS, AsOfCollection, Instants, collection_of
 from conetl.web.parameters import BadParameterError, Instant, Interval, parse_box, parse_interval
@@ -85,7 +85,11 @@ async def all_collections(
     """The collections of each map; the map that the server was started for comes first."""
     box = None if bbox is None else parse_box(bbox)
     end = None if datetime is None else parse_interval(datetime)[1]
-    found = [m for m in await _maps(request) if _meets(m, box) and (end is None or end >= m.since)]
+    found = [
+        m
+        for m in await _maps(request)
+        if (box is None or parts_of_box(box, m.extent)) and (end is None or end >= m.since)
+    ]
     found.sort(key=lambda m: (m.map_name != request.app.state.map_name, m.map_name))
     listed = [collection_of(kind, m, instants) for m in found for kind in COLLECTIONS]
     page = listed[offset : offset + limit]
@@ -138,14 +142,6 @@ async def read_json_only(f: Annotated[Literal["json", "schemajson"] | None, Quer
 
 async def refuse_filter() -> None:
     """Filter expressions are not offered: they could call any function of the database."""
-
-
-def _meets(served: ServedMap, box: Degrees | None) -> bool:
-    if box is None:
-        return True
-    west, south, east, north = served.extent
-    pieces = [(box[0], box[2])] if box[0] <= box[2] else [(box[0], 180.0), (-180.0, box[2])]
-    return south <= box[3] and north >= box[1] and any(west <= right and east >= left for left, right in pieces)
 
 
 async def _maps(request: Request, map_name: str | None = None) -> list[ServedMap]:
