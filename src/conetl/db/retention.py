@@ -22,16 +22,8 @@ from uuid import UUID
 import pyarrow as pa
 from pyarrow import csv
 
-from conetl.db.connection import (
-    Connection,
-    copied_csv,
-    copy_columns,
-    database_errors,
-    execute,
-    load_sql,
-    query,
-    query_columns,
-)
+from conetl.db import connection as db
+from conetl.db.connection import Connection
 from conetl.db.copy_binary import Column, booleans, constant_uuid, doubles, integers, texts
 from conetl.db.map.map_store import map_transaction
 from conetl.files.atomic import atomic_files
@@ -64,10 +56,9 @@ class PrunableDrive:
 
 def prunable_drives(conn: Connection, before: datetime) -> list[PrunableDrive]:
     """Drives of all maps that were recorded and committed before an instant and still have their raw records."""
-    with database_errors("The drives cannot be read"):
-        found = [PrunableDrive(**row) for row in query(conn, "retention.prunable_drives", before=before)]
-        conn.rollback()
-    return found
+    with db.transaction(conn, "The drives cannot be read"):
+        found = db.query(conn, "retention.prunable_drives", before=before)
+    return [PrunableDrive(**row) for row in found]
 
 
 def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: datetime | None = None) -> int:
@@ -77,13 +68,13 @@ def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: date
         own = [drive.drive_uuid for drive in drives if drive.map_name == map_name]
         parameters = {"drive_uuids": own, "pruned_at": now or datetime.now(UTC)}
         with map_transaction(conn, map_name):
-            deleted += query(conn, "retention.prune_drives", **parameters)[0]["deleted"]
+            deleted += db.query(conn, "retention.prune_drives", **parameters)[0]["deleted"]
     return deleted
 
 
 def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
     """Bring back archived raw records of drives that must be compared with the map again. Raises InputError if one was pruned."""
-    gone = query(conn, "retention.pruned_drives", drive_uuids=list(drive_uuids))
+    gone = db.query(conn, "retention.pruned_drives", drive_uuids=list(drive_uuids))
     pruned = [drive for drive in gone if drive["archive_path"] is None]
     if pruned:
         first = pruned[0]
@@ -108,11 +99,11 @@ def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: 
     finals = [path / f"{table}.parquet" for table in _RAW_TABLES]
     counts = (drive.detection_count, drive.match_count, drive.position_count)
     with map_transaction(conn, drive.map_name):
-        if query(conn, "retention.pruned_drives", drive_uuids=[drive.drive_uuid]):
+        if db.query(conn, "retention.pruned_drives", drive_uuids=[drive.drive_uuid]):
             return 0
         with atomic_files(*finals) as files:
             for table, count, file in zip(_RAW_TABLES, counts, files, strict=True):
-                records = _records(conn, load_sql(f"retention.records_of_{table}").rstrip().rstrip(";"), parameters)
+                records = _records(conn, _query_of(table), parameters)
                 if len(records) != count:
                     raise MapMismatchError(
                         f"drive {drive.drive_id}: table {table} has {len(records)} rows of it, expected {count} by its "
@@ -120,26 +111,30 @@ def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: 
                     )
                 write_table(records, file)
         pruned = {"drive_uuids": [drive.drive_uuid], "pruned_at": now or datetime.now(UTC)}
-        if (deleted := query(conn, "retention.prune_drives", **pruned)[0]["deleted"]) != sum(counts):
+        if (deleted := db.query(conn, "retention.prune_drives", **pruned)[0]["deleted"]) != sum(counts):
             raise MapMismatchError(
                 f"drive {drive.drive_id}: {deleted} rows, but {sum(counts)} in its files; nothing was archived"
             )
-        query(conn, "retention.mark_archived", **parameters | {"archive_path": str(path)})
+        db.query(conn, "retention.mark_archived", **parameters | {"archive_path": str(path)})
     return sum(final.stat().st_size for final in finals)
 
 
 def restore_drives(conn: Connection, map_name: str, drive_id: str | None = None) -> list[str]:
     """Bring the archived raw records of drives of a map back into the tables, of one or of all; the ids of the drives."""
     with map_transaction(conn, map_name):
-        found = query(conn, "retention.archived_drives", map_name=map_name, drive_id=drive_id)
+        found = db.query(conn, "retention.archived_drives", map_name=map_name, drive_id=drive_id)
         require_comparable(conn, [drive["drive_uuid"] for drive in found])
     return [drive["drive_id"] for drive in found]
 
 
+def _query_of(table: str) -> str:
+    return db.load_sql(f"retention.records_of_{table}").rstrip(";")
+
+
 def _records(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> pa.Table:
-    columns = query_columns(conn, sql, parameters)
+    columns = db.query_columns(conn, sql, parameters)
     schema = pa.schema([(name, _ARROW_TYPES[oid]) for name, oid in columns])
-    with copied_csv(conn, sql, parameters) as rows:
+    with db.copied_csv(conn, sql, parameters) as rows:
         if not rows.peek(1):
             return schema.empty_table()
         options = csv.ReadOptions(column_names=schema.names)
@@ -167,14 +162,13 @@ def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, 
                 f"{path / table}.parquet: it has {len(records)} records{of_others}, expected {rows[table]} of drive "
                 f"{drive_uuid}. Nothing was written; put the file back that `conetl db archive` wrote."
             )
-        sql = load_sql(f"retention.records_of_{table}").rstrip().rstrip(";")
-        stage = f"create temporary table record_stage as select * from ({sql}) q with no data"
-        execute(conn, stage, {"drive_uuid": drive_uuid})
+        stage = f"create temporary table record_stage as select * from ({_query_of(table)}) q with no data"
+        db.execute(conn, stage, {"drive_uuid": drive_uuid})
         columns = {name: _ENCODERS[column.type](column.to_pylist()) for name, column in _columns(records)}
-        copy_columns(conn, "record_stage", columns | {"drive_uuid": constant_uuid(drive_uuid, len(records))})
-        query(conn, f"retention.restore_{table}")
-        execute(conn, "drop table record_stage")
-    query(conn, "retention.mark_restored", drive_uuid=drive_uuid)
+        db.copy_columns(conn, "record_stage", columns | {"drive_uuid": constant_uuid(drive_uuid, len(records))})
+        db.query(conn, f"retention.restore_{table}")
+        db.execute(conn, "drop table record_stage")
+    db.query(conn, "retention.mark_restored", drive_uuid=drive_uuid)
 
 
 def _columns(records: pa.Table) -> list[tuple[str, pa.ChunkedArray]]:
