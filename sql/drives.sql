@@ -166,15 +166,19 @@ where m.map_name = %(map_name)s
 order by c.changeset_no;
 
 -- name: drives_at_the_same_time
--- The active drives of other recordings that were around a path while it was driven, and are not on hold.
--- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); content_sha256; path_wkt, srid (a line).
+-- The active drives with other content that were around a path while it was driven, or of the same id and length at any time, and
+-- are not on hold.
+-- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); frame_count; content_sha256; path_wkt, srid (a line).
 -- Columns: drive_uuid, drive_id, changeset_no, rig.
 select d.drive_uuid, d.drive_id, d.changeset_no, d.rig
 from conetl.active_drive d
 join conetl.map m on m.map_id = d.map_id
 where m.map_name = %(map_name)s and m.srid = %(srid)s and d.rig is not null
-and d.drive_id <> %(drive_id)s and d.content_sha256 <> %(content_sha256)s
-and d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s
+and d.content_sha256 <> %(content_sha256)s
+and case
+    when d.drive_id = %(drive_id)s then d.expected_frame_count = %(frame_count)s
+    else d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s
+end
 and ST_Intersects(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s))
 and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
 order by d.changeset_no;

@@ -29,6 +29,7 @@ from conetl.db import connection as db
 from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets, map_transaction
 from conetl.files.atomic import aside, atomic_text_file, sweep
+from conetl.files.home import make_secret
 from conetl.files.parquet_store import save_result
 from conetl.model.errors import EXIT_SERVICE_MISSING, DatabaseError, StorageError
 from conetl.model.records import Detection
@@ -122,6 +123,12 @@ def test_a_full_disk_leaves_no_export_behind(tmp_path, full_disk):
     with pytest.raises(StorageError, match="free space"), atomic_text_file(tmp_path / "map.geojson") as file:
         file.write("x" * 100_000)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_no_part_of_a_secret_behind(tmp_path, full_disk):
+    with pytest.raises(StorageError, match="free space"):
+        make_secret(tmp_path / "home" / "token", "x" * 200)
+    assert list((tmp_path / "home").glob("token*")) == []
 
 
 def test_results_cannot_be_written_where_a_file_is_in_the_way(tmp_path):

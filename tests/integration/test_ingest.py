@@ -300,6 +300,9 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
     again = rf"this is the recording of drive {small_drive.name} again \(changeset 1\)"
     with pytest.raises(InputError, match=again):
         desk.ingest(other_name)
+    (small_drive / "drive.yaml").write_text("timestamps_timezone: Europe/Berlin\n")
+    with pytest.raises(InputError, match=r"other time stamps \(changeset 1\).*conetl map revert 1"):
+        desk.ingest(small_drive)
     assert desk.final_tables() == before
     desk.ask("map", "revert", "1")
     report = desk.ingest(small_drive)

@@ -76,12 +76,19 @@ def home_access(home: Path) -> str:
 
 
 def make_secret(path: Path, prefix: str = "") -> Path:
-    """The file `path` (mode 600) in the home folder, created with `prefix` and 256 random bits if it is missing."""
+    """The file `path` (mode 600) in the home folder, created with `prefix` and 256 random bits if it is missing.
+
+    Raises StorageError where the disk is full, and leaves no part of it.
+    """
     make_home(path.parent)
     with suppress(FileExistsError):
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
-        with os.fdopen(handle, "w") as file:
-            file.write(f"{prefix}{secrets.token_urlsafe(32)}\n")
+        try:
+            with os.fdopen(handle, "w") as file:
+                file.write(f"{prefix}{secrets.token_urlsafe(32)}\n")
+        except OSError as error:
+            path.unlink()
+            raise cannot_write(f"{path} cannot be written", "set CONETL_HOME to another folder", error) from error
     return path
 
 

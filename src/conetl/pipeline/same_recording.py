@@ -8,7 +8,7 @@ import numpy as np
 
 from conetl.db.connection import transaction
 from conetl.db.map.commit import path_wkt
-from conetl.db.map.drive_store import drives_at_the_same_time, read_frame_pairs
+from conetl.db.map.drive_store import DriveThen, drives_at_the_same_time, read_frame_pairs
 from conetl.db.map.replay_store import other_deliveries
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import MapMismatchError
@@ -18,6 +18,8 @@ from conetl.pipeline.settings import Settings
 
 #: Another lever arm, GNSS solution or start of the clock moves the camera less.
 _SAME_CAMERA_M, _SAME_CAMERA_RAD = 2.0, 0.5
+#: Two recordings never have the same intervals between all their images; texts of time stamps may be rounded.
+_SAME_STAMP_NS = 2_000_000
 
 
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
@@ -27,7 +29,7 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
             conn, drive.drive_id, drive.captured_ns, drive.content_sha256, map_name=settings.map_name
         )
         then = drives_at_the_same_time(conn, drive, path_wkt(drive), map_name=settings.map_name)
-        same = [one for one in then if is_same_camera(drive, one.rig, read_frame_pairs(conn, one.drive_uuid))]
+        same = [one for one in then if _is_same_recording(drive, one, read_frame_pairs(conn, one.drive_uuid))]
     if numbers:
         number = numbers[-1]
         raise MapMismatchError(
@@ -37,11 +39,34 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
         )
     if same:
         other = same[-1]
+        if other.drive_id == drive.drive_id:
+            raise MapMismatchError(
+                f"{drive.source_path}: drive {drive.drive_id} is on the map already, with other time stamps (changeset "
+                f"{other.changeset_no}); the two would count as two surveys. If these are right, revert that changeset with "
+                f"`conetl map revert {other.changeset_no}` and ingest the drive again; for another drive, give it a drive_id "
+                "of its own in drive.yaml. Nothing was written."
+            )
         raise MapMismatchError(
             f"{drive.source_path}: this is the recording of drive {other.drive_id} again (changeset {other.changeset_no}), with "
             "other settings or files: the left camera was at the same places at the same times. The two would count as two "
             f"surveys. If this one is to replace it, `conetl map revert {other.changeset_no}`. Nothing was written."
         )
+
+
+def _is_same_recording(drive: Drive, other: DriveThen, pairs: Sequence[FramePair]) -> bool:
+    if other.drive_id == drive.drive_id:
+        pairs = at_the_times_of(drive, pairs)
+    return is_same_camera(drive, other.rig, pairs)
+
+
+def at_the_times_of(drive: Drive, pairs: Sequence[FramePair]) -> list[FramePair]:
+    """Frame pairs with their time stamps moved to those of a drive, where all are off by one time, as of another zone or with
+    other leap seconds; none where they are not."""
+    at_ns = {pair.frame_index: pair.captured_at_ns for pair in drive.frame_pairs}
+    off_ns = [at_ns[pair.frame_index] - pair.captured_at_ns for pair in pairs if pair.frame_index in at_ns]
+    if not off_ns or max(off_ns) - min(off_ns) > _SAME_STAMP_NS:
+        return []
+    return [pair.model_copy(update={"captured_at_ns": pair.captured_at_ns + off_ns[0]}) for pair in pairs]
 
 
 def is_same_camera(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:

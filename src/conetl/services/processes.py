@@ -9,6 +9,7 @@ And a Prefect server as seen from outside, without importing Prefect: its comman
 from __future__ import annotations
 
 import ctypes
+import errno
 import fcntl
 import json
 import os
@@ -29,7 +30,7 @@ import httpx
 
 from conetl.files.atomic import atomic_text_file
 from conetl.files.home import make_home
-from conetl.model.errors import InputError, ServiceError
+from conetl.model.errors import InputError, ServiceError, storage_failed
 
 TOKEN = "CONETL_SERVICE_TOKEN"
 _STATE, _LOCK = "services.json", "services.lock"
@@ -255,7 +256,7 @@ def require_access(api: str, auth: str | None, variable: str) -> None:
 
 
 def unavailable(error: BaseException) -> ServiceError | None:
-    """The error of a Prefect server that stopped answering meanwhile, or whose database did; None for any other error.
+    """The error of a Prefect server that stopped answering meanwhile, or whose database did, or of a full disk; None for others.
 
     Where conetl noticed first that a service is gone, and Prefect failed because of that, the first one is the error.
     """
@@ -267,6 +268,8 @@ def unavailable(error: BaseException) -> ServiceError | None:
     for cause in chain:
         if isinstance(cause, ServiceError):
             return cause
+        if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+            return storage_failed(cause)
     for cause in chain:
         failed = (
             isinstance(cause, httpx.HTTPStatusError) and cause.response.status_code >= httpx.codes.INTERNAL_SERVER_ERROR

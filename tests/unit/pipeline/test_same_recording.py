@@ -7,11 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.model.records import Drive, FramePair, Rig
-from conetl.pipeline.same_recording import is_same_camera
+from conetl.pipeline.same_recording import at_the_times_of, is_same_camera
 from tests.synthetic.world import make_path, make_rig, shifted
 
 RIG = make_rig()
 PAIRS = tuple(make_path(20))
+DRIVE = Drive(
+    drive_id="a", source_path="a", rig=RIG, map_srid=32632, content_sha256="ab" * 32, frame_pairs=PAIRS,
+    expected_frame_count=len(PAIRS),
+)  # fmt: skip
 
 
 def later(pair: FramePair, seconds: float) -> FramePair:
@@ -41,8 +45,9 @@ def turned(rig: Rig, degrees: float) -> Rig:
     ],
 )
 def test_the_same_camera(pairs: list[FramePair], rig: Rig, same: bool) -> None:
-    drive = Drive(
-        drive_id="a", source_path="a", rig=RIG, map_srid=32632, content_sha256="ab" * 32, frame_pairs=PAIRS,
-        expected_frame_count=len(PAIRS),
-    )  # fmt: skip
-    assert is_same_camera(drive, rig, pairs) is same
+    assert is_same_camera(DRIVE, rig, pairs) is same
+
+
+def test_time_stamps_of_another_zone_are_those_of_the_same_recording() -> None:
+    assert at_the_times_of(DRIVE, [later(pair, 7200.0) for pair in PAIRS[3:]]) == list(PAIRS[3:])
+    assert at_the_times_of(DRIVE, [later(pair, 7200.0 + 0.003 * (k % 2)) for k, pair in enumerate(PAIRS)]) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import errno
 import grp
 import os
 import stat
@@ -78,6 +79,7 @@ def test_a_server_that_died_is_no_internal_error() -> None:
             assert found is None or found.exit_code == 3
     assert unavailable(httpx.ConnectError("refused")) is not None
     assert unavailable(KeyError("x")) is None
+    assert "disk" in str(unavailable(OSError(errno.ENOSPC, "No space left on device")))
 
 
 def test_what_conetl_noticed_first_is_the_error() -> None:

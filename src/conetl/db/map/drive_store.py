@@ -94,7 +94,7 @@ def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
 
 
 class DriveThen(NamedTuple):
-    """A drive of another recording that was around at the same time."""
+    """A drive that may be another delivery of a recording."""
 
     drive_uuid: UUID
     drive_id: str
@@ -103,7 +103,8 @@ class DriveThen(NamedTuple):
 
 
 def drives_at_the_same_time(conn: Connection, drive: Drive, path_wkt: str, *, map_name: str) -> list[DriveThen]:
-    """The drives that count, of other ids and content, whose areas and times meet those of a drive that is not stored yet.
+    """The drives that count, of other content, whose areas and times meet those of a drive that is not stored yet; of its own id
+    and length at any time.
 
     path_wkt: its path (line, map CRS).
     """
@@ -111,7 +112,7 @@ def drives_at_the_same_time(conn: Connection, drive: Drive, path_wkt: str, *, ma
     rows = read(
         conn, _UNREAD, "drives.drives_at_the_same_time", map_name=map_name, drive_id=drive.drive_id,
         content_sha256=drive.content_sha256, captured_from_ns=captured_from_ns, captured_to_ns=captured_to_ns,
-        path_wkt=path_wkt, srid=drive.map_srid,
+        frame_count=drive.expected_frame_count, path_wkt=path_wkt, srid=drive.map_srid,
     )  # fmt: skip
     return [DriveThen(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
 
