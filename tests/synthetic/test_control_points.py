@@ -65,6 +65,12 @@ def refined(
     return result, pose_errors(result.frame_pairs, TRUTH)[:, :3]
 
 
+def test_a_cone_that_is_surveyed_twice_is_named() -> None:
+    control = refined(1, np.zeros(3), 0.02, [0, 2, 4, 0], {})[0].control
+    assert control is not None and control.verdict is Verdict.WARN
+    assert "one cone is surveyed twice (P0 and P3)" in control.detail
+
+
 def test_sigmas_of_poses_hold() -> None:
     """NEES of a pose in the middle, with a log of 0.4 m. Cones are taken to err alike in all their images, which drawn ones do
     not, so that it is below 1."""

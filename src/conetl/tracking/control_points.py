@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -284,7 +285,15 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> He
             f"GNSS/INS, or survey more: {_LEAST_AGREEING} that agree are believed."
         )
     if tie.ambiguous:
-        return _unused(f"The {count} fit to the cones in more than one way: survey more of them.")
+        twins = [
+            f"{one.name} and {other.name}"
+            for one, other in combinations(points, 2)
+            if np.linalg.norm(np.subtract(one.xyz_m, other.xyz_m)) < _SAME_M
+        ]
+        advice = (
+            f"one cone is surveyed twice ({', '.join(twins)}): keep one point of it" if twins else "survey more of them"
+        )
+        return _unused(f"The {count} fit to the cones in more than one way: {advice}.")
     detail = f"{used} of {count} have a cone and agree: the poses are adjusted to them."
     if not as_stated:
         off_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
