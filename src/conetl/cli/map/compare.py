@@ -267,7 +267,6 @@ def picture(
             conn, name, info.srid, extent, standing, differing, valid_at=valid_at, known_at=known
         )
     classes = Counter(feature.category for feature in standing)
-    painted = classes.pop(LANE_MARKING, 0)
     if title is None:
         drawn = [*standing, *(change.old for change in differing or () if change.old is not None)]
         title = f"Traffic cones, map {name}" if {one.category for one in drawn} <= {CONE} else f"Map {name}"
@@ -275,19 +274,18 @@ def picture(
     footer = _footer(valid_at, known, changes, info.last_committed_at)
     done = draw_map_picture(output, content, extent, size_mm=size_mm, title=title, footer=footer)
     lines, points = len(content.lines_m), len(content.points_m)
-    facts: dict[str, object] = {
+    facts = {
         "picture": str(done),
-        "objects_by_class": Counter(feature.category for feature in standing),
-    }
-    facts |= {
+        "objects_by_class": dict(classes),
         "changes": None if differing is None else len(differing),
         "lines": lines,
         "points": points,
         "bbox": extent,
     }
-    shown = f"{ui.counted_by_class(classes)}, " + (
-        f"{ui.counted_by_class({LANE_MARKING: painted})}, " if painted else ""
-    )
+    painted = classes.pop(LANE_MARKING, 0)
+    shown = f"{ui.counted_by_class(classes)}, "
+    if painted:
+        shown += f"{ui.counted_by_class({LANE_MARKING: painted})}, "
     ui.answer(as_json, facts, f"{shown}{lines} lane boundaries, {points} points -> {done}")
 
 
