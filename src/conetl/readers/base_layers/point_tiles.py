@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.packing import vec3
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.errors import InputError
 
@@ -249,10 +250,8 @@ def encode_tile(level: int, ix: int, iy: int, cloud: Cloud, voxel_m: float) -> T
     span = np.array([side, side, max(high[2] - low[2], 1e-3)])
     scale = np.maximum(span / _STEPS, voxel_m * _ROUNDING)
     steps = np.clip(np.rint((cloud.xyz_m - origin) / scale), 0, _STEPS).astype(np.uint16)
-    x, y, z = (float(v) for v in origin)
-    sx, sy, sz = (float(v) for v in scale)
     payload = encode_points(steps, cloud.shade)
-    return Tile(level, ix, iy, len(steps), (x, y, z), (sx, sy, sz), float(high[2]), payload)
+    return Tile(level, ix, iy, len(steps), vec3(origin), vec3(scale), float(high[2]), payload)
 
 
 def encode_points(steps: NDArray[np.uint16], shade: NDArray[np.uint8]) -> bytes:

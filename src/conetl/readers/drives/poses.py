@@ -15,6 +15,7 @@ from conetl.files.documents import named
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid, local_to_map
+from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import MAX_SPEED_M_S, Pose
@@ -130,11 +131,10 @@ def around(track: Samples, time_ns: int, max_gap_ns: int, *, across_bad: bool = 
 
 def to_pose(map_SE3_body: Floats, sigma: ArrayLike) -> Pose:
     """The record of a pose (4, 4) and its six sigmas."""
-    x, y, z = (float(c) for c in map_SE3_body[:3, 3])
-    e, n, u, roll, pitch, yaw = (float(s) for s in np.asarray(sigma))
+    sigmas = np.asarray(sigma)
     return Pose(
-        map_R_body=se3.to_matrix3(map_SE3_body[:3, :3]), map_t_body_m=(x, y, z), sigma_enu_m=(e, n, u),
-        sigma_rpy_rad=(roll, pitch, yaw),
+        map_R_body=se3.to_matrix3(map_SE3_body[:3, :3]), map_t_body_m=vec3(map_SE3_body[:3, 3]), sigma_enu_m=vec3(sigmas[:3]),
+        sigma_rpy_rad=vec3(sigmas[3:]),
     )  # fmt: skip
 
 
