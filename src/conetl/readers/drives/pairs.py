@@ -182,9 +182,6 @@ def drive_of_pairs(
     return drive, rejections
 
 
-# --------------------------------------------------------------------------- images with time stamps: EuRoC folders and bags
-
-
 def without_frozen(drive: Drive) -> tuple[Drive, list[Rejection]]:
     """The drive without the pairs of a camera that repeats an image while the vehicle moves: the same bytes, another position.
 
@@ -212,6 +209,9 @@ def without_frozen(drive: Drive) -> tuple[Drive, list[Rejection]]:
         problem = PairError(RejectionReason.IMAGE_FROZEN, detail, side=side, same_as=since_frame)
         refused.append(problem.rejection(f"frame pair {pair.frame_index}", pair.frame_index))
     return (drive.model_copy(update={"frame_pairs": tuple(kept)}), refused) if refused else (drive, [])
+
+
+# --------------------------------------------------------------------------- images with times: EuRoC folders, bags, videos
 
 
 class Image(NamedTuple):

@@ -159,33 +159,27 @@ def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentH
     found = _Recorded({t: {} for t in readers}, {t: {} for t in readers}, {}, {}, {})
     hashed = {topic: bytearray() for topic in readers}
     for message in bag.messages([*readers, *infos, *transforms]):
-        topic = message.topic
+        topic, fields = message.topic, message.content
+        if fields is None:
+            continue
         if topic in transforms:
-            if message.content is not None:
-                found.transforms.update(transforms_of(message.content))
-            continue
-        stamp = _stamp_ns(message)
-        if message.content is None:
-            continue
-        if topic in infos:
+            found.transforms.update(transforms_of(fields))
+        elif topic in infos:
             if topic not in found.infos:
-                found.infos[topic] = message.content
-                found.frame_ids[topic] = str(message.content.header.frame_id)
-                info = message.content
-                content.add(f"info{topic}", np.concatenate([info.k, info.d, info.r, info.p]).tobytes())
-            continue
-        if isinstance(stamp, str):
-            continue  # a remaining gap costs the pairs in it
-        child = getattr(message.content, "child_frame_id", "")
-        found.frame_ids.setdefault(topic, str(child or message.content.header.frame_id))
-        try:
-            record = readers[topic](message.content, settings.sigmas)
-        except ValueError as error:
-            found.bad[topic][stamp] = str(error)
-            hashed[topic] += struct.pack("<q", stamp)
-        else:
-            found.records[topic][stamp] = record
-            hashed[topic] += struct.pack("<q", stamp) + record[0].tobytes() + struct.pack("<6d", *record[1])
+                found.infos[topic] = fields
+                found.frame_ids[topic] = str(fields.header.frame_id)
+                content.add(f"info{topic}", np.concatenate([fields.k, fields.d, fields.r, fields.p]).tobytes())
+        elif isinstance(stamp := _stamp_ns(message), int):  # else a remaining gap costs the pairs in it
+            child = getattr(fields, "child_frame_id", "")
+            found.frame_ids.setdefault(topic, str(child or fields.header.frame_id))
+            try:
+                record = readers[topic](fields, settings.sigmas)
+            except ValueError as error:
+                found.bad[topic][stamp] = str(error)
+                hashed[topic] += struct.pack("<q", stamp)
+            else:
+                found.records[topic][stamp] = record
+                hashed[topic] += struct.pack("<q", stamp) + record[0].tobytes() + struct.pack("<6d", *record[1])
     for topic, data in hashed.items():
         content.add(f"trajectory{topic}", bytes(data))
     return found

@@ -36,24 +36,24 @@ def read_kitti_rig(
     left: int = 2,
     right: int = 3,
     body_required: bool = False,
-    images: Literal["rectified", "raw"] | Size | None = "rectified",
+    images: Literal["raw"] | Size | None = None,
     rig_id: str | None = None,
     sigma_px: float = 0.5,
 ) -> Rig:
     """Rig of two KITTI cameras from `calib_cam_to_cam.txt` and the two files beside it; without them the body is the left camera.
 
-    body_required: reject the calibration if the chain from the IMU is missing. images: "rectified" for the pair of
-    P_rect_0i, "raw" for the cameras that took the images ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included; or
-    width and height of the left images, which decide: raw ones have the size S_0i and give a rectified rig with
-    `rectified_from`; where both sizes are equal, or theirs is unknown or neither, they are assumed to be rectified.
+    body_required: reject the calibration if the chain from the IMU is missing. images: None for the rectified pair of P_rect_0i,
+    "raw" for the cameras that took the images ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included; or width and
+    height of the left images, which decide: raw ones have the size S_0i and give a rectified rig with `rectified_from`; those of
+    another size, or where both sizes are equal, are taken for rectified ones.
     rig_id: default "kitti-" and the start of a hash over the numbers. Raises CalibrationError.
     """
-    if images is None or isinstance(images, tuple):
+    if isinstance(images, tuple):
         read = partial(
             read_kitti_rig, cam_to_cam, left=left, right=right, body_required=body_required, rig_id=rig_id, sigma_px=sigma_px
         )  # fmt: skip
         own = read()
-        if images in (None, (own.left.width_px, own.left.height_px)) or images != _raw_size(cam_to_cam, left):
+        if images == (own.left.width_px, own.left.height_px) or images != _raw_size(cam_to_cam, left):
             return own
         return rectified_rig(read(images="raw"), cam_to_cam)
     raw = images == "raw"
