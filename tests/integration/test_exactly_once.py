@@ -99,34 +99,40 @@ def test_two_maps_are_changed_at_the_same_time(conn, database_url):
     other.close()
 
 
-@pytest.fixture
+@contextmanager
 def full_disk():
-    """Files cannot grow beyond 100 bytes: what a writer sees of a full disk."""
+    """Files cannot grow beyond 100 bytes: what a writer sees of a full disk. No fixture: pytest reports before those end."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 BOX = {"frame_index": 0, "side": "left", "x_px": 1.0, "y_px": 1.0, "w_px": 9.0, "h_px": 9.0, "score": 0.5}
 
 
-def test_a_full_disk_leaves_no_result_behind(tmp_path, full_disk):
+def test_a_full_disk_leaves_no_result_behind(tmp_path):
     boxes = [Detection(detection_index=index, **BOX) for index in range(500)]
-    with pytest.raises(StorageError, match=r"results cannot be written.*free space") as full:
+    with full_disk(), pytest.raises(StorageError, match=r"results cannot be written.*free space") as full:
         save_result(tmp_path / "results", "a" * 64, boxes, [])
     assert full.value.exit_code == EXIT_SERVICE_MISSING
     assert list((tmp_path / "results").iterdir()) == []
 
 
-def test_a_full_disk_leaves_no_export_behind(tmp_path, full_disk):
-    with pytest.raises(StorageError, match="free space"), atomic_text_file(tmp_path / "map.geojson") as file:
+def test_a_full_disk_leaves_no_export_behind(tmp_path):
+    with (
+        full_disk(),
+        pytest.raises(StorageError, match="free space"),
+        atomic_text_file(tmp_path / "map.geojson") as file,
+    ):
         file.write("x" * 100_000)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_leaves_no_part_of_a_secret_behind(tmp_path, full_disk):
-    with pytest.raises(StorageError, match="free space"):
+def test_a_full_disk_leaves_no_part_of_a_secret_behind(tmp_path):
+    with full_disk(), pytest.raises(StorageError, match="free space"):
         make_secret(tmp_path / "home" / "token", "x" * 200)
     assert list((tmp_path / "home").glob("token*")) == []
 
