@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry.geodesy import grid_convergence_rad
 from conetl.model.errors import DriveFolderError
-from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
+from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml
 from conetl.readers.drives.pairs import ContentHash, Source
-from conetl.readers.drives.poses import placed
+from conetl.readers.drives.poses import placed, position_sigmas
 from conetl.readers.trajectories import READERS, find_trajectories, read_trajectory, trajectory_format
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.times import (
@@ -411,6 +411,17 @@ def test_unknown_sigmas_must_be_given(tmp_path: Path) -> None:
     assert track.sigma[0, 2] > 100.0
     with pytest.raises(DriveFolderError, match="attitudes"):
         placed(recorded._replace(rotations=None), drive_in(tmp_path), np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("recorded_m", "vertical_m", "up_m"),
+    [((0.1, 0.1, 5.0), None, 5.0), ((0.1, 0.1, 5.0), 0.4, 0.4), ((0.1, 0.1, np.nan), None, 0.3), (None, None, 0.3)],
+)
+def test_a_recorded_height_of_a_bag_stays_as_uncertain_as_it_is(
+    recorded_m: tuple[float, float, float] | None, vertical_m: float | None, up_m: float
+) -> None:
+    found = position_sigmas(Sigmas(horizontal_m=0.2, vertical_m=vertical_m), recorded_m)
+    assert found == pytest.approx((0.2, 0.2, up_m))
 
 
 def test_settings_are_read_from_drive_yaml(tmp_path: Path) -> None:

@@ -139,10 +139,15 @@ def to_pose(map_SE3_body: Floats, sigma: ArrayLike) -> Pose:
 
 
 def position_sigmas(settings: Sigmas, recorded_m: tuple[float, float, float] | None) -> tuple[float, float, float]:
-    """Sigmas of easting, northing, height (m): those of drive.yaml, else the recorded ones. Raises ValueError."""
+    """Sigmas of easting, northing, height (m): those of drive.yaml, else the recorded ones. Raises ValueError.
+
+    A recorded height that is less certain than horizontal_m implies stays so, unless vertical_m is given.
+    """
     if settings.horizontal_m is not None:
-        horizontal = settings.horizontal_m
-        return horizontal, horizontal, settings.vertical_m or VERTICAL_FACTOR * horizontal
+        horizontal, up = settings.horizontal_m, VERTICAL_FACTOR * settings.horizontal_m
+        if recorded_m is not None and up < recorded_m[2] <= MAX_SIGMA_M:
+            up = recorded_m[2]
+        return horizontal, horizontal, settings.vertical_m or up
     if recorded_m is None:
         raise ValueError("no covariance was recorded with the position; give sigmas.horizontal_m in drive.yaml")
     if not all(0.0 < value <= MAX_SIGMA_M for value in recorded_m):  # NaN fails too
