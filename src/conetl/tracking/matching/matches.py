@@ -35,9 +35,9 @@ _BORDER_SHARE = 0.15
 #: overconfident tracks (tests/synthetic/test_drive.py).
 _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
-#: Sigma of the network's foot: a floor (px), a share of the box's height or width, and a term divided by the height (px^2).
-#: Across the rows in each image, along the rows in both alike, and common to all observations of one cone. Measured on the
-#: sample drives (docs/explanation/accuracy.md).
+#: Sigma of the network's foot, and of the edges of plates, which are what is located: a floor (px), a share of the box's height
+#: or width, and a term divided by the height (px^2). Across the rows in each image, along the rows in both alike, and common to
+#: all observations of one cone. Measured on the sample drives (docs/explanation/accuracy.md).
 _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 3.0)
 #: Share of the box's width by which a foot errs along the rows if a nearer object hides all of the box's lower half. Measured on
 #: the sample drives and mixed worlds 4 and 5.
@@ -256,7 +256,7 @@ def _stereo_match(
     pointing_sigma = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.w_px + b.w_px) / 2
     width, height = (a.w_px + b.w_px) / 2, (a.h_px + b.h_px) / 2
     across, along, of_cone = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * height, pointing_sigma / 2**0.5, 0.0
-    if a.foot_px is not None and b.foot_px is not None:
+    if (a.foot_px is not None and b.foot_px is not None) or not FEATURE_CLASSES[a.category].on_road:
         across, of_cone = _spread(_FOOT_ACROSS, height, height), _spread(_FOOT_OF_CONE, height, height)
         along = _spread(_FOOT_ALONG, width, height)
     share = FEATURE_CLASSES[a.category].outline_share
