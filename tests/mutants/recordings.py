@@ -207,6 +207,21 @@ def right_late(frames: int, first: int = 0) -> Mutant:
     return mutant
 
 
+def images_shifted(frames: int, first: int) -> Mutant:
+    """Both images are those of so many frames later from this pair on (earlier, if negative): cameras lost or repeated some."""
+
+    def mutant(drive: Drive) -> Drive:
+        pairs = drive.frame_pairs
+        names = ("left_path", "right_path", "left_sha256", "right_sha256")
+        moved = tuple(
+            pairs[k].model_copy(update={name: getattr(pairs[k + frames], name) for name in names})
+            for k in range(first, len(pairs) - max(frames, 0))
+        )
+        return drive.model_copy(update={"frame_pairs": pairs[: first + min(frames, 0)] + moved})
+
+    return mutant
+
+
 def baseline(factor: float) -> Mutant:
     """A calibration whose baseline is so many times the true one."""
 

@@ -27,6 +27,7 @@ from tests.mutants.recordings import (
     clock_known_to,
     drift,
     frozen_place,
+    images_shifted,
     in_turn,
     jump,
     late,
@@ -197,6 +198,10 @@ def _rigs() -> list[WrongRecording]:
         *(
             WrongRecording(f"right camera {n} frames late", right_late(n), cause=f"{_TRIGGER} {n} frames earlier", fast=n == 1)
             for n in (1, 2, 3)
+        ),
+        *(
+            WrongRecording(f"both cameras {how} a frame", images_shifted(n, 20), cause="lost a frame or repeated")
+            for how, n in (("lose", 1), ("repeat", -1))
         ),
         WrongRecording("right camera 1 frame late from the middle on", right_late(1, 20), cause="1 frames earlier"),
     ]  # fmt: skip
