@@ -64,6 +64,10 @@ def drift(metres: float) -> Mutant:
     return displaced(lambda k, count: (metres * k / count, 0.0, 0.0))
 
 
+def climbing(metres: float) -> Mutant:
+    return displaced(lambda k, count: (0.0, 0.0, metres * k / count))
+
+
 def spread_jump(metres: float, first: int = 15, last: int = 25) -> Mutant:
     """A jump east that a filter spreads over these poses."""
     return displaced(lambda k, _: (metres * float(np.clip((k - first) / (last - first), 0, 1)), 0.0, 0.0))

@@ -23,6 +23,7 @@ from tests.mutants.recordings import (
     Mutant,
     aside,
     baseline,
+    climbing,
     clock,
     clock_known_to,
     drift,
@@ -137,6 +138,7 @@ def _logs() -> list[WrongRecording]:
     drifts = {0.5: None, 1.0: r"drifts|distances -1\.5", 3.0: "drifts|contradict GNSS/INS"}
     return [
         *(WrongRecording(f"GNSS drifts {m:g} m", drift(m), cause=c, fast=m == 1.0) for m, c in drifts.items()),
+        *(WrongRecording(f"heights drift {m:g} m", climbing(m), cause="up or down", fast=m == 0.4) for m in (0.4, 1.0)),
         *(
             WrongRecording(f"GNSS noise {m:g} m", noise(m), cause="stated sigmas", fast=m == 0.3)
             for m in (0.1, 0.3, 1.0)

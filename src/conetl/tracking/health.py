@@ -15,6 +15,7 @@ from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.geometry.rig import map_SE3_left
+from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.health import CALIBRATION, HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import MIN_DETAIL, FramePair, Rig
@@ -30,6 +31,7 @@ from conetl.tracking.trajectory import (
 )
 
 Floats = NDArray[np.float64]
+ALIGNMENT = "alignment of cameras and GNSS/INS"
 #: Checks that no offset of the clocks explains.
 JUMPS, DISTANCES = "jumps of the poses", "distances by images and by GNSS/INS"
 #: A drive of fewer intervals says too little about itself, but for jumps.
@@ -37,6 +39,10 @@ _LEAST_INTERVALS = 8
 _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 #: The scale of the motions may be off by so many of its prior sigmas, and of its own.
 _MAX_SCALE_SIGMAS = 3.2
+#: Cameras look aside by more than so much (rad), and by so many of its sigmas: sample drives and KITTI by up to 0.27 degrees.
+_ASIDE_RAD, _ASIDE_SIGMAS = np.radians(0.25), 3.2
+#: Of normally distributed values, from the median of their absolute deviations and the square root of their number.
+_SIGMA_OF_MEDIAN = 1.4826 * np.sqrt(np.pi / 2)
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
 _JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
 #: A jump of the attitude is at least so many radians, and so many of its sigmas; where no motion was measured, beyond what a
@@ -85,6 +91,7 @@ def check_trajectory(
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
         *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
+        _alignment(log, measured, residual),
         *_directions(frame_pairs, log, measured),
         HealthCheck(
             name="stated sigmas of the poses",
@@ -233,18 +240,11 @@ def _in_common(observed: Floats, logged: Floats) -> str:
     far = lengths_m.min(axis=0) > _DRIVEN_M
     if far.sum() >= _LEAST_INTERVALS:
         ratio = lengths_m[0, far] / lengths_m[1, far] - 1
-        turn = observed[far] / lengths_m[0, far, None] - logged[far] / lengths_m[1, far, None]
-        scale, aside = float(np.median(ratio)), np.median(turn, axis=0)
-        angle_rad = float(np.linalg.norm(aside))
+        scale = float(np.median(ratio))
         if abs(scale) > _COMMON_SHARE and np.median(np.abs(ratio - scale)) < abs(scale) / 4:
             return (
                 f"The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: the calibration's baseline or "
                 "focal length is wrong, or GNSS/INS drifts. Calibrate the rig (conetl calibrate) or process its log anew."
-            )
-        if angle_rad > _COMMON_SHARE and np.median(np.linalg.norm(turn - aside, axis=1)) < angle_rad / 4:
-            return (
-                f"The cameras look {np.degrees(angle_rad):.1f} degrees away from where the alignment of cameras and GNSS/INS has "
-                "them. Calibrate that alignment anew."
             )
     return "Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
 
@@ -295,17 +295,13 @@ def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
     """
     places = np.array([pair.pose.map_t_body_m for pair in trajectory.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in trajectory.frame_pairs], dtype=np.int64) * 1e-9
-    moved, slow, white = places - log.places, log.slow[:, :3], log.white[:, :3]
-    kept = np.concatenate([[0.0], np.cumsum(np.log(log.keep[:, 0]))])
-    last = len(places) - 1
+    moved, last = places - log.places, len(places) - 1
     worst = HealthCheck(
         name="drift of the poses", verdict=Verdict.PASS, value=0.0, limit=_DRIFT_M, unit="m",
         detail="The poses do not drift against the images.",
     )  # fmt: skip
     for i, j in ((0, last // 2), (last // 2, last), (0, last)):
-        variance = white[i] ** 2 + white[j] ** 2 + slow[i] ** 2 + slow[j] ** 2
-        variance -= 2 * slow[i] * slow[j] * np.exp(kept[j] - kept[i])
-        drift_m, sigma_m = moved[j] - moved[i], np.sqrt(variance)
+        drift_m, sigma_m = moved[j] - moved[i], np.sqrt(_change_variance(log, i, j))
         axis = int(np.argmax(np.abs(drift_m) / sigma_m))
         off_m, limit_m = float(abs(drift_m[axis])), max(_DRIFT_M, _DRIFT_SIGMAS * float(sigma_m[axis]))
         if off_m > max(limit_m, worst.value or 0.0):
@@ -317,6 +313,56 @@ def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
                 update={"verdict": Verdict.HOLD, "value": off_m, "limit": limit_m, "detail": detail}
             )
     return worst
+
+
+def _change_variance(log: LoggedPoses, i: int, j: int) -> Floats:
+    """(3,) m^2, of the change of the log's position errors from frame i to frame j."""
+    slow, white = log.slow[:, :3], log.white[:, :3]
+    kept = np.prod(log.keep[i:j, 0])
+    return np.asarray(white[i] ** 2 + white[j] ** 2 + slow[i] ** 2 + slow[j] ** 2 - 2 * slow[i] * slow[j] * kept)
+
+
+def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) -> HealthCheck:
+    """Whether the images show the vehicle moving where the log has it move, in the mean of the drive.
+
+    Cameras that look aside and positions that drift at a constant rate are the same to them. The adjustment turns the poses, and
+    leaves the drift in the positions.
+    """
+    observed = measured.next_SE3_first[:, :3, 3]
+    both = np.stack([observed, observed - residual[:, 3:]])
+    lengths_m = np.linalg.norm(both, axis=2, keepdims=True)
+    far = (lengths_m.min(axis=0) > _DRIVEN_M)[:, 0]
+    if far.sum() < _LEAST_INTERVALS:
+        return HealthCheck(
+            name=ALIGNMENT, verdict=Verdict.PASS, value=None, detail="The vehicle drives too little to tell."
+        )
+    shown, logged = (both / lengths_m)[:, far] * np.sign(both[1, far, 2:])
+    turns = shown - logged
+    aside, ahead = np.median(turns, axis=0), np.median(logged, axis=0)
+    noise = _SIGMA_OF_MEDIAN * np.median(np.abs(turns - aside), axis=0) / np.sqrt(far.sum())
+    middle, body_R_left = len(log.places) // 2, log.body_SE3_left[:3, :3]
+    map_R_left = log.rotations[middle] @ body_R_left
+    turned = cross_matrix(ahead) @ body_R_left.T
+    cov = turned @ np.diag(log.slow[middle, 3:] ** 2) @ turned.T
+    change = np.diag(_change_variance(log, 0, len(log.places) - 1))
+    cov += map_R_left.T @ change @ map_R_left / lengths_m[1, far].sum() ** 2
+    sigmas = np.sqrt(np.diag(cov)[:2] + noise[:2] ** 2)
+    axis = int(np.argmax(np.abs(aside[:2]) / sigmas))
+    off_deg = np.degrees(abs(aside[axis]))
+    limit_deg = np.degrees(max(_ASIDE_RAD, _ASIDE_SIGMAS * sigmas[axis]))
+    held = bool(off_deg > limit_deg)
+    detail = "The cameras look where their alignment with GNSS/INS has them."
+    if held:
+        detail = (
+            f"The images show the vehicle moving {off_deg:.1f} degrees {('aside', 'up or down')[axis]} of where GNSS/INS has it "
+            f"move, at a stated sigma of {np.degrees(sigmas[axis]):.2f}: GNSS/INS drifts by {100 * abs(aside[axis]):.1f} cm per "
+            "metre driven, or the alignment of cameras and GNSS/INS is wrong. Process its log anew, calibrate the alignment "
+            "anew, or state its sigmas (sigmas in drive.yaml)."
+        )
+    return HealthCheck(
+        name=ALIGNMENT, verdict=Verdict.HOLD if held else Verdict.PASS, value=round(float(off_deg), 3),
+        limit=round(float(limit_deg), 3), unit="degrees", detail=detail,
+    )  # fmt: skip
 
 
 def _jumps(
