@@ -40,7 +40,7 @@ _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 #: The scale of the motions may be off by so many of its prior sigmas, and of its own.
 _MAX_SCALE_SIGMAS = 3.2
 #: Cameras look aside by more than so much (rad), and by so many of its sigmas: sample drives and KITTI by up to 0.27 degrees.
-_ASIDE_RAD, _ASIDE_SIGMAS = np.radians(0.25), 3.2
+_ASIDE_RAD, _ASIDE_SIGMAS = np.radians(0.25), 4.5
 #: Of normally distributed values, from the median of their absolute deviations and the square root of their number.
 _SIGMA_OF_MEDIAN = 1.4826 * np.sqrt(np.pi / 2)
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
