@@ -35,6 +35,8 @@ _SIGMA_BOUNDS = (0.5, 2.0)
 #: Larger residuals count as so many sigmas (Huber 1964); of normal errors that removes 0.5 % of the squares.
 _HUBER_SIGMAS, _ROBUST_ROUNDS = 3.0, 4
 _MAX_ITERATIONS, _CONVERGED = 50, 1e-3
+#: Frame pairs of one track that are used, evenly spread: the time grows with their third power, and a vehicle may wait by a cone.
+_MOST_PAIRS = 120
 #: Pose errors below this share of the observations' variance need no unknown.
 _LEAST_POSE_SHARE = 1e-3
 #: Means of columns and of rows, and disparity, from u_left, v_left, u_right, v_right.
@@ -83,6 +85,7 @@ def estimate_variance_factors(
     classes = sorted({track.category for track in tracks})
     for track in tracks:
         pairs = [match_of[member] for member in track.members if _is_usable(match_of[member])]
+        pairs = pairs[:: -(-len(pairs) // _MOST_PAIRS) or 1]
         if len(pairs) > 1:
             cone = _cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov)
             cones.append((classes.index(track.category), cone))
