@@ -128,7 +128,7 @@ def timed(spent_s: dict[str, float]) -> Iterator[None]:
 
     places = (
         (analysis, "check_stereo"), (analysis, "check_calibration"), (odometry, "check_trajectory"),
-        (drive_refinement, "estimate_clock"),
+        (odometry, "check_lost_frames"), (drive_refinement, "estimate_clock"),
     )  # fmt: skip
     with ExitStack() as stack:
         for module, name in places:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from itertools import pairwise, tee
+from itertools import tee
 from math import ceil
 from pathlib import Path
 from typing import NamedTuple
@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import StereoTracks, expected_motions, motions_of
-from conetl.geometry.packing import vec3
-from conetl.model.health import HealthCheck, Verdict
+from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
+from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
@@ -27,7 +26,8 @@ from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_o
 from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.health import check_trajectory
-from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, span_params, spread_spans
+from conetl.tracking.lost_frames import check_lost_frames
+from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, evenly_spread, span_params
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
 from conetl.tracking.trajectory import RefinedTrajectory
 
@@ -37,8 +37,6 @@ _PAIRS_AT_ONCE = 8
 _SPARE = 1.25
 #: Half of a shorter chunk may be shorter than a span: at 10 Hz and 2.5 m/s or less.
 _SHORT_CHUNK_PAIRS = 16
-#: A lost frame shows where the log moves so far (m) in an interval, at an even speed; at most so many intervals are tried.
-_LEAST_STEP_M, _UNEVEN_SHARE, _MOST_TRIED = 0.3, 0.2, 40
 
 
 def moved(chunks: Sequence[Chunk], trajectory: RefinedTrajectory) -> list[Chunk]:
@@ -184,7 +182,7 @@ def self_calibrate(chunk: Chunk, followed: Sequence[Odometry]) -> SelfCalibratio
         chosen = choose_spans(load_result(each.motions, RelativeMotion)[0], params.self_calibration_span_m)
         points, _ = load_result(result_path(folder, _spans_key(each.tracks.stem)), StereoTracks)
         spans += zip(chosen, points, strict=True)
-    found = _calibration(chunk.rig, spread_spans(spans, params.self_calibration_max_spans), params)
+    found = _calibration(chunk.rig, evenly_spread(spans, params.self_calibration_max_spans), params)
     if len(spans) < params.self_calibration_min_spans and chunk.params.chunk_pairs < _SHORT_CHUNK_PAIRS:
         hint = f"a span lies within half a chunk, and chunk_pairs is {chunk.params.chunk_pairs} only"
         found = found.model_copy(update={"detail": f"{found.detail}; {hint}"})
@@ -200,7 +198,7 @@ def calibrate_drive(
     pairs, rig, read = drive.frame_pairs, drive.rig, grey_reader(drive.rig, drive.frame_pairs)
     followed = follow_drive(pairs, rig, read, params) if tracks is None else tracks
     chosen = list(choose_spans(motions_of(followed, pairs, rig, params), params.self_calibration_span_m))
-    spans = spread_spans(chosen, params.self_calibration_max_spans)
+    spans = evenly_spread(chosen, params.self_calibration_max_spans)
     wide = follow_spans(spans, pairs, rig, read, span_params(params))
     return _calibration(rig, list(zip(spans, wide, strict=True)), params)
 
@@ -235,70 +233,8 @@ def check_poses(
     measured, _ = load_results(motions, RelativeMotion)
     checks = check_trajectory(pairs, drive.rig, measured, trajectory, _by_its_clock(drive, params))
     if measured:
-        checks.append(check_lost_frames(pairs, drive.rig, measured, params))
+        checks.append(check_lost_frames(pairs, drive.rig, measured, grey_reader(drive.rig), params))
     return checks if trajectory.control is None else [*checks, trajectory.control]
-
-
-def check_lost_frames(
-    pairs: Sequence[FramePair], rig: Rig, motions: Sequence[RelativeMotion], params: TrajectoryParams
-) -> HealthCheck:
-    """Whether the images move twice or half as far as an even log between two frame pairs: both cameras lost a frame, or repeated
-    one, and all later images are of other poses than their numbers or time stamps say.
-
-    At speed such an interval is measured only from a guess of that length, so that those that were not are followed again.
-    """
-    at_s = np.array([pair.captured_at_ns - pairs[0].captured_at_ns for pair in pairs]) * 1e-9
-    lengths_m = np.linalg.norm(np.diff([pair.pose.map_t_body_m for pair in pairs], axis=0), axis=1)
-    speeds = lengths_m / np.maximum(np.diff(at_s), 1e-6)
-    even = np.abs(speeds[1:-1] - (speeds[:-2] + speeds[2:]) / 2) < _UNEVEN_SHARE * speeds[1:-1]
-    by_frames = {(motion.first_frame_index, motion.second_frame_index): motion for motion in motions}
-    measured = [by_frames.get((one.frame_index, other.frame_index)) for one, other in pairwise(pairs)]
-    ratios = np.array([np.nan if motion is None else _length_m(motion) for motion in measured])
-    ratios /= [max(float(np.linalg.norm(expected[:3, 3])), 1e-6) for expected in expected_motions(pairs, rig)]
-    usual = np.abs(ratios - 1) < 2 * _UNEVEN_SHARE
-    alone = even & usual[:-2] & ~usual[1:-1] & usual[2:] & (lengths_m[1:-1] > _LEAST_STEP_M)
-    suspected = (np.flatnonzero(alone) + 1).tolist()
-    found = [
-        pairs[k + 1].frame_index
-        for k in spread_spans(suspected, _MOST_TRIED)
-        if any(
-            _is_about(ratios[k], factor)
-            or (np.isnan(ratios[k]) and _moves_by(factor, pairs[k], pairs[k + 1], rig, params))
-            for factor in (2.0, 0.5)
-        )
-    ]
-    detail = "No frame is lost or repeated by both cameras."
-    if found:
-        detail = (
-            f"Both cameras lost a frame or repeated one before frame pair {found[0]}: there the images move twice or half as far "
-            "as GNSS/INS, and all later ones are of other poses than their numbers say. Correct the numbers or time stamps of "
-            "the images."
-        )
-    return HealthCheck(
-        name="frames lost by both cameras", verdict=Verdict.HOLD if found else Verdict.PASS, value=float(len(found)),
-        limit=0.0, detail=detail,
-    )  # fmt: skip
-
-
-def _moves_by(factor: float, first: FramePair, second: FramePair, rig: Rig, params: TrajectoryParams) -> bool:
-    """Whether the images of two frame pairs show so many times the motion of their poses."""
-    start, end = np.array(first.pose.map_t_body_m), np.array(second.pose.map_t_body_m)
-    guess = second.pose.model_copy(update={"map_t_body_m": vec3(start + factor * (end - start))})
-    both = (first, second.model_copy(update={"pose": guess}))
-    [motion] = motions_of(follow_drive(both, rig, grey_reader(rig), params), both, rig, params)
-    expected_m = float(np.linalg.norm(expected_motions(both, rig)[0][:3, 3]))
-    return _is_about(_length_m(motion) / expected_m, 1.0)
-
-
-def _length_m(motion: RelativeMotion) -> float:
-    """NaN of a motion that was not measured."""
-    return (
-        np.nan if motion.second_SE3_first is None else float(np.linalg.norm(np.array(motion.second_SE3_first)[:3, 3]))
-    )
-
-
-def _is_about(ratio: float, factor: float) -> bool:
-    return bool(abs(ratio - factor) < _UNEVEN_SHARE * factor)
 
 
 def _by_its_clock(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:

@@ -5,22 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
-from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import expected_motions
-from conetl.geometry.rig import map_SE3_left
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.arrays import Floats
 from conetl.model.health import CALIBRATION, HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import MIN_DETAIL, FramePair, Rig
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
 from conetl.tracking.drive_refinement import scale_is_doubtful
+from conetl.tracking.jumps import JUMPS, check_jumps, check_slow_jumps, check_turn_jumps
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
 from conetl.tracking.trajectory import (
     RefinedTrajectory,
@@ -30,10 +26,9 @@ from conetl.tracking.trajectory import (
     read_log,
 )
 
-Floats = NDArray[np.float64]
-ALIGNMENT = "alignment of cameras and GNSS/INS"
+ALIGNMENT, DISTANCES = "alignment of cameras and GNSS/INS", "distances by images and by GNSS/INS"
 #: Checks that no offset of the clocks explains.
-JUMPS, DISTANCES = "jumps of the poses", "distances by images and by GNSS/INS"
+_NOT_OF_CLOCKS = (JUMPS, DISTANCES)
 #: A drive of fewer intervals says too little about itself, but for jumps.
 _LEAST_INTERVALS = 8
 _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
@@ -43,21 +38,11 @@ _MAX_SCALE_SIGMAS = 3.2
 _ASIDE_RAD, _ASIDE_SIGMAS = np.radians(0.25), 4.5
 #: Of normally distributed values, from the median of their absolute deviations and the square root of their number.
 _SIGMA_OF_MEDIAN = 1.4826 * np.sqrt(np.pi / 2)
-#: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
-_JUMP_M, _JUMP_SIGMAS = 0.1, 6.0
-#: A jump of the attitude is at least so many radians, and so many of its sigmas; where no motion was measured, beyond what a
-#: vehicle may gain in turn rate (rad/s^2) against this many neighbours on each side.
-_TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
 #: A drift is at least so many metres, and so many sigmas of the change of the log's errors.
 _DRIFT_M, _DRIFT_SIGMAS = 0.1, 6.0
-#: Jumps that a filter spreads are sought over so many intervals, and are at least so many sigmas: good drives have up to 7.6.
-#: Shares of the distance that all motions have in common are computed from longer ones than this (m).
-_SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
 #: A vehicle that drives backwards for more intervals than this reverses; in each it moves so many metres, and so many of the
 #: sigmas of the log's change.
 _MAX_REVERSED, _REVERSED_M, _REVERSED_SIGMAS = 10, 0.05, 3.0
-#: Least time between two frame pairs.
-_LEAST_STEP_S = 1e-3
 #: Motions are compared where they are longer, and have something in common from this share of their lengths on.
 _DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
 #: A log below this speed stands still, and one this far away from the direction in which the cameras look has other axes.
@@ -79,15 +64,15 @@ def check_trajectory(
     none = np.zeros(0, dtype=bool)
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
     if len(frame_pairs) <= _LEAST_INTERVALS:
-        return [_jumps(frame_pairs, rig, measured, good)]
+        return [check_jumps(frame_pairs, rig, measured, good)]
     residual = motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
     checks = [
         _measured(frame_pairs, rig, len(measured.start)),
         _agreement(frame_pairs, rig, measured, good, residual),
         *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
-        _jumps(frame_pairs, rig, measured, good),
-        _turn_jumps(frame_pairs, rig, measured, good),
-        _slow_jumps(frame_pairs, log, measured, good, residual),
+        check_jumps(frame_pairs, rig, measured, good),
+        check_turn_jumps(frame_pairs, rig, measured, good),
+        check_slow_jumps(frame_pairs, log, measured, good, residual),
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
         *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
@@ -109,7 +94,7 @@ def _with_likely_cause(check: HealthCheck, clock: ClockOffset | None, params: Tr
     Poses that are interpolated to other instants than those of their records fit the images less, also once the clock is
     corrected; the advice of each check is about recordings whose clocks are known.
     """
-    if check.verdict is not Verdict.HOLD or params.clock_sigma_s <= LEAST_S or check.name in (JUMPS, DISTANCES):
+    if check.verdict is not Verdict.HOLD or params.clock_sigma_s <= LEAST_S or check.name in _NOT_OF_CLOCKS:
         return check
     off = ""
     if clock is not None and clock.is_applied(params.clock_sigma_s):
@@ -323,29 +308,29 @@ def _change_variance(log: LoggedPoses, i: int, j: int) -> Floats:
 
 
 def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) -> HealthCheck:
-    """Whether the images show the vehicle moving where the log has it move, in the mean of the drive.
+    """Whether the images show the vehicle moving where the log has it move, in the median of the drive.
 
     Cameras that look aside and positions that drift at a constant rate are the same to them. The adjustment turns the poses, and
     leaves the drift in the positions.
     """
     observed = measured.next_SE3_first[:, :3, 3]
     both = np.stack([observed, observed - residual[:, 3:]])
-    lengths_m = np.linalg.norm(both, axis=2, keepdims=True)
-    far = (lengths_m.min(axis=0) > _DRIVEN_M)[:, 0]
-    if far.sum() < _LEAST_INTERVALS:
+    both = both[:, (np.linalg.norm(both, axis=2) > _DRIVEN_M).all(axis=0)]
+    count, lengths_m = both.shape[1], np.linalg.norm(both, axis=2, keepdims=True)
+    if count < _LEAST_INTERVALS:
         return HealthCheck(
             name=ALIGNMENT, verdict=Verdict.PASS, value=None, detail="The vehicle drives too little to tell."
         )
-    shown, logged = (both / lengths_m)[:, far] * np.sign(both[1, far, 2:])
+    shown, logged = both / lengths_m * np.sign(both[1, :, 2:])  # also of a vehicle that reverses
     turns = shown - logged
     aside, ahead = np.median(turns, axis=0), np.median(logged, axis=0)
-    noise = _SIGMA_OF_MEDIAN * np.median(np.abs(turns - aside), axis=0) / np.sqrt(far.sum())
+    noise = _SIGMA_OF_MEDIAN * np.median(np.abs(turns - aside), axis=0) / np.sqrt(count)
     middle, body_R_left = len(log.places) // 2, log.body_SE3_left[:3, :3]
     map_R_left = log.rotations[middle] @ body_R_left
     turned = cross_matrix(ahead) @ body_R_left.T
     cov = turned @ np.diag(log.slow[middle, 3:] ** 2) @ turned.T
     change = np.diag(_change_variance(log, 0, len(log.places) - 1))
-    cov += map_R_left.T @ change @ map_R_left / lengths_m[1, far].sum() ** 2
+    cov += map_R_left.T @ change @ map_R_left / lengths_m[1].sum() ** 2
     sigmas = np.sqrt(np.diag(cov)[:2] + noise[:2] ** 2)
     axis = int(np.argmax(np.abs(aside[:2]) / sigmas))
     off_deg = np.degrees(abs(aside[axis]))
@@ -362,128 +347,4 @@ def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) ->
     return HealthCheck(
         name=ALIGNMENT, verdict=Verdict.HOLD if held else Verdict.PASS, value=round(float(off_deg), 3),
         limit=round(float(limit_deg), 3), unit="degrees", detail=detail,
-    )  # fmt: skip
-
-
-def _jumps(
-    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_]
-) -> HealthCheck:
-    """Intervals that no accepted motion confirms, and in which the log moves otherwise than their neighbours."""
-    times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
-    times_s = np.maximum.accumulate(times_s + _LEAST_STEP_S * np.arange(len(times_s)))
-    left = np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs])
-    steps_m, speeds = np.diff(left[:, :3, 3], axis=0), np.full((len(left) - 1, 3), np.nan)
-    start = measured.start[good]
-    moved = se3.compose(left[start], se3.invert(measured.next_SE3_first[good]))[:, :3, 3] - left[start, :3, 3]
-    speeds[start] = moved / np.diff(times_s)[start, None]
-    sigma_m = np.array([(max(pair.pose.sigma_enu_m[:2]), pair.pose.sigma_enu_m[2]) for pair in frame_pairs])
-    worst_m, worst = 0.0, 0
-    for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
-        errors_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * sigma_m[k : k + 2].max(axis=0))
-        misfit = step_misfit(steps_m, speeds, times_s, k)
-        off_m = 0.0 if misfit is None else misfit.unexplained_m((errors_m[0], errors_m[1]))
-        if off_m > worst_m:
-            worst_m, worst = off_m, k
-    detail = "The poses do not jump."
-    if worst_m:
-        first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
-        detail = (
-            f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, and the images do not: which side is "
-            "right is unknown. Process the GNSS/INS log anew; do not deliver the parts as drives of their own, unless something "
-            "else shows that their positions are right."
-        )
-    return HealthCheck(
-        name=JUMPS, verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_JUMP_M, unit="m",
-        detail=detail,
-    )  # fmt: skip
-
-
-def _slow_jumps(
-    frame_pairs: Sequence[FramePair],
-    log: LoggedPoses,
-    measured: MeasuredMotions,
-    good: NDArray[np.bool_],
-    residual: Floats,
-) -> HealthCheck:
-    """Whether the log moves against the images within some intervals, by more than its errors change in that time.
-
-    Each interval may agree within its own errors: a filter spreads a jump over a second. What all motions have in common (scale,
-    alignment) is taken out.
-    """
-    off_m, variance, driven_m = (np.full((len(frame_pairs) - 1, n), np.nan) for n in (3, 3, 1))
-    start = measured.start[good]
-    off_m[start], variance[start] = residual[good, 3:], np.diagonal(measured.cov[good], axis1=1, axis2=2)[:, 3:]
-    driven_m[start, 0] = np.linalg.norm(measured.next_SE3_first[good, :3, 3], axis=1)
-    long = driven_m[:, 0] > _LEAST_STEP_M
-    if long.any():
-        off_m = off_m - np.median(off_m[long] / driven_m[long], axis=0) * driven_m
-    worst, value_m, limit_m, frames = 1.0, 0.0, _DRIFT_M, (0, 0)
-    for span in _SPANS:
-        if span > len(off_m):
-            break
-        moved_m, spread = (sliding_window_view(part, span, axis=0).sum(axis=-1) for part in (off_m, variance))
-        kept = sliding_window_view(log.keep[:, :3], span, axis=0).prod(axis=-1)
-        changed = 2 * log.slow[:-span, :3] ** 2 * (1 - kept) + log.white[:-span, :3] ** 2 + log.white[span:, :3] ** 2
-        limits_m = np.maximum(_DRIFT_M, _SLOW_SIGMAS * np.sqrt(spread + changed.max(axis=1, keepdims=True)))
-        ratio = np.nan_to_num(np.abs(moved_m) / limits_m)
-        k, axis = divmod(int(ratio.argmax()), 3)
-        if ratio[k, axis] > worst:
-            worst, value_m, limit_m = float(ratio[k, axis]), float(abs(moved_m[k, axis])), float(limits_m[k, axis])
-            frames = frame_pairs[k].frame_index, frame_pairs[k + span].frame_index
-    detail = "GNSS/INS moves as the images do over some intervals."
-    if value_m:
-        detail = (
-            f"GNSS/INS moves by {value_m:.1f} m against the images between frame pairs {frames[0]} and {frames[1]}, more than "
-            "its stated sigmas allow: a jump that its filter has spread. Process the GNSS/INS log anew, or state its true sigmas."
-        )
-    return HealthCheck(
-        name="slow jumps of the poses", verdict=Verdict.HOLD if value_m else Verdict.PASS, value=value_m, limit=limit_m,
-        unit="m", detail=detail,
-    )  # fmt: skip
-
-
-def _turn_jumps(
-    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_]
-) -> HealthCheck:
-    """Intervals that no accepted motion confirms, and in which the log turns otherwise than the images or the intervals around.
-
-    A measured motion that is wrong is refused too: then it is the one that differs from its neighbours.
-    """
-    to_camera = np.array(rig.body_SE3_left)[:3, :3].T ** 2
-    sigma = np.sqrt(np.array([pair.pose.sigma_rpy_rad for pair in frame_pairs]) ** 2 @ to_camera.T)
-    times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
-    step_s = np.maximum(np.diff(times_s), _LEAST_STEP_S)
-    logged = Rotation.from_matrix([motion[:3, :3] for motion in expected_motions(frame_pairs, rig)]).as_rotvec()
-    accepted, refused = np.full_like(logged, np.nan), np.full_like(logged, np.nan)
-    if len(measured.start):
-        turns = Rotation.from_matrix(measured.next_SE3_first[:, :3, :3]).as_rotvec()
-        accepted[measured.start[good]], refused[measured.start[~good]] = turns[good], turns[~good]
-    known = ~np.isnan(accepted[:, 0])
-    worst, first = 0.0, 0
-    for k in np.flatnonzero(~known).tolist():
-        begin, end = max(k - _NEIGHBOURS, 0), min(k + _NEIGHBOURS + 1, len(known))
-        near = begin + np.flatnonzero(known[begin:end])
-        if min((near < k).sum(), (near > k).sum()) < 2:
-            continue
-        usual = np.median(accepted[near] / step_s[near, None], axis=0) * step_s[k]
-        limit = np.maximum(_TURN_RAD, _JUMP_SIGMAS * sigma[k : k + 2].max(axis=0))
-        if np.isnan(refused[k, 0]):
-            off = np.abs(logged[k] - usual)
-            limit = limit + _TURN_ACCELERATION * step_s[k] * (times_s[end] - times_s[begin]) / 8
-        else:
-            log_is_odd = np.abs(logged[k] - usual) > np.abs(refused[k] - usual)
-            off = np.abs(logged[k] - refused[k]) * log_is_odd
-        beyond = off[off > limit]
-        if len(beyond) and beyond.max() > worst:
-            worst, first = float(beyond.max()), k
-    detail = "The attitudes do not jump."
-    if worst:
-        frames = frame_pairs[first].frame_index, frame_pairs[first + 1].frame_index
-        detail = (
-            f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, and the images "
-            "do not: the attitudes on one side are wrong. Process the GNSS/INS log anew."
-        )
-    return HealthCheck(
-        name="jumps of the attitude", verdict=Verdict.HOLD if worst else Verdict.PASS, value=float(np.degrees(worst)),
-        limit=float(np.degrees(_TURN_RAD)), unit="degrees", detail=detail,
     )  # fmt: skip

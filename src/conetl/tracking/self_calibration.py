@@ -108,11 +108,11 @@ def choose_spans(motions: Iterable[RelativeMotion], span_m: float) -> Iterator[S
             start, pose = k + 1, np.eye(4)
 
 
-def spread_spans(spans: Sequence[_Item], most: int) -> list[_Item]:
-    """At most `most` of the spans, evenly spread over the drive, including its first and last."""
-    if len(spans) <= most:
-        return list(spans)
-    return [spans[round(k * (len(spans) - 1) / (most - 1))] for k in range(most)]
+def evenly_spread(items: Sequence[_Item], most: int) -> list[_Item]:
+    """At most `most` of the items, spans for example, evenly spread over them, including the first and the last."""
+    if len(items) <= most:
+        return list(items)
+    return [items[round(k * (len(items) - 1) / (most - 1))] for k in range(most)]
 
 
 def self_calibrate(

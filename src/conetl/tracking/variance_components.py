@@ -24,6 +24,7 @@ from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.records import Pose, Rig, StereoMatch, Track
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_sigma_px, shared_disparity_px
+from conetl.tracking.self_calibration import evenly_spread
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ _SIGMA_BOUNDS = (0.5, 2.0)
 #: Larger residuals count as so many sigmas (Huber 1964); of normal errors that removes 0.5 % of the squares.
 _HUBER_SIGMAS, _ROBUST_ROUNDS = 3.0, 4
 _MAX_ITERATIONS, _CONVERGED = 50, 1e-3
-#: Frame pairs of one track that are used, evenly spread: the time grows with their third power, and a vehicle may wait by a cone.
+#: Frame pairs of one track that are used: the time grows with their third power, and a vehicle may wait beside a cone.
 _MOST_PAIRS = 120
 #: Pose errors below this share of the observations' variance need no unknown.
 _LEAST_POSE_SHARE = 1e-3
@@ -84,8 +85,8 @@ def estimate_variance_factors(
     cones: list[tuple[int, _Cone]] = []
     classes = sorted({track.category for track in tracks})
     for track in tracks:
-        pairs = [match_of[member] for member in track.members if _is_usable(match_of[member])]
-        pairs = pairs[:: -(-len(pairs) // _MOST_PAIRS) or 1]
+        usable = [match_of[member] for member in track.members if _is_usable(match_of[member])]
+        pairs = evenly_spread(usable, _MOST_PAIRS)
         if len(pairs) > 1:
             cone = _cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov)
             cones.append((classes.index(track.category), cone))

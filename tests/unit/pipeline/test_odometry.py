@@ -11,8 +11,9 @@ from conetl.model.health import Verdict
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline.chunks import Chunk
-from conetl.pipeline.odometry import check_lost_frames, grey_reader, self_calibrate
+from conetl.pipeline.odometry import grey_reader, self_calibrate
 from conetl.readers.drives import read_drive
+from conetl.tracking.lost_frames import check_lost_frames
 from tests.integration.small_drives import SAMPLES
 from tests.mutants.recordings import images_shifted
 from tests.synthetic.world import make_path, make_rig
@@ -36,5 +37,5 @@ def test_a_frame_that_both_cameras_lose_or_repeat_is_found(frames: int, named: s
     drive = images_shifted(frames, 8)(read_drive(SAMPLES[0])[0])
     pairs, rig, params = drive.frame_pairs[:13], drive.rig, TrajectoryParams()
     motions = motions_of(follow_drive(pairs, rig, grey_reader(rig), params), pairs, rig, params)
-    check = check_lost_frames(pairs, rig, list(motions), params)
+    check = check_lost_frames(pairs, rig, list(motions), grey_reader(rig), params)
     assert named in check.detail and check.verdict is (Verdict.HOLD if frames else Verdict.PASS)

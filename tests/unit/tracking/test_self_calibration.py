@@ -20,9 +20,9 @@ from conetl.tracking.self_calibration import (
     SelfCalibrationOutcome,
     Span,
     choose_spans,
+    evenly_spread,
     self_calibrate,
     self_calibrated_rig,
-    spread_spans,
 )
 from tests.synthetic.spans import CX_PX, FOCAL_PX, followed, make_span, motion
 from tests.synthetic.world import make_rig
@@ -230,11 +230,11 @@ def test_infinity_is_where_a_turned_camera_projects_it() -> None:
 def test_a_long_drive_is_represented_by_spans_from_all_of_it() -> None:
     spans = list(choose_spans(moves(*[2.0] * 1000), 2.0))
     assert len(spans) == 1000
-    chosen = spread_spans(spans, 120)
+    chosen = evenly_spread(spans, 120)
     assert (len(chosen), chosen[0], chosen[-1]) == (120, spans[0], spans[-1])
     steps = np.diff([span.first for span in chosen])
     assert set(steps) == {8, 9}
-    assert spread_spans(spans[:120], 120) == spans[:120]
+    assert evenly_spread(spans[:120], 120) == spans[:120]
 
 
 def test_spans_are_consecutive_and_restart_after_a_gap() -> None:

@@ -1,0 +1,158 @@
+"""Health checks of the poses for jumps: GNSS/INS moves or turns between frame pairs where the images do not.
+
+All take the drive's frame pairs as logged, its measured motions, and which of these are plausible (M,).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
+from conetl.geometry.motion.steps import step_misfit
+from conetl.geometry.motion.stereo_tracks import expected_motions
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.arrays import Floats
+from conetl.model.health import HealthCheck, Verdict
+from conetl.model.records import FramePair, Rig
+
+JUMPS = "jumps of the poses"
+#: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
+_LEAST_M, _JUMP_SIGMAS = 0.1, 6.0
+#: A jump of the attitude is at least so many radians, and so many of its sigmas; where no motion was measured, beyond what a
+#: vehicle may gain in turn rate (rad/s^2) against this many neighbours on each side.
+_TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
+#: Jumps that a filter spreads are sought over so many intervals, and are at least so many sigmas: good drives have up to 7.6.
+#: Shares of the distance that all motions have in common are computed from longer ones than this (m).
+_SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
+#: Least time between two frame pairs.
+_LEAST_STEP_S = 1e-3
+
+
+def check_jumps(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_]
+) -> HealthCheck:
+    """Intervals that no accepted motion confirms, and in which the log moves otherwise than their neighbours."""
+    times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
+    times_s = np.maximum.accumulate(times_s + _LEAST_STEP_S * np.arange(len(times_s)))
+    left = np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs])
+    steps_m, speeds = np.diff(left[:, :3, 3], axis=0), np.full((len(left) - 1, 3), np.nan)
+    start = measured.start[good]
+    moved = se3.compose(left[start], se3.invert(measured.next_SE3_first[good]))[:, :3, 3] - left[start, :3, 3]
+    speeds[start] = moved / np.diff(times_s)[start, None]
+    sigma_m = np.array([(max(pair.pose.sigma_enu_m[:2]), pair.pose.sigma_enu_m[2]) for pair in frame_pairs])
+    worst_m, worst = 0.0, 0
+    for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
+        errors_m = np.maximum(_LEAST_M, _JUMP_SIGMAS * sigma_m[k : k + 2].max(axis=0))
+        misfit = step_misfit(steps_m, speeds, times_s, k)
+        off_m = 0.0 if misfit is None else misfit.unexplained_m((errors_m[0], errors_m[1]))
+        if off_m > worst_m:
+            worst_m, worst = off_m, k
+    detail = "The poses do not jump."
+    if worst_m:
+        first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
+        detail = (
+            f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, and the images do not: which side is "
+            "right is unknown. Process the GNSS/INS log anew; do not deliver the parts as drives of their own, unless something "
+            "else shows that their positions are right."
+        )
+    return HealthCheck(
+        name=JUMPS, verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_LEAST_M, unit="m",
+        detail=detail,
+    )  # fmt: skip
+
+
+def check_slow_jumps(
+    frame_pairs: Sequence[FramePair],
+    log: LoggedPoses,
+    measured: MeasuredMotions,
+    good: NDArray[np.bool_],
+    residual: Floats,
+) -> HealthCheck:
+    """Whether the log moves against the images within some intervals, by more than its errors change in that time.
+
+    Each interval may agree within its own errors: a filter spreads a jump over a second. What all motions have in common (scale,
+    alignment) is taken out.
+    """
+    off_m, variance, driven_m = (np.full((len(frame_pairs) - 1, n), np.nan) for n in (3, 3, 1))
+    start = measured.start[good]
+    off_m[start], variance[start] = residual[good, 3:], np.diagonal(measured.cov[good], axis1=1, axis2=2)[:, 3:]
+    driven_m[start, 0] = np.linalg.norm(measured.next_SE3_first[good, :3, 3], axis=1)
+    long = driven_m[:, 0] > _LEAST_STEP_M
+    if long.any():
+        off_m = off_m - np.median(off_m[long] / driven_m[long], axis=0) * driven_m
+    worst, value_m, limit_m, frames = 1.0, 0.0, _LEAST_M, (0, 0)
+    for span in _SPANS:
+        if span > len(off_m):
+            break
+        moved_m, spread = (sliding_window_view(part, span, axis=0).sum(axis=-1) for part in (off_m, variance))
+        kept = sliding_window_view(log.keep[:, :3], span, axis=0).prod(axis=-1)
+        changed = 2 * log.slow[:-span, :3] ** 2 * (1 - kept) + log.white[:-span, :3] ** 2 + log.white[span:, :3] ** 2
+        limits_m = np.maximum(_LEAST_M, _SLOW_SIGMAS * np.sqrt(spread + changed.max(axis=1, keepdims=True)))
+        ratio = np.nan_to_num(np.abs(moved_m) / limits_m)
+        k, axis = divmod(int(ratio.argmax()), 3)
+        if ratio[k, axis] > worst:
+            worst, value_m, limit_m = float(ratio[k, axis]), float(abs(moved_m[k, axis])), float(limits_m[k, axis])
+            frames = frame_pairs[k].frame_index, frame_pairs[k + span].frame_index
+    detail = "GNSS/INS moves as the images do over some intervals."
+    if value_m:
+        detail = (
+            f"GNSS/INS moves by {value_m:.1f} m against the images between frame pairs {frames[0]} and {frames[1]}, more than "
+            "its stated sigmas allow: a jump that its filter has spread. Process the GNSS/INS log anew, or state its true sigmas."
+        )
+    return HealthCheck(
+        name="slow jumps of the poses", verdict=Verdict.HOLD if value_m else Verdict.PASS, value=value_m, limit=limit_m,
+        unit="m", detail=detail,
+    )  # fmt: skip
+
+
+def check_turn_jumps(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_]
+) -> HealthCheck:
+    """Intervals that no accepted motion confirms, and in which the log turns otherwise than the images or the intervals around.
+
+    A measured motion that is wrong is refused too: then it is the one that differs from its neighbours.
+    """
+    to_camera = np.array(rig.body_SE3_left)[:3, :3].T ** 2
+    sigma = np.sqrt(np.array([pair.pose.sigma_rpy_rad for pair in frame_pairs]) ** 2 @ to_camera.T)
+    times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
+    step_s = np.maximum(np.diff(times_s), _LEAST_STEP_S)
+    logged = Rotation.from_matrix([motion[:3, :3] for motion in expected_motions(frame_pairs, rig)]).as_rotvec()
+    accepted, refused = np.full_like(logged, np.nan), np.full_like(logged, np.nan)
+    if len(measured.start):
+        turns = Rotation.from_matrix(measured.next_SE3_first[:, :3, :3]).as_rotvec()
+        accepted[measured.start[good]], refused[measured.start[~good]] = turns[good], turns[~good]
+    known = ~np.isnan(accepted[:, 0])
+    worst, first = 0.0, 0
+    for k in np.flatnonzero(~known).tolist():
+        begin, end = max(k - _NEIGHBOURS, 0), min(k + _NEIGHBOURS + 1, len(known))
+        near = begin + np.flatnonzero(known[begin:end])
+        if min((near < k).sum(), (near > k).sum()) < 2:
+            continue
+        usual = np.median(accepted[near] / step_s[near, None], axis=0) * step_s[k]
+        limit = np.maximum(_TURN_RAD, _JUMP_SIGMAS * sigma[k : k + 2].max(axis=0))
+        if np.isnan(refused[k, 0]):
+            off = np.abs(logged[k] - usual)
+            limit = limit + _TURN_ACCELERATION * step_s[k] * (times_s[end] - times_s[begin]) / 8
+        else:
+            log_is_odd = np.abs(logged[k] - usual) > np.abs(refused[k] - usual)
+            off = np.abs(logged[k] - refused[k]) * log_is_odd
+        beyond = off[off > limit]
+        if len(beyond) and beyond.max() > worst:
+            worst, first = float(beyond.max()), k
+    detail = "The attitudes do not jump."
+    if worst:
+        frames = frame_pairs[first].frame_index, frame_pairs[first + 1].frame_index
+        detail = (
+            f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, and the images "
+            "do not: the attitudes on one side are wrong. Process the GNSS/INS log anew."
+        )
+    return HealthCheck(
+        name="jumps of the attitude", verdict=Verdict.HOLD if worst else Verdict.PASS, value=float(np.degrees(worst)),
+        limit=float(np.degrees(_TURN_RAD)), unit="degrees", detail=detail,
+    )  # fmt: skip
