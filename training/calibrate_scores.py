@@ -429,7 +429,7 @@ def main() -> None:
     )
     evidence, held_out, figures = measure(looks, folds_of(pictures), detector.card.sha256)
     if args.clips:
-        clips = left_out_clips(args.clips, args.more_cones, args.left_out)
+        clips = left_out_clips(args.clips, args.left_out)
         evidence = evidence.model_copy(update={"false_boxes_by_class": false_box_bounds(detector, clips)})
     print(model_card_text(evidence, figures))
     if args.json:

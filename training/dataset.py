@@ -184,12 +184,11 @@ def redder(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)
 
 
-def read_labelled_clips(
-    clips: Path, labels: Path, more_cones: Path, left_out: frozenset[str] = frozenset()
-) -> list[Image]:
+def read_labelled_clips(clips: Path, labels: Path, left_out: frozenset[str] = frozenset()) -> list[Image]:
     """The labelled frames of the work-zone clips, all classes (labels/README.md).
 
-    Where a frame lies among `more_cones` it is taken from there: its far crowds are blurred.
+    The frames of the clips themselves: in their copies in `roadwork_clips_us` crowds of far cones, which are labelled here, are
+    painted over.
     """
     pictures = []
     for path in sorted(labels.glob("*.csv")):
@@ -213,10 +212,7 @@ def read_labelled_clips(
             things = [row for row in here if row["class"] in CLASSES]
             objects = objects_from([boxes[id(row)] for row in things], [CLASSES.index(row["class"]) for row in things])
             fades = np.array([boxes[id(row)] for row in here if row["class"] == IGNORED]).reshape(-1, 4)
-            name = f"{path.stem}_{index:04d}"
-            blurred = more_cones / "roadwork_clips_us" / "images" / f"{name}.jpg"
-            image = cv2.imread(str(blurred)) if blurred.exists() else image
-            pictures.append(Image(name, "labelled_clips", image, objects, fades))
+            pictures.append(Image(f"{path.stem}_{index:04d}", "labelled_clips", image, objects, fades))
     return pictures
 
 

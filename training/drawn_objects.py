@@ -260,7 +260,10 @@ def _plate(
     points = np.round(outline * (plate.shape[1] - 1, plate.shape[0] - 1)).astype(np.int32)
     cv2.fillPoly(plate, [points], (*(rim or face), 255.0))
     if rim is not None:
-        inner = (outline - 0.5) * rng.uniform(0.82, 0.94) + 0.5
+        middle = outline.mean(0)
+        inner = (outline - middle) * (
+            rng.uniform(0.58, 0.84) if len(outline) == 3 else rng.uniform(0.82, 0.94)
+        ) + middle
         points = np.round(inner * (plate.shape[1] - 1, plate.shape[0] - 1)).astype(np.int32)
         cv2.fillPoly(plate, [points], (*face, 255.0))
     return plate
@@ -296,9 +299,38 @@ def _polygon(corners: int) -> np.ndarray:
     return (points - points.min(0)) / (points.max(0) - points.min(0))
 
 
+def _man_at_work(plate: np.ndarray, rng: np.random.Generator) -> None:
+    """The figure of sign A, 15 of the Vienna Convention in the lower middle of a triangle (h, w, 4): a man with a shovel."""
+    rows, columns = plate.shape[:2]
+    drawn = np.zeros((rows, columns), np.uint8)
+    wide = 0.22 * columns * rng.uniform(0.8, 1.1)
+    thick = max(round(wide * rng.uniform(0.18, 0.3)), 1)
+
+    def at(x: float, y: float) -> tuple[int, int]:
+        """From the figure's middle, to the right and down, in shares of half its width."""
+        return round(columns / 2 + way * x * wide), round(rows * 0.68 + y * wide)
+
+    way = rng.choice((-1, 1))
+    head, hip, hand = (-0.25, -1.0), (-0.55 + rng.normal(0, 0.05), -0.1), (0.3, -0.15 + rng.normal(0, 0.08))
+    cv2.circle(drawn, at(*head), max(round(0.2 * wide), 1), 255, -1, cv2.LINE_AA)
+    for one, other, width in (
+        ((-0.35, -0.7), hip, 1.5), ((-0.35, -0.65), hand, 0.9), (hip, (-0.9, 0.75), 1.1), (hip, (-0.25, 0.75), 1.1),
+        ((-0.1, -0.45), (0.75, 0.45), 0.5),
+    ):  # fmt: skip
+        cv2.line(drawn, at(*one), at(*other), 255, max(round(width * thick), 1), cv2.LINE_AA)
+    cv2.ellipse(drawn, at(0.75, 0.8), (round(0.45 * wide), round(0.45 * wide)), 0, 180, 360, 255, -1, cv2.LINE_AA)
+    share = drawn[..., None] / np.float32(255)
+    plate[..., :3] = share * np.float32(BLACK) + (1 - share) * plate[..., :3]
+
+
 def _work_zone_sign(rng: np.random.Generator) -> CutOut:
     orange = _orange(rng) if rng.random() < 0.93 else (170.0, 90.0, 235.0)
     side = SIZE_PX * 0.8
+    if rng.random() < 0.35:
+        face = (20.0, 195.0, 245.0) if rng.random() < 0.35 else _white(rng)
+        plate = _plate(TRIANGLE, (side, side * rng.uniform(0.85, 1.0)), face, (35, 30, 190), rng)
+        _man_at_work(plate, rng)
+        return _on_post(plate, "work_zone_sign", rng)
     if rng.random() < 0.6:
         plate = _plate(DIAMOND, (side, side), orange, BLACK if rng.random() < 0.5 else None, rng)
     else:

@@ -198,10 +198,10 @@ def judge_classes(source: str, images: list[Image], found: list[np.ndarray]) -> 
     return tables
 
 
-def left_out_clips(clips: Path, more_cones: Path, left_out: str) -> list[Image]:
+def left_out_clips(clips: Path, left_out: str) -> list[Image]:
     """The labelled frames, of all classes, of the clips that were left out of training."""
     others = frozenset(path.stem for path in LABELS.glob("*.csv")) - set(left_out.split(","))
-    return read_labelled_clips(clips, LABELS, more_cones, others)
+    return read_labelled_clips(clips, LABELS, others)
 
 
 def main() -> None:
@@ -232,7 +232,7 @@ def main() -> None:
         elsewhere = [off_unlabelled(picture, boxes, places) for picture, boxes in zip(pictures, found, strict=True)]
         judged["the split, off unlabelled"] = groups["validation split"], elsewhere
     of_all_classes = {
-        "clips": left_out_clips(args.clips, args.more_cones, args.left_out) if args.clips else [],
+        "clips": left_out_clips(args.clips, args.left_out) if args.clips else [],
         "renders": read_renders(args.labelled, set()) if args.labelled else [],
     }
     tables = {}

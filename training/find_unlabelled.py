@@ -60,9 +60,9 @@ def main() -> None:
     complete, left_out = [], frozenset(args.leave_out.split(","))
     if args.more_cones:
         complete += [p for p in read_more_cones(args.more_cones, left_out) if p.source.endswith("_negatives")]
-    if args.more_cones and args.clips:
+    if args.clips:
         labels = Path(__file__).parent / "labels"
-        complete += read_labelled_clips(args.clips, labels, args.more_cones, left_out)
+        complete += read_labelled_clips(args.clips, labels, left_out)
     false = {
         p.name: [box for scale in SCALES for box in boxes_without_label(detector, p, scale, args.score, 0.0)]
         for p in complete

@@ -287,7 +287,8 @@ def _random_devices(rng: np.random.Generator, road: Road) -> list[RoadObject]:
             rng.uniform(1.0, 2.2),
         )
     kinds = ("diamond", "work_triangle", "arrow_board", "speed_disc", "mandatory_disc", "warning_triangle", "rectangle")
-    for kind in rng.choice(kinds, int(rng.integers(0, 6))).tolist():
+    # Both triangles more often than the rest: they differ by their figure alone.
+    for kind in rng.choice(kinds, int(rng.integers(0, 7)), p=(0.14, 0.25, 0.1, 0.12, 0.09, 0.18, 0.12)).tolist():
         y = road.right_m - rng.uniform(0.3, 2.5) if rng.random() < 0.6 else road.left_m + rng.uniform(0.3, 2.5)
         width = rng.uniform(1.8, 2.6) if kind == "arrow_board" else rng.uniform(0.5, 1.2)
         lowest = width * (1.25 if kind == "rectangle" else 1.0) + 0.3

@@ -69,7 +69,7 @@ class Batches(IterableDataset):
         if args.more_cones:
             pictures += [p for p in read_more_cones(Path(args.more_cones), left_out) if p.source != "roadwork_clips_us"]
         if args.clips:
-            pictures += read_labelled_clips(Path(args.clips), LABELS, Path(args.more_cones), left_out)
+            pictures += read_labelled_clips(Path(args.clips), LABELS, left_out)
         cones = cut_out_cones([p for p in pictures if p.source in ("rf_traffic_cones", "frc_conesandcubes")])
         drawn = np.random.default_rng(args.seed)
         self.cutouts = {"traffic_cone": cones + [draw_cone(drawn) for _ in range(1500)]}
