@@ -166,8 +166,8 @@ where m.map_name = %(map_name)s
 order by c.changeset_no;
 
 -- name: drives_at_the_same_time
--- The active drives with other content that were around a path while it was driven, or of the same id and length at any time, and
--- are not on hold.
+-- The active drives with other content that were around a path while it was driven, or are of the same length at any time and have
+-- the same id or begin within 20 m of it (2 m, and frame pairs that were lost), and are not on hold.
 -- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); frame_count; content_sha256; path_wkt, srid (a line).
 -- Columns: drive_uuid, drive_id, changeset_no, rig.
 select d.drive_uuid, d.drive_id, d.changeset_no, d.rig
@@ -177,7 +177,11 @@ where m.map_name = %(map_name)s and m.srid = %(srid)s and d.rig is not null
 and d.content_sha256 <> %(content_sha256)s
 and case
     when d.drive_id = %(drive_id)s then d.expected_frame_count = %(frame_count)s
-    else d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s
+    when d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s then true
+    else d.expected_frame_count = %(frame_count)s and ST_DWithin(
+        (select ST_Force2D(f.geom) from conetl.frame_pair f where f.drive_uuid = d.drive_uuid order by f.frame_index limit 1),
+        ST_StartPoint(ST_GeomFromText(%(path_wkt)s, %(srid)s)), 20
+    )
 end
 and ST_Intersects(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s))
 and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)

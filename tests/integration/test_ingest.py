@@ -268,10 +268,10 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
 def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     """Only decoding finds that out, after the drive was read: no cone may go for it."""
     assert desk.ingest(small_drive).counts[DeltaKind.ADDED] > 3
-    later, last = (part_of(DRIVES[0], tmp_path / name, 16, skip=4) for name in ("later", "last"))
+    later, last = (part_of(DRIVES[1], tmp_path / name, 16, skip=4) for name in ("later", "last"))
     for drive, day, whole in ((later, "2026-03-12", 4), (last, "2026-03-13", 0)):
         for stamps in drive.glob("*/timestamps.txt"):
-            stamps.write_text(stamps.read_text().replace("2026-03-02", day))
+            stamps.write_text(stamps.read_text().replace("2026-03-03", day))
         for image in sorted((drive / "image_02" / "data").iterdir())[whole:]:
             spoil_huffman_table(image)
     with pytest.raises(TooManyRejectionsError, match="12 of 16 frame pairs") as doubted:
@@ -300,6 +300,11 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
     again = rf"this is the recording of drive {small_drive.name} again \(changeset 1\)"
     with pytest.raises(InputError, match=again):
         desk.ingest(other_name)
+    next_day = part_of(DRIVES[0], small_drive.with_name("the next day"), 16, skip=4)
+    for stamps in next_day.glob("*/timestamps.txt"):
+        stamps.write_text(stamps.read_text().replace("2026-03-02", "2026-03-03"))
+    with pytest.raises(InputError, match=again):
+        desk.ingest(next_day)
     (small_drive / "drive.yaml").write_text("timestamps_timezone: Europe/Berlin\n")
     with pytest.raises(InputError, match=r"other time stamps \(changeset 1\).*conetl map revert 1"):
         desk.ingest(small_drive)

@@ -20,6 +20,10 @@ from conetl.pipeline.settings import Settings
 _SAME_CAMERA_M, _SAME_CAMERA_RAD = 2.0, 0.5
 #: Two recordings never have the same intervals between all their images; texts of time stamps may be rounded.
 _SAME_STAMP_NS = 2_000_000
+#: The adjusted poses of a drive are within its stated sigmas and this of its log. No vehicle repeats a drive so exactly, frame by
+#: frame, nor to `_MOST_LOG_M`; a few frames, or those of a vehicle that waits, do not show that.
+_SAME_LOG_M, _SAME_LOG_RAD, _LEAST_PAIRS, _LEAST_PATH_M = 0.1, np.radians(0.1), 8, 5.0
+_MOST_LOG_M, _MOST_LOG_RAD = 0.5, np.radians(0.5)
 
 
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
@@ -48,15 +52,30 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
             )
         raise MapMismatchError(
             f"{drive.source_path}: this is the recording of drive {other.drive_id} again (changeset {other.changeset_no}), with "
-            "other settings or files: the left camera was at the same places at the same times. The two would count as two "
-            f"surveys. If this one is to replace it, `conetl map revert {other.changeset_no}`. Nothing was written."
+            "other settings, files or time stamps: the left camera was at the same places at the same times, or in all frames "
+            "with stamps off by one time. The two would count as two surveys. If this one is to replace it, "
+            f"`conetl map revert {other.changeset_no}`. Nothing was written."
         )
 
 
 def _is_same_recording(drive: Drive, other: DriveThen, pairs: Sequence[FramePair]) -> bool:
     if other.drive_id == drive.drive_id:
-        pairs = at_the_times_of(drive, pairs)
-    return is_same_camera(drive, other.rig, pairs)
+        return is_same_camera(drive, other.rig, at_the_times_of(drive, pairs))
+    return is_same_camera(drive, other.rig, pairs) or has_the_same_log(drive, other.rig, pairs)
+
+
+def has_the_same_log(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
+    """Whether frame pairs have the poses of a drive, frame by frame, and time stamps that are all off by one time."""
+    pairs = at_the_times_of(drive, pairs)
+    if len(pairs) < _LEAST_PAIRS:
+        return False
+    path_m = np.array([pair.pose.map_t_body_m[:2] for pair in pairs])
+    if np.hypot(*np.ptp(path_m, axis=0)) < _LEAST_PATH_M:
+        return False
+    sigma_m = float(np.median([np.hypot(*pair.pose.sigma_enu_m[:2]) for pair in pairs]))
+    sigma_rad = float(np.median([np.hypot(*pair.pose.sigma_rpy_rad[1:]) for pair in pairs]))
+    within_m, within_rad = min(_SAME_LOG_M + sigma_m, _MOST_LOG_M), min(_SAME_LOG_RAD + sigma_rad, _MOST_LOG_RAD)
+    return is_same_camera(drive, rig, pairs, within_m=within_m, within_rad=within_rad)
 
 
 def at_the_times_of(drive: Drive, pairs: Sequence[FramePair]) -> list[FramePair]:
@@ -69,9 +88,16 @@ def at_the_times_of(drive: Drive, pairs: Sequence[FramePair]) -> list[FramePair]
     return [pair.model_copy(update={"captured_at_ns": pair.captured_at_ns + off_ns[0]}) for pair in pairs]
 
 
-def is_same_camera(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
+def is_same_camera(
+    drive: Drive,
+    rig: Rig,
+    pairs: Sequence[FramePair],
+    *,
+    within_m: float = _SAME_CAMERA_M,
+    within_rad: float = _SAME_CAMERA_RAD,
+) -> bool:
     """Whether a drive's left camera was, in most of its frames of that time, where that of other frame pairs was, and looked the
-    same way: to `_SAME_CAMERA_M` and `_SAME_CAMERA_RAD`, which allow for another lever arm, GNSS solution or start of the clock.
+    same way. The tolerances allow for another lever arm, GNSS solution or start of the clock.
 
     Two vehicles are farther apart; two rigs of one vehicle look in different directions.
     """
@@ -89,6 +115,4 @@ def is_same_camera(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
     at_ns, here = at_ns[both], here[both]
     apart_m = here[:, :2, 3] - np.column_stack([np.interp(at_ns, times_ns, there[:, axis, 3]) for axis in (0, 1)])
     cosines = (here[:, :3, 2] * there[np.searchsorted(times_ns, at_ns), :3, 2]).sum(axis=1)
-    return bool(
-        np.median(np.linalg.norm(apart_m, axis=1)) < _SAME_CAMERA_M and np.median(cosines) > np.cos(_SAME_CAMERA_RAD)
-    )
+    return bool(np.median(np.linalg.norm(apart_m, axis=1)) < within_m and np.median(cosines) > np.cos(within_rad))

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.model.records import Drive, FramePair, Rig
-from conetl.pipeline.same_recording import at_the_times_of, is_same_camera
+from conetl.pipeline.same_recording import at_the_times_of, has_the_same_log, is_same_camera
 from tests.synthetic.world import make_path, make_rig, shifted
 
 RIG = make_rig()
@@ -51,3 +51,23 @@ def test_the_same_camera(pairs: list[FramePair], rig: Rig, same: bool) -> None:
 def test_time_stamps_of_another_zone_are_those_of_the_same_recording() -> None:
     assert at_the_times_of(DRIVE, [later(pair, 7200.0) for pair in PAIRS[3:]]) == list(PAIRS[3:])
     assert at_the_times_of(DRIVE, [later(pair, 7200.0 + 0.003 * (k % 2)) for k, pair in enumerate(PAIRS)]) == []
+
+
+@pytest.mark.parametrize(
+    ("pairs", "same"),
+    [
+        (PAIRS, True),
+        (PAIRS[4:], True),  # the first ones are lost
+        (
+            [shifted(pair, (0.02 * (-1) ** k, 0.01, 0.0)) for k, pair in enumerate(PAIRS)],
+            True,
+        ),  # adjusted to the images
+        ([shifted(pair, (0.4, 0.0, 0.0)) for pair in PAIRS], False),  # another drive in the same lane
+        ([shifted(pair, (0.0, 0.05 * k, 0.0)) for k, pair in enumerate(PAIRS)], False),
+        (PAIRS[:7], False),
+        ([pair.model_copy(update={"pose": PAIRS[0].pose}) for pair in PAIRS], False),  # a vehicle that waits
+    ],
+)
+def test_the_log_of_a_recording_is_known_whatever_its_clock(pairs: list[FramePair], same: bool) -> None:
+    drive = DRIVE if len({pair.pose for pair in pairs}) > 1 else DRIVE.model_copy(update={"frame_pairs": tuple(pairs)})
+    assert has_the_same_log(drive, RIG, [later(pair, 3600.0) for pair in pairs]) is same

@@ -103,8 +103,8 @@ class DriveThen(NamedTuple):
 
 
 def drives_at_the_same_time(conn: Connection, drive: Drive, path_wkt: str, *, map_name: str) -> list[DriveThen]:
-    """The drives that count, of other content, whose areas and times meet those of a drive that is not stored yet; of its own id
-    and length at any time.
+    """The drives that count, of other content, whose areas and times meet those of a drive that is not stored yet; of its own
+    length and id, or length and beginning, at any time.
 
     path_wkt: its path (line, map CRS).
     """
