@@ -126,6 +126,17 @@ where m.map_name = %(map_name)s and starts_with(f.feature_id::text, %(beginning)
 order by f.feature_id
 limit %(max_rows)s;
 
+-- name: far_from_all
+-- Which of some points are farther than far_m from every drive and imported map that counts; none where nothing does.
+-- Parameters: map_id; eastings_m, northings_m (float8[], map CRS); far_m. Columns: is_far, in the order of the points.
+select exists (select from conetl.active_drive a where a.map_id = %(map_id)s) and not exists (
+    select from conetl.active_drive d
+    where d.map_id = %(map_id)s
+    and ST_DWithin(d.area, ST_SetSRID(ST_MakePoint(p.easting_m, p.northing_m), d.srid), %(far_m)s)
+) as is_far
+from unnest(%(eastings_m)s::float8[], %(northings_m)s::float8[]) with ordinality as p (easting_m, northing_m, n)
+order by p.n;
+
 -- name: known_ids
 -- Which of these ids are features of this database, and where each stands or last stood.
 -- Parameters: feature_ids (uuid[]).

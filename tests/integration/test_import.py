@@ -40,9 +40,9 @@ PARAMS = ImportParams()
 NEW_IDS = ImportParams(new_ids=True)
 
 
-def take(conn, path, *, params=PARAMS, map_name="default", **options):
+def take(conn, path, *, params=PARAMS, map_name="default", accept=False, **options):
     read = read_map_file(path, params, **({"map_srid": 32632} | options))
-    return import_map(conn, read, params, map_name=map_name)
+    return import_map(conn, read, params, map_name=map_name, accept=accept)
 
 
 @pytest.fixture(scope="module")
@@ -302,6 +302,55 @@ def test_heights_of_another_system_are_refused_where_the_map_has_the_same_cones(
     assert take(conn, plain_csv(tmp_path), **options).committed
 
 
+def test_a_wrong_zone_is_refused_where_the_maps_own_would_put_the_file_on_the_map(conn, tmp_path):
+    """Six degrees of longitude, 439 km: within the margin of the map's own area of use."""
+    path, options = plain_csv(tmp_path), {"stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    assert take(conn, path, map_name="empty", crs="EPSG:32633", **options).far == 0, "nothing to compare it with"
+    merge(conn, survey(0))
+    conn.commit()
+    with pytest.raises(InputError, match=r"1 km from everything .*--crs EPSG:32632\).*--accept.* nothing was written"):
+        take(conn, path, crs="EPSG:32633", **options)
+    conn.rollback()
+    assert take(conn, path, crs="EPSG:32632", **options).far == 0
+    path.write_text(path.read_text() + "\n")  # another file: the ids of this one are on the map
+    accepted = take(conn, path, crs="EPSG:32633", accept=True, **options)
+    assert (accepted.counts[DeltaKind.ADDED], accepted.far) == (len(DAYS[0]), len(DAYS[0]))
+    assert failed_audits(conn) == []
+
+
+def test_cones_of_another_datum_are_refused_unless_they_are_accepted(conn, tmp_path):
+    irregular = [(0.0, 0.0), (5.3, 0.2), (9.4, 0.1), (14.8, 0.4), (19.1, 0.2)]
+
+    def survey_file(name, east_m, north_m):
+        rows = [f"{458000 + x + east_m},{5428000 + y + north_m},115" for x, y in irregular]
+        (tmp_path / name).write_text("\n".join(["easting_m,northing_m,ellipsoidal_height_m", *rows]))
+        return tmp_path / name
+
+    options = {"crs": "EPSG:32632", "stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    assert take(conn, survey_file("etrs.csv", 0.0, 0.0), **options).committed
+    other = survey_file("ed50.csv", 81.0, 202.0)
+    with pytest.raises(InputError, match=r"lie 217\.6 m from those of the map default.*--accept.* nothing was written"):
+        take(conn, other, **options)
+    conn.rollback()
+    assert take(conn, other, accept=True, **options).counts[DeltaKind.ADDED] == len(irregular)
+    assert take(conn, survey_file("next.csv", 30.0, 0.7), **options).committed, "the road goes on"
+
+
+@pytest.mark.parametrize(("decimals", "sigma_m", "refused"), [(5, 0.02, True), (5, 0.4, False), (7, 0.02, False)])
+def test_rounded_degrees_are_refused_where_the_stated_sigmas_do_not_cover_it(tmp_path, decimals, sigma_m, refused):
+    rows = [
+        ([round(8.43 + 1.2345678e-5 * k, decimals), round(49.01 + 1e-5 * k, decimals), 115.0], SEEN) for k in range(5)
+    ]
+    path, params = geojson(tmp_path / "a.geojson", rows), ImportParams(sigma_m=sigma_m)
+    if refused:
+        with pytest.raises(
+            InputError, match=r"5 decimals, which are 1\.1 m, but its stated sigmas are 0\.02 m.*--sigma-m 0\.34"
+        ):
+            read_map_file(path, params, map_srid=32632)
+    else:
+        assert len(read_map_file(path, params, map_srid=32632).statements) == 5
+
+
 def test_the_same_file_by_its_right_crs_is_another_import(conn, tmp_path):
     """A slip in --crs is mended by reverting and importing again, with no other option changed."""
     path = plain_csv(tmp_path)
@@ -455,7 +504,7 @@ BAD = {
     ],
 )
 def test_places_at_the_antimeridian_are_taken(tmp_path, srid, places):
-    path = geojson(tmp_path / "far.geojson", [([*place, 20.0], SEEN) for place in places])
+    path = geojson(tmp_path / "far.geojson", [([lon, lat + 1e-8, 20.0], SEEN) for lon, lat in places])  # not rounded
     read = read_map_file(path, PARAMS, map_srid=srid)
     back = Transformer.from_crs(srid, "OGC:CRS84", always_xy=True)
     for place, statement in zip(places, read.statements, strict=True):

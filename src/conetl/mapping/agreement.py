@@ -36,6 +36,8 @@ _LEAST_OFFSET_M, _LEAST_RISE_M = 0.1, 0.3
 _LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
+#: An imported map may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
+_IMPORT_DISPLACEMENT_M = 300.0
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
 #: A fit is distinct if no other one, so many gates apart, fits this share as many; else some of the map's cones must be absent.
 _APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
@@ -108,7 +110,7 @@ def _displaced(
     share = len(some) / max(len(near), 1)
     found = share * (kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED])
     least = max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(some), 2 * found + 1)
-    fit = _best_fit(t[some, :2], f[:, :2], params.min_gate_m) if least <= len(some) else None
+    fit = _best_fit(t[some, :2], f[:, :2], params.min_gate_m, _MAX_DISPLACEMENT_M) if least <= len(some) else None
     if fit is None or fit.agreeing < least:
         return None
     absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
@@ -129,16 +131,43 @@ def _displaced(
     return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, _MAX_SIGMAS * sigma_m))
 
 
-def height_difference(
+def imported_displacement(
     stated: Sequence[MapFeature], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    """Whether the cones that an imported map states lie higher or lower than those of the map at the same positions."""
-    pairs = _same_positions(stated, features, np.zeros(3), params)
-    if not pairs:
+    """The common displacement of the cones that an imported map states against the map's; None where their sigmas cover it.
+
+    Cones at equal distances fit a row farther along, or the same plan elsewhere, as well: only an irregular arrangement that fits
+    once, within what two surveys of the same cones differ by, is taken for the same cones.
+    """
+    if not stated or not features:
         return None
-    up_m = np.median([stated[i].xyz_m[2] - features[j].xyz_m[2] for i, j in pairs.items()])
-    variance = np.mean([stated[i].cov_m2[5] + features[j].cov_m2[5] for i, j in pairs.items()])
-    return _higher(float(up_m), float(np.sqrt(variance)), len(pairs), "cones", "the same cones")
+    t, f = (np.array([one.xyz_m for one in side]) for side in (stated, features))
+    covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
+    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _IMPORT_DISPLACEMENT_M)
+    pairs = _same_positions(stated, features, np.zeros(3), params)
+    if pairs:
+        i, j = list(pairs), list(pairs.values())
+        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(near) else (0.0, 0.0, 1.0)
+        common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
+        if common is not None:
+            return common
+    some = near[:: 1 + len(near) // _MAX_TRACKS]
+    found = len(pairs) * len(some) / max(len(near), 1)
+    least = max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(some), 2 * found + 1)
+    if least > len(some):
+        return None
+    spacing_m = np.asarray(cKDTree(t[near, :2]).query(t[some, :2], 2)[0])[:, 1]
+    if spacing_m.std() < 2 * _SAME_ZONE_M:
+        return None
+    sigma_m = _horizontal_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
+    limit_m = min(params.max_offset_m, _MAX_SIGMAS * sigma_m)
+    for gate_m in (params.min_gate_m, 2 * _SAME_ZONE_M):
+        fit = _best_fit(t[some, :2], f[:, :2], gate_m, _IMPORT_DISPLACEMENT_M)
+        if fit is None or fit.agreeing < least or not fit.distinct or fit.largest_m <= limit_m:
+            continue
+        if fit.residual_m <= _SAME_ZONE_M or (fit.beside and fit.middle_m <= _MAX_DISPLACEMENT_M):
+            return _aside(fit.middle_m, sigma_m, "", limit_m)
+    return None
 
 
 def _same_positions(
@@ -223,10 +252,11 @@ class _Fit(NamedTuple):
     """Whether no other displacement fits nearly as well, as along a row of equal distances."""
 
 
-def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
+def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float) -> _Fit | None:
     """Of all displacements that put two tracks onto two features the one with which most tracks fit; of equals the smallest.
 
-    t (N, 2), f (M, 2): tracks and features. Two tracks far from each other are tried with all features at their distance.
+    t (N, 2), f (M, 2): tracks and features; gate_m: of a fit; within_m: farthest displacement. Two tracks far from each other are
+    tried with all features at their distance.
     """
     along = np.linalg.svd(t - t.mean(axis=0), full_matrices=False)[2][0]
     extent_m = float(np.ptp(t @ along))
@@ -235,9 +265,7 @@ def _best_fit(t: Floats, f: Floats, gate_m: float) -> _Fit | None:
     for i in range(0, len(t), 1 + len(t) // _STARTS):
         lengths = np.hypot(*(t - t[i]).T)
         j = int(np.argmax(np.where(lengths <= _LONGEST_BASE_M, lengths, 0.0)))
-        first, second = (
-            np.array(tree.query_ball_point(t[k], _MAX_DISPLACEMENT_M, return_sorted=True), np.intp) for k in (i, j)
-        )
+        first, second = (np.array(tree.query_ball_point(t[k], within_m, return_sorted=True), np.intp) for k in (i, j))
         first, second = (near[:: 1 + len(near) // _MAX_NEAR] for near in (first, second))
         a, b = (grid.ravel() for grid in np.meshgrid(first, second))
         base, others = t[j] - t[i], f[b] - f[a]

@@ -255,3 +255,5 @@ class ImportedMap:
     it assigns its own."""
     lines_left_out: int = 0
     """Lane markings in the file, which are not imported."""
+    as_written: tuple[tuple[float, float], ...] = ()
+    """The first two coordinates of each statement in a file of projected coordinates, as they are written there."""

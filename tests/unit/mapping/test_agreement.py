@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.mapping.agreement import _blind, contradiction
+from conetl.mapping.agreement import _blind, contradiction, imported_displacement
 from conetl.mapping.changes import reconcile
 from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import DeltaKind, MapFeature
@@ -186,3 +186,46 @@ def test_a_sign_above_a_cone_is_no_cone_of_a_higher_drive() -> None:
     assert "higher" in str(contradiction(above, cones, (), PARAMS))
     signs = [track.model_copy(update={"category": "work_zone_sign"}) for track in above]
     assert contradiction(signs, cones, (), PARAMS) is None
+
+
+#: The zone as people set it up, and another one like it.
+SET_UP, LIKE_IT = (ZONE + np.random.default_rng(seed).normal(0, (0.2, 0.1, 0), ZONE.shape) for seed in (1, 2))
+
+
+def imported(places: Floats, before: Floats, sigma_m: float = 0.03) -> str | None:
+    """What an imported map of cones at `places` (N, 3), measured anew, finds against a map with cones at `before`."""
+    stated = features_at(places + np.random.default_rng(5).normal(0, 0.01, places.shape), sigma_m)
+    found = imported_displacement(stated, features_at(before), PARAMS)
+    return found and found.detail
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "says"),
+    [
+        ((0.3, 0.2, 0.0), "0.4 m from"),
+        ((1.0, 0.0, 0.0), "1.0 m from"),  # ITRF and ETRS89
+        ((2.0, 9.0, 0.0), "9.2 m from"),  # feet of two lengths
+        ((80.0, 200.0, 0.0), "215.4 m from"),  # ED50
+        ((0.0, 0.0, -47.6), "47.6 m lower"),
+    ],
+)
+def test_the_same_cones_in_another_datum_are_found_in_an_imported_map(shift_m: Floats, says: str) -> None:
+    assert says in (imported(SET_UP + shift_m, SET_UP) or "")
+    assert says in (imported((SET_UP + shift_m)[1:8], np.vstack([SET_UP, LIKE_IT + np.array((0, 12.0, 0))])) or "")
+
+
+@pytest.mark.parametrize(
+    ("places", "before", "sigma_m"),
+    [
+        (SET_UP, SET_UP, 0.03),
+        (SET_UP + np.array((1.0, 1.5, 0)), SET_UP, 0.5),  # within its sigmas
+        (ZONE + np.array((45.0, 0, 0)), ZONE, 0.03),  # a plan, section by section
+        (ZONE + np.array((0, 3.5, 0)), ZONE, 0.03),  # both sides of a lane
+        (LIKE_IT + np.array((0, 90.0, 0)), SET_UP, 0.03),  # another street
+        (LIKE_IT + np.array((2.0, 150.0, 0)), np.vstack([SET_UP, SET_UP + np.array((0, 300.0, 0))]), 0.03),
+        (np.vstack([SET_UP[:3], SET_UP[3:] + np.array((1.0, 1.0, 0))]), SET_UP, 0.03),  # moved in part
+    ],
+    ids=("the same", "within its sigmas", "goes on", "two sides", "another zone", "between two", "moved"),
+)
+def test_other_cones_of_an_imported_map_are_no_displacement(places: Floats, before: Floats, sigma_m: float) -> None:
+    assert imported(places, before, sigma_m) is None

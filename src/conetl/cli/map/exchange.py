@@ -151,6 +151,9 @@ def import_(
     new_ids: Annotated[
         bool, typer.Option("--new-ids", help="Create new ids instead of using those of the file.")
     ] = False,
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Import it although its positions or heights contradict those of the map.")
+    ] = False,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -179,7 +182,7 @@ def import_(
         _require_map_srid(imported.srid)
         total = len(imported.statements)
         noun = "cone" if all(one.feature.category == CONE for one in imported.statements) else "object"
-        done = import_map(conn, imported, params, map_name=settings.map_name)
+        done = import_map(conn, imported, params, map_name=settings.map_name, accept=accept)
     if imported.lines_left_out:
         note(
             f"{counted(imported.lines_left_out, noun_of(LANE_MARKING))} of {file} left out: only point objects are imported"
@@ -193,6 +196,11 @@ def import_(
         note(
             f"{done.same_place} of {counted(total, noun)} stand exactly where objects of the map stand. If the file was made "
             "from this map, its evidence counts twice now: undo the import with `conetl map revert`"
+        )
+    if done.far:
+        note(
+            f"{done.far} of {counted(total, noun)} stand more than 1 km from everything on the map {settings.map_name}: are the "
+            "CRS of the file and the map right? If not, undo the import with `conetl map revert`"
         )
     others = Counter(one.feature.category for one in imported.statements if one.feature.category not in FEATURE_CLASSES)
     if others:

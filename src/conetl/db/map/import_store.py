@@ -17,6 +17,7 @@ from conetl.db.map.map_store import map_for, require_map, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, MapInfo, Replay, RunInfo
 from conetl.db.map.rows import feature_of
+from conetl.model.arrays import Bools, Floats
 from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap
 from conetl.model.params import ReconcileParams
 from conetl.model.records import utc_from_ns
@@ -47,6 +48,15 @@ def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, Known
         )
         for row in rows
     }
+
+
+def far_from_all(conn: Connection, info: MapInfo, xy_m: Floats, far_m: float) -> Bools:
+    """Which of the positions (N, 2) are farther than this from every drive and imported map that counts; none if nothing does."""
+    cells, of = np.unique(np.floor(xy_m / (far_m / 10)), axis=0, return_inverse=True)
+    east, north = ((cells + 0.5) * (far_m / 10)).T.tolist()
+    what, where = f"The map {info.map_name} cannot be read", {"eastings_m": east, "northings_m": north, "far_m": far_m}
+    far = [row["is_far"] for row in db.read(conn, what, "map.far_from_all", map_id=info.map_id, **where)]
+    return np.array(far, bool)[of.reshape(-1)]
 
 
 class StatedVersion(NamedTuple):

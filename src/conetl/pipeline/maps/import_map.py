@@ -20,13 +20,15 @@ from conetl.db.map.map_store import find_changeset, find_map, map_for, map_trans
 from conetl.db.map.replay_store import affected_drives, superseded_drives
 from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
-from conetl.mapping.agreement import height_difference
+from conetl.geometry.geodesy import to_crs
+from conetl.mapping.agreement import imported_displacement
 from conetl.mapping.history import DriveEvidence
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Bools, Floats
 from conetl.model.errors import InputError
 from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap
 from conetl.model.params import ImportParams, params_sha256
 from conetl.pipeline.replay import founding_key, replay_of
+from conetl.readers.base_layers.georeferencing import FAR_M
 
 _NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
 #: No network took part.
@@ -49,13 +51,17 @@ class ImportResult(NamedTuple):
     """Rows that were left out: this map exported them, so they are no evidence."""
     same_place: int = 0
     """Rows with ids of their own that stand where cones of the map stand, to a millimetre."""
+    far: int = 0
+    """Rows that stand farther than `FAR_M` from everything on a map that was not empty."""
 
 
-def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str) -> ImportResult:
+def import_map(
+    conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str, accept: bool = False
+) -> ImportResult:
     """Compare an imported map with this one as the drives recorded before it left it, and commit what follows, or nothing.
 
-    The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken, and for
-    heights that are not those of the map.
+    The same file with other parameters takes the place of its first import. accept: although its positions or heights are not
+    those of the map. Raises InputError for ids that are taken, and for such positions and heights.
     """
     started_at = datetime.now(UTC)
     with map_transaction(conn, map_name):
@@ -63,7 +69,9 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
         own = set() if before is None or imported.founds_ids else _own_rows(conn, before, imported.statements)
         if len(own) == len(imported.statements):
             return ImportResult(None, False, dict.fromkeys(DeltaKind, 0), 0, own=len(own))
-        imported = replace(imported, statements=[s for i, s in enumerate(imported.statements) if i not in own])
+        left = [i for i in range(len(imported.statements)) if i not in own]
+        written = tuple(imported.as_written[i] for i in left) if imported.as_written else ()
+        imported = replace(imported, statements=[imported.statements[i] for i in left], as_written=written)
         keys = _keys(imported, params)
         taken = [known for one in keys if (known := find_changeset(conn, one, map_name=map_name)) is not None]
         for known in taken:
@@ -82,7 +90,10 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
         )
         imported = _with_ids_of_map(imported, info.id_name)
         _refuse_taken_ids(conn, imported, params, map_name)
-        _refuse_other_heights(conn, imported, params, map_name)
+        if not accept:
+            _refuse_other_crs(conn, imported, info)
+            _refuse_displaced(conn, imported, params, map_name)
+        far = int(_far_from(conn, info, _places_m(imported.statements)).sum())
         drive_uuid = store.place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = DriveEvidence(
             key=(imported.stated_at_ns, imported.content_sha256, key),
@@ -114,7 +125,7 @@ def import_map(conn: Connection, imported: ImportedMap, params: ImportParams, *,
         )
         store.commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run)
     counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
-    return ImportResult(changeset.changeset_id, True, counts, len(later), len(own), same_place)
+    return ImportResult(changeset.changeset_id, True, counts, len(later), len(own), same_place, far)
 
 
 def _own_rows(conn: Connection, info: MapInfo, statements: Sequence[ImportedFeature]) -> set[int]:
@@ -211,15 +222,44 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
                 )
 
 
-def _refuse_other_heights(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
-    """Heights of another system would put a second cone below or above each one of the map."""
+def _far_from(conn: Connection, info: MapInfo, places_m: Floats) -> Bools:
+    return store.far_from_all(conn, info, places_m[:, :2], FAR_M)
+
+
+def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) -> None:
+    """Coordinates that are far from everything by their stated CRS, but not by that of the map or of a zone beside it."""
+    if not (imported.as_written and _far_from(conn, info, _places_m(imported.statements)).all()):
+        return
+    written = np.column_stack((imported.as_written, np.zeros(len(imported.as_written))))
+    for srid in (info.srid, info.srid - 1, info.srid + 1):  # zones follow each other in EPSG's numbers
+        try:
+            places_m = to_crs(written, srid, info.srid, None)
+        except InputError:  # no such CRS, or no such place in it
+            continue
+        if not _far_from(conn, info, places_m).all():
+            raise InputError(
+                f"{imported.source_path}: its coordinates lie more than {FAR_M / 1000:g} km from everything on the map "
+                f"{info.map_name}; in EPSG:{srid} they would lie near: state that (--crs EPSG:{srid}), or import them as they "
+                "are (--accept); nothing was written"
+            )
+
+
+def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
+    """Positions of another datum, or heights of another system, would put a second cone beside or below each one of the map."""
     stated = [statement.feature for statement in imported.statements]
     standing = read_current_features(conn, map_name=map_name)
-    found = height_difference(stated, [one for one in standing if one.marking is None], params.reconcile)
-    if found is not None and found.value is not None:
+    found = imported_displacement(stated, [one for one in standing if one.marking is None], params.reconcile)
+    if found is None or found.value is None:
+        return
+    where, sigma = f"{imported.source_path}: its cones lie {abs(found.value):.1f} m", f"at a stated {found.sigma:.2f} m"
+    wrong = "or revert the changeset (conetl map revert) whose"
+    accept = "are wrong; --accept imports them as they are; nothing was written"
+    if found.name.endswith("heights"):
         raise InputError(
-            f"{imported.source_path}: its cones lie {abs(found.value):.1f} m {'higher' if found.value > 0 else 'lower'} than "
-            f"those of the map {map_name} at the same positions, at a stated {found.sigma:.2f} m: give the height system of the "
-            "file (--crs EPSG:25832+7837), or revert the changeset (conetl map revert) whose heights are wrong; nothing was "
-            "written"
+            f"{where} {'higher' if found.value > 0 else 'lower'} than those of the map {map_name} at the same positions, "
+            f"{sigma}: give the height system of the file (--crs EPSG:25832+7837), {wrong} heights {accept}"
         )
+    raise InputError(
+        f"{where} from those of the map {map_name}, which are arranged alike, {sigma}: give the CRS and datum of the file "
+        f"(--crs), {wrong} positions {accept}"
+    )

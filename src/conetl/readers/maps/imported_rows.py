@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,6 +33,8 @@ _MARGIN_DEG = 3.0
 #: Columns that only exports of history and of changes have.
 _HISTORY_COLUMNS = ("system_from", "change", "old_easting_m")
 _WGS84 = CRS("OGC:CRS84")
+#: Degrees with so many decimals are exact to a centimetre; fewer rows may have fewer by chance.
+_ENOUGH_DECIMALS, _LEAST_ROUNDED, _METRES_PER_DEGREE = 7, 3, 111_195.0
 
 
 def _is_letter(character: str) -> bool:
@@ -116,8 +118,13 @@ def read_map_file(
         raise InputError(f"{path}: the time of the survey (--surveyed-at), {stated_at}, {problem}; nothing was written")
     ids = rows.ids(sha256)
     statements = [rows.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
+    if file_crs.is_geographic:
+        _require_decimals(table, statements)
     name = f"{path.name}:{table.layer}" if len(table.layers) > 1 else path.name
-    return ImportedMap(name, str(path), sha256, srid, stated_ns, statements, rows.new_ids, table.lines_left_out)
+    written = tuple(map(tuple, table.xyz[:, :2].tolist())) if file_crs.is_projected else ()
+    return ImportedMap(
+        name, str(path), sha256, srid, stated_ns, statements, rows.new_ids, table.lines_left_out, written
+    )
 
 
 def _content_sha256(table: MapTable) -> str:
@@ -333,6 +340,22 @@ def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> Fl
 def _to_wgs84(crs: CRS, xyz: Floats) -> Floats:
     lon, lat = Transformer.from_crs(crs, _WGS84, always_xy=True).transform(xyz[:, 0], xyz[:, 1])
     return np.stack([np.asarray(lon), np.asarray(lat)], axis=1)
+
+
+def _require_decimals(table: MapTable, statements: Sequence[ImportedFeature]) -> None:
+    """Raise InputError where longitudes and latitudes are rounded to more than their stated sigmas; a few may end in zeros."""
+    degrees = table.xyz[:, :2]
+    decimals = next((k for k in range(_ENOUGH_DECIMALS) if np.abs(degrees - degrees.round(k)).max() < 1e-11), None)
+    if decimals is None or len(statements) < _LEAST_ROUNDED:
+        return
+    step_m = 10.0**-decimals * _METRES_PER_DEGREE
+    sigma_m = math.sqrt(max(max(one.feature.cov_m2[0], one.feature.cov_m2[3]) for one in statements))
+    if step_m / math.sqrt(12) > sigma_m:
+        raise InputError(
+            f"{table.path}: its longitudes and latitudes have {decimals} decimals, which are {step_m:.2g} m, but its stated "
+            f"sigmas are {sigma_m:.2g} m: export more decimals, or state sigmas that cover the rounding (--sigma-m "
+            f"{math.ceil(30 * step_m) / 100:g}); nothing was written"
+        )
 
 
 def _require_different_positions(path: Path, xyz_m: Floats) -> None:
