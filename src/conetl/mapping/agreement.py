@@ -38,6 +38,8 @@ _LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
 #: An imported map may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
 _IMPORT_DISPLACEMENT_M = 300.0
+#: So many of its cones must fit, so that two rows of about equal distances do not by chance.
+_LEAST_SAME, _LEAST_SAME_SHARE = 5, 0.6
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
 #: A fit is distinct if no other one, so many gates apart, fits this share as many; else some of the map's cones must be absent.
 _APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
@@ -153,21 +155,18 @@ def imported_displacement(
             return common
     some = near[:: 1 + len(near) // _MAX_TRACKS]
     found = len(pairs) * len(some) / max(len(near), 1)
-    least = max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(some), 2 * found + 1)
+    least = max(_LEAST_SAME, _LEAST_SAME_SHARE * len(some), 2 * found + 1)
     if least > len(some):
         return None
     spacing_m = np.asarray(cKDTree(t[near, :2]).query(t[some, :2], 2)[0])[:, 1]
     if spacing_m.std() < 2 * _SAME_ZONE_M:
         return None
+    fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, _IMPORT_DISPLACEMENT_M)
+    if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > _SAME_ZONE_M:
+        return None
     sigma_m = _horizontal_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     limit_m = min(params.max_offset_m, _MAX_SIGMAS * sigma_m)
-    for gate_m in (params.min_gate_m, 2 * _SAME_ZONE_M):
-        fit = _best_fit(t[some, :2], f[:, :2], gate_m, _IMPORT_DISPLACEMENT_M)
-        if fit is None or fit.agreeing < least or not fit.distinct or fit.largest_m <= limit_m:
-            continue
-        if fit.residual_m <= _SAME_ZONE_M or (fit.beside and fit.middle_m <= _MAX_DISPLACEMENT_M):
-            return _aside(fit.middle_m, sigma_m, "", limit_m)
-    return None
+    return _aside(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
 
 
 def _same_positions(
