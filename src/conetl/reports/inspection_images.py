@@ -24,6 +24,7 @@ from conetl.model.rejections import Rejection
 from conetl.perception.boards.images import ImagePair
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
+from conetl.perception.video import frame_of
 from conetl.readers.drives.summary import DriveSummary
 from conetl.reports.figures import ORANGE, add_grid, new_figure, png, save_figure
 from conetl.reports.html import render, write_page
@@ -158,7 +159,7 @@ def _middle_pair(drive: Drive) -> tuple[int, list[NDArray[np.uint8]]]:
     for i in sorted(range(len(pairs)), key=lambda i: abs(i - len(pairs) // 2)):
         files = [Path(pairs[i].left_path), Path(pairs[i].right_path)]
         try:
-            if all(file.is_file() for file in files):
+            if all((frame.path if (frame := frame_of(file)) else file).is_file() for file in files):
                 return pairs[i].frame_index, [
                     read_rig_image(f, drive.rig, s) for f, s in zip(files, SIDES, strict=True)
                 ]
