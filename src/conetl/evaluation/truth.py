@@ -56,9 +56,9 @@ class TruthRow(BaseModel):
     height_ellipsoidal_m: float
     cone_height_m: float = Field(gt=0)
     map_srid: int
-    present: bool
+    present: bool = True
     """False where the cone was taken away since the previous pass."""
-    change: str
+    change: str = ""
     """added, confirmed, moved or removed since the previous pass."""
 
 
@@ -66,9 +66,15 @@ def read_truth(path: Path) -> list[TruthRow]:
     """All lines of a truth.csv. Raises InputError with file, line and field."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
+            reader = csv.DictReader(file)
+            columns, rows = list(reader.fieldnames or ()), list(reader)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"truth {path}: cannot be read ({error})") from error
+    required = [name for name, field in TruthRow.model_fields.items() if field.is_required()]
+    if not set(required) <= set(columns):
+        raise InputError(
+            f"truth {path}: expected the columns {', '.join(required)}, with commas between; found {', '.join(columns)[:200]}"
+        )
     truth = []
     for number, row in enumerate(rows, 2):
         try:

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from conetl.evaluation.truth import TruthCone, compare_with_truth
+from conetl.evaluation.truth import TruthCone, compare_with_truth, read_truth_cones
+from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from tests import records
 
@@ -25,6 +28,19 @@ def test_pairs_misses_and_false_features_are_told_apart() -> None:
     assert lines[0].error_3d_m == pytest.approx(np.sqrt(0.03**2 + 0.04**2 + 0.02**2))
     assert lines[0].truth_range_m == pytest.approx(np.hypot(5.0, 3.0))
     assert [f.feature_id.int for f in false] == [2]
+
+
+def test_a_survey_needs_no_more_than_places_and_heights(tmp_path: Path) -> None:
+    path = tmp_path / "truth.csv"
+    header = "cone_id,easting_m,northing_m,height_ellipsoidal_m,cone_height_m,map_srid"
+    path.write_text(f"{header}\na,458318.6,5427845.4,115.3,0.7,25832\n")
+    cones, srid = read_truth_cones(path)
+    assert (cones[0].cone_id, cones[0].xyz_m, srid) == ("a", (458318.6, 5427845.4, 115.3), 25832)
+    path.write_text("Punkt;Rechts;Hoch\n1;2;3\n")
+    with pytest.raises(
+        InputError, match=f"expected the columns {header.replace(',', ', ')}, .*found Punkt;Rechts;Hoch"
+    ):
+        read_truth_cones(path)
 
 
 def test_one_feature_stands_for_one_cone_only() -> None:
