@@ -28,6 +28,7 @@ _TIME_QUESTIONS = {
     "start": "When was the first frame of the left camera taken (UTC, like 2026-03-02 10:00:00.250)",
     "right-offset": "By how many seconds does the right file begin after the left one (0: both begin with one trigger)",
 }
+_FILE_OPTIONS = frozenset({"left", "right", "timestamps", "right-timestamps", "trajectory", "rig"})
 _COMMENTS = {
     "images": "the videos or folders of images",
     "trajectory": "the GNSS/INS log",
@@ -72,6 +73,10 @@ def init(
         str | None,
         typer.Option("--time", help="Times of the log, if they are not UTC: gps, or a zone like Europe/Berlin."),
     ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(help="Columns of a table, by name or number: time=Zeit,lat=B,lon=L,height=H,heading=Kurs."),
+    ] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the log's positions, like EPSG:25832.")] = None,
     heights: Annotated[str | None, typer.Option(help="ellipsoidal, or a height system like EPSG:5773.")] = None,
     sigma: Annotated[str | None, typer.Option(help="Horizontal sigma of the log in metres, if it states none.")] = None,
@@ -111,9 +116,9 @@ def init(
     options = {
         "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory,
         "date": date, "time": log_time, "crs": crs, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
-        "timestamps": timestamps, "right-timestamps": right_timestamps,
+        "columns": columns, "timestamps": timestamps, "right-timestamps": right_timestamps,
     }  # fmt: skip
-    given = {key: value for key, value in options.items() if value is not None}
+    given = {key: _of_folder(root, key, value) for key, value in options.items() if value is not None}
     part = {key: value for key, value in (("every", every), ("from_s", from_s), ("to_s", to_s)) if value is not None}
     if from_s is not None and to_s is not None and to_s <= from_s:
         raise InputError(f"--to {to_s:g} is not after --from {from_s:g}")
@@ -136,6 +141,14 @@ def init(
             "If its time was noted, state it: --start."
         )
     _finish(folder, text, settings, as_json)
+
+
+def _of_folder(root: Path, key: str, value: str) -> str:
+    """The answer of an option; a file that is named from the current folder, as seen from the drive folder."""
+    if key not in _FILE_OPTIONS or (root / value).exists() or not Path(value).exists():
+        return value
+    path = Path(value).resolve()
+    return str(path.relative_to(root) if path.is_relative_to(root) else path)
 
 
 def _earlier(root: Path) -> dict[str, Any]:

@@ -332,7 +332,11 @@ def test_paths_that_are_not_drives(tmp_path: Path, drive: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "a.jpg").write_bytes(b"x")
+    for name in ("cam0", "cam1"):
+        (tmp_path / "rig" / name).mkdir(parents=True)
+        (tmp_path / "rig" / name / "a.jpg").write_bytes(b"x")
     for path, words in (
+        (tmp_path / "rig", f"become a drive with 'conetl init {tmp_path / 'rig'}'"),
         (tmp_path / "nowhere", "no such folder"),
         (drive / "oxts" / "timestamps.txt", "this is a file"),
         (tmp_path / "empty", "the folder is empty"),

@@ -237,8 +237,9 @@ def test_times_of_tables(column: str, first: str, settings: dict[str, Any], shif
         (["time,lat,lon,alt", "1707297300,0,0,0"], {}, "no fix"),
         (["time,lat,lon,alt", "4707297300000000000,49,8,110"], {}, "neither a date and time"),
         (["time,lat,lon,alt"], {}, "no records"),
-        (["a,b,c", "1,2,3"], {}, "not a trajectory"),
-        ([], {}, "not a trajectory"),
+        (["a,b,c", "1,2,3"], {}, "found a, b, c. Name them in drive.yaml"),
+        (["Messzeit;geogr. Breite;Länge [°];H"], {}, r"found Messzeit, geogr. Breite, Länge \[°\], H. Name them"),
+        ([], {}, "no line with the names of the columns"),
     ],
 )  # fmt: skip
 def test_tables_that_may_be_misread_are_refused(

@@ -29,6 +29,7 @@ from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import Image, pair_by_stamp
 from conetl.readers.rigs import WRITERS, read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
+from conetl.reports.inspection_images import _middle_pair
 from tests.unit.readers.drive_formats import SAMPLE, write_ros1_bag
 from tests.unit.readers.trajectory_files import write_csv
 from tests.video_drives import (
@@ -115,6 +116,7 @@ def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) ->
     assert (header.problem, header.frame_pairs) == (None, COUNT)
     assert header.captured_from_ns == drive.frame_pairs[0].captured_at_ns
     assert read_drive(root)[0].content_sha256 == drive.content_sha256
+    assert _middle_pair(drive)[0] == COUNT // 2, "a pair that inspect shows"
 
 
 def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
@@ -175,6 +177,9 @@ def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive, folders: 
     drive, rejections = read_drive(root)
     assert rejections == []
     assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
+    plan = read_header(root)
+    ends = drive.frame_pairs[0].captured_at_ns, drive.frame_pairs[-1].captured_at_ns
+    assert (plan.captured_from_ns, plan.captured_to_ns) == ends, "a plan needs them, to select and sort drives"
     lines = [f"{p.captured_at_ns / 1e9:.6f}" for p in sample.frame_pairs]
     (root / "times.txt").write_text("\n".join(lines[:-1]))
     (root / "drive.yaml").write_text(f"images: {{left: {left}, right: {right}, timestamps: times.txt}}\n")
@@ -383,6 +388,83 @@ def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path
         made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
         assert f"--{option}: In which" in str(made.exception), made.exception
     assert not (copy / "drive.yaml").exists()
+
+
+def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path, sample: Drive) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    (copy / "drive.yaml").unlink()
+    log = copy / "drive.csv"
+    rows = [line.split(",")[:7] for line in log.read_text().splitlines()[2:]]
+    log.unlink()
+    names = ["Messzeit", "geogr. Breite", "geogr. Länge", "Höhe, ell.", "Wanken [°]", "Nicken [°]", "Kurs"]
+    table = [";".join(names), *(";".join([row[0].rstrip("Z"), *row[1:]]) for row in rows)]
+    (copy / "Fahrt.csv").write_text("\n".join(table), encoding="cp1252")
+    start = f"{np.datetime64(sample.frame_pairs[0].captured_at_ns, 'ns')}Z".replace("T", " ")
+    known = ["init", str(copy), "--yes", "--start", start, "--right-offset", "0", "--sigma", "0.02", "--mount", "1,0,1"]
+    said = str(CliRunner().invoke(app, known).exception)
+    assert "--trajectory: " in said and "none was recognised; there is Fahrt.csv" in said
+    known += ["--trajectory", "Fahrt.csv"]
+    said = str(CliRunner().invoke(app, known).exception)
+    assert "--columns: Which column is what" in said and "found Messzeit, geogr. Breite, " in said, said
+    made = CliRunner().invoke(app, [*known, "--columns", "Messzeit,2"])
+    assert "--columns 'Messzeit,2': expected names as in time=Zeit" in str(made.exception)
+    columns = ["--columns", "time=Messzeit, lat=2,lon=3,height=4,roll=5,pitch=6,heading=Kurs"]
+    made = CliRunner().invoke(app, [*known, *columns])
+    assert made.exit_code == 0 and "taken as UTC: if they are local, state --time" in made.output, made.exception
+    stated = yaml.safe_load((copy / "drive.yaml").read_text())["trajectory"]["columns"]
+    assert stated == {"time": "Messzeit", "lat": 2, "lon": 3, "height": 4, "roll": 5, "pitch": 6, "heading": "Kurs"}
+    assert len(read_drive(copy)[0].frame_pairs) == COUNT
+    # With --force the columns stay, whatever characters their names have; a line without time is not why no record fits.
+    stated["height"] = "Höhe, ell."
+    (copy / "drive.yaml").write_text(yaml.safe_dump({"trajectory": {"file": "Fahrt.csv", "columns": stated}}))
+    made = CliRunner().invoke(app, [*known, "--force", "--time", "utc"])
+    assert made.exit_code == 0 and "taken as UTC" not in made.output, made.exception
+    assert yaml.safe_load((copy / "drive.yaml").read_text())["trajectory"]["columns"] == stated
+    made = CliRunner().invoke(
+        app, [*known, "--force", "--time", "Asia/Tokyo", "--columns", columns[1].replace("Messzeit", "1")]
+    )
+    assert made.exit_code == 1 and "its own are from 2026-03-02T00:41:07" in made.output, made.output
+
+
+def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: Path, tmp_path: Path) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    WRITERS["opencv"](read_rig_yaml(copy / "rig.yaml"), tmp_path / "stereo.yml")
+    for name in ("drive.yaml", "rig.yaml"):
+        (copy / name).unlink()
+    text = "\n".join(x for x in (tmp_path / "stereo.yml").read_text().splitlines() if not x.startswith("image_"))
+    (copy / "stereo.yml").write_text(text)
+    known = ["init", str(copy), "--yes"]
+    made = CliRunner().invoke(app, known)
+    assert "calibration stereo.yml (OpenCV stereo calibration): 960 x 320" in made.output
+    # Not that of images of another size: its principal point would be off their centre.
+    (copy / "stereo.yml").write_text(text.replace("478.", "956."))
+    made = CliRunner().invoke(app, known)
+    assert "stereo.yml is not used as a calibration: 'image_width, image_height' are missing" in made.output
+    assert "--rig: Which file" in str(made.exception)
+    # Which is not known before it is known how the images lie in a file.
+    (copy / "stereo.yml").write_text(text)
+    (copy / "right.mp4").unlink()
+    made = CliRunner().invoke(app, known)
+    assert "--layout: How do" in str(made.exception) and "--rig" not in str(made.exception)
+    assert "stereo.yml" not in made.output
+
+
+def test_init_finds_files_that_are_named_from_the_current_folder(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = with_settings(folder, tmp_path, "")
+    (copy / "drive.yaml").unlink()
+    (copy / "rig.yaml").rename(tmp_path / "van.yaml")
+    (copy / "left.mp4").rename(copy / "a.mp4")
+    monkeypatch.chdir(tmp_path)
+    files = ["--left", "copy/a.mp4", "--trajectory", "copy/drive.csv", "--rig", "van.yaml"]
+    made = CliRunner().invoke(
+        app, ["init", "copy", "--yes", "--right-offset", "0", "--start", "2026-03-02 09:41:07.25", *files]
+    )
+    assert made.exit_code == 0, (made.exception, made.output)
+    stated = yaml.safe_load((copy / "drive.yaml").read_text())
+    assert (stated["images"]["left"], stated["trajectory"]["file"]) == ("a.mp4", "drive.csv")
+    assert (copy / "rig.yaml").is_file()
 
 
 def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(

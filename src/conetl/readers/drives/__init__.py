@@ -14,7 +14,7 @@ from conetl.model.records import Drive, SurveyedPoint
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
-from conetl.readers.drives.formats import DriveFormat
+from conetl.readers.drives.formats import DriveFormat, image_files
 from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
 from conetl.readers.surveyed_points import read_surveyed_points
 
@@ -106,6 +106,11 @@ def _not_a_drive(path: Path) -> DriveFolderError:
         return DriveFolderError(
             f"{path}: this folder holds {len(drives)} drives ({', '.join(drives[:3])}{', ...' if len(drives) > 3 else ''}); "
             f"name one of them, or all: conetl ingest {path}/*"
+        )
+    if sum(child.is_dir() and bool(image_files(child)) for child in children) > 1:
+        return DriveFolderError(
+            f"{path}: folders of images become a drive with 'conetl init {path}', which asks for what is missing and writes "
+            "drive.yaml"
         )
     return DriveFolderError(
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt), a "

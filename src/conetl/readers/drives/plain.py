@@ -185,7 +185,8 @@ def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig
     found = own_rig(root / RIG_YAML, settings.pair)
     if found is None:
         raise CalibrationError(
-            f"{root}: {RIG_YAML} is missing; it describes the two cameras and their pose on the body"
+            f"{root}: {RIG_YAML} is missing: 'conetl init {root}' makes it from the calibration of another program, "
+            "'conetl calibrate' from images of a board"
         )
     add_settings(content, root)
     return rectified_rig(found[0].model_copy(update=overrides(settings)), root / RIG_YAML)
@@ -213,7 +214,9 @@ def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
 def _trajectory_file(folder: Path, content: ContentHash) -> bytes:
     path = folder / TRAJECTORY
     if not path.is_file():
-        raise DriveFolderError(f"{folder}: {TRAJECTORY} is missing; it holds one row with the pose of each pair")
+        raise DriveFolderError(
+            f"{folder}: {TRAJECTORY} is missing; for a log of another format run 'conetl init {folder}'"
+        )
     data = path.read_bytes()
     content.add(TRAJECTORY, data)
     return data

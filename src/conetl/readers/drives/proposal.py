@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -10,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from conetl.files.documents import named, validated
+from conetl.files.documents import named, shown, validated
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
-from conetl.model.records import Rig, Side
+from conetl.model.records import Camera, Rig, Side
 from conetl.perception.video import VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
@@ -25,9 +26,13 @@ from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.times import parse_timestamp
 
 _RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})
+_TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 _LARGEST_RIG_BYTES = 4_000_000
+#: How far a principal point is from the centre of its image, at most, in parts of the image's size.
+_OFF_CENTRE = 0.2
 #: What a trajectory may lack: its reader says how to state the key in drive.yaml.
 _UNSTATED = {
+    "columns": "Which column is what, by name or number, like time=Zeit,lat=B,lon=L,height=H,roll=R,pitch=P,heading=K?",
     "date": "On which day was it recorded, like 2026-03-02?",
     "crs": "In which coordinate reference system are its positions, like EPSG:25832?",
     "heights": "In which system are its heights, like EPSG:5773?",
@@ -40,7 +45,7 @@ _KEYS = {
     "right-offset": ("images", "right_offset_s"), "timestamps": ("images", "timestamps"),
     "right-timestamps": ("images", "right_timestamps"), "trajectory": ("trajectory", "file"), "date": ("trajectory", "date"),
     "time": ("trajectory", "time"), "crs": ("trajectory", "crs"), "heights": ("trajectory", "heights"),
-    "sigma": ("sigmas", "horizontal_m"),
+    "sigma": ("sigmas", "horizontal_m"), "columns": ("trajectory", "columns"),
 }  # fmt: skip
 _MOUNT = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
 
@@ -110,7 +115,11 @@ def answers_in(settings: Mapping[str, Any]) -> dict[str, str]:
     found = {option: settings.get(section, {}).get(key) for option, (section, key) in _KEYS.items()}
     if (mount := settings.get("mount")) is not None:
         found["mount"] = ",".join(str(mount.get(key, 0.0)) for key in _MOUNT)
-    return {option: str(value) for option, value in found.items() if value is not None}
+    return {
+        option: json.dumps(value) if isinstance(value, dict) else str(value)
+        for option, value in found.items()
+        if value is not None
+    }
 
 
 def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> tuple[int, int] | None:
@@ -188,9 +197,13 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
         settings["file"] = candidates[0].relative_to(root).as_posix()
     else:
         names = ", ".join(path.relative_to(root).as_posix() for path in candidates) or "none was recognised"
+        if not candidates and (tables := names_in(root, _TABLE_SUFFIXES)):
+            names += f"; there is {', '.join(tables)}"
         proposal.questions.append(Question("trajectory", f"Which file is the GNSS/INS trajectory ({names})?"))
         return
     settings |= {key: answers[key] for key in ("date", "time", "crs", "heights") if key in answers}
+    if "columns" in answers:
+        settings["columns"] = _columns(answers["columns"])
     proposal.settings["trajectory"] = settings
     path = root / settings["file"]
     checked = validated(settings, TrajectoryFile, "options of the trajectory")
@@ -202,12 +215,25 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
             raise
         proposal.questions.append(Question(asked, f"{_UNSTATED[asked]} ({error})"))
         return
-    proposal.found.append(_described(recorded, trajectory_format(path) or ""))
+    kind = trajectory_format(path) or "table"
+    zone = "; times taken as UTC: if they are local, state --time" if kind == "table" and "time" not in settings else ""
+    proposal.found.append(_described(recorded, kind) + zone)
     if "sigma" in answers:
         proposal.settings["sigmas"] = {"horizontal_m": _numbers("sigma", answers["sigma"], 1, 1)[0]}
     elif not np.isfinite(recorded.sigma[:, :2]).any():
         text = "How accurate are its positions, horizontally, in metres (RTK 0.02, corrected 0.5, single 3)?"
         proposal.questions.append(Question("sigma", text))
+
+
+def _columns(text: str) -> dict[str, str | int]:
+    """Column by our name for it, of `time=Zeit,lat=2`, or of JSON. Raises InputError."""
+    if text.startswith("{"):
+        return dict(json.loads(text))
+    words = [word.partition("=") for word in text.split(",")]
+    if not all(name.strip() and column.strip() for name, _, column in words):
+        raise InputError(f"--columns {shown(text)}: expected names as in time=Zeit,lat=B,lon=L,height=H")
+    values = {name.strip(): column.strip() for name, _, column in words}
+    return {name: int(column) if column.isdecimal() else column for name, column in values.items()}
 
 
 @lru_cache(maxsize=1)
@@ -234,9 +260,13 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
     """The rig that has to be written; None where it is there, or is not known yet."""
     if "rig" in answers:
         path = root / answers["rig"]
-        rig, kind = read_rig_and_format(path)
+        rig, kind = _read_rig(path, size)
     else:
-        found = _fitting_rigs(root, size, proposal)
+        found, unread = _fitting_rigs(root, size, proposal)
+        if unread and not found and size is None and proposal.questions:
+            return None  # one may fit once the size of the images is known
+        if not found:
+            proposal.found.extend(unread)
         replaces = (root / RIG_YAML).is_file() and RIG_YAML not in (path.name for path, _, _ in found)
         if len(found) != 1 or replaces:  # a file that somebody made is not replaced without being asked
             names = ", ".join(path.name for path, _, _ in found) or "none was found that fits"
@@ -260,19 +290,26 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
     return None if path == root / RIG_YAML else rig
 
 
-def _fitting_rigs(root: Path, size: tuple[int, int] | None, proposal: Proposal) -> list[tuple[Path, Rig, Any]]:
-    """The calibrations for images of this size: rig.yaml, or where it is missing or of another size, those of other tools."""
+def _fitting_rigs(
+    root: Path, size: tuple[int, int] | None, proposal: Proposal
+) -> tuple[list[tuple[Path, Rig, Any]], list[str]]:
+    """The calibrations for images of this size: rig.yaml, or where it is missing or of another size, those of other tools.
+
+    With them: which files cannot be read as one, and why.
+    """
     own = [RIG_YAML] if (root / RIG_YAML).is_file() else []
+    unread: list[str] = []
     others = [name for name in names_in(root, _RIG_SUFFIXES) if name not in (DRIVE_YAML, RIG_YAML)]
     found: list[tuple[Path, Rig, Any]] = []
     for path in (root / name for name in (*own, *others)):
         if (found and found[0][0].name == RIG_YAML) or path.stat().st_size > _LARGEST_RIG_BYTES:
             continue
         try:
-            rig, kind = read_rig_and_format(path)
-        except CalibrationError:
+            rig, kind = _read_rig(path, size)
+        except CalibrationError as error:
             if path.name == RIG_YAML:
                 raise
+            unread.append(f"{path.name} is not used as a calibration: {str(error).removeprefix(f'{path}: ')}")
             continue
         width_px, height_px = rig.left.width_px, rig.left.height_px
         if size is None or size == (width_px, height_px):
@@ -282,7 +319,29 @@ def _fitting_rigs(root: Path, size: tuple[int, int] | None, proposal: Proposal) 
                 f"calibration {path.name}: for images of {width_px} x {height_px}, these have {size[0]} x {size[1]}; 'conetl rig "
                 "convert --scale-to' fits one to images that were scaled"
             )
-    return found
+    return found, unread
+
+
+def _read_rig(path: Path, size: tuple[int, int] | None) -> tuple[Rig, Any]:
+    """A calibration and its format; a file without an image size is one of images of this size. Raises CalibrationError."""
+    try:
+        return read_rig_and_format(path)
+    except CalibrationError:
+        if size is None:
+            raise
+        try:
+            rig, kind = read_rig_and_format(path, image_size=size)
+        except CalibrationError:
+            rig = None
+        # Of another size the principal point would not be near the centre.
+        if rig is None or not all(_is_centred(camera, size) for camera in (rig.left, rig.right)):
+            raise
+        return rig, kind
+
+
+def _is_centred(camera: Camera, size: tuple[int, int]) -> bool:
+    centre_px = (camera.cx_px, camera.cy_px)
+    return all(abs(c / n - 0.5) <= _OFF_CENTRE for c, n in zip(centre_px, size, strict=True))
 
 
 def _numbers(key: str, text: str, least: int, most: int) -> list[float]:

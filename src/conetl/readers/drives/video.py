@@ -31,7 +31,7 @@ from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, Source, check_images, drive_of_couples, time_of
 from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
-from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stated_start, timed
+from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stamps_of_images, stated_start, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.recorded import of_images
@@ -117,6 +117,8 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
         header.frame_pairs = facts.frames
         if (first_ns := stated_start(settings, root)) is not None:
             header.set_times([first_ns, first_ns + round(facts.duration_s * 1e9)], root / DRIVE_YAML)
+    elif stamps := stamps_of_images(sources[0], root, settings):
+        header.set_times(stamps, sources[0])
 
 
 def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None = None) -> tuple[Rig, Floats]:
@@ -125,8 +127,8 @@ def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None 
     if rig is None:
         if not path.is_file():
             raise CalibrationError(
-                f"{root}: {RIG_YAML} is missing: 'conetl calibrate' makes it from images of a board, 'conetl rig convert' from "
-                "the calibration of another program"
+                f"{root}: {RIG_YAML} is missing: 'conetl init {root}' makes it from the calibration of another program, "
+                "'conetl calibrate' from images of a board"
             )
         rig = read_rig_yaml(path, pair=settings.pair)
     add_settings(content, root)

@@ -27,6 +27,7 @@ from conetl.perception.unguided_odometry import measure_motions
 from conetl.perception.video import Region, VideoIndex
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images, inside
+from conetl.readers.drives.formats import image_files
 from conetl.readers.drives.pairs import Couple, Image, PairError, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
@@ -169,15 +170,27 @@ def _listed(camera: CameraImages, name: str | None, source: Source, hint: str = 
     except InputError as error:
         raise DriveFolderError(f"{name}: the time stamps: {error}") from error
     source.content.add(name, data)
-    lines = [
-        line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"
-    ]
+    lines = _lines(data)
     if len(lines) != len(camera.paths):
         raise DriveFolderError(
             f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}, expected one line per "
             f"image{hint}"
         )
     return [Image(_stamp(line, source.settings), path) for line, path in zip(lines, camera.paths, strict=True)]
+
+
+def _lines(data: bytes) -> list[str]:
+    return [line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"]
+
+
+def stamps_of_images(folder: Path, root: Path, settings: DriveYaml) -> list[int]:
+    """Times (UTC ns) of the images of a folder, by their names or the file of their times, without those that cannot be read."""
+    name = settings.images.timestamps
+    if name is None:
+        texts = [path.stem for path in image_files(folder)]
+    else:
+        texts = _lines(read_bytes(inside(root, name, DRIVE_YAML), _MOST_TIME_BYTES))
+    return [stamp for text in texts if isinstance(stamp := _stamp(text, settings), int)]
 
 
 def _named(camera: CameraImages, source: Source) -> list[Image]:

@@ -25,6 +25,7 @@ READERS: dict[FormatName, Callable[[Path, TrajectoryFile], Reading]] = {
 _SUFFIXES = frozenset(
     {".pos", ".out", ".sbet", ".txt", ".nmea", ".nme", ".log", ".gpx", ".csv", ".tsv", ".tum", ".dat", ".ie"}
 )
+_TABLE_SUFFIXES = frozenset({".csv", ".tsv"})
 _MOST_CANDIDATES = 500
 
 
@@ -42,6 +43,8 @@ def read_trajectory(
             f"{path}: there is no such file; name the trajectory in drive.yaml (trajectory: {{file: ...}})"
         )
     name = settings.format or ("table" if settings.columns else trajectory_format(path))
+    if name is None and path.suffix.lower() in _TABLE_SUFFIXES:
+        name = "table"  # whose reader says which columns it found
     if name is None:
         raise DriveFolderError(
             f"{path}: this is not a trajectory in a known format ({', '.join(READERS)}); name its columns in drive.yaml "

@@ -170,9 +170,10 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
             ):
                 continue
             found = _Found(i, names, _columns(path, names, settings), mark)
-            if best is None or len(found.columns) > len(best.columns):
+            # White space is in names of columns, too.
+            if best is None or len(found.columns) > max(len(best.columns), 2 if mark is None else 0):
                 best = found
-    if best is None or len(best.columns) < 3:
+    if best is None:
         raise DriveFolderError(
             f"{path}: there is no line with the names of the columns; write one, or number the columns in drive.yaml, for "
             "example trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}"

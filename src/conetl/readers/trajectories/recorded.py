@@ -121,8 +121,10 @@ def assembled(
         good = (piece.times_ns >= EARLIEST_NS) & (piece.times_ns <= latest_ns)
         for i in np.flatnonzero(~good).tolist():
             wrong.setdefault(i, f"the time {clock_problem(int(piece.times_ns[i]))}")
-        if good.any():
-            found_ns += [int(piece.times_ns[good].min()), int(piece.times_ns[good].max())]
+        usable = good.copy()
+        usable[list(wrong)] = False
+        if usable.any():
+            found_ns += [int(piece.times_ns[usable].min()), int(piece.times_ns[usable].max())]
         first_ns, last_ns = between_ns or (-(2**63), 2**63 - 1)
         inside = good & (piece.times_ns >= first_ns) & (piece.times_ns <= last_ns)
         if wrong:
@@ -140,8 +142,10 @@ def assembled(
             turned = None if piece.rotations is None else piece.rotations[inside]
             kept.append(Records(piece.times_ns[inside], piece.positions[inside], turned, piece.sigma[inside], {}))
     if not kept:
+        # A bad line of another time, such as a header, is not the cause.
+        cause = "" if found_ns and not bad else first_problem
         raise DriveFolderError(
-            f"{path}: not one usable pose: {first_problem or 'there are no records' + of_images(between_ns, found_ns)}"
+            f"{path}: not one usable pose: {cause or 'there are no records' + of_images(between_ns, found_ns)}"
         )
     times = np.concatenate([piece.times_ns for piece in kept])
     order = np.argsort(times, kind="stable")
