@@ -108,14 +108,16 @@ def note_unmeasured(card: Any) -> None:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], *, numbers_from: int = 1) -> None:
-    """A table on standard output; columns from `numbers_from` on are aligned right. Nothing without rows."""
-    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="right" if index >= numbers_from else "left", no_wrap=True)
-    for row in rows:
-        table.add_row(*(escape(cell(value)) for value in row))
-    if not table.rows:
+    """A table on standard output; columns from `numbers_from` on are aligned right. Nothing without rows; no empty columns."""
+    cells = [[cell(value) for value in row] for row in rows]
+    if not cells:
         return
+    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
+    filled = [index for index in range(len(columns)) if any(row[index] for row in cells)]
+    for index in filled:
+        table.add_column(columns[index], justify="right" if index >= numbers_from else "left", no_wrap=True)
+    for row in cells:
+        table.add_row(*(escape(row[index]) for index in filled))
     # As wide as necessary: a line may wrap in a terminal, but no number is ever cut off.
     wide = Console(highlight=False, width=_ANY_WIDTH)
     Console(highlight=False, width=Measurement.get(wide, wide.options, table).maximum).print(table)

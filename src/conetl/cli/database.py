@@ -88,6 +88,9 @@ def status(as_json: JsonOption = False) -> None:
         return
     values = {f"cluster {name}": value for name, value in asdict(cluster).items()} if cluster else {}
     values |= database or {}
+    if database is not None:
+        *_, last = database["applied_migrations"] or ("none",)
+        values["applied_migrations"] = f"{len(database['applied_migrations'])}, the last {last}"
     rows = [(name.replace("_", " "), _text(value)) for name, value in values.items()]
     print_table("", ("property", "value"), rows, numbers_from=2)
 

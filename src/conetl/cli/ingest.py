@@ -58,6 +58,9 @@ def ingest(
     )
     if as_json:
         ui.print_json(reports)
+    elif not all(report.is_known for report in reports):
+        ui.say(f"Reports: {settings.reports_folder}")
+        ui.say(f"The map in the browser: conetl view --map {settings.map_name}")
     raise typer.Exit(exit_code)
 
 
@@ -227,7 +230,7 @@ def print_report(report: IngestReport) -> None:
         ui.out.print(f"Trajectory: {report.trajectory}.")
     told = {check.name for check in report.health if check.verdict is not Verdict.PASS}
     if report.calibration and CALIBRATION not in told:
-        ui.out.print(f"Calibration: {report.calibration}.")
+        ui.out.print(f"Calibration: {report.calibration.partition(' (')[0]}.")  # the figures are in the drive's report
     ui.print_checks([check for check in report.health if check.verdict is not Verdict.HOLD])
     if report.replayed_drives:
         later = ui.counted(report.replayed_drives, "later drive")

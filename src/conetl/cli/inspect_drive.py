@@ -72,9 +72,7 @@ def inspect(
         _print(drive, facts, summary)
         ui.print_all_checks(checks)
         if kind == "bag":
-            ui.say(
-                "Health checks: none, because the images of a bag are not unpacked here; `conetl ingest` makes them."
-            )
+            ui.say("Health checks: none, because the images of a bag are not unpacked here; `conetl ingest` runs them.")
         if picture is not None:
             ui.say(f"Image: {picture}")
         if page is not None:

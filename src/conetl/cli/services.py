@@ -202,10 +202,7 @@ def status(as_json: JsonOption = False) -> None:
             say(f"Prefect: log in with {login_source(settings.home.resolve())}")
             say(f"Map:     {login_address(view, view_token(settings.home))}")
         if all(service["since"] is None for service in found["services"]):
-            say(
-                f"No services of `conetl up` are recorded in {settings.home.resolve()}: start them, or set CONETL_HOME to "
-                "another home folder."
-            )
+            say("Nothing that `conetl up` starts is running: run it, or set CONETL_HOME to another home folder.")
     if not found["up"]:
         raise typer.Exit(EXIT_SERVICE_MISSING)
 

@@ -72,7 +72,7 @@ def _panel(ax: Axes, zone: WorkZone, findings: Sequence[Finding], paths: Sequenc
     )
     ax.set_ylabel("offset, left is up (m)")
     ax.set_xlabel("along the road in the direction of travel (m)" if layout.direction_known else "along the row (m)")
-    source = {"lanes": "a lane line", "drives": "the driven path", "cones": "the cones themselves"}[layout.axis_source]
+    source = {"lanes": "a lane line", "drives": "the drive path", "cones": "the cones themselves"}[layout.axis_source]
     ax.set_title(
         f"work zone {str(zone.history.zone_id)[:8]}, {len(s)} cones; offsets from {source}", loc="left", fontsize=9
     )

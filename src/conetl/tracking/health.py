@@ -98,7 +98,7 @@ def _with_likely_cause(check: HealthCheck, clock: ClockOffset | None, params: Tr
         return check
     off = ""
     if clock is not None and clock.is_applied(params.clock_sigma_s):
-        off = f", and the poses say it is {1e3 * clock.offset_s:+.0f} +- {1e3 * clock.sigma_s:.0f} ms off"
+        off = f", and the poses say it is {1e3 * clock.offset_s:+z.0f} +- {1e3 * clock.sigma_s:.0f} ms off"
     detail = (
         f"The beginning of the images is known to {1e3 * params.clock_sigma_s:.0f} ms only{off}: state it in drive.yaml "
         f"(images.start, or clock.offset_s) before you look for another cause. {check.detail}"

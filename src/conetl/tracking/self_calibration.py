@@ -161,10 +161,10 @@ def self_calibrate(
     )
     if not worth.any():
         outcome = SelfCalibrationOutcome.INSIGNIFICANT
-        detail = f"left as given, the drive does not contradict it ({figures})"
+        detail = f"kept as given, the drive does not contradict it ({figures})"
     elif prior_chi2 > params.self_calibration_max_chi2:
         outcome = SelfCalibrationOutcome.IMPLAUSIBLE
-        detail = f"left as given: it would have to be off by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
+        detail = f"kept as given: it would have to be off by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
     return SelfCalibration(
         outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
         cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(estimate.model_gap.tolist()), span_count=len(points),
@@ -262,5 +262,5 @@ def _symmetric(matrix: Floats) -> Floats:
 
 
 def _without_estimate(why: str) -> SelfCalibration:
-    detail = f"left as given: {why}"
+    detail = f"kept as given: {why}"
     return SelfCalibration(outcome=SelfCalibrationOutcome.NO_ESTIMATE, detail=detail)

@@ -38,6 +38,15 @@ def test_table_cells_are_never_cut_off(capsys):
     assert "user                [conetl]" in lines
 
 
+def test_columns_without_a_value_are_left_out(capsys):
+    print_table("", ("feature", "missed", "shift m"), [("a", None, 0.5), ("b", "", None)])
+    assert [line.split() for line in capsys.readouterr().out.splitlines()] == [
+        ["feature", "shift", "m"],
+        ["a", "0.500"],
+        ["b"],
+    ]
+
+
 def test_a_bar_counts_in_its_unit_and_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither `0/?`, nor a summary on the line of the bar."""
     screen = io.StringIO()

@@ -26,7 +26,7 @@ def test_chunks_shorter_than_a_span_are_named_as_the_cause(tmp_path: Path, chunk
         params=IngestParams(chunk_pairs=chunk_pairs),
     )  # fmt: skip
     found = self_calibrate(chunk, [])
-    assert found.detail.startswith("left as given: 0 spans")
+    assert found.detail.startswith("kept as given: 0 spans")
     assert ("chunk_pairs is 4" in found.detail) is hinted
 
 

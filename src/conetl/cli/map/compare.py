@@ -56,7 +56,7 @@ def diff(
         changed = {change.feature_id for change in changes}
         draw_plan_view(
             picture,
-            title=f"Map {info.map_name}, EPSG:{info.srid}: {before} to {after}",
+            title=f"Map {info.map_name}, EPSG:{info.srid}: {_shown(before)} to {_shown(after)}",
             trajectory_m=np.empty((0, 2)),
             deltas=changes,
             untouched=[one for one in new if one.feature_id not in changed],
@@ -125,9 +125,18 @@ def state_of(conn: Connection, map_name: str, name: str) -> list[MapFeature]:
     return [version.feature for version in versions]
 
 
+def _shown(state: str) -> str:
+    """A state as it is named in pictures: `changeset 2`, or the time."""
+    return f"changeset {state}" if _is_number(state) else state
+
+
+def _is_number(state: str) -> bool:
+    return state.isdigit() and len(state) < 8
+
+
 def instants_of(conn: Connection, map_name: str, name: str) -> tuple[datetime | None, datetime | None]:
     """Time on the road and time of the database for a changeset number or a time; None: the latest."""
-    if name.isdigit() and len(name) < 8:
+    if _is_number(name):
         changesets = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == int(name)]
         if not changesets:
             raise InputError(f"the map {map_name} has no changeset {name}: `conetl map log` lists them")
@@ -270,7 +279,7 @@ def picture(
     if title is None:
         drawn = [*standing, *(change.old for change in differing or () if change.old is not None)]
         title = f"Traffic cones, map {name}" if {one.category for one in drawn} <= {CONE} else f"Map {name}"
-        title += f": changes from {changes[0]} to {changes[1]}" if changes else ""
+        title += f": changes from {_shown(changes[0])} to {_shown(changes[1])}" if changes else ""
     footer = _footer(valid_at, known, changes, info.last_committed_at)
     done = draw_map_picture(output, content, extent, size_mm=size_mm, title=title, footer=footer)
     lines, points = len(content.lines_m), len(content.points_m)
@@ -294,7 +303,7 @@ def _footer(
 ) -> str:
     """Which state of the map is drawn."""
     if changes:
-        parts = [f"{changes[0]} compared with {changes[1]}"]
+        parts = [f"{_shown(changes[0])} compared with {_shown(changes[1])}"]
     else:
         parts = [f"on the road at {valid_at:%Y-%m-%d %H:%M} UTC" if valid_at else "latest state"]
     if known:

@@ -104,13 +104,14 @@ def decisions(map_name: ui.MapOption = None, as_json: ui.JsonOption = False) -> 
     """List the decisions in force."""
     with open_map(map_name) as (conn, info):
         found = list_decisions(conn, map_name=info.map_name)
+        numbers = {one.changeset_id: one.changeset_no for one in list_changesets(conn, map_name=info.map_name)}
     if as_json:
         ui.print_json(found)
         return
     columns: ui.Columns = {
         "decision": "decision_id",
         "kind": "kind",
-        "about": lambda decision: decision.feature_id or decision.changeset_id,
+        "about": lambda decision: decision.feature_id or f"changeset {numbers[decision.changeset_id]}",
         "decided (UTC)": "decided_at",
         "easting m": "easting_m",
         "northing m": "northing_m",
