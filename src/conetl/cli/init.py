@@ -52,21 +52,23 @@ def init(
     right_offset: Annotated[
         str | None,
         typer.Option(
-            help="Seconds to add to the right file's times to have the left one's; else found from the images."
+            help="Seconds to add to the times of the right file to get those of the left one; else found from the images."
         ),
     ] = None,
     timestamps: Annotated[
         str | None,
-        typer.Option(help="File with the time of every left image, one per line, where their names are none."),
+        typer.Option(help="File with the time of every left image, one per line, if their names are no times."),
     ] = None,
     right_timestamps: Annotated[
-        str | None, typer.Option(help="The same of the right images, where they have other times.")
+        str | None, typer.Option(help="The same for the right images, if their times differ.")
     ] = None,
     every: Annotated[int | None, typer.Option(min=1, help="Use every n-th frame pair.")] = None,
     from_s: Annotated[
-        float | None, typer.Option("--from", min=0.0, help="Use the recording from this second of the left file ...")
+        float | None, typer.Option("--from", min=0.0, help="Use the recording from this second of the left file on.")
     ] = None,
-    to_s: Annotated[float | None, typer.Option("--to", min=0.0, help="... to this one.")] = None,
+    to_s: Annotated[
+        float | None, typer.Option("--to", min=0.0, help="Use the recording up to this second of the left file.")
+    ] = None,
     trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
     date: Annotated[str | None, typer.Option(help="Day of the recording, for logs without a date.")] = None,
     log_time: Annotated[
@@ -94,7 +96,7 @@ def init(
     ] = False,
     force: Annotated[
         bool,
-        typer.Option(help="Write an existing drive.yaml anew; what it states stays, unless an option says otherwise."),
+        typer.Option(help="Write an existing drive.yaml again; its settings are kept, unless an option changes them."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -32,7 +32,7 @@ MAX_SHOWN, MAX_MESSAGE = 200, 400
 #: pydantic's kind of an error -> what was expected; {} are the error's own figures.
 _EXPECTED = {
     "missing": "is missing",
-    "extra_forbidden": "there is no such key here",
+    "extra_forbidden": "unknown key",
     "greater_than": "expected more than {gt}",
     "greater_than_equal": "expected at least {ge}",
     "less_than_equal": "expected at most {le}",

@@ -17,7 +17,7 @@ from conetl.files.storage import as_path, is_remote
 from conetl.model.errors import InputError
 from conetl.model.map_records import MAP_NAME
 
-_MAP_NAME_WORDS = "1 to 40 of a-z, 0-9, _ and - (not the first), for example night_survey"
+_MAP_NAME_WORDS = "1 to 40 characters of a-z, 0-9, _ and -, the first not -, for example night_survey"
 
 
 class Settings(BaseSettings):

@@ -89,11 +89,11 @@ def test_without_a_file_or_with_an_empty_one_the_defaults_hold(tmp_path: Path) -
     [
         (
             "reconcile: {min_gate: 1}",
-            r"parameters .*params.yaml: reconcile.min_gate: there is no such key here.*min_gate_m",
+            r"parameters .*params.yaml: reconcile.min_gate: unknown key.*min_gate_m",
         ),
         ("reconcile: {min_gate_m: far}", r"reconcile.min_gate_m: .*number.*found 'far'"),
         ("reconcile: [1, 2]", r"reconcile: .*found \[1, 2\]"),
-        ("nonsense: 1", r"nonsense: there is no such key here; known are .*reconcile"),
+        ("nonsense: 1", r"nonsense: unknown key; known are .*reconcile"),
         ("- a\n- b", "expected keys and values"),
         ("a: [", "not YAML"),
         (None, r"params\.yaml: cannot be read"),

@@ -299,7 +299,7 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
         lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "not one of 6 frame pairs can be used",
     ),
     "drive.yaml with an unknown key": (
-        lambda d: (d / "drive.yaml").write_text("drive: x"), DriveFolderError, "drive: there is no such key here",
+        lambda d: (d / "drive.yaml").write_text("drive: x"), DriveFolderError, "drive: unknown key",
     ),
     "drive.yaml that is no mapping": (lambda d: (d / "drive.yaml").write_text("- x"), DriveFolderError, "expected keys"),
     "unknown time zone": (

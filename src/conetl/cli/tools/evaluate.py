@@ -62,7 +62,7 @@ def evaluate(
     ] = 20.0,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Compare the cones of drives with surveyed truth: the paper's Table 3, errors over range, and whether sigmas hold.
+    """Compare the cones of drives with surveyed truth: the error of each cone, errors over range, and whether sigmas hold.
 
     Lane markings are compared with truth_markings.geojson of a drive where they are searched for (--category lane_marking,
     which may be given alone).

@@ -331,7 +331,7 @@ def _target(conn: Connection, map_name: str, beginning: str) -> Decidable:
         for known in store.list_decisions(conn, map_name=map_name):
             if known.kind == HOLD and len(beginning) >= 4 and str(known.decision_id).startswith(beginning.lower()):
                 raise InputError(
-                    f"{beginning} is a hold, not a decision: `conetl drive held` and `conetl drive accept` are for it"
+                    f"{beginning} is a hold, not a decision: use `conetl drive held` and `conetl drive accept`"
                 )
         raise InputError(
             f"the map {map_name} has no changeset or decision {beginning}: see `conetl map log` and `conetl map decisions`"

@@ -267,7 +267,7 @@ def _file_crs(table: MapTable, stated: str | None) -> CRS:
         wanted = None if stated is None else parse_crs(stated)
     crs = table.crs or wanted
     if crs is None:
-        raise InputError(f"{table.path} does not have a CRS of its coordinates: state it (--crs EPSG:...)")
+        raise InputError(f"{table.path} states no CRS of its coordinates: give it with --crs EPSG:...")
     if table.crs is not None and wanted is not None and not _same(table.crs, wanted):
         raise InputError(f"{table.path} has the CRS {table.crs.name}, but --crs is {wanted.name}: which is right?")
     flat = crs.sub_crs_list[0] if crs.is_compound else crs

@@ -79,7 +79,9 @@ def _camera(camera: Node, image_size: Size | None) -> Camera:
     if image_size is None:
         size = camera.get("ImageSize")
         if not _given(size):
-            raise size.bad("is missing or empty; make a rig.yaml of it: conetl rig convert with --image-size 6000x4000")
+            raise size.bad(
+                "is missing or empty; make a rig.yaml from it: conetl rig convert with --image-size 6000x4000"
+            )
         rows, columns = size.size()
         image_size = columns, rows
     return camera_from_matrix(matrix, k - _ORIGIN, image_size, lens)

@@ -56,7 +56,7 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
     if right_SE3_left is None:
         raise CalibrationError(
             f"{path}: the sensors {shown(left)} and {shown(right)} are not in one multi-camera system: neither is the master "
-            "(master_id) of the other, nor have they the same"
+            "(master_id) of the other, nor do they have the same one"
         )
     left_camera, right_camera = (_camera(path, sensors[numbers_of[name]], name) for name in (left, right))
     node = Node(path, None, f"{right}.location")

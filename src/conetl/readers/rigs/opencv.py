@@ -203,7 +203,7 @@ def _size(file: Node, side: Side) -> Size:
     if whole is not None:
         return whole.size()
     raise file.get("image_width, image_height").bad(
-        "are missing: some OpenCV stereo files have no image size. Add both keys to the file, or make a rig.yaml of it: conetl "
+        "are missing: some OpenCV stereo files have no image size. Add both keys to the file, or make a rig.yaml from it: conetl "
         "rig convert with --image-size 1242x375"
     )
 
