@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Annotated
@@ -108,9 +109,14 @@ def ingest_drives(
             _log.info("drive %s", header.path)
             complaints: list[ConetlError | str] = []
             try:
-                with ui.progress_bar(header.drive_id, "images") as update:
+                with ui.progress_bar(header.drive_id, "images and motions") as update:
                     report = ingest_by_command(
-                        header, settings, params, map_srid=map_srid, database=database, progress=update
+                        header,
+                        settings,
+                        params,
+                        map_srid=map_srid,
+                        database=database,
+                        progress=partial(_show_progress, update, header.drive_id),
                     )
             except NeedsAttentionError as error:
                 report, complaints = error.report, [error]
@@ -130,6 +136,11 @@ def ingest_drives(
                 ui.complain(complaint)
                 exit_code = max(exit_code, EXIT_NEEDS_ATTENTION)
     return reports, exit_code
+
+
+def _show_progress(update: Callable[..., None], drive_id: str, done: int, total: int) -> None:
+    """Show the images and motions that are done; positions and changes follow, which take a few seconds."""
+    update(done, total, description=drive_id if done < total else f"{drive_id}: positions and changes")
 
 
 def require_room(settings: Settings) -> None:

@@ -162,7 +162,7 @@ def analyse_folder(
         raise InputError(f"no such drive folder: {folder}")
     drive, rejections = read_drive(folder, map_srid=map_srid, images_folder=settings.images_folder.resolve())
     ui.note_unmeasured(read_model_card(settings.model_path))
-    with ui.progress_bar(drive.drive_id, "images") as update:
+    with ui.progress_bar(drive.drive_id, "images and motions") as update:
         return analyse(drive, params, rejections=rejections, settings=settings, progress=update)
 
 
