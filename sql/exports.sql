@@ -212,12 +212,13 @@ where m.map_name = %(map_name)s and upper_inf(v.system_period);
 
 -- name: qgis_now
 -- Layer of a QGIS project: the standing point objects, with the last change of each. Parameters: map_name.
--- Columns: as below (metres, UTC); sigma_m is the mean horizontal one; seen_count, missed_count: drives that saw and
+-- Columns: as below (metres, UTC); sigma_m along the major axis of the error ellipse; seen_count, missed_count: drives that saw and
 -- that missed it, existence_probability is the value after them.
 select
     v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category,
     coalesce(e.existence_after, v.existence_probability) as existence_probability, e.seen_count, e.missed_count,
-    v.cone_height_m as object_height_m, ST_Z(v.geom) as ellipsoidal_height_m, sqrt((v.cov_xx + v.cov_yy) / 2) as sigma_m,
+    v.cone_height_m as object_height_m, ST_Z(v.geom) as ellipsoidal_height_m,
+    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
     v.observation_count, to_timestamp(v.first_seen_ns / 1e9) as first_seen_at, to_timestamp(v.last_seen_ns / 1e9) as last_seen_at,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.geom
 from conetl.feature_version v
@@ -246,10 +247,11 @@ and v.line is not null;
 
 -- name: qgis_over_time
 -- Layer of a QGIS project: all current versions of point objects, for the temporal controller.
--- Parameters: map_name. Columns: as below (metres, UTC); sigma_m is the mean horizontal one.
+-- Parameters: map_name. Columns: as below (metres, UTC); sigma_m along the major axis of the error ellipse.
 select
     v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category, v.existence_probability,
-    v.cone_height_m as object_height_m, ST_Z(v.geom) as ellipsoidal_height_m, sqrt((v.cov_xx + v.cov_yy) / 2) as sigma_m,
+    v.cone_height_m as object_height_m, ST_Z(v.geom) as ellipsoidal_height_m,
+    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
     v.observation_count,
     to_timestamp(v.first_seen_ns / 1e9) as first_seen_at, to_timestamp(v.last_seen_ns / 1e9) as last_seen_at,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.geom

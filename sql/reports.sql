@@ -112,7 +112,9 @@ join conetl.drive d using (drive_uuid)
 cross join lateral (
     select
         percentile_cont(0.5) within group (order by k.residual_rms_px) as residual_px,
-        percentile_cont(0.5) within group (order by sqrt((k.cov_xx + k.cov_yy) / 2)) as sigma_m
+        percentile_cont(0.5) within group (
+            order by sqrt((k.cov_xx + k.cov_yy) / 2 + sqrt(((k.cov_xx - k.cov_yy) / 2) ^ 2 + k.cov_xy ^ 2))
+        ) as sigma_m
     from conetl.track k
     where k.drive_uuid = c.drive_uuid
 ) t

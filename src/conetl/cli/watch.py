@@ -14,6 +14,7 @@ from conetl.cli import console as ui
 from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
 from conetl.db.live_store import read_provisional
+from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.errors import DriveFolderError
 from conetl.pipeline.settings import Settings, read_settings
 
@@ -92,7 +93,7 @@ _PROVISIONAL: ui.Columns = {
     "northing m": "northing_m",
     "height m": "height_m",
     "object m": lambda row: f"{row['cone_height_m']:.2f}",
-    "sigma m": lambda row: ((row["cov_xx"] + row["cov_yy"]) / 2) ** 0.5,
+    "sigma m": lambda row: horizontal_sigma_m((row["cov_xx"], row["cov_xy"], 0.0, row["cov_yy"], 0.0, 0.0)),
     "probability": "existence_probability",
     "observations": "observation_count",
     "on the map as": lambda row: str(row["near_feature_id"] or "")[:8],

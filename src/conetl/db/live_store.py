@@ -10,6 +10,7 @@ from uuid import UUID
 from conetl.db.connection import Connection, execute_count, load_sql, query, read, transaction
 from conetl.db.copy_binary import clean_text
 from conetl.db.receipt_store import held_locks
+from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.records import Drive, Track
 
 #: Watched drives that nobody ingested are deleted after this time, when the next watch begins.
@@ -70,12 +71,12 @@ def write_live(
         }  # fmt: skip
         query(conn, "live.upsert_watched_drive", **named | drive)
         for index, track in tracks.items():
-            sigma_m = ((track.cov_m2[0] + track.cov_m2[3]) / 2) ** 0.5
             row = {
                 "feature_index": index, "east_m": track.xyz_m[0], "north_m": track.xyz_m[1], "height_m": track.xyz_m[2],
                 **dict(zip(_COV, track.cov_m2, strict=True)), "cone_height_m": track.cone_height_m,
                 "existence_probability": track.existence_probability, "observation_count": track.observation_count,
-                "first_seen_ns": track.first_seen_ns, "last_seen_ns": track.last_seen_ns, "reach_m": least_reach_m + 3 * sigma_m,
+                "first_seen_ns": track.first_seen_ns, "last_seen_ns": track.last_seen_ns,
+                "reach_m": least_reach_m + 3 * horizontal_sigma_m(track.cov_m2),
             }  # fmt: skip
             query(conn, "live.upsert_provisional_feature", **named | row)
         for index in taken_back:

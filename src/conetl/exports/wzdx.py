@@ -25,7 +25,7 @@ from referencing.jsonschema import DRAFT7
 from conetl.exports.text_files import coordinates
 from conetl.files.atomic import atomic_text_file
 from conetl.files.documents import read_yaml_mapping, validated
-from conetl.geometry.packing import cov_matrix
+from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
@@ -200,8 +200,8 @@ def _evidence(zone: WorkZone) -> Object:
         "first_device_id": str(zone.first.feature_id),
         "last_device_id": str(zone.last.feature_id),
         "device_ids": [str(cone.feature_id) for cone in zone.layout.cones],
-        "start_sigma_m": round(_sigma_m(zone.first), 3),
-        "end_sigma_m": round(_sigma_m(zone.last), 3),
+        "start_sigma_m": round(horizontal_sigma_m(zone.first.cov_m2), 3),
+        "end_sigma_m": round(horizontal_sigma_m(zone.last.cov_m2), 3),
         "closed_side": zone.closed_side,
         "closed_lane_count": zone.closed_lane_count,
         "road_axis_from": zone.layout.axis_source,
@@ -244,7 +244,7 @@ def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedConte
         "road_direction": _direction(zone, context) if zone is not None else None,
         "road_names": list(context.info.road_names),
         "description": f"{cone.category.replace('_', ' ').capitalize()}, {cone.cone_height_m:.2f} m high, located by survey "
-        f"drives; sigma {_sigma_m(cone):.2f} m; last seen at {_iso(utc_from_ns(cone.last_seen_ns))}.",
+        f"drives; sigma {horizontal_sigma_m(cone.cov_m2):.2f} m; last seen at {_iso(utc_from_ns(cone.last_seen_ns))}.",
         "is_moving": False,
         "road_event_ids": [event_id] if event_id else None,
     }
@@ -271,12 +271,10 @@ def _direction(zone: WorkZone, context: FeedContext) -> str:
 
 
 def _is_verified(cone: MapFeature, params: WorkZoneParams) -> bool:
-    return _sigma_m(cone) <= params.verified_sigma_m and cone.existence_probability >= params.verified_existence
-
-
-def _sigma_m(cone: MapFeature) -> float:
-    """Standard deviation of the horizontal position in its worst direction."""
-    return float(np.sqrt(np.linalg.eigvalsh(cov_matrix(cone.cov_m2)[:2, :2])[-1]))
+    return (
+        horizontal_sigma_m(cone.cov_m2) <= params.verified_sigma_m
+        and cone.existence_probability >= params.verified_existence
+    )
 
 
 def _bbox(line: list[list[float]]) -> list[float]:

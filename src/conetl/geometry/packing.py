@@ -28,6 +28,11 @@ def cov_matrix(cov: Cov3) -> Floats:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
+def horizontal_sigma_m(cov: Cov3) -> float:
+    """Standard deviation of the horizontal position in its worst direction: the semi-major axis of the error ellipse."""
+    return float(np.sqrt(np.linalg.eigvalsh(cov_matrix(cov)[:2, :2])[-1]))
+
+
 def cov_matrices(covariances: Sequence[Cov3]) -> Floats:
     """As `cov_matrix`, for N of them: (N, 3, 3)."""
     return np.array(covariances, dtype=np.float64).reshape(-1, 6)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

@@ -23,6 +23,7 @@ from conetl.db.map.map_store import drive_transaction, find_changeset
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.db.receipt_store import PendingChangeset
 from conetl.files.parquet_store import result_key
+from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.health import AGREES, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
@@ -198,7 +199,7 @@ def _line(delta: Delta) -> ChangeLine:
         category=feature.category,
         xyz_m=feature.xyz_m,
         cone_height_m=feature.cone_height_m,
-        sigma_horizontal_m=((feature.cov_m2[0] + feature.cov_m2[3]) / 2) ** 0.5,
+        sigma_horizontal_m=horizontal_sigma_m(feature.cov_m2),
         existence_probability=delta.evidence.existence_probability if delta.evidence else feature.existence_probability,
         observation_count=feature.observation_count,
         shift_m=delta.shift_m,

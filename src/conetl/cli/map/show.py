@@ -16,6 +16,7 @@ from conetl.cli.database import open_map
 from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
+from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import noun_of, require_classes
 from conetl.model.health import HoldEvent
@@ -32,7 +33,7 @@ _FEATURES: ui.Columns = {
     "northing m": lambda v: v.feature.xyz_m[1],
     "height m": lambda v: v.feature.xyz_m[2],
     "object m": lambda v: f"{v.feature.cone_height_m:.2f}",
-    "sigma m": lambda v: ((v.feature.cov_m2[0] + v.feature.cov_m2[3]) / 2) ** 0.5,
+    "sigma m": lambda v: horizontal_sigma_m(v.feature.cov_m2),
     "probability": lambda v: v.feature.existence_probability,
     "observations": lambda v: v.feature.observation_count,
     "drives": "seen_count",
