@@ -183,7 +183,9 @@ and case
         ST_StartPoint(ST_GeomFromText(%(path_wkt)s, %(srid)s)), 20
     )
 end
-and ST_Intersects(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s))
+and d.area && ST_GeomFromText(%(path_wkt)s, %(srid)s)
+-- A drive on hold may have another CRS than the map.
+and case when ST_SRID(d.area) = %(srid)s then ST_Intersects(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s)) else false end
 and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
 order by d.changeset_no;
 

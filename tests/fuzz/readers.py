@@ -194,7 +194,7 @@ def read_any_rig(path: Path, _: Path) -> object:
 
 # --------------------------------------------------------------------------- point clouds, lanes, maps
 
-LON_LAT = ((8.4262, 49.0037), (8.4263, 49.0038), (8.4264, 49.0039))
+LON_LAT = ((8.42621837, 49.00371264), (8.42632915, 49.00382643), (8.42643752, 49.00393518))
 ROWS: dict[str, list[object]] = {
     "category": ["traffic_cone"] * 3, "height_m": [0.5, 0.5, 0.75], "sigma_e_m": [0.02] * 3, "observation_count": [4, 5, 6],
     "feature_id": [f"00000000-0000-4000-8000-00000000000{i}" for i in range(3)],

@@ -580,7 +580,7 @@ def test_files_that_are_none(conn, tmp_path, surveyed):
     refused("two.csv", b"lon;lat\n8.4;49\n", "height of the ground .* and the time of the survey")
     refused("comma.csv", b"Longitude;Latitude\n8,4;49\n", "row 1: lon_deg is '8,4', which is not a number")
     refused("ragged.csv", b"lon_deg,lat_deg\n8.4,49\n8.4\n", "row 2: 1 values where the header has 2")
-    refused("crs.csv", b"easting_m,northing_m\n458000,5428000\n", "state it")
+    refused("crs.csv", b"easting_m,northing_m\n458000,5428000\n", "give it with --crs")
     refused("map.kml", b"<kml/>", "can be imported from")
     refused("other.gpkg", (folder / "map.gpkg").read_bytes(), "which is right", crs="EPSG:32633")
     pq.write_table(pa.table({"a": [1]}), tmp_path / "plain.parquet")

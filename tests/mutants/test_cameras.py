@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pydantic import SecretStr
 
@@ -45,12 +46,16 @@ def settings(first_day: Settings, module_database_url: str, cluster_url: str) ->
 
 
 def next_day(name: str, folder: Path, day: int = 3) -> Path:
-    """The first sample drive, recorded again a day later, and wrong."""
+    """The first sample drive, recorded again a day later, and wrong; some frames are 3 ms earlier: it is no copy."""
     files = SECOND_DRIVE[name]
     assert files is not None
     files(copy_drive(SAMPLES[0], folder))
     for path in folder.glob("*/timestamps.txt"):
-        path.write_text(path.read_text().replace("2026-03-02", f"2026-03-{day:02d}"))
+        stamps = np.array(
+            path.read_text().replace("2026-03-02", f"2026-03-{day:02d}").split("\n")[:-1], "datetime64[ns]"
+        )
+        stamps[::day] -= np.timedelta64(3, "ms")
+        path.write_text("".join(f"{stamp}\n".replace("T", " ") for stamp in stamps))
     return folder
 
 

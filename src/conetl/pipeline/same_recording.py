@@ -67,8 +67,10 @@ def _is_same_recording(drive: Drive, other: DriveThen, pairs: Sequence[FramePair
 def has_the_same_log(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
     """Whether frame pairs have the poses of a drive, frame by frame, and time stamps that are all off by one time."""
     pairs = at_the_times_of(drive, pairs)
-    if len(pairs) < _LEAST_PAIRS:
+    common = {pair.frame_index for pair in pairs} & {pair.frame_index for pair in drive.frame_pairs}
+    if len(common) < _LEAST_PAIRS:
         return False
+    pairs = [pair for pair in pairs if pair.frame_index in common]
     path_m = np.array([pair.pose.map_t_body_m[:2] for pair in pairs])
     if np.hypot(*np.ptp(path_m, axis=0)) < _LEAST_PATH_M:
         return False

@@ -71,3 +71,8 @@ def test_time_stamps_of_another_zone_are_those_of_the_same_recording() -> None:
 def test_the_log_of_a_recording_is_known_whatever_its_clock(pairs: list[FramePair], same: bool) -> None:
     drive = DRIVE if len({pair.pose for pair in pairs}) > 1 else DRIVE.model_copy(update={"frame_pairs": tuple(pairs)})
     assert has_the_same_log(drive, RIG, [later(pair, 3600.0) for pair in pairs]) is same
+
+
+def test_a_few_frames_are_not_known_by_their_log() -> None:
+    few = DRIVE.model_copy(update={"frame_pairs": PAIRS[:5]})
+    assert not has_the_same_log(few, RIG, [later(pair, 3600.0) for pair in PAIRS])
