@@ -176,6 +176,7 @@ join conetl.map m on m.map_id = d.map_id
 where m.map_name = %(map_name)s and m.srid = %(srid)s and d.rig is not null
 and d.content_sha256 <> %(content_sha256)s
 and case
+    when ST_SRID(d.area) <> %(srid)s then false  -- a drive on hold may have another CRS than the map
     when d.drive_id = %(drive_id)s then d.expected_frame_count = %(frame_count)s
     when d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s then true
     else d.expected_frame_count = %(frame_count)s and ST_DWithin(
@@ -184,7 +185,6 @@ and case
     )
 end
 and d.area && ST_GeomFromText(%(path_wkt)s, %(srid)s)
--- A drive on hold may have another CRS than the map.
 and case when ST_SRID(d.area) = %(srid)s then ST_Intersects(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s)) else false end
 and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
 order by d.changeset_no;
