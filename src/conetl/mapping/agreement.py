@@ -120,7 +120,7 @@ def _displaced(
     if not same_zone and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
         return None  # the map's row may go on, or have a second one beside it, where the drive sees it
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
-    sigma_m = _horizontal_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
+    sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     if fit.largest_m <= min(params.max_offset_m, _MAX_SIGMAS * sigma_m):
         return None
     turned = f" and turned by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
@@ -149,13 +149,25 @@ def imported_displacement(
     pairs = _same_positions(stated, features, np.zeros(3), params)
     if pairs:
         i, j = list(pairs), list(pairs.values())
+        # Where most have no cone near them, those that do are others' neighbours: their heights alone are compared.
         compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(near) else (0.0, 0.0, 1.0)
         common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
         if common is not None:
             return common
+    return _arranged_alike(t, f, near, len(pairs), covs[0].mean(axis=0) + covs[1].mean(axis=0), params)
+
+
+def _arranged_alike(
+    t: Floats, f: Floats, near: NDArray[np.intp], found: int, cov_m2: Floats, params: ReconcileParams
+) -> HealthCheck | None:
+    """How far the cones t (N, 3) lie from those of the map, f (M, 3), that are arranged alike.
+
+    near: which t have a cone of the map within `_IMPORT_DISPLACEMENT_M`; found: how many stand where one of the map stands, of
+    which twice as many must fit elsewhere; cov_m2 (3, 3): of one difference.
+    """
     some = near[:: 1 + len(near) // _MAX_TRACKS]
-    found = len(pairs) * len(some) / max(len(near), 1)
-    least = max(_LEAST_SAME, _LEAST_SAME_SHARE * len(some), 2 * found + 1)
+    found_of_some = found * len(some) / max(len(near), 1)
+    least = max(_LEAST_SAME, _LEAST_SAME_SHARE * len(some), 2 * found_of_some + 1)
     if least > len(some):
         return None
     spacing_m = np.asarray(cKDTree(t[near, :2]).query(t[some, :2], 2)[0])[:, 1]
@@ -164,7 +176,7 @@ def imported_displacement(
     fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, _IMPORT_DISPLACEMENT_M)
     if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > _SAME_ZONE_M:
         return None
-    sigma_m = _horizontal_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
+    sigma_m = _mean_sigma_m(cov_m2)
     limit_m = min(params.max_offset_m, _MAX_SIGMAS * sigma_m)
     return _aside(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
 
@@ -195,8 +207,8 @@ def _held(what: str, value: float, detail: str, *, limit: float, sigma: float | 
     )
 
 
-def _horizontal_sigma_m(cov_m2: Floats) -> float:
-    """Of a (3, 3) covariance."""
+def _mean_sigma_m(cov_m2: Floats) -> float:
+    """Of a (3, 3) covariance: the mean of both horizontal axes."""
     return float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2))
 
 
@@ -209,7 +221,7 @@ def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
     offset = np.array([east, north])
     chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
     if len(apart_m) >= _LEAST_PAIRS and chi2 > _MAX_SIGMAS**2 and hypot(east, north) > _LEAST_OFFSET_M:
-        sigma_m = _horizontal_sigma_m(cov_m2)
+        sigma_m = _mean_sigma_m(cov_m2)
         return _aside(hypot(east, north), sigma_m, "", max(_LEAST_OFFSET_M, _MAX_SIGMAS * sigma_m))
     return None
 
