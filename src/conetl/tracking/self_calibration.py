@@ -161,7 +161,7 @@ def self_calibrate(
     )
     if not worth.any():
         outcome = SelfCalibrationOutcome.INSIGNIFICANT
-        detail = f"kept as given, the drive does not contradict it ({figures})"
+        detail = f"kept as given; the drive does not contradict it ({figures})"
     elif prior_chi2 > params.self_calibration_max_chi2:
         outcome = SelfCalibrationOutcome.IMPLAUSIBLE
         detail = f"kept as given: it would have to be off by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
