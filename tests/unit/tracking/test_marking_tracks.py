@@ -144,6 +144,24 @@ def test_a_solid_line_that_goes_on_as_dashes_is_two_markings() -> None:
     assert [track.marking.pattern for track in tracks] == ["solid", "dashed"]
 
 
+def test_two_dashes_after_a_solid_line_leave_it_on_the_map() -> None:
+    tracks = fused({-1.5: lambda along: (along < 25) | ((along > 28) & (along < 31)) | ((along > 40) & (along < 43))})
+    assert [track.marking.pattern for track in tracks] == ["solid", "dashed"]
+    assert tracks[1].marking.gap_m == pytest.approx(9.0, abs=0.2)
+
+
+def test_dashes_have_their_length_although_the_ends_of_some_are_bare() -> None:
+    bare = {1: (1.0, 0.0), 2: (0.0, 1.2), 3: (0.9, 0.0), 4: (0.0, 0.8)}
+
+    def paint(along_m: Floats) -> NDArray[np.bool_]:
+        before, behind = np.array([bare.get(k, (0.0, 0.0)) for k in (along_m // 12).astype(int)]).T
+        return np.asarray((along_m % 12 > before) & (along_m % 12 < 6.0 - behind))
+
+    (track,) = fused({2.5: paint})
+    assert track.marking.dash_m == pytest.approx(6.0, abs=0.5)
+    assert track.marking.gap_m == pytest.approx(6.0, abs=0.5)
+
+
 def test_kerbs_and_what_is_seldom_seen_are_no_markings() -> None:
     assert fused({-1.5: everywhere}, above_m=0.1) == []
     assert fused({-1.5: everywhere}, share=0.1) == []

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
+from scipy.special import ndtri
 
 from conetl.geometry.linear_reference import locate
 from conetl.geometry.small_arrays import robust_std
@@ -35,6 +36,10 @@ _REGULAR = 0.3
 _LONGEST_GAP = 4.0
 #: Shorter gaps than this share of the longest one are worn holes in dashes.
 _HOLE_SHARE = 0.4
+#: About so many dashes are laid over each other: over more, in bends, the period along the path changes.
+_OVERLAID = 8
+#: The period of dashes differs at most by this share from the median of their distances.
+_PERIOD_SHARE = 0.05
 #: A line with paint on more than this share of its length is solid, although worn.
 _WORN = 0.75
 #: The chain is drawn by points so far apart for its projection into the images.
@@ -113,18 +118,25 @@ def pieces_of(searched: Searched, min_length_m: float) -> list[PatternPiece]:
     low = searched.station_m.min() - 1.0
     cell = ((searched.station_m - low) / _CELL_M).astype(np.intp)
     size = cell.max() + 11
-    sigma = _SMOOTHING_M / _CELL_M
-    seen, hits = (
-        gaussian_filter1d(np.bincount(cell, values, size), sigma, mode="constant")
-        for values in (searched.weight, searched.weight * searched.hit)
-    )
+    share, seen = _shares(cell, searched, size)
     known = seen > 0.02 * np.median(seen[seen > 0])
-    share = np.where(known, hits / np.maximum(seen, 1e-12), 0.0)
+    share = np.where(known, share, 0.0)
     at = low + (np.arange(size) + 0.5) * _CELL_M
-    usual = float(np.percentile(share[share > 0.05], 75)) if (share > 0.05).any() else 0.0
-    runs = _runs(at, share, known, _PAINTED * usual)
-    pieces = [_piece(group, searched) for group in _groups(runs)]
+    runs = _runs(at, share, known, _PAINTED * _usual(share))
+    pieces = [_piece(group, searched) for group in _groups(runs, searched)]
     return [piece for piece in pieces if piece is not None and piece.painted_m >= min_length_m]
+
+
+def _shares(cell: NDArray[np.intp], searched: Searched, count: int) -> tuple[Floats, Floats]:
+    """Smoothed share of hits in each of `count` cells, whose last is followed by the first, and the weight of the rows in it."""
+    values = np.stack([np.bincount(cell, one, count) for one in (searched.weight, searched.weight * searched.hit)])
+    seen, hits = gaussian_filter1d(values, _SMOOTHING_M / _CELL_M, mode="wrap")
+    return hits / np.maximum(seen, 1e-12), seen
+
+
+def _usual(share: Floats) -> float:
+    """Share of hits where there is paint, of shares (C,) along a marking."""
+    return float(np.percentile(share[share > 0.05], 75)) if (share > 0.05).any() else 0.0
 
 
 class _Run(NamedTuple):
@@ -168,7 +180,7 @@ def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> 
     return [run for run in runs if run.length_m >= _LEAST_RUN_M]
 
 
-def _groups(runs: list[_Run]) -> list[list[_Run]]:
+def _groups(runs: list[_Run], searched: Searched) -> list[list[_Run]]:
     """Runs that belong together: parts of a solid line with each other, dashes with dashes."""
     groups: list[list[_Run]] = []
     for run in runs:
@@ -181,8 +193,8 @@ def _groups(runs: list[_Run]) -> list[list[_Run]]:
     for group in groups:
         # One or two short runs beside a solid line are what is left between worn or hidden parts of it, more may be dashes.
         parts = (whole[-1], group) if whole else ()
-        solid = [_dashes(part) is None for part in parts]
-        near = bool(whole) and group[0].start_m - whole[-1][-1].end_m <= _LONGEST_HOLE_M
+        solid = [_dashes(part, searched) is None for part in parts]
+        near = bool(whole) and _widest_gap_m(whole[-1] + group) <= _LONGEST_HOLE_M
         if near and any(solid) and all(one or len(part) <= 2 for one, part in zip(solid, parts, strict=True)):
             whole[-1] = whole[-1] + group
         else:
@@ -190,25 +202,66 @@ def _groups(runs: list[_Run]) -> list[list[_Run]]:
     return whole
 
 
-def _dashes(runs: list[_Run]) -> tuple[float, float] | None:
+def _widest_gap_m(runs: list[_Run]) -> float:
+    return max((b.start_m - a.end_m for a, b in pairwise(runs)), default=0.0)
+
+
+def _dashes(runs: list[_Run], searched: Searched) -> tuple[float, float] | None:
     """Lengths of dashes and gaps (m) of a dashed line; None of a solid one, which may be worn."""
     if len(runs) == 1 or any(run.length_m > _LONGEST_DASH_M for run in runs):
         return None
-    most = max(b.start_m - a.end_m for a, b in pairwise(runs))
-    joined = runs[:1]
+    joined, least_m = runs[:1], _HOLE_SHARE * _widest_gap_m(runs)
     for run in runs[1:]:
-        if run.start_m - joined[-1].end_m < _HOLE_SHARE * most:
+        if run.start_m - joined[-1].end_m < least_m:
             joined[-1] = joined[-1]._replace(end_m=run.end_m, empty_after=run.empty_after)
         else:
             joined.append(run)
-    runs = joined
-    gaps = np.array([b.start_m - a.end_m for a, b in pairwise(runs)])
-    whole = [run.length_m for run in runs if run.empty_before and run.empty_after]
-    dashes = np.array(whole or [run.length_m for run in runs])
-    worn = sum(run.length_m for run in runs) > _WORN * (runs[-1].end_m - runs[0].start_m)
+    gaps = np.array([b.start_m - a.end_m for a, b in pairwise(joined)])
+    whole = [run.length_m for run in joined if run.empty_before and run.empty_after]
+    dashes = np.array(whole or [run.length_m for run in joined])
+    worn = sum(run.length_m for run in joined) > _WORN * (joined[-1].end_m - joined[0].start_m)
     dash, gap = float(np.median(dashes)), float(np.median(gaps))
-    irregular = len(runs) > 2 and max(robust_std(gaps) / gap, robust_std(dashes) / dash) > _REGULAR
-    return None if worn or irregular or gap > _LONGEST_GAP * dash else (dash, gap)
+    irregular = len(joined) > 2 and max(robust_std(gaps) / gap, robust_std(dashes) / dash) > _REGULAR
+    if worn or irregular or gap > _LONGEST_GAP * dash:
+        return None
+    bounds = np.linspace(0, len(joined), max(round(len(joined) / _OVERLAID), 1) + 1).astype(int).tolist()
+    parts = [_overlaid(joined[first:last], searched) for first, last in pairwise(bounds)]
+    found = [lengths for lengths in parts if lengths is not None]
+    if len(found) <= len(parts) / 2:
+        return None
+    dash, gap = np.median(found, axis=0).tolist()
+    return dash, gap
+
+
+def _overlaid(dashes: list[_Run], searched: Searched) -> tuple[float, float] | None:
+    """Lengths of dashes and gaps (m), all periods laid over each other; None where no part of the period is bare in all of them.
+
+    So the end of a dash that is worn or hidden is known from the others. The period is the one with which paint, where its share
+    of hits is at least `_PAINTED`, explains hits and misses best; where several do, as with two dashes, the one nearest to the
+    median distance of dashes.
+    """
+    ends = np.array([(run.start_m, run.end_m) for run in dashes])
+    rough, (start, end) = float(np.median(np.diff(ends, axis=0))), (ends[0, 0], ends[-1, 1])
+    inside = (searched.station_m >= start) & (searched.station_m <= end)
+    own = Searched(*(column[inside] for column in searched))
+
+    def shares(period_m: float) -> tuple[Floats, Floats]:
+        count = round(period_m / _CELL_M)
+        return _shares(((own.station_m - start) / period_m % 1.0 * count).astype(np.intp), own, count)
+
+    def explained(period_m: float) -> float:
+        share, seen = shares(period_m)
+        painted = np.maximum(share - least, 0.0)
+        return float((painted * seen).sum() / own.weight.sum()) - (period_m / rough - 1.0) ** 2
+
+    least = _PAINTED * _usual(shares(rough)[0])
+    step = _CELL_M * rough / (end - start)
+    period = max(np.arange((1 - _PERIOD_SHARE) * rough, (1 + _PERIOD_SHARE) * rough, step).tolist(), key=explained)
+    bare = np.tile(shares(period)[0] < least, 2)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], bare, [0]])))
+    # Smoothed, paint seems to begin where its share of hits is `_PAINTED`, a little before its edge.
+    gap = float(2 * period / len(bare) * np.diff(edges)[::2].max(initial=0) - 2 * _SMOOTHING_M * ndtri(_PAINTED))
+    return (period - gap, gap) if gap >= _LEAST_GAP_M else None
 
 
 def _piece(runs: list[_Run], searched: Searched) -> PatternPiece | None:
@@ -218,9 +271,9 @@ def _piece(runs: list[_Run], searched: Searched) -> PatternPiece | None:
     for run in runs:
         inside |= (searched.station_m >= run.start_m) & (searched.station_m <= run.end_m)
     share = float(searched.hit[inside].mean()) if inside.any() else 0.0
-    ends, dashes = (runs[0].start_m, runs[-1].end_m), _dashes(runs)
+    ends, dashes = (runs[0].start_m, runs[-1].end_m), _dashes(runs, searched)
     if dashes is not None:
         return PatternPiece(*ends, "dashed", painted, share, *dashes)
-    if max((b.start_m - a.end_m for a, b in pairwise(runs)), default=0.0) > _LONGEST_HOLE_M:
+    if _widest_gap_m(runs) > _LONGEST_HOLE_M:
         return None
     return PatternPiece(*ends, "solid", painted, share)
