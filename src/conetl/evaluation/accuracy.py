@@ -171,7 +171,7 @@ def position_errors(
     jacobian, sigmas = pose_and_calibration(xyz, stated, drive.rig)
     names = tuple(cone.cone_id for cone in cones)
     outline, own_cov = _outline_parts(names, chosen, drive.rig, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
-    constant, change = _pose_parts(jacobian[:, :, :6], [p.frame_index for p in chosen], sigmas**2, poses)
+    constant, change = pose_parts(jacobian[:, :, :6], [p.frame_index for p in chosen], sigmas**2, poses)
     common = block_diag(constant, calibration_of(drive.rig))
     return PointErrors(
         cone_ids=names,
@@ -286,7 +286,7 @@ def pose_and_calibration(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tupl
     return np.concatenate([by_pose, by_calibration], axis=2), sigmas
 
 
-def _pose_parts(
+def pose_parts(
     jacobian: Floats, frames: Sequence[int], variances: Floats, poses: PoseCov | None
 ) -> tuple[Floats, Floats | None]:
     """Covariance (6, 6) of the constant error of all poses, and (3N, 3N) of N points by the part that changes between frames.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from conetl.evaluation.accuracy import calibration_of, pose_and_calibration
+from conetl.evaluation.accuracy import calibration_of, pose_and_calibration, pose_parts
 from conetl.evaluation.markings import (
     NEES_PARTS,
     CommonErrors,
@@ -27,6 +27,7 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.model.markings import MarkingTrack
 from conetl.model.records import Drive
 from conetl.reports.html import Section
+from conetl.tracking.error_propagation import PoseCov
 
 #: Distance at which markings are measured well, where the pose's error is taken from.
 _TYPICAL_RANGE_M = 8.0
@@ -75,9 +76,12 @@ class MarkingEvaluation:
         return rows
 
 
-def evaluate_markings(truth: Sequence[TruthMarking], tracks: Sequence[MarkingTrack], drive: Drive) -> MarkingEvaluation:
-    """Compare the markings of a drive (refined poses) with those that were there."""
-    errors = compare_markings(truth, [track.marking for track in tracks], visible_to(drive), _common(tracks, drive))
+def evaluate_markings(
+    truth: Sequence[TruthMarking], tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov
+) -> MarkingEvaluation:
+    """Compare the markings of a drive (refined poses) with those that were there. poses: covariance of the drive's poses."""
+    common = _common(tracks, drive, poses)
+    errors = compare_markings(truth, [track.marking for track in tracks], visible_to(drive), common)
     return MarkingEvaluation(truth, errors, marking_figures([errors]), marking_consistency(errors))
 
 
@@ -111,21 +115,22 @@ def _pooled_nees(drives: Mapping[str, MarkingEvaluation]) -> dict[str, Consisten
     return {name: pooled(drive.nees[name] for drive in drives.values()) for name in NEES_PARTS}
 
 
-def _common(tracks: Sequence[MarkingTrack], drive: Drive) -> CommonErrors:
-    """The errors of pose and calibration that all vertices of a drive share, and the rest of their covariances.
+def _common(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -> CommonErrors:
+    """The errors of poses and calibration, correlated between the vertices of a drive, and those of the images.
 
     The pose is that from which a vertex was about 8 m ahead, where markings are measured well.
     """
     vertices = np.array([vertex for track in tracks for vertex in track.marking.vertices_m]).reshape(-1, 3)
     left = np.array([map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs])
     ahead = np.einsum("nfi,fi->nf", vertices[:, None] - left[:, :3, 3], left[:, :3, 2])
-    chosen = [drive.frame_pairs[f].pose for f in np.abs(ahead - _TYPICAL_RANGE_M).argmin(axis=1)]
-    jacobian, sigmas = pose_and_calibration(vertices, chosen, drive.rig)
-    variances = np.mean(sigmas**2, axis=0) if len(sigmas) else np.zeros(6)
+    chosen = [drive.frame_pairs[f] for f in np.abs(ahead - _TYPICAL_RANGE_M).argmin(axis=1)]
+    jacobian, sigmas = pose_and_calibration(vertices, [pair.pose for pair in chosen], drive.rig)
+    constant, change = pose_parts(jacobian[:, :, :6], [pair.frame_index for pair in chosen], sigmas**2, poses)
     return CommonErrors(
         jacobian,
-        block_diag(np.diag(variances), calibration_of(drive.rig)),
-        cov_matrices([cov for track in tracks for cov in track.relative_cov_m2]),
+        block_diag(constant, calibration_of(drive.rig)),
+        cov_matrices([cov for track in tracks for cov in track.image_cov_m2]),
+        change,
     )
 
 

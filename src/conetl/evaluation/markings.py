@@ -84,7 +84,9 @@ class CommonErrors(NamedTuple):
     cov: Floats
     """(K, K)"""
     own_cov_m2: Floats
-    """(V, 3, 3) of the vertices without them"""
+    """(V, 3, 3) of the vertices without any error of poses and calibration"""
+    change_cov_m2: Floats | None = None
+    """(3V, 3V) added to it by pose errors that change within the drive, correlated between vertices"""
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class MarkingErrors:
     vertex_m: Floats
     """(V, 2)"""
     vertex_cov_m2: Floats
-    """(V, 2, 2)"""
+    """(V, 2, V, 2) without the common errors"""
     common_jacobian: Floats
     """(V, 2, K)"""
     common_cov: Floats
@@ -224,7 +226,7 @@ def compare_markings(
             "colour_right": per_sample([a.colour == b.colour for a, b in pairs]),
         },
         vertex_m=np.column_stack([across, up])[keep],
-        vertex_cov_m2=axes @ common.own_cov_m2[keep] @ np.swapaxes(axes, 1, 2),
+        vertex_cov_m2=_joint_cov(common, keep, axes),
         common_jacobian=axes @ common.jacobian[keep],
         common_cov=common.cov,
     )
@@ -262,9 +264,21 @@ def marking_consistency(errors: MarkingErrors) -> dict[str, Consistency | None]:
     results: dict[str, Consistency | None] = dict.fromkeys(NEES_PARTS)
     if len(errors.vertex_m):
         for name, part in NEES_PARTS.items():
-            own, jacobian = errors.vertex_cov_m2[:, part, part], errors.common_jacobian[:, part]
-            results[name] = consistency(errors.vertex_m[:, part], own, jacobian, errors.common_cov)
+            error_m, jacobian = errors.vertex_m[:, part], errors.common_jacobian[:, part]
+            own = errors.vertex_cov_m2[:, part, :, part].reshape(error_m.size, -1)
+            results[name] = consistency(error_m, own, jacobian, errors.common_cov)
     return results
+
+
+def _joint_cov(common: CommonErrors, keep: Bools, axes: Floats) -> Floats:
+    """(V, 2, V, 2) of the kept vertices, in their axes (V, 2, 3), without the common errors."""
+    count = len(axes)
+    joint = np.zeros((count, 2, count, 2))
+    joint[np.arange(count), :, np.arange(count)] = axes @ common.own_cov_m2[keep] @ np.swapaxes(axes, 1, 2)
+    if common.change_cov_m2 is not None:
+        change = common.change_cov_m2.reshape(len(keep), 3, len(keep), 3)[keep][:, :, keep]
+        joint += np.einsum("nij,njmk,mlk->niml", axes, change, axes, optimize=True)
+    return joint
 
 
 def _distances(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats, Floats]:

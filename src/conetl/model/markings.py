@@ -71,3 +71,5 @@ class MarkingTrack(Record):
     """Sigma of the Gaussian that blurs its edges in the images, median."""
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
     """Of the calibration's part in the covariances, at the middle vertex; None where unknown."""
+    image_cov_m2: tuple[Cov3, ...] = Field(default=(), exclude=True, repr=False)
+    """Of the vertices, without any error of pose and calibration, for evaluations; not in the database."""

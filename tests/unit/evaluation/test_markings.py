@@ -115,6 +115,21 @@ def test_nees_of_drawn_noise_is_in_its_band_and_that_of_too_small_sigmas_is_not(
     assert marking_consistency(compare_markings(known, [], everywhere))["lateral"] is None
 
 
+def test_pose_errors_that_drift_along_a_drive_are_in_the_band_as_correlated_errors_alone() -> None:
+    rng = np.random.default_rng(4)
+    own, known = np.diag([0.004, 0.004, 0.004]) ** 2, [truth("a", line(0.0, 0.0, 200.0))]
+    vertices = line(0.0, 0.0, 200.0)
+    apart_m = np.linalg.norm(vertices[:, None] - vertices, axis=2)
+    change = np.kron(0.01**2 * np.exp(-apart_m / 30.0), np.eye(3))
+    drift, noise = (rng.multivariate_normal(np.zeros(change.shape[0]), change).reshape(-1, 3),
+                    rng.multivariate_normal(np.zeros(3), own, len(vertices)))  # fmt: skip
+    seen, none = [found(vertices + noise + drift, own)], (np.zeros((len(vertices), 3, 0)), np.zeros((0, 0)))
+    for added, holds in ((change, True), (None, False)):
+        common = CommonErrors(*none, np.tile(own, (len(vertices), 1, 1)), added)
+        results = marking_consistency(compare_markings(known, seen, everywhere, common))
+        assert [one is not None and one.absolute.holds(0.999) for one in results.values()] == [holds] * 3
+
+
 def test_a_drive_that_found_the_truth_is_complete_and_correct() -> None:
     """The sample drive sees three markings; tracks made of the truth have no errors."""
     drive, _ = read_drive(SAMPLE)
@@ -125,11 +140,12 @@ def test_a_drive_that_found_the_truth_is_complete_and_correct() -> None:
         MarkingTrack(
             marking_index=k, category=LANE_MARKING, existence_probability=0.99, observation_count=9, first_seen_ns=1,
             last_seen_ns=2, contrast=60.0, blur_px=0.9, relative_cov_m2=(cov,) * len(one.vertices_m),
+            image_cov_m2=(cov,) * len(one.vertices_m),
             marking=found(np.array(one.vertices_m), pattern=one.pattern, dash_m=one.dash_m, gap_m=one.gap_m),
         )
         for k, one in enumerate(known)
     ]  # fmt: skip
-    evaluation = evaluate_markings(known, tracks, drive)
+    evaluation = evaluate_markings(known, tracks, drive, lambda frames: 1e-4 * np.eye(6 * len(frames)))
     figures = evaluation.figures
     assert (figures.completeness, figures.correctness, figures.pattern_share) == (1.0, 1.0, 1.0)
     assert 150.0 < figures.truth_m < 200.0, "three lines along 51 m and up to 15 m ahead"

@@ -162,6 +162,12 @@ def test_dashes_have_their_length_although_the_ends_of_some_are_bare() -> None:
     assert track.marking.gap_m == pytest.approx(6.0, abs=0.5)
 
 
+def test_worn_dashes_are_found_where_so_worn_a_solid_line_is_doubtful() -> None:
+    (track,) = fused({-1.5: everywhere, 2.5: dashes(6.0, 15.0)}, share=0.25)
+    assert track.marking.pattern == "dashed"
+    assert track.marking.dash_m == pytest.approx(6.0, abs=0.5)
+
+
 def test_kerbs_and_what_is_seldom_seen_are_no_markings() -> None:
     assert fused({-1.5: everywhere}, above_m=0.1) == []
     assert fused({-1.5: everywhere}, share=0.1) == []

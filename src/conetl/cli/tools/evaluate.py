@@ -91,7 +91,8 @@ def evaluate(
         )
         if (marking_truth := drive / TRUTH_FILE).is_file() and LANE_MARKING in chosen.detection.categories:
             markings = read_truth_markings(marking_truth, results.drive.map_srid)
-            one = replace(one, markings=evaluate_markings(markings, results.records.markings, results.drive))
+            found = evaluate_markings(markings, results.records.markings, results.drive, results.poses)
+            one = replace(one, markings=found)
         done[name] = one
         summary = _summary(results, one, within_m)
         files = write_evaluation(folder if output is not None and len(truths) == 1 else folder / name, one, summary)

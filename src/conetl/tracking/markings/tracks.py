@@ -35,8 +35,8 @@ _ROBUST, _ROUNDS = 2.0, 4
 _LEAST_POINTS = 6
 #: Weight of the squared bend (m per vertex) of a course against that of one point.
 _STIFFNESS = 3.0
-#: Neighbouring rows see the same blur and texture: so many count as one.
-_ROWS_AS_ONE = 1.5
+#: Neighbouring rows see the same blur and texture: so many count as one, as the correlations of residuals show.
+_ROWS_AS_ONE = 1.2
 #: Sigmas of what all points of one frame pair have in common (glare, shadows, the motion during exposure), and of what all points
 #: of a marking have (shape of its edges, disparities).
 _FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
@@ -46,8 +46,8 @@ _COURSE_SIGMA_M, _BEND_SHARE = 0.0015, 0.15
 _LEAST_SHARE = 0.02
 #: Largest scatter of the points about the course (m) and of the widths (share).
 _MAX_SCATTER_M, _MAX_WIDTH_SCATTER = 0.08, 0.35
-#: Least share of hits where there is paint.
-_MIN_HITS = 0.3
+#: Least share of hits where there is paint: of solid lines, and of dashes, between which there is none.
+_MIN_HITS = {"solid": 0.3, "dashed": 0.15}
 _FAR_PERCENT = 67.0
 #: Systematic error of a width: blurred edges of paint have no exact position.
 _WIDTH_SIGMA_M = 0.006
@@ -164,7 +164,7 @@ def _track(
     poses: PoseCov,
 ) -> MarkingTrack | None:
     course = _fit_course(points, piece.start_m, piece.end_m, params.vertex_spacing_m)
-    if course is None or piece.hit_share < _MIN_HITS:
+    if course is None or piece.hit_share < _MIN_HITS[piece.pattern]:
         return None
     own = points.some(course.kept)
     frames = np.unique(own.frame)
@@ -205,6 +205,7 @@ def _track(
             gap_m=piece.gap_m,
         ),
         relative_cov_m2=tuple(map(cov3, own_cov + pose_part[1])),
+        image_cov_m2=tuple(map(cov3, own_cov)),
         existence_probability=marking_existence(len(frames), contrast, piece.hit_share),
         observation_count=len(frames),
         first_seen_ns=min(seen),
@@ -232,7 +233,8 @@ def _covariances(
         left = points.map_SE3_left[frames]
         seen = np.einsum("fji,fj->fi", left[:, :3, :3], vertex - left[:, :3, 3])
         seen[:, 2] = np.maximum(seen[:, 2], 1.0)
-        bend = course.offset_m[max(k - 1, 0) : k + 2]
+        inner = min(max(k, 1), count - 2)  # the ends bend like their neighbours
+        bend = course.offset_m[max(inner - 1, 0) : inner + 2]
         unlike_a_line = np.ptp(np.diff(bend)) * _BEND_SHARE if len(bend) == 3 else _COURSE_SIGMA_M
         own[k] += (_COURSE_SIGMA_M**2 + unlike_a_line**2) * np.outer(across[k], across[k])
         own[k] += _image_errors(left, seen, shares, axes[k], rig.left.fx_px, rig.left.fx_px * rig.baseline_m)
