@@ -83,7 +83,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
         return np.concatenate([np.empty((0, 2)), *(matched(k, lag) for k in numbers if 0 <= k + lag < count)])
 
     # Of a video in two files much is decoded for one frame: both at once.
-    with ThreadPoolExecutor(1 if _in_one_file(drive.frame_pairs[0]) else 2) as pool:
+    with ThreadPoolExecutor(1 if in_one_file(drive.frame_pairs[0]) else 2) as pool:
         list(pool.map(lambda side: [features(k, side) for k in chosen], SIDES))
     found = offsets(chosen, 0)
     near = found[np.abs(found[:, 1]) <= _MAX_ROWS_PX]
@@ -134,7 +134,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     return drive.model_copy(update={"rig": turned}), [*checks, corrected]
 
 
-def _in_one_file(pair: FramePair) -> bool:
+def in_one_file(pair: FramePair) -> bool:
     """Whether both images are regions of the frames of one video."""
     left, right = frame_of(pair.left_path), frame_of(pair.right_path)
     return left is not None and right is not None and left.path == right.path

@@ -5,6 +5,7 @@ Rotation tags are not applied: calibrations are for the pixels as stored.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from typing import NamedTuple
 import av
 import cv2
 import numpy as np
+from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.plane import VideoPlane
 from av.video.reformatter import ColorRange, Interpolation, VideoReformatter
@@ -186,12 +188,22 @@ class _Decoder:
 
     def __init__(self, file: _File) -> None:
         self.file = file
+        self._container: InputContainer | None = None
+        self.at: int | None = None
+        """Time stamp of the last frame that was decoded; None: it is not known where it will go on."""
+        self.thread = threading.current_thread()
+        """The last one that used it."""
+
+    def _open(self) -> InputContainer:
+        """The file, which is opened when it is first needed. Raises ImageFileError."""
+        if self._container is not None:
+            return self._container
         try:
-            self._container = open_video(file.path)
+            container = open_video(self.file.path)
         except InputError as error:
             raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
-        self._stream = video_stream(self._container)
-        self._stream.codec_context.thread_count = 1  # workers keep all cores busy
+        self._container, self._stream = container, video_stream(container)
+        self._stream.codec_context.thread_count = 1  # workers keep all cores busy; several miss damage
         self._stream.codec_context.options = {
             "max_pixels": str(MAX_IMAGE_PIXELS),
             "err_detect": "explode",
@@ -199,12 +211,7 @@ class _Decoder:
         self.left_sited = self._stream.codec_context.name in _LEFT_SITED
         self._packets: dict[int, bytes] = {}
         self._base = float(self._stream.time_base or 0)
-        self.frames: Iterator[tuple[int, VideoFrame]] = self._decoded()
-        """From where it stands on."""
-        self.at: int | None = None
-        """Time stamp of the last frame that was decoded."""
-        self.thread = threading.current_thread()
-        """The last one that used it."""
+        return container
 
     def _decoded(self) -> Iterator[tuple[int, VideoFrame]]:
         """Frames and their time stamps from here on, without damaged ones.
@@ -212,7 +219,7 @@ class _Decoder:
         The decoder fills what is damaged from the frames before it, and all frames up to the next key frame build on that.
         """
         damaged = False
-        for packet in self._container.demux(self._stream):
+        for packet in self._open().demux(self._stream):
             pts = packet.pts if packet.pts is not None else packet.dts
             if pts is not None and packet.size:
                 self._packets[pts] = packet_sha256(packet, pts)
@@ -228,11 +235,11 @@ class _Decoder:
 
     def go_to(self, pts: int) -> None:
         """To a key frame from which a frame can be decoded, the nearest one before it."""
-        first = None
+        first, container = None, self._open()
         for start in (pts, self._key_frame(pts) - 1, 0):
-            self._container.seek(start, stream=self._stream, backward=True)
+            container.seek(start, stream=self._stream, backward=True)
             self._packets.clear()
-            self.frames, self.at = self._decoded(), None
+            self.frames: Iterator[tuple[int, VideoFrame]] = self._decoded()
             # Files list when a key frame is decoded; frames that are shown before it may come after it, and need the one before.
             first = next(self.frames, None)
             if first is None or first[0] <= pts:
@@ -254,6 +261,7 @@ class _Decoder:
     def forward(self, pts: int, keep: Callable[[int, _Decoded], None]) -> None:
         """Decode up to a frame. keep: called for every frame on the way."""
         if not self.leads_to(pts):
+            self.at = None
             self.go_to(pts)
         for at, frame in self.frames:
             keep(at, _Decoded(frame, self._packets.pop(at, b""), self.left_sited))
@@ -262,15 +270,18 @@ class _Decoder:
                 break
 
     def close(self) -> None:
-        self._container.close()
+        if self._container is not None:
+            self._container.close()
 
 
 class _Decoders:
-    """Open decoders, each of one thread, and the frames that were decoded last, of all threads."""
+    """Open decoders, each used by one thread at a time, and the frames that were decoded last, of all threads."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._changed = threading.Condition()
+        """A frame was decoded, or a decoder is not used any more."""
         self._idle: list[_Decoder] = []
+        self._busy: list[_Decoder] = []
         self._kept: OrderedDict[tuple[_File, int], _Decoded] = OrderedDict()
         self._kept_bytes = 0
 
@@ -281,11 +292,9 @@ class _Decoders:
         except OSError as error:
             raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{frame.path}: {error.strerror}") from error
         file = _File(frame.path, found.st_size, found.st_mtime_ns)
-        key = file, frame.pts
-        if (kept := self._recall(key)) is not None:
-            return kept
-        decoder = self._take(file, frame.pts) or _Decoder(file)
-
+        decoder = self._take(file, frame.pts)
+        if isinstance(decoder, _Decoded):
+            return decoder
         wanted: list[_Decoded] = []
 
         def keep(pts: int, decoded: _Decoded) -> None:
@@ -293,50 +302,75 @@ class _Decoders:
             if pts == frame.pts:  # what is kept may be dropped again while other threads read large frames
                 wanted.append(decoded)
 
+        works = False
         try:
             decoder.forward(frame.pts, keep)
+            works = True
         except av.FFmpegError as error:
-            decoder.close()
             raise ImageFileError(
                 RejectionReason.IMAGE_UNREADABLE, f"{frame}: cannot be decoded ({error.strerror}): copy the video again"
             ) from error
-        self._give_back(decoder)
+        finally:
+            self._give_back(decoder, works=works)
         if not wanted:
             raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{frame}: the frame is damaged or missing")
         return wanted[-1]
 
-    def _recall(self, key: tuple[_File, int]) -> _Decoded | None:
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-            return self._kept.get(key)
+    def _take(self, file: _File, pts: int) -> _Decoded | _Decoder:
+        """A frame that is in memory, else the decoder that is nearest before it, else another one of this thread (or of one that
+        ended), else a new one.
+
+        Where another thread uses the nearest decoder, wait for it: where key frames are far apart, and where a file holds both
+        images, it decodes what is needed here, or can be taken on from there.
+        """
+        with self._changed:
+            while (kept := self._kept.get((file, pts))) is None:
+                busy = [d for d in self._busy if d.file == file and (d.at is None or d.at < pts)]
+                idle = [d for d in self._idle if d.file == file]
+                found = max((d for d in idle if d.leads_to(pts)), key=_reached, default=None)
+                if not busy or (found is not None and _reached(found) > max(map(_reached, busy))):
+                    break
+                self._changed.wait()
+            if kept is not None:
+                self._kept.move_to_end((file, pts))
+                return kept
+            me = threading.current_thread()
+            own = (d for d in idle if d.thread is me or not d.thread.is_alive())
+            decoder = found or next(own, None) or _Decoder(file)
+            if decoder in self._idle:
+                self._idle.remove(decoder)
+            self._busy.append(decoder)
+            decoder.thread = me
+            return decoder
+
+    def _give_back(self, decoder: _Decoder, *, works: bool) -> None:
+        with self._changed:
+            self._changed.notify_all()
+            self._busy.remove(decoder)
+            if works:
+                self._idle.append(decoder)
+            old = decoder if not works else self._idle.pop(0) if len(self._idle) > _MAX_DECODERS else None
+        if old is not None:
+            old.close()
+
+    def leave(self) -> None:
+        """In a process that was forked: the open files are those of the process before, and other threads do not exist."""
+        self._of_others = self._idle, self._busy, self._kept
+        self.__init__()  # type: ignore[misc]
 
     def _keep(self, key: tuple[_File, int], decoded: _Decoded) -> None:
-        with self._lock:
+        with self._changed:
+            self._changed.notify_all()
             if key not in self._kept:
                 self._kept[key] = decoded
                 self._kept_bytes += _bytes_of(decoded.frame)
             while self._kept_bytes > _KEPT_BYTES and len(self._kept) > 1:
                 self._kept_bytes -= _bytes_of(self._kept.popitem(last=False)[1].frame)
 
-    def _take(self, file: _File, pts: int) -> _Decoder | None:
-        """The decoder of this thread (or of one that ended) that is nearest before a frame, else any other of the file."""
-        with self._lock:
-            me = threading.current_thread()
-            own = [d for d in self._idle if d.file == file and (d.thread is me or not d.thread.is_alive())]
-            before = [d for d in own if d.leads_to(pts)]
-            found = max(before, key=lambda d: d.at or 0) if before else own[0] if own else None
-            if found is not None:
-                self._idle.remove(found)
-                found.thread = me
-            return found
 
-    def _give_back(self, decoder: _Decoder) -> None:
-        with self._lock:
-            self._idle.append(decoder)
-            old = self._idle.pop(0) if len(self._idle) > _MAX_DECODERS else None
-        if old is not None:
-            old.close()
+def _reached(decoder: _Decoder) -> int:
+    """Time stamp of the last frame of a decoder, before all others where that is not known."""
+    return -(2**63) if decoder.at is None else decoder.at
 
 
 def _bytes_of(frame: VideoFrame) -> int:
@@ -344,3 +378,4 @@ def _bytes_of(frame: VideoFrame) -> int:
 
 
 _decoders = _Decoders()
+os.register_at_fork(after_in_child=_decoders.leave)

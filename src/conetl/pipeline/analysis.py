@@ -19,7 +19,7 @@ from conetl.model.records import Detection, Drive, DriveRecords, ImageDetail, Po
 from conetl.model.rejections import Rejection
 from conetl.perception.detections import with_detail, without_unread
 from conetl.perception.model_card import read_model_card
-from conetl.perception.stereo_check import check_stereo
+from conetl.perception.stereo_check import check_stereo, in_one_file
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
 from conetl.pipeline.detect import Along, Detected, detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
@@ -97,14 +97,22 @@ def analyse(
     """
     params, settings = params or IngestParams(), settings or read_settings()
     given = drive.rig
-    drive, health = check_stereo(drive)
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         card = read_model_card(settings.model_path)
         searched = params.detection.categories
         card.require_categories(set(searched) - set(LINE_CLASSES))
-        chunks = chunks_of(drive, settings, _for_corrected_rows(params) if drive.rig != given else params)
-        found = _run_chunks(drive, chunks, executor, progress, with_markings=LANE_MARKING in searched)
+        with_markings = LANE_MARKING in searched
+        chunks = chunks_of(drive, settings, params)
+        parts = _Parts(chunks, executor, progress, with_markings=with_markings)
+        if executor.shares_memory and in_one_file(drive.frame_pairs[0]):
+            # One decoder works for the check, often through all of the file: what it decodes is followed meanwhile.
+            parts.follow(parts.needed_for_calibration())
+        drive, health = check_stereo(drive)
+        if drive.rig != given:
+            chunks = chunks_of(drive, settings, _for_corrected_rows(params))
+            parts = _Parts(chunks, executor, progress, with_markings=with_markings)
+        found = _run_chunks(drive, chunks, parts, executor, with_markings=with_markings)
         drive = drive.model_copy(update={"rig": found.rig})
         trajectory: RefinedTrajectory = executor.run(refine, drive, found.motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
@@ -169,6 +177,11 @@ class _Parts:
         self._motions = [*pairs[:-1], pairs[-1] - 1] if self._refine else [0] * len(pairs)
         self._count = ProgressCount(executor, sum(self._images) + sum(self._motions), progress)
 
+    def needed_for_calibration(self) -> list[int]:
+        """Numbers of the parts whose odometry the self-calibration needs; none where there is no self-calibration."""
+        params = self.parts[0][0].params.trajectory
+        return parts_to_follow(self.parts, params) if params.self_calibrate and params.refine else []
+
     def of(self, chunk: Chunk | None) -> list[int]:
         """Numbers of the parts of a chunk; none of none."""
         return [k for k, (whole, _) in enumerate(self.parts) if whole is chunk]
@@ -190,7 +203,7 @@ class _Parts:
 
 
 def _run_chunks(
-    drive: Drive, chunks: Sequence[Chunk], executor: Executor, progress: Progress | None, *, with_markings: bool
+    drive: Drive, chunks: Sequence[Chunk], parts: _Parts, executor: Executor, *, with_markings: bool
 ) -> _ChunkResults:
     """All steps that read images.
 
@@ -200,10 +213,9 @@ def _run_chunks(
     only matches and markings of what was found meanwhile need them again.
     """
     params = chunks[0].params.trajectory
-    parts = _Parts(chunks, executor, progress, with_markings=with_markings)
-    calibration = SWITCHED_OFF
-    if params.self_calibrate and params.refine:
-        calibration = _calibrate(parts, executor, params)
+    needed, calibration = parts.needed_for_calibration(), SWITCHED_OFF
+    if needed:
+        calibration = _calibrate(parts, needed, executor, params)
     rig = self_calibrated_rig(drive.rig, calibration, params)
     found_early = sorted(parts.detected)
     motions_of_followed = _motions_by(rig, drive.rig, parts, executor)
@@ -222,10 +234,9 @@ def _run_chunks(
     return _ChunkResults([each.detections for each in found], results(matched), motions, marks, calibration, rig)
 
 
-def _calibrate(parts: _Parts, executor: Executor, params: TrajectoryParams) -> SelfCalibration:
-    """Self-calibration from some parts of the drive; from all of them where these show too little."""
+def _calibrate(parts: _Parts, needed: Sequence[int], executor: Executor, params: TrajectoryParams) -> SelfCalibration:
+    """Self-calibration from the needed parts of the drive; from all of them where these show too little."""
     whole = parts.parts[0][0]
-    needed = parts_to_follow(parts.parts, params)
     parts.follow(needed)
     parts.detect(needed[: os.cpu_count() or 1], None)
     calibration: SelfCalibration = executor.run(self_calibrate, whole, _in_order(parts.followed))

@@ -70,28 +70,44 @@ def test_every_frame_by_its_time_stamp_in_any_order(video: Path) -> None:
         )
 
 
-def test_frames_that_are_read_in_order_are_decoded_once(video: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files list when a key frame is decoded: before frames that are shown before it."""
-    decoded: list[int] = []
+@pytest.fixture
+def decoded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Time stamps of the frames that are decoded."""
+    found: list[int] = []
 
     def counted(self: video_frames._Decoder) -> Iterator[tuple[int, av.VideoFrame]]:
         for pts, frame in decode(self):
-            decoded.append(pts)
+            found.append(pts)
             yield pts, frame
 
     decode = video_frames._Decoder._decoded
     monkeypatch.setattr(video_frames._Decoder, "_decoded", counted)
+    return found
+
+
+def test_frames_that_are_read_in_order_are_decoded_once(video: Path, decoded: list[int]) -> None:
+    """Files list when a key frame is decoded: before frames that are shown before it."""
     index = index_video(video)
     for pts in index.pts:
         read_frame(Frame(video, pts))
     assert decoded == list(index.pts)
     for pts in index.pts[40:]:  # of another reader, from the next key frame on
-        with video_frames._decoders._lock:
+        with video_frames._decoders._changed:
             video_frames._decoders._idle.clear()
             video_frames._decoders._kept.clear()
         decoded.clear()
         read_frame(Frame(video, pts))
         assert len(decoded) <= 24
+
+
+def test_threads_that_begin_at_different_frames_decode_none_twice(tmp_path: Path, decoded: list[int]) -> None:
+    """There is one key frame: who begins later in the file decodes what others read meanwhile."""
+    images = [np.full((480, 640, 3), 5 + n, np.uint8) for n in range(60)]
+    index = index_video(write_video(tmp_path / "a.mp4", images, "libx264", {"crf": "10", "g": "60"}))
+    parts = [index.pts[:30], index.pts[30:], index.pts[::15]]
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(lambda part: [read_frame(Frame(index.path, pts)) for pts in part], parts))
+    assert sorted(decoded) == list(index.pts)
 
 
 def test_threads_read_the_same_frames_at_once(tmp_path: Path) -> None:
@@ -121,6 +137,29 @@ def test_a_process_that_is_forked_while_a_thread_has_decoded(tmp_path: Path) -> 
     """The child forgets all threads but its own, and frees what was theirs alone, before the command begins."""
     video = index_video(write_video(tmp_path / "a.mp4", numbered(4, (960, 640))))
     subprocess.run([sys.executable, "-c", FORKED, str(Frame(video.path, video.pts[0]))], check=True, timeout=60)
+
+
+FORKED_READER = """
+import os, sys
+from pathlib import Path
+from conetl.perception.video import Frame, index_video
+from conetl.perception.video_frames import read_frame
+index = index_video(Path(sys.argv[1]))
+grey = lambda n: round(float(read_frame(Frame(index.path, index.pts[n]), grey=True).mean()))
+assert grey(2) == 15
+child = os.fork()
+found = [grey(n) for n in range(3, 45)]
+assert found == [5 + 5 * n for n in range(3, 45)], found
+if not child:
+    os._exit(0)
+assert os.waitpid(child, 0)[1] == 0
+"""
+
+
+def test_two_processes_read_after_a_fork(tmp_path: Path) -> None:
+    """They share the positions in files that were open before it."""
+    video = write_video(tmp_path / "a.mkv", numbered(50, (960, 640)), "mjpeg", {"q:v": "2"})
+    subprocess.run([sys.executable, "-c", FORKED_READER, str(video)], check=True, timeout=60)
 
 
 def test_time_stamps_of_a_variable_rate(tmp_path: Path) -> None:
