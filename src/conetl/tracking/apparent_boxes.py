@@ -44,7 +44,7 @@ def hidden_share(box: Box, detections: Sequence[Detection]) -> float:
     Overlapping boxes count once, on a grid of 24 x 24 points, as in `training/looks.py`.
     """
     x0, y0, x1, y1 = box
-    nearer = [d for d in detections if d.y_px + d.h_px > y1 + 0.1 * (y1 - y0) and overlap_px2(box, d) > 0]
+    nearer = nearer_boxes(box, detections)
     if not nearer:
         return 0.0
     u = x0 + _GRID * (x1 - x0)
@@ -54,6 +54,12 @@ def hidden_share(box: Box, detections: Sequence[Detection]) -> float:
         rows = (v >= d.y_px) & (v <= d.y_px + d.h_px)
         covered |= rows[:, None] & ((u >= d.x_px) & (u <= d.x_px + d.w_px))[None, :]
     return float(covered.mean())
+
+
+def nearer_boxes(box: Box, detections: Sequence[Detection]) -> list[Detection]:
+    """The detections that overlap `box` and have a lower foot in the image."""
+    lowest = box[3] + 0.1 * (box[3] - box[1])
+    return [d for d in detections if d.y_px + d.h_px > lowest and overlap_px2(box, d) > 0]
 
 
 def iou(box: Box, detection: Detection) -> float:

@@ -143,3 +143,28 @@ def test_disparity_of_a_flat_object_before_a_background(category: str, turn: flo
         errors.append((found.disparity_px - disparity) / found.sigma_px)
         assert found.sigma_px < 0.3
     assert np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def test_a_sign_behind_a_barricade_does_not_have_its_disparity() -> None:
+    camera = Camera(width_px=400, height_px=200, fx_px=F_PX, fy_px=F_PX, cx_px=200.0, cy_px=80.0)
+    sign, barricade = (
+        Detection(
+            frame_index=0, side="left", detection_index=k, category=category, score=0.9,
+            x_px=x, y_px=y, w_px=w, h_px=h,
+        )
+        for k, (category, x, y, w, h) in enumerate(
+            [("work_zone_sign", 180.0, 60.0, 60.0, 60.0), ("barricade", 150.0, 80.0, 120.0, 76.0)]
+        )
+    )  # fmt: skip
+    rng = np.random.default_rng(7)
+    plate, boards = (cv2.GaussianBlur(rng.uniform(0, 255, (200, 400, 3)), (0, 0), 1.5) for _ in range(2))
+    before = np.zeros((200, 400, 1), dtype=bool)
+    before[80:156, 150:270] = True
+    hidden = np.roll(before, -27, axis=1)
+    left = np.where(before, boards, plate).astype(np.uint8)
+    right = np.where(hidden, np.roll(boards, -27, axis=1), np.roll(plate, -24, axis=1)).astype(np.uint8)
+    found = match_area(left, right, find_plate(sign, [sign, barricade]), 25.0, 6.0, camera=camera, up=UP)
+    assert found is not None
+    assert found.disparity_px == pytest.approx(24.0, abs=0.1)
+    wholly = barricade.model_copy(update={"y_px": 50.0, "h_px": 106.0})
+    assert match_area(left, right, find_plate(sign, [wholly]), 25.0, 6.0, camera=camera, up=UP) is None

@@ -115,7 +115,7 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
 
 def some_rows(inside: NDArray[np.bool_]) -> tuple[Ints, Ints] | None:
     """Rows and columns of the pixels in a mask, of a large one in every so many rows alone; None if there are too few."""
-    every = int(np.ceil(inside.sum() / _MAX_PIXELS))
+    every = max(int(np.ceil(inside.sum() / _MAX_PIXELS)), 1)
     inside[np.arange(len(inside)) % every != 0] = False  # neighbouring rows of a near object are redundant
     rows, columns = np.nonzero(inside)
     return None if len(rows) < _MIN_PIXELS else (rows, columns)

@@ -59,6 +59,8 @@ class _Sought(NamedTuple):
     """How much lower they are in the right image."""
     outlines: list[Outline | Plate]
     """Of its object: computed for the first candidate, so none or one."""
+    others: Sequence[Detection]
+    """All detections in the left image."""
 
 
 def match_pair(
@@ -86,7 +88,7 @@ def match_pair(
     middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole])
     outlines: list[Outline | Plate | None] = []
     for i, (a, (shift, rows_up)) in enumerate(zip(left_whole, infinity_shift_px(rig, middles).tolist(), strict=True)):
-        sought = _Sought(a, shift, -rows_up, [])
+        sought = _Sought(a, shift, -rows_up, [], left)
         for j, b in enumerate(right_whole):
             candidate = _candidate(sought, b, rig, params, images if params.refine else None, up_left)
             if candidate is not None:
@@ -187,7 +189,7 @@ def _candidate(
     up: NDArray[np.float64],
 ) -> tuple[float, AreaMatch | None] | None:
     """Cost of matching two detections, and what matching their images found; None if forbidden."""
-    a, at_infinity, row_offset_px, outlines = sought
+    a, at_infinity, row_offset_px, outlines, others = sought
     if a.category != b.category or a.category not in FEATURE_CLASSES:
         return None
     tallest = max(a.h_px, b.h_px)
@@ -214,7 +216,7 @@ def _candidate(
     if images is not None:
         if not outlines:
             round_body = FEATURE_CLASSES[a.category].round_body
-            outlines.append(find_outline(images[0], a) if round_body else find_plate(a))
+            outlines.append(find_outline(images[0], a) if round_body else find_plate(a, others))
         area = match_area(
             images[0], images[1], outlines[0], disparity + at_infinity, max(3.0, 0.3 * a.w_px),
             camera=rig.left, up=up, at_infinity_px=at_infinity, row_offset_px=row_offset_px,

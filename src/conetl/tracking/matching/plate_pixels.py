@@ -7,6 +7,7 @@ between the boards of a barricade, lies behind the object, and is down-weighted 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.records import Camera, Detection
+from conetl.tracking.apparent_boxes import nearer_boxes
 from conetl.tracking.matching.cone_pixels import Beyond, BodyPixels, smooth, some_rows
 
 Floats = NDArray[np.float64]
@@ -34,17 +36,22 @@ class Plate:
     foot_row: float
     """Of the lower edge of the box."""
     elliptic: bool
+    before: tuple[Detection, ...] = ()
+    """Nearer objects that may hide parts of it."""
 
 
-def find_plate(detection: Detection) -> Plate:
-    """The part of a detection's box that shows its object."""
+def find_plate(detection: Detection, others: Sequence[Detection] = ()) -> Plate:
+    """The part of a detection's box that shows its object. others: detections in the same image."""
     middle, top = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px - 0.5
     its = FEATURE_CLASSES[detection.category]
     elliptic = not its.on_road
     half = detection.w_px * (_ELLIPSE if elliptic else its.board)
     first, last = (0.5 - _ELLIPSE, 0.5 + _ELLIPSE) if elliptic else _ROWS
     height = detection.h_px
-    return Plate(middle - half, middle + half, top + first * height, top + last * height, top + height, elliptic)
+    before = tuple(nearer_boxes((middle - half, top, middle + half, top + height), others))
+    return Plate(
+        middle - half, middle + half, top + first * height, top + last * height, top + height, elliptic, before
+    )
 
 
 def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera, up: Floats) -> BodyPixels | None:
@@ -59,6 +66,9 @@ def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera, up: Floa
         across = (u - middle) / (plate.right - middle)
         down = (2 * v - plate.top - plate.bottom) / (plate.bottom - plate.top)
         inside = across[None, :] ** 2 + down[:, None] ** 2 <= 1
+    for one in plate.before:
+        columns = (u >= one.x_px - 0.5) & (u <= one.x_px + one.w_px - 0.5)
+        inside &= ~(((v >= one.y_px - 0.5) & (v <= one.y_px + one.h_px - 0.5))[:, None] & columns)
     chosen = some_rows(inside)
     if chosen is None:
         return None
