@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +29,8 @@ _TIME_QUESTIONS = {
     "start": "When was the first frame of the left camera taken (UTC, like 2026-03-02 10:00:00.250)",
     "right-offset": "By how many seconds does the right file begin after the left one (0: both begin with one trigger)",
 }
+#: Answers with which the questions that come after these can be found, too.
+_STAND_INS = {"layout": "left-right", "sigma": "1", "mount": "0,0,0", "right-offset": "0"}
 _FILE_OPTIONS = frozenset({"left", "right", "timestamps", "right-timestamps", "trajectory", "rig"})
 _COMMENTS = {
     "images": "the videos or folders of images",
@@ -192,16 +195,14 @@ def _settled(
     asked, shown = None, set[str]()
     while True:
         proposal = _complete(root, answers, asked, shown, asks=asks, as_json=as_json)
-        settings = dict(kept)
-        for section, values in proposal.settings.items():
-            settings[section] = settings.get(section, {}) | values
-        checked = validated(settings, DriveYaml, "answers")
+        if proposal.questions:
+            raise InputError(_missing(root, answers, kept, _texts(proposal)))
+        settings = _with(kept, proposal)
         try:
-            with spinner("finding when the images were taken"):
-                return settings, preview(root, checked, proposal.rig), proposal.rig
+            return settings, _previewed(root, settings, proposal.rig), proposal.rig
         except UnknownTimeError as error:
             if not asks:
-                raise InputError(f"{error}; or answer with --{error.key}: {_TIME_QUESTIONS[error.key]}") from error
+                raise InputError(_missing(root, answers, kept, _text(error))) from error
             say(error.cause)
             asked = Question(error.key, _TIME_QUESTIONS[error.key])
             answers[asked.key] = _answer(asked)
@@ -212,6 +213,52 @@ def _settled(
                 "again with --force and the options that correct it."
             )
             raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
+
+
+def _with(kept: Mapping[str, Any], proposal: Proposal) -> dict[str, Any]:
+    """Settings of drive.yaml: those that were kept, and those of a proposal."""
+    settings = dict(kept)
+    for section, values in proposal.settings.items():
+        settings[section] = settings.get(section, {}) | values
+    return settings
+
+
+def _previewed(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> Preview:
+    """The drive of settings that are not written yet. Raises ConetlError."""
+    with spinner("finding when the images were taken"):
+        return preview(root, validated(settings, DriveYaml, "answers"), rig)
+
+
+def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], found: Mapping[str, str]) -> str:
+    """All options that a folder still needs, as far as they can be known without the answers. found: the first of them."""
+    texts: dict[str, str] = {}
+    known = dict(answers)
+    with suppress(ConetlError):  # of the stand-ins
+        while found:
+            texts |= found
+            if not found.keys() <= _STAND_INS.keys():
+                break
+            known |= {key: _STAND_INS[key] for key in found}
+            proposal = propose(root, known)
+            found = _texts(proposal)
+            if "layout" in texts and "rig" in found:
+                break  # a calibration may fit another layout
+            if not found:
+                try:
+                    _previewed(root, _with(kept, proposal), proposal.rig)
+                except UnknownTimeError as error:
+                    found = _text(error)
+    lines = "\n".join(f"  --{key}: {text}" for key, text in texts.items())
+    return f"{root}: something is missing; answer it with these options:\n{lines}"
+
+
+def _texts(proposal: Proposal) -> dict[str, str]:
+    """What is asked, by option."""
+    return {question.key: question.text for question in proposal.questions}
+
+
+def _text(error: UnknownTimeError) -> dict[str, str]:
+    return {error.key: f"{_TIME_QUESTIONS[error.key]}? ({error.cause})"}
 
 
 def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
@@ -237,9 +284,8 @@ def _answer(question: Question) -> str:
 def _complete(
     root: Path, answers: dict[str, str], asked: Question | None, shown: set[str], *, asks: bool, as_json: bool
 ) -> Proposal:
-    """The proposal once nothing is missing. asked: the question that was answered last; a wrong answer is asked again.
-
-    shown: what was said of the folder before. Raises InputError where something is missing and nobody can be asked.
+    """The proposal once nothing is missing, or nobody can be asked. asked: the question that was answered last; a wrong answer
+    is asked again. shown: what was said of the folder before.
     """
     while True:
         try:
@@ -255,11 +301,8 @@ def _complete(
                 if line not in shown:
                     say(f"  {line}")
             shown.update(proposal.found)
-        if not proposal.questions:
+        if not (proposal.questions and asks):
             return proposal
-        if not asks:
-            missing = "\n".join(f"  --{question.key}: {question.text}" for question in proposal.questions)
-            raise InputError(f"{root}: something is missing; answer it with these options:\n{missing}")
         asked = proposal.questions[0]
         answers[asked.key] = _answer(asked)
 

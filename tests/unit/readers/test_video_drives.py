@@ -467,6 +467,20 @@ def test_init_finds_files_that_are_named_from_the_current_folder(
     assert (copy / "rig.yaml").is_file()
 
 
+def test_init_names_all_that_is_missing_at_once(folder: Path, tmp_path: Path, sample: Drive) -> None:
+    """Where the mount is missing, too, which the search for the start needs."""
+    copy = with_settings(folder, tmp_path, "")
+    (copy / "drive.yaml").unlink()
+    (copy / "rig.yaml").rename(tmp_path / "rig.yaml")
+    WRITERS["opencv"](read_rig_yaml(tmp_path / "rig.yaml"), copy / "stereo.yml")
+    known = known_of(sample)
+    (copy / "drive.csv").unlink()
+    LOGS["GPX"].write(copy, known)
+    made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+    missing = [line.split(":")[0] for line in str(made.exception).splitlines()[1:]]
+    assert missing == ["  --sigma", "  --mount", "  --right-offset", "  --start"], made.exception
+
+
 def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(
     folder: Path, tmp_path: Path
 ) -> None:

@@ -80,8 +80,8 @@ class UnknownTimeError(DriveFolderError):
     """The images do not show when they were taken. key: name of the option of `conetl init` that states it; remedy: what to
     write into drive.yaml by hand."""
 
-    def __init__(self, key: str, cause: str, remedy: str) -> None:
-        super().__init__(f"{cause}. {remedy}")
+    def __init__(self, key: str, root: Path, cause: str, remedy: str) -> None:
+        super().__init__(f"{root}: {cause}. {remedy}")
         self.key, self.cause = key, cause
 
 
@@ -101,7 +101,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         if search_s is not None and search_s > MAX_SEARCH_S:
             raise UnknownTimeError(
                 "start",
-                f"{root}: {track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} "
+                root,
+                f"{track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} "
                 f"was recorded{_stated_creation(left)}",
                 _STATE_START,
             )
@@ -127,7 +128,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
             raise
         raise UnknownTimeError(
             "start",
-            f"{root}: turns and changes of speed do not show when {left.name} was recorded: there are too few of them in images "
+            root,
+            f"turns and changes of speed do not show when {left.name} was recorded: there are too few of them in images "
             f"and {track.name}, or the two are of different times{_stated_creation(left)}",
             _STATE_START,
         ) from error
@@ -200,7 +202,8 @@ def _named(camera: CameraImages, source: Source) -> list[Image]:
         found = f"{camera.paths[0].name} to {camera.paths[-1].name}"
         raise UnknownTimeError(
             "timestamps",
-            f"{source.root}: the names of the images in {camera.name} ({found}) are no times since 1970",
+            source.root,
+            f"the names of the images in {camera.name} ({found}) are no times since 1970",
             f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
             "right_timestamps where the right ones have others"
             + ("; images.start is for videos" if source.settings.images.start is not None else ""),
@@ -272,7 +275,8 @@ def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -
     if lag is None:
         raise UnknownTimeError(
             "right-offset",
-            f"{left.video.path.parent}: the images do not show how {right.name} and {left.name} are shifted in time",
+            left.video.path.parent,
+            f"the images do not show how {right.name} and {left.name} are shifted in time",
             f"Put 'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "
             "right file's times",
         )
