@@ -146,25 +146,23 @@ def self_calibrate(
     worth = (np.abs(shift_px) > params.self_calibration_significance * sigma_px) & (
         np.abs(found * unit_px) > params.self_calibration_least_px
     )
-    figures = (
-        f"disparities {-shift_px[1]:+.2f} +- {sigma_px[1]:.2f} px in the middle, {-shift_px[3]:+.2f} +- {sigma_px[3]:.2f} px "
-        f"more at the sides than a turn explains, rows {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px in the middle, "
-        f"{shift_px[2]:+.2f} +- {sigma_px[2]:.2f} px more at the side; {len(points)} spans"
-    )
+    off = f"off by {-shift_px[1]:+.2f} +- {sigma_px[1]:.2f} px"
+    sides = f", at the sides by {-shift_px[3]:+.2f} +- {sigma_px[3]:.2f} px more" if found[3] else ""
+    figures = f"disparities {off}{sides}, rows by {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px"
     outcome = SelfCalibrationOutcome.APPLIED
     rotation, _ = as_camera(found, rig.right.fx_px)
-    turn_text = f"{rotation[1] * 1e3:+.2f} mrad to the side and {rotation[0] * 1e3:+.2f} mrad up or down"
-    bend_text = f", columns bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
+    bend_text = f", its columns are bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
     left_px = float(np.sqrt(posterior[1, 1]) * unit_px[1])
     detail = (
-        f"right camera turned by {turn_text}{bend_text}; disparities are good to {left_px:.2f} px after it ({figures})"
+        f"the right camera had turned by {abs(rotation[1]) * 1e3:.2f} mrad sideways and {abs(rotation[0]) * 1e3:.2f} mrad up or "
+        f"down{bend_text}: disparities were {off}, and are now good to {left_px:.2f} px"
     )
     if not worth.any():
         outcome = SelfCalibrationOutcome.INSIGNIFICANT
-        detail = f"kept as given; the drive does not contradict it ({figures})"
+        detail = f"kept as given, the drive agrees with it ({figures})"
     elif prior_chi2 > params.self_calibration_max_chi2:
         outcome = SelfCalibrationOutcome.IMPLAUSIBLE
-        detail = f"kept as given: it would have to be off by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
+        detail = f"kept as given, it would have to be off by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
     return SelfCalibration(
         outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
         cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(estimate.model_gap.tolist()), span_count=len(points),
