@@ -168,7 +168,7 @@ def test_the_state_of_the_chosen_time_is_everywhere(page, address, changed):
     between = f"mode=instant&valid={second:%Y-%m-%dT00:00:00Z}"
     for state, chip in (
         (between, "standing"),
-        ("mode=compare&from=0&to=1", "new"),
+        ("mode=compare&from=0&to=1", "added"),
         ("changeset=2&side=before", "standing"),
     ):
         open_cone(page, address, changed["moved"], state)

@@ -97,7 +97,7 @@ def test_the_first_view_shows_each_kind(page, address):
     assert pixels_of(image, ADDED) > 40
     assert pixels_of(image, MOVED) > 40
     legend = page.locator(".legend label")
-    assert legend.all_inner_texts() == ["new\n1", "moved\n1", "removed\n1", "confirmed\n1"]
+    assert legend.all_inner_texts() == ["added\n1", "moved\n1", "removed\n1", "confirmed\n1"]
     assert page.locator(".label").inner_text() == "1.50 m"
 
 
@@ -120,9 +120,9 @@ def test_before_changes_after(page, address):
     settle(page)
     assert (pixels_of(screenshot(page), ADDED), pixels_of(screenshot(page), MOVED)) == (0, 0)
     page.click("button:text-is('After')")
-    page.wait_for_selector(".legend >> text=new")
+    page.wait_for_selector(".legend >> text=added")
     settle(page)
-    assert page.locator(".legend label").all_inner_texts() == ["new\n1", "moved\n1", "confirmed\n1"]
+    assert page.locator(".legend label").all_inner_texts() == ["added\n1", "moved\n1", "confirmed\n1"]
     assert pixels_of(screenshot(page), ADDED) > 40
 
 
@@ -131,7 +131,7 @@ def test_compare_and_any_time(page, address, samples):
     page.click("text=Compare two")
     page.wait_for_selector(".form-line select")
     settle(page)
-    assert page.locator(".legend label").all_inner_texts() == ["new\n3"]  # against the empty map: what stands now
+    assert page.locator(".legend label").all_inner_texts() == ["added\n3"]  # against the empty map: what stands now
     page.click("text=Any time")
     page.wait_for_selector(".legend >> text=standing")
     time_input = page.locator(".instant-view input[type=text]")
@@ -245,18 +245,18 @@ def test_a_new_changeset_appears_without_a_reload(page, address, conn, samples, 
     late = cone(samples, "late", 12.0, day=2)
     commit(conn, samples, images, "3", 2, samples.added(late), missed(stays, at_ns, 0.8))
     committed = time.monotonic()
-    page.wait_for_selector("text=drive_3 was committed: 1 new")
+    page.wait_for_selector("text=drive_3 was committed: 1 added")
     page.wait_for_selector(".drive-text >> text=drive_3")
     print(f"from commit to view: {time.monotonic() - committed:.1f} s")
     assert page.evaluate("window.notReloaded") is True
     page.wait_for_selector(".legend label >> text=not observed")  # the changes come a request after the drive
-    assert page.locator(".legend label").all_inner_texts() == ["new\n1", "not observed\n1", "not evaluated\n2"]
+    assert page.locator(".legend label").all_inner_texts() == ["added\n1", "not observed\n1", "not evaluated\n2"]
     settle(page)
     assert pixels_of(screenshot(page), MISSED) > 40
     click_cone(page, features["stays"])
     page.wait_for_selector(".panel >> text=observed by 2 drives, not observed by 1 drive")
     said = page.locator(".history button").all_inner_texts()  # without line ends where the panel is being drawn
-    begins = ["new · version 1", "confirmed · version 2", "not observed in 5 frame pairs"]
+    begins = ["added · version 1", "confirmed · version 2", "not observed in 5 frame pairs"]
     assert [text[: len(begin)] for text, begin in zip(said, begins, strict=True)] == begins
     why = "Not observed: drive drive_3 passed, the position was visible in 5 frame pairs, none showed a cone; existence 0.80"
     assert page.locator(".panel .why").inner_text().startswith(why)

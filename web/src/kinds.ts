@@ -30,7 +30,7 @@ export interface Cone {
 /** `shape` is the number of the marker in the shader and in `icon`; the colours are those of reports, images and QGIS
  * (src/conetl/exports/kind_marks.py, compared by a test), and lighter ones of the same hue for a dark page. */
 export const STYLES: Record<Kind, { colour: string; dark: string; shape: number; label: string }> = {
-  added: { colour: "#002e9a", dark: "#afdafb", shape: 1, label: "new" },
+  added: { colour: "#002e9a", dark: "#afdafb", shape: 1, label: "added" },
   moved: { colour: "#821773", dark: "#e054d9", shape: 2, label: "moved" },
   removed: { colour: "#1f2933", dark: "#e6ebf0", shape: 3, label: "removed" },
   split: { colour: "#002e9a", dark: "#afdafb", shape: 6, label: "split off" },

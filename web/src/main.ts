@@ -304,7 +304,7 @@ async function newChangeset(no: number): Promise<void> {
     const item = timeline?.changesets.at(-1);
     if (!item) return;
     void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
-    const counts = [`${item.added_count} new`, `${item.moved_count} moved`, `${item.removed_count} removed`, ...lineChanges([item]).map((change) => change.text)].join(", ");
+    const counts = [`${item.added_count} added`, `${item.moved_count} moved`, `${item.removed_count} removed`, ...lineChanges([item]).map((change) => change.text)].join(", ");
     const follows = state.mode === "drive" && state.changeset === null;
     const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} does not count: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
     layout.toast(said, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });

@@ -33,7 +33,7 @@ KIND_MARKS = {
     DeltaKind.REMOVED: KindMark("X", "#1f2933", "removed"),
     DeltaKind.MOVED: KindMark("D", "#821773", "moved"),
     DeltaKind.SPLIT: KindMark("^", "#002e9a", "split off"),
-    DeltaKind.ADDED: KindMark("P", "#002e9a", "new"),
+    DeltaKind.ADDED: KindMark("P", "#002e9a", "added"),
 }
 STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")
 #: Muted, so that cones come first: LiDAR points of low and of high intensity, lane boundaries, drive paths.

@@ -133,7 +133,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(False, f"{_cones(vague)} located no better than {_SIGMA_M} m (1 sigma): {_numbers(vague)}.")
     if doubtful := [c for c in facts.changes if c.kind.founds and c.existence_probability < _DOUBTFUL]:
         yield Alert(
-            False, f"{_cones(doubtful)} new with an existence probability below {_DOUBTFUL:g}: {_numbers(doubtful)}."
+            False, f"{_cones(doubtful)} added with an existence probability below {_DOUBTFUL:g}: {_numbers(doubtful)}."
         )
     if removed := [c for c in facts.changes if c.kind is DeltaKind.REMOVED]:
         yield Alert(False, f"{_cones(removed)} removed from the map: {_numbers(removed)}; see the images.")

@@ -87,7 +87,7 @@ def test_each_class_has_its_letter_and_its_line_in_the_legend(samples, tmp_path)
             beside = (ink[:, 0] < 0) & (ink[:, 0] > -40) & (np.abs(ink[:, 1]) < 12)
             assert (np.count_nonzero(beside) > 20) == has_letter
     text = draw(tmp_path / "map.svg", made, bbox).read_text()
-    for entry in ("cone, unchanged (1)", "drum, unchanged (1)", "traffic sign, new (1)", "bollard, new (1)"):
+    for entry in ("cone, unchanged (1)", "drum, unchanged (1)", "traffic sign, added (1)", "bollard, added (1)"):
         assert text.count(f"<!-- {entry} -->") == 1
 
 
@@ -109,10 +109,10 @@ def test_the_plan_of_a_drive_tells_classes_apart():
         return [text.get_text() for text in figure.legends[0].get_texts()]
 
     assert legend(*marks) == [
-        "path of the left camera", "work zone sign, not evaluated (1)", "cone, moved (1)", "cone, new (1)",
-        "work zone sign, new (1)",
+        "path of the left camera", "work zone sign, not evaluated (1)", "cone, moved (1)", "cone, added (1)",
+        "work zone sign, added (1)",
     ]  # fmt: skip
-    assert legend(*marks[:2]) == ["path of the left camera", "moved (1)", "new (1)"]
+    assert legend(*marks[:2]) == ["path of the left camera", "moved (1)", "added (1)"]
 
 
 def test_every_class_of_points_but_cones_has_a_letter_of_its_own():
