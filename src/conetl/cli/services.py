@@ -11,7 +11,7 @@ from contextlib import closing
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -75,7 +75,8 @@ def up(
         with closing(connect(url)) as conn:
             migrate_once(conn)
         settings.inbox.mkdir(parents=True, exist_ok=True)
-        done = _start_services(settings, home, services, url, workers, (host, port), view_port, decisions, show)
+        wanted = _Wanted(host, port, view_port, workers, decisions)
+        done = _start_services(settings, services, url, wanted, show)
     if as_json:
         print_json({**_status(settings), **done})
         return
@@ -90,21 +91,24 @@ def up(
     say("`conetl status` shows their state, `conetl down` stops them.")
 
 
+class _Wanted(NamedTuple):
+    """What a person chose for services that do not run yet."""
+
+    host: str
+    port: int
+    view_port: int
+    workers: int
+    decisions: bool
+
+
 def _start_services(
-    settings: Settings,
-    home: Path,
-    services: dict[str, processes.Service],
-    url: str,
-    workers: int,
-    server: tuple[str, int],
-    view_port: int,
-    decisions: bool,
-    show: Callable[[str], object],
+    settings: Settings, services: dict[str, processes.Service], url: str, wanted: _Wanted, show: Callable[[str], object]
 ) -> dict[str, Any]:
     """Add the missing ones to `services`, each as soon as those it requires are ready; all are ready at the end."""
+    home, workers = settings.home.resolve(), wanted.workers
     login = prefect_login(home)
-    address = str(services["prefect"].address) if "prefect" in services else _address(*server)
-    view = str(services["view"].address) if "view" in services else f"http://127.0.0.1:{view_port}"
+    address = str(services["prefect"].address) if "prefect" in services else _address(wanted.host, wanted.port)
+    view = str(services["view"].address) if "view" in services else f"http://127.0.0.1:{wanted.view_port}"
     processes.require_access(f"{address}/api", login, SERVER_AUTH)
     environment = {**os.environ, **_environment(settings, home, f"{address}/api", login, view, workers)}
 
@@ -120,7 +124,7 @@ def _start_services(
     # Starting is mostly importing on one core: independent services start at the same time.
     ensure(
         "prefect",
-        processes.server_command(*server),
+        processes.server_command(wanted.host, wanted.port),
         address,
         PREFECT_SERVER_DATABASE_CONNECTION_URL=_prefect_url(settings, url),
         **prefect_server_environment(home, address),
@@ -128,7 +132,8 @@ def _start_services(
         PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL="ERROR",
     )
     conetl = [sys.executable, "-c", "from conetl.cli import main; main()"]
-    ensure("view", [*conetl, "view", "--port", str(view_port), *(["--decisions"] if decisions else [])], view)
+    decisions = ["--decisions"] if wanted.decisions else []
+    ensure("view", [*conetl, "view", "--port", str(wanted.view_port), *decisions], view)
     os.environ.update(environment)  # Prefect reads its environment when it is imported, below
     from flows import register
     from flows.runs import recover
