@@ -136,6 +136,18 @@ def test_figures_plots_and_page(drive: Path, home: Path, tmp_path: Path) -> None
     assert not (home / "postgres").exists()
 
 
+def test_cones_outside_of_a_partial_survey_are_not_false(drive: Path, home: Path, tmp_path: Path) -> None:
+    surveyed = tmp_path / "truth.csv"
+    surveyed.write_text("\n".join((SAMPLE / "truth.csv").read_text().splitlines()[:3]) + "\n")
+    whole = json.loads(evaluate(drive, SAMPLE / "truth.csv", home, "--out", str(tmp_path / "out"), "--json").stdout)
+    found = json.loads(evaluate(drive, surveyed, home, "--out", str(tmp_path / "out"), "--json").stdout)
+    near = [one["xyz_m"] for one in whole["cones"] if one["xyz_m"]]
+    assert whole["not_judged_tracks"] == [] and found["false_tracks"] == []
+    assert len(found["not_judged_tracks"]) >= 2 and all(one["xyz_m"] in near for one in found["not_judged_tracks"])
+    said = f"0 false ones, {len(found['not_judged_tracks'])} outside of the surveyed area and not judged"
+    assert said in (tmp_path / "out" / "index.html").read_text()
+
+
 def test_two_drives_are_judged_together(drive: Path, home: Path, tmp_path: Path) -> None:
     """Each by its own truth.csv; the second are six frame pairs of the same road."""
     second = piece(tmp_path / "second", range(22, 28))

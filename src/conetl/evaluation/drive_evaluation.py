@@ -27,6 +27,7 @@ from conetl.evaluation.truth import (
     TABLE_3_COLUMNS,
     TruthCone,
     TruthLine,
+    by_extent,
     compare_with_truth,
     line_as_dict,
     median_error,
@@ -51,7 +52,7 @@ _BANDS = (
     "range m", "estimates", "median 3D", "RMSE along", "across", "up", "stated along", "across", "up", "bias along"
 )  # fmt: skip
 _CLASSES = ("class", "found", "false", "median 3D", "largest", "NEES relative", "absolute", "95 % band")
-_DRIVES = ("drive", "cones found", "false", "median 3D", "tracks: relative", "common", "absolute",
+_DRIVES = ("drive", "cones found", "false", "not judged", "median 3D", "tracks: relative", "common", "absolute",
            "single positions: relative", "common", "absolute")  # fmt: skip
 _DRIVES_TEXT = (
     "Metres. NEES per degree of freedom, 1 if the stated sigmas are right; * outside its 95 % band, as one value in twenty is by "
@@ -66,6 +67,8 @@ class DriveEvaluation:
     drive_id: str
     lines: list[TruthLine[Track]]
     false: list[Track]
+    not_judged: list[Track]
+    """Outside of the area that was surveyed."""
     path_m: Floats
     tracks: PointErrors
     singles: PointErrors
@@ -127,14 +130,24 @@ class DriveEvaluation:
                 for line in self.lines
             ],
             "missed": self.missed,
-            "false_tracks": [
-                track.model_dump(mode="json", include={"track_index", "xyz_m", "existence_probability"})
-                for track in self.false
-            ],
+            "false_tracks": _as_json(self.false),
+            "not_judged_tracks": _as_json(self.not_judged),
             "median_error_3d_m": median_error(self.lines),
             "by_range": [band.model_dump(mode="json") for band in by_range(self.singles)],
             **as_dict([self]),
         }
+
+
+def _as_json(tracks: Sequence[Track]) -> list[dict[str, object]]:
+    return [
+        track.model_dump(mode="json", include={"track_index", "xyz_m", "existence_probability"}) for track in tracks
+    ]
+
+
+def false_in_words(drives: Sequence[DriveEvaluation]) -> str:
+    """How many cones that were found are false, and how many were not judged."""
+    false, outside = (sum(map(len, of)) for of in zip(*((d.false, d.not_judged) for d in drives), strict=True))
+    return f"{false} false ones, {outside} outside of the surveyed area and not judged."
 
 
 def figures_of(drives: Sequence[DriveEvaluation]) -> dict[str, ErrorStatistics]:
@@ -182,7 +195,7 @@ def evaluate_drive(
     Raises InputError if none of the cones is near the path.
     """
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
-    lines, false = compare_with_truth(cones, tracks, path_m, within_m=within_m)
+    lines, others = compare_with_truth(cones, tracks, path_m, within_m=within_m)
     if cones and not lines:
         raise InputError(
             f"none of the {len(cones)} cones of the truth is within {within_m:g} m of the path of {drive.drive_id}; does it "
@@ -190,7 +203,9 @@ def evaluate_drive(
         )
     of_tracks = track_errors(lines, drive, positions, motion)
     of_singles = position_errors(members_of(lines), positions, drive, poses)
-    return DriveEvaluation(drive.drive_id, lines, false, path_m, of_tracks, of_singles)
+    return DriveEvaluation(
+        drive.drive_id, lines, *by_extent(cones, others), path_m=path_m, tracks=of_tracks, singles=of_singles
+    )
 
 
 def class_figures(drives: Sequence[DriveEvaluation]) -> dict[str, dict[str, object]]:
@@ -294,7 +309,7 @@ def pooled_tables(drives: Sequence[DriveEvaluation]) -> list[Section]:
 def write_pooled_page(folder: Path, drives: Sequence[DriveEvaluation]) -> Path:
     """Write all drives on one page. Raises InputError if it cannot be written."""
     found, cones = sum(d.found for d in drives), sum(len(d.lines) for d in drives)
-    summary = [f"{found} of {cones} cones found, {sum(len(d.false) for d in drives)} false ones."] if cones else []
+    summary = [f"{found} of {cones} cones found, {false_in_words(drives)}"] if cones else []
     if figures := figures_of(drives).get(KINDS[0]):
         summary.append(
             f"Median 3D error of the tracks {figures.median_3d_m:.3f} m, CE90 {figures.ce90_m:.3f} m, "
@@ -322,6 +337,7 @@ def _drive_row(name: str, drives: Sequence[DriveEvaluation]) -> tuple[object, ..
     parts = [part for result in nees_of(drives).values() for part in parts_of(result).values()]
     found, cones = sum(d.found for d in drives), sum(len(d.lines) for d in drives)
     return (
-        name, f"{found} of {cones}", sum(len(d.false) for d in drives), "" if tracks is None else f"{tracks.median_3d_m:.3f}",
+        name, f"{found} of {cones}", sum(len(d.false) for d in drives), sum(len(d.not_judged) for d in drives),
+        "" if tracks is None else f"{tracks.median_3d_m:.3f}",
         *("" if part is None else f"{part.per_dof:.2f}{'' if part.holds() else ' *'}" for part in parts),
     )  # fmt: skip

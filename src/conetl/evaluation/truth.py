@@ -9,10 +9,12 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
+import shapely
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
@@ -30,6 +32,8 @@ from conetl.model.records import Positive, Record, SurveyedPoint, Track, Vec3
 Found = TypeVar("Found", bound=MapFeature | Track)
 _FORBIDDEN = 1e6
 _GATE_M = 0.75
+#: Around the surveyed area: less than the distance to the next cone of a row.
+_AROUND_M = 2.0
 TABLE_3_COLUMNS = ("cone", "", "easting", "northing", "height", "range", "cone height", "3D error")
 #: Probability below which residuals contradict the stated sigmas.
 _CONTRADICTS = 1e-3
@@ -140,7 +144,7 @@ def paired(truth_m: Floats, found_m: Floats, gate_m: float) -> dict[int, int]:
 def compare_with_truth(
     truth: Sequence[TruthCone], features: Sequence[Found], path_m: Floats, *, within_m: float = 20.0
 ) -> tuple[list[TruthLine[Found]], list[Found]]:
-    """One line per cone of the truth, by cone id, and the false features.
+    """One line per cone of the truth, by cone id, and the features without one.
 
     path_m: (F, 2 or 3) path of the left camera. Features or tracks are paired with cones of their class one-to-one at the least
     total distance, at most 0.75 m each. Cones farther than within_m from the path are left out, and features of classes of which
@@ -162,8 +166,18 @@ def compare_with_truth(
             feature = features[pairs[i]] if i in pairs else None
             range_m = None if feature is None else _range(feature.xyz_m, path_m)
             lines.append(TruthLine(cone, feature, truth_range_m, range_m))
-    false = [feature for j, feature in enumerate(features) if j not in pairs.values()]
-    return sorted(lines, key=lambda line: line.truth.cone_id), false
+    others = [feature for j, feature in enumerate(features) if j not in pairs.values()]
+    return sorted(lines, key=lambda line: line.truth.cone_id), others
+
+
+def by_extent(truth: Sequence[TruthCone], found: Sequence[Found]) -> tuple[list[Found], list[Found]]:
+    """Features without a cone of the truth: false ones in the area that was surveyed, and those outside, which are not judged.
+
+    The area is the convex hull of the truth, and 2 m around it.
+    """
+    area = shapely.MultiPoint([cone.xyz_m[:2] for cone in truth]).convex_hull
+    far = [bool(area.distance(shapely.Point(one.xyz_m[:2])) > _AROUND_M) for one in found]
+    return [*compress(found, (not is_far for is_far in far))], [*compress(found, far)]
 
 
 def table_3_rows(lines: Sequence[TruthLine[Found]], *, missing: str) -> list[tuple[object, ...]]:

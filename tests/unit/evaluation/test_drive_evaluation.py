@@ -32,7 +32,7 @@ def evaluation(name: str, errors: PointErrors, missed: int = 0) -> DriveEvaluati
     cone = TruthCone(cone_id="missed", xyz_m=(9.0, 0.0, 0.0), cone_height_m=0.5)
     lines += [TruthLine(cone, None, 1.0, None)] * missed
     false = [SimpleNamespace(category="drum")]
-    return DriveEvaluation(name, lines, false, np.empty((0, 3)), errors, errors)  # type: ignore[arg-type]
+    return DriveEvaluation(name, lines, false, [], np.empty((0, 3)), errors, errors)  # type: ignore[arg-type]
 
 
 def test_one_row_per_drive_and_one_for_all() -> None:

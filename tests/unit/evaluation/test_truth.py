@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conetl.evaluation.truth import TruthCone, compare_with_truth, read_truth_cones
+from conetl.evaluation.truth import TruthCone, by_extent, compare_with_truth, read_truth_cones
 from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from tests import records
@@ -63,3 +63,11 @@ def test_objects_are_compared_with_the_truth_of_their_class() -> None:
     lines, false = compare_with_truth([drum, cone("cone", 15.0, 3.0)], [*found[:2], sign], PATH)
     assert [(line.truth.cone_id, line.feature is not None) for line in lines] == [("cone", True), ("drum", False)]
     assert [f.feature_id.int for f in false] == [1], "a cone where a drum stands is false, a sign is not judged"
+
+
+def test_what_stands_outside_of_a_partial_survey_is_not_judged() -> None:
+    truth = [cone("a", 5.0, 3.0), cone("b", 15.0, 3.0)]
+    beside, beyond = feature(1, 10.0, 1.5), feature(2, 25.0, 3.0)
+    assert by_extent(truth, [beside, beyond]) == ([beside], [beyond])
+    assert by_extent(truth[:1], [beside, beyond]) == ([], [beside, beyond])
+    assert by_extent(truth, []) == ([], [])

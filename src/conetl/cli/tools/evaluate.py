@@ -15,6 +15,7 @@ from conetl.evaluation.drive_evaluation import (
     DriveEvaluation,
     as_dict,
     evaluate_drive,
+    false_in_words,
     pooled_tables,
     write_evaluation,
     write_pooled_page,
@@ -170,7 +171,7 @@ def analyse_folder(
 def _summary(results: AnalysedDrive, evaluation: DriveEvaluation, within_m: float) -> list[str]:
     cones = (
         f"{evaluation.found} of {len(evaluation.lines)} cones within {within_m:g} m of the drive path found, "
-        f"{len(evaluation.false)} false ones."
+        f"{false_in_words([evaluation])}"
     )
     sentences = [
         *([cones] if evaluation.lines else []),
