@@ -166,27 +166,41 @@ where m.map_name = %(map_name)s
 order by c.changeset_no;
 
 -- name: drives_at_the_same_time
--- The active drives with other content that were around a path while it was driven, or are of the same length at any time and have
--- the same id or begin within 20 m of it (2 m, and frame pairs that were lost), and are not on hold.
--- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); frame_count; content_sha256; path_wkt, srid (a line).
--- Columns: drive_uuid, drive_id, changeset_no, rig.
-select d.drive_uuid, d.drive_id, d.changeset_no, d.rig
+-- The active drives with other content that were around a path while it was driven; that have the same id and length at any time; or
+-- one of which has, in its middle, frame pairs where the other has some (2 m, at any time); and are not on hold.
+-- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); frame_count; content_sha256; path_wkt (a line),
+-- middle_wkt (positions of frame pairs in the middle), srid. Columns: drive_uuid, drive_id, changeset_no, rig, is_alike (id and length).
+with path as (
+    select ST_GeomFromText(%(path_wkt)s, %(srid)s) as geom, ST_GeomFromText(%(middle_wkt)s, %(srid)s) as middle
+)
+select
+    d.drive_uuid, d.drive_id, d.changeset_no, d.rig,
+    d.drive_id = %(drive_id)s and d.expected_frame_count = %(frame_count)s as is_alike
 from conetl.active_drive d
 join conetl.map m on m.map_id = d.map_id
+cross join path
 where m.map_name = %(map_name)s and m.srid = %(srid)s and d.rig is not null
 and d.content_sha256 <> %(content_sha256)s
+and d.area && path.geom
+and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
 and case
     when ST_SRID(d.area) <> %(srid)s then false  -- a drive on hold may have another CRS than the map
-    when d.drive_id = %(drive_id)s then d.expected_frame_count = %(frame_count)s
-    when d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s then true
-    else d.expected_frame_count = %(frame_count)s and ST_DWithin(
-        (select ST_Force2D(f.geom) from conetl.frame_pair f where f.drive_uuid = d.drive_uuid order by f.frame_index limit 1),
-        ST_StartPoint(ST_GeomFromText(%(path_wkt)s, %(srid)s)), 20
+    when not ST_Intersects(d.area, path.geom) then false
+    when d.drive_id = %(drive_id)s and d.expected_frame_count = %(frame_count)s then true
+    when d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s then d.drive_id <> %(drive_id)s
+    else not exists (
+        select from ST_Dump(path.middle) p
+        where not exists (
+            select from conetl.frame_pair f where f.drive_uuid = d.drive_uuid and ST_DWithin(f.geom, p.geom, 2)
+        )
+    ) or not exists (
+        select from (
+            select f.geom from conetl.frame_pair f where f.drive_uuid = d.drive_uuid
+            order by f.frame_index offset d.expected_frame_count / 2 limit 3
+        ) f
+        where not ST_DWithin(f.geom, path.geom, 2)
     )
 end
-and d.area && ST_GeomFromText(%(path_wkt)s, %(srid)s)
-and case when ST_SRID(d.area) = %(srid)s then ST_Intersects(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s)) else false end
-and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
 order by d.changeset_no;
 
 -- name: adjoining_drives

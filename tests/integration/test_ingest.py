@@ -305,6 +305,11 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
         stamps.write_text(stamps.read_text().replace("2026-03-02", "2026-03-03"))
     with pytest.raises(InputError, match=again):
         desk.ingest(next_day)
+    part = part_of(DRIVES[0], small_drive.with_name("a part"), 10, skip=7)
+    for stamps in part.glob("*/timestamps.txt"):
+        stamps.write_text(stamps.read_text().replace("2026-03-02", "2026-03-05"))
+    with pytest.raises(InputError, match=again):
+        desk.ingest(part)
     (small_drive / "drive.yaml").write_text("timestamps_timezone: Europe/Berlin\n")
     with pytest.raises(InputError, match=r"other time stamps \(changeset 1\).*conetl map revert 1"):
         desk.ingest(small_drive)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conetl.db.connection import transaction
 from conetl.db.map.commit import path_wkt
 from conetl.db.map.drive_store import DriveThen, drives_at_the_same_time, read_frame_pairs
 from conetl.db.map.replay_store import other_deliveries
 from conetl.geometry.rig import map_SE3_left
+from conetl.mapping.association import near_pairs
+from conetl.model.arrays import Floats
 from conetl.model.errors import MapMismatchError
 from conetl.model.records import Drive, FramePair, Rig
 from conetl.pipeline.database import MapDatabase
@@ -24,6 +27,8 @@ _SAME_STAMP_NS = 2_000_000
 #: frame, nor to `_MOST_LOG_M`; a few frames, or those of a vehicle that waits, do not show that.
 _SAME_LOG_M, _SAME_LOG_RAD, _LEAST_PAIRS, _LEAST_PATH_M = 0.1, np.radians(0.1), 8, 5.0
 _MOST_LOG_M, _MOST_LOG_RAD = 0.5, np.radians(0.5)
+#: Of the shorter recording so many must be frames of the other one. A vehicle that moves less between two frames waits.
+_LEAST_SHARE, _MOVING_M = 0.5, 0.05
 
 
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
@@ -52,42 +57,56 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
             )
         raise MapMismatchError(
             f"{drive.source_path}: this is the recording of drive {other.drive_id} again (changeset {other.changeset_no}), with "
-            "other settings, files or time stamps: the left camera was at the same places at the same times, or in all frames "
-            "with stamps off by one time. The two would count as two surveys. If this one is to replace it, "
+            "other settings, files or time stamps: the left camera was at the same places at the same times, or in these frames, "
+            "or a part of them, with stamps off by one time. The two would count as two surveys. If this one is to replace it, "
             f"`conetl map revert {other.changeset_no}`. Nothing was written."
         )
 
 
 def _is_same_recording(drive: Drive, other: DriveThen, pairs: Sequence[FramePair]) -> bool:
-    if other.drive_id == drive.drive_id:
-        return is_same_camera(drive, other.rig, at_the_times_of(drive, pairs))
+    if other.is_alike:
+        return is_redated(drive, other.rig, pairs, within_m=_SAME_CAMERA_M, within_rad=_SAME_CAMERA_RAD)
     return is_same_camera(drive, other.rig, pairs) or has_the_same_log(drive, other.rig, pairs)
 
 
 def has_the_same_log(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
-    """Whether frame pairs have the poses of a drive, frame by frame, and time stamps that are all off by one time."""
-    pairs = at_the_times_of(drive, pairs)
-    common = {pair.frame_index for pair in pairs} & {pair.frame_index for pair in drive.frame_pairs}
-    if len(common) < _LEAST_PAIRS:
-        return False
-    pairs = [pair for pair in pairs if pair.frame_index in common]
-    path_m = np.array([pair.pose.map_t_body_m[:2] for pair in pairs])
-    if np.hypot(*np.ptp(path_m, axis=0)) < _LEAST_PATH_M:
-        return False
+    """Whether frame pairs, or a part of them, have the poses of a drive and time stamps that are all off by one time."""
     sigma_m = float(np.median([np.hypot(*pair.pose.sigma_enu_m[:2]) for pair in pairs]))
     sigma_rad = float(np.median([np.hypot(*pair.pose.sigma_rpy_rad[1:]) for pair in pairs]))
     within_m, within_rad = min(_SAME_LOG_M + sigma_m, _MOST_LOG_M), min(_SAME_LOG_RAD + sigma_rad, _MOST_LOG_RAD)
-    return is_same_camera(drive, rig, pairs, within_m=within_m, within_rad=within_rad)
+    return is_redated(drive, rig, pairs, within_m=within_m, within_rad=within_rad)
 
 
-def at_the_times_of(drive: Drive, pairs: Sequence[FramePair]) -> list[FramePair]:
-    """Frame pairs with their time stamps moved to those of a drive, where all are off by one time, as of another zone or with
-    other leap seconds; none where they are not."""
-    at_ns = {pair.frame_index: pair.captured_at_ns for pair in drive.frame_pairs}
-    off_ns = [at_ns[pair.frame_index] - pair.captured_at_ns for pair in pairs if pair.frame_index in at_ns]
-    if not off_ns or max(off_ns) - min(off_ns) > _SAME_STAMP_NS:
-        return []
-    return [pair.model_copy(update={"captured_at_ns": pair.captured_at_ns + off_ns[0]}) for pair in pairs]
+def is_redated(drive: Drive, rig: Rig, pairs: Sequence[FramePair], *, within_m: float, within_rad: float) -> bool:
+    """Whether the left camera of a drive was where that of other frame pairs was, and looked the same way, at times that are all
+    off by one time: as of another zone, with other leap seconds, or dated anew; whatever the numbers of the frames.
+
+    So many frames of the shorter recording, at least `_LEAST_PAIRS` over `_LEAST_PATH_M`, must be frames of the other one.
+    """
+    if min(len(drive.frame_pairs), len(pairs)) < _LEAST_PAIRS:
+        return False
+    at_ns, here = _moving(drive.frame_pairs, drive.rig)
+    times_ns, there = _moving(pairs, rig)
+    i, j = near_pairs(here[:, :2, 3], there[:, :2, 3], within_m)
+    alike = (here[i, :3, 2] * there[j, :3, 2]).sum(axis=1) > np.cos(within_rad)
+    i, j = i[alike], j[alike]
+    if not len(i):
+        return False
+    off_ns = at_ns[i] - times_ns[j]
+    order = np.argsort(off_ns, kind="stable")
+    counts = np.searchsorted(off_ns[order], off_ns[order] + _SAME_STAMP_NS, "right") - np.arange(len(order))
+    first = int(np.argmax(counts))
+    same = i[order[first : first + counts[first]]]
+    least = max(_LEAST_PAIRS, _LEAST_SHARE * min(len(here), len(there)))
+    return len(same) >= least and bool(np.hypot(*np.ptp(here[same, :2, 3], axis=0)) >= _LEAST_PATH_M)
+
+
+def _moving(pairs: Sequence[FramePair], rig: Rig) -> tuple[NDArray[np.int64], Floats]:
+    """Time stamps (N,) and poses of the left camera (N, 4, 4) of the frame pairs of a vehicle that moves."""
+    at_ns = np.array([pair.captured_at_ns for pair in pairs])
+    poses = np.array([map_SE3_left(pair.pose, rig) for pair in pairs])
+    moves = np.hypot(*np.diff(poses[:, :2, 3], axis=0, append=poses[-2:-1, :2, 3]).T) >= _MOVING_M
+    return at_ns[moves], poses[moves]
 
 
 def is_same_camera(

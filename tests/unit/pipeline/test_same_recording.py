@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.model.records import Drive, FramePair, Rig
-from conetl.pipeline.same_recording import at_the_times_of, has_the_same_log, is_same_camera
+from conetl.pipeline.same_recording import has_the_same_log, is_redated, is_same_camera
 from tests.synthetic.world import make_path, make_rig, shifted
 
 RIG = make_rig()
@@ -48,9 +50,33 @@ def test_the_same_camera(pairs: list[FramePair], rig: Rig, same: bool) -> None:
     assert is_same_camera(DRIVE, rig, pairs) is same
 
 
-def test_time_stamps_of_another_zone_are_those_of_the_same_recording() -> None:
-    assert at_the_times_of(DRIVE, [later(pair, 7200.0) for pair in PAIRS[3:]]) == list(PAIRS[3:])
-    assert at_the_times_of(DRIVE, [later(pair, 7200.0 + 0.003 * (k % 2)) for k, pair in enumerate(PAIRS)]) == []
+def numbered(pairs: Sequence[FramePair], first: int) -> list[FramePair]:
+    return [pair.model_copy(update={"frame_index": first + k}) for k, pair in enumerate(pairs)]
+
+
+@pytest.mark.parametrize(
+    ("pairs", "same"),
+    [
+        (
+            [shifted(later(pair, 7200.0), (0.5, 0.0, 0.0)) for pair in PAIRS[3:]],
+            True,
+        ),  # of another zone, another solution
+        ([later(pair, 7200.0 + 0.003 * (k % 3)) for k, pair in enumerate(PAIRS)], False),
+        # Two frames in common: where this drive ended another one begins.
+        (
+            [
+                later(p, 7200.0)
+                for p in [
+                    *PAIRS[18:],
+                    *numbered(make_path(20, start_m=20.0, first_ns=PAIRS[-1].captured_at_ns + 100_000_000), 20),
+                ]
+            ],
+            False,
+        ),
+    ],
+)
+def test_time_stamps_of_another_zone_are_those_of_the_same_recording(pairs: list[FramePair], same: bool) -> None:
+    assert is_redated(DRIVE, RIG, pairs, within_m=2.0, within_rad=0.5) is same
 
 
 @pytest.mark.parametrize(
@@ -58,6 +84,8 @@ def test_time_stamps_of_another_zone_are_those_of_the_same_recording() -> None:
     [
         (PAIRS, True),
         (PAIRS[4:], True),  # the first ones are lost
+        (numbered(PAIRS[6:14], 0), True),  # 40 % of the frames, numbered anew
+        ([*numbered(PAIRS[4:12], 0), *numbered([shifted(p, (0.0, 9.0, 0.0)) for p in PAIRS], 8)], False),
         (
             [shifted(pair, (0.02 * (-1) ** k, 0.01, 0.0)) for k, pair in enumerate(PAIRS)],
             True,
