@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import vec3
 from conetl.model.records import Drive, Pose
+from conetl.readers.drives import read_drive
 
 Mutant = Callable[[Drive], Drive]
 
@@ -222,6 +224,21 @@ def images_shifted(frames: int, first: int) -> Mutant:
             for k in range(first, len(pairs) - max(frames, 0))
         )
         return drive.model_copy(update={"frame_pairs": pairs[: first + min(frames, 0)] + moved})
+
+    return mutant
+
+
+def images_of(folder: Path, first: int, last: int) -> Mutant:
+    """Both images of these pairs are those of another recording, whose vehicle moved alike."""
+
+    def mutant(drive: Drive) -> Drive:
+        names = ("left_path", "right_path", "left_sha256", "right_sha256")
+        other = read_drive(folder)[0].frame_pairs
+        pairs = tuple(
+            pair.model_copy(update={name: getattr(other[k], name) for name in names}) if first <= k < last else pair
+            for k, pair in enumerate(drive.frame_pairs)
+        )
+        return drive.model_copy(update={"frame_pairs": pairs})
 
     return mutant
 

@@ -28,6 +28,7 @@ from tests.mutants.recordings import (
     clock_known_to,
     drift,
     frozen_place,
+    images_of,
     images_shifted,
     in_turn,
     jump,
@@ -206,6 +207,10 @@ def _rigs() -> list[WrongRecording]:
             for how, n in (("lose", 1), ("repeat", -1))
         ),
         WrongRecording("right camera 1 frame late from the middle on", right_late(1, 20), cause="1 frames earlier"),
+        *(
+            WrongRecording(f"{what} of another drive", images_of(SAMPLES[2], *ends), cause="go elsewhere", fast=ends[1] < 30)
+            for what, ends in {"10 image pairs": (15, 25), "last 10 image pairs": (29, 39)}.items()
+        ),
     ]  # fmt: skip
 
 

@@ -27,8 +27,9 @@ _SAME_STAMP_NS = 2_000_000
 #: frame, nor to `_MOST_LOG_M`; a few frames, or those of a vehicle that waits, do not show that.
 _SAME_LOG_M, _SAME_LOG_RAD, _LEAST_PAIRS, _LEAST_PATH_M = 0.1, np.radians(0.1), 8, 5.0
 _MOST_LOG_M, _MOST_LOG_RAD = 0.5, np.radians(0.5)
-#: Of the shorter recording so many must be frames of the other one. A vehicle that moves less between two frames waits.
-_LEAST_SHARE, _MOVING_M = 0.5, 0.05
+#: Of the shorter recording so many must be frames of the other one, and so many of the time that both have in common. A vehicle
+#: that moves less between two frames waits.
+_LEAST_SHARE, _LEAST_COMMON_SHARE, _MOVING_M = 0.5, 0.9, 0.05
 
 
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
@@ -81,7 +82,8 @@ def is_redated(drive: Drive, rig: Rig, pairs: Sequence[FramePair], *, within_m: 
     """Whether the left camera of a drive was where that of other frame pairs was, and looked the same way, at times that are all
     off by one time: as of another zone, with other leap seconds, or dated anew; whatever the numbers of the frames.
 
-    So many frames of the shorter recording, at least `_LEAST_PAIRS` over `_LEAST_PATH_M`, must be frames of the other one.
+    `_LEAST_SHARE` of the frames of the shorter recording, at least `_LEAST_PAIRS` over `_LEAST_PATH_M`, must be frames of the
+    other.
     """
     if min(len(drive.frame_pairs), len(pairs)) < _LEAST_PAIRS:
         return False
@@ -97,8 +99,15 @@ def is_redated(drive: Drive, rig: Rig, pairs: Sequence[FramePair], *, within_m: 
     counts = np.searchsorted(off_ns[order], off_ns[order] + _SAME_STAMP_NS, "right") - np.arange(len(order))
     first = int(np.argmax(counts))
     same = i[order[first : first + counts[first]]]
-    least = max(_LEAST_PAIRS, _LEAST_SHARE * min(len(here), len(there)))
+    redated_ns = times_ns + off_ns[order[first]]
+    common = min(_count_within(at_ns, redated_ns), _count_within(redated_ns, at_ns))
+    least = max(_LEAST_PAIRS, _LEAST_SHARE * min(len(here), len(there)), _LEAST_COMMON_SHARE * common)
     return len(same) >= least and bool(np.hypot(*np.ptp(here[same, :2, 3], axis=0)) >= _LEAST_PATH_M)
+
+
+def _count_within(times_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> int:
+    """How many times are in the span of others."""
+    return int(((times_ns >= others_ns[0] - _SAME_STAMP_NS) & (times_ns <= others_ns[-1] + _SAME_STAMP_NS)).sum())
 
 
 def _moving(pairs: Sequence[FramePair], rig: Rig) -> tuple[NDArray[np.int64], Floats]:

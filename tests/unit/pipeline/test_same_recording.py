@@ -61,7 +61,7 @@ def numbered(pairs: Sequence[FramePair], first: int) -> list[FramePair]:
             [shifted(later(pair, 7200.0), (0.5, 0.0, 0.0)) for pair in PAIRS[3:]],
             True,
         ),  # of another zone, another solution
-        ([later(pair, 7200.0 + 0.003 * (k % 3)) for k, pair in enumerate(PAIRS)], False),
+        ([later(pair, 7200.0 + 0.003 * (k % 6 == 0)) for k, pair in enumerate(PAIRS)], False),
         # Two frames in common: where this drive ended another one begins.
         (
             [
