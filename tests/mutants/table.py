@@ -273,7 +273,7 @@ def _against_map() -> list[WrongRecording]:
         return WrongRecording(name, mutant, cause=cause, on=(SECOND,))
 
     return [
-        *(known(f"whole drive {m:g} m aside", aside(m)) for m in (0.3, 1.0, 3.0, 10.0)),
+        *(known(f"whole drive {m:g} m aside", aside(m)) for m in (0.3, 1.0, 3.0, 10.0, 57.0, 86.0, 100.0)),
         *(known(f"heights {m:+g} m", raised(m), "height") for m in (-48.0, 2.0, 48.0)),
         *(known(f"whole drive turned {a:g} degrees", turned_about_start(a)) for a in (1.0, 3.0)),
         *(

@@ -132,3 +132,16 @@ def test_a_first_drive_on_hold_does_not_fix_the_crs_of_a_map(database_url: str, 
         assert [m["srid"] for m in maps] == [32632, 32633] and maps[1]["map_name"].startswith("default-held-32633-")
     with pytest.raises(MapMismatchError, match="swapped, or in radians"):
         commit(elsewhere, settings)
+
+
+def test_a_drive_far_aside_is_known_by_the_arrangement_of_its_cones(
+    database_url: str, sample_settings: Settings
+) -> None:
+    """Beyond all that the comparison with the map has in view."""
+    settings = sample_settings.model_copy(update={"database_url": SecretStr(database_url)})
+    assert ingest(SAMPLES[0], settings=settings).counts_on_map
+    done = commit(analyse(wrong.aside(86.0)(read_drive(SAMPLES[1])[0]), settings=settings), settings).report
+    assert "86.0 m from those of the map" in str(done.on_hold)
+    assert "the same cones elsewhere" in [check.name for check in done.health if check.verdict is Verdict.HOLD]
+    with closing(connect(database_url)) as conn:
+        assert len(read_current_features(conn)) == 9

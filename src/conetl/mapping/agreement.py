@@ -36,10 +36,12 @@ _LEAST_OFFSET_M, _LEAST_RISE_M = 0.1, 0.3
 _LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
-#: An imported map may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
-_IMPORT_DISPLACEMENT_M = 300.0
-#: So many of its cones must fit, so that two rows of about equal distances do not by chance.
-_LEAST_SAME, _LEAST_SAME_SHARE = 5, 0.6
+#: The fold compares all of the map that is so near.
+_NEAR_M = 50.0
+#: An imported map, or a drive, may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
+FARTHEST_M = 300.0
+#: So many of its cones must fit, so that two rows of about equal distances do not by chance. A drive may set up new ones.
+_LEAST_SAME, _LEAST_SAME_OF_DRIVE, _LEAST_SAME_SHARE = 5, 7, 0.6
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
 #: A fit is distinct if no other one, so many gates apart, fits this share as many; else some of the map's cones must be absent.
 _APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
@@ -145,7 +147,7 @@ def imported_displacement(
         return None
     t, f = (np.array([one.xyz_m for one in side]) for side in (stated, features))
     covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
-    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _IMPORT_DISPLACEMENT_M)
+    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
     pairs = _same_positions(stated, features, np.zeros(3), params)
     if pairs:
         i, j = list(pairs), list(pairs.values())
@@ -154,26 +156,55 @@ def imported_displacement(
         common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
         if common is not None:
             return common
-    return _arranged_alike(t, f, near, len(pairs), covs[0].mean(axis=0) + covs[1].mean(axis=0), params)
+    return _arranged_alike(t, f, near, len(pairs), covs[0].mean(axis=0) + covs[1].mean(axis=0), params, _LEAST_SAME)
+
+
+def far_displacement(
+    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
+) -> HealthCheck | None:
+    """The common displacement, beyond that which `contradiction` finds, of a drive's cones against the map's; None where there is
+    none, or too few cones tell.
+
+    features: the map's point objects within `FARTHEST_M` of the tracks. The fold compares only what a drive may have in view:
+    this is decided once, when the drive comes.
+    """
+    sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
+    if len(sure) < _LEAST_SAME_OF_DRIVE or not features:
+        return None
+    t, f = (np.array([one.xyz_m for one in side]) for side in (sure, features))
+    covs = cov_matrices([one.cov_m2 for one in sure]), cov_matrices([one.cov_m2 for one in features])
+    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
+    found = len(_same_positions(sure, features, np.zeros(3), params))
+    cov_m2 = covs[0].mean(axis=0) + covs[1].mean(axis=0)
+    check = _arranged_alike(t, f, near, found, cov_m2, params, _LEAST_SAME_OF_DRIVE)
+    if check is None or check.value is None or check.value <= _NEAR_M:
+        return None
+    return check.model_copy(update={"name": "the same cones elsewhere"})
 
 
 def _arranged_alike(
-    t: Floats, f: Floats, near: NDArray[np.intp], found: int, cov_m2: Floats, params: ReconcileParams
+    t: Floats,
+    f: Floats,
+    near: NDArray[np.intp],
+    found: int,
+    cov_m2: Floats,
+    params: ReconcileParams,
+    least_same: int,
 ) -> HealthCheck | None:
     """How far the cones t (N, 3) lie from those of the map, f (M, 3), that are arranged alike.
 
-    near: which t have a cone of the map within `_IMPORT_DISPLACEMENT_M`; found: how many stand where one of the map stands, of
-    which twice as many must fit elsewhere; cov_m2 (3, 3): of one difference.
+    near: which t have a cone of the map within `FARTHEST_M`; found: how many stand where one of the map stands, of
+    which twice as many must fit elsewhere, at least least_same; cov_m2 (3, 3): of one difference.
     """
     some = near[:: 1 + len(near) // _MAX_TRACKS]
     found_of_some = found * len(some) / max(len(near), 1)
-    least = max(_LEAST_SAME, _LEAST_SAME_SHARE * len(some), 2 * found_of_some + 1)
+    least = max(least_same, _LEAST_SAME_SHARE * len(some), 2 * found_of_some + 1)
     if least > len(some):
         return None
     spacing_m = np.asarray(cKDTree(t[near, :2]).query(t[some, :2], 2)[0])[:, 1]
     if spacing_m.std() < 2 * _SAME_ZONE_M:
         return None
-    fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, _IMPORT_DISPLACEMENT_M)
+    fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, FARTHEST_M)
     if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > _SAME_ZONE_M:
         return None
     sigma_m = _mean_sigma_m(cov_m2)

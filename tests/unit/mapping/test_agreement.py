@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.mapping.agreement import _blind, contradiction, imported_displacement
+from conetl.mapping.agreement import _blind, contradiction, far_displacement, imported_displacement
 from conetl.mapping.changes import reconcile
 from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import DeltaKind, MapFeature
@@ -229,3 +229,21 @@ def test_the_same_cones_in_another_datum_are_found_in_an_imported_map(shift_m: F
 )
 def test_other_cones_of_an_imported_map_are_no_displacement(places: Floats, before: Floats, sigma_m: float) -> None:
     assert imported(places, before, sigma_m) is None
+
+
+@pytest.mark.parametrize(
+    ("places", "says"),
+    [
+        (SET_UP + np.array((80.0, 60.0, 0.0)), "100.0 m from"),
+        (np.vstack([SET_UP[1:8], ZONE[8:] + 30.0]) + np.array((0.0, 290.0, 0.0)), "290.0 m from"),
+        (SET_UP[:6] + np.array((80.0, 60.0, 0.0)), None),  # too few
+        (SET_UP + np.array((240.0, 240.0, 0.0)), None),  # too far
+        (LIKE_IT + np.array((80.0, 60.0, 0.0)), None),  # another zone like it
+        (np.vstack([SET_UP, SET_UP + np.array((80.0, 60.0, 0.0))]), None),  # the same cones stand where they are
+    ],
+)
+def test_the_same_cones_far_away_are_known_by_their_arrangement(places: Floats, says: str | None) -> None:
+    measured = places + np.random.default_rng(6).normal(0, 0.01, places.shape)
+    found = far_displacement(tracks_at(measured), features_at(SET_UP), PARAMS)
+    assert (found and found.name) == (says and "the same cones elsewhere")
+    assert found is None or str(says) in found.detail
