@@ -30,7 +30,7 @@ _PAINTED = 0.4
 _LEAST_GAP_M, _LEAST_RUN_M = 0.5, 0.4
 #: No dash is as long (motorways: 6 m); no solid line has a longer worn hole.
 _LONGEST_DASH_M, _LONGEST_HOLE_M = 8.0, 4.0
-#: Dashes and gaps of one line have at most this relative scatter (median absolute deviation).
+#: Gaps of one line have at most this relative scatter (median absolute deviation); dashes may be cut or worn.
 _REGULAR = 0.3
 #: Gaps of more than so many dashes are none (1 : 3 in North America is the longest in use).
 _LONGEST_GAP = 4.0
@@ -140,12 +140,10 @@ def _usual(share: Floats) -> float:
 
 
 class _Run(NamedTuple):
-    """Paint from start to end; whether the half metre before it and after it was observed to have none."""
+    """Paint from start to end."""
 
     start_m: float
     end_m: float
-    empty_before: bool
-    empty_after: bool
 
     @property
     def length_m(self) -> float:
@@ -173,11 +171,7 @@ def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> 
             joined[-1][1] = end
         else:
             joined.append([start, end])
-    runs = []
-    for start, end in joined:
-        before, after = ((at > a) & (at < b) for a, b in ((start - 0.5, start), (end, end + 0.5)))
-        runs.append(_Run(start, end, bool(known[before].all()), bool(known[after].all())))
-    return [run for run in runs if run.length_m >= _LEAST_RUN_M]
+    return [run for run in (_Run(*one) for one in joined) if run.length_m >= _LEAST_RUN_M]
 
 
 def _groups(runs: list[_Run], searched: Searched) -> list[list[_Run]]:
@@ -213,15 +207,14 @@ def _dashes(runs: list[_Run], searched: Searched) -> tuple[float, float] | None:
     joined, least_m = runs[:1], _HOLE_SHARE * _widest_gap_m(runs)
     for run in runs[1:]:
         if run.start_m - joined[-1].end_m < least_m:
-            joined[-1] = joined[-1]._replace(end_m=run.end_m, empty_after=run.empty_after)
+            joined[-1] = joined[-1]._replace(end_m=run.end_m)
         else:
             joined.append(run)
     gaps = np.array([b.start_m - a.end_m for a, b in pairwise(joined)])
-    whole = [run.length_m for run in joined if run.empty_before and run.empty_after]
-    dashes = np.array(whole or [run.length_m for run in joined])
-    worn = sum(run.length_m for run in joined) > _WORN * (joined[-1].end_m - joined[0].start_m)
+    dashes = np.array([run.length_m for run in joined])
+    worn = dashes.sum() > _WORN * (joined[-1].end_m - joined[0].start_m)
     dash, gap = float(np.median(dashes)), float(np.median(gaps))
-    irregular = len(joined) > 2 and max(robust_std(gaps) / gap, robust_std(dashes) / dash) > _REGULAR
+    irregular = len(joined) > 2 and robust_std(gaps) / gap > _REGULAR
     if worn or irregular or gap > _LONGEST_GAP * dash:
         return None
     bounds = np.linspace(0, len(joined), max(round(len(joined) / _OVERLAID), 1) + 1).astype(int).tolist()
