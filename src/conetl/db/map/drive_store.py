@@ -194,7 +194,5 @@ def _track(row: Row) -> Track:
 
 
 def _marking_track(row: Row) -> MarkingTrack:
-    relative_cov_m2 = covariances(row["relative_cov"])
-    return record_of(
-        MarkingTrack, row, marking=marking_of(row), relative_cov_m2=relative_cov_m2, shared_jacobian=jacobian_of(row)
-    )
+    own = {"relative_cov_m2": covariances(row["relative_cov"]), "image_cov_m2": ()}
+    return record_of(MarkingTrack, row, marking=marking_of(row), shared_jacobian=jacobian_of(row), **own)
