@@ -78,84 +78,84 @@ def overlap(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
 
 @torch.no_grad()
 def assign(
-    scores: Tensor, boxes: Tensor, points: Tensor, strides: Tensor, truth: Tensor, classes: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """One picture: scores (A, classes), boxes (A, 4), truth (G, 4) of classes (G,) -> cells (P,), their truth index (P,), target
-    score (P,).
+    scores: Tensor, boxes: Tensor, points: Tensor, strides: Tensor, truth: Tensor, classes: Tensor, there: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The cells that answer for an object: image (P,), cell (P,), truth index (P,) and target score (P,).
+
+    Scores (B, A, classes), boxes (B, A, 4), truth (B, G, 4) of classes (B, G), of which `there` (B, G) are no padding.
     """
-    iou = overlap(truth[:, None], boxes[None])
+    iou = overlap(truth[:, :, None], boxes[:, None])
     # A small object may hold no cell centre: let it grow to two strides for the question "inside?".
-    centre, half = (truth[:, :2] + truth[:, 2:]) / 2, (truth[:, 2:] - truth[:, :2]) / 2
-    half = torch.maximum(half[:, None], strides[None, :, None] * 0.75)
-    inside = ((points[None] - centre[:, None]).abs() < half).all(-1)
-    reachable = (truth[:, 2:] - truth[:, :2]).amax(1)[:, None] < strides[None] * (BINS - 1) * 1.3
-    align = scores.sigmoid()[:, classes].T.sqrt() * iou.clamp(min=0) ** 6 * (inside & reachable)
+    centre, half = (truth[..., :2] + truth[..., 2:]) / 2, (truth[..., 2:] - truth[..., :2]) / 2
+    half = torch.maximum(half[:, :, None], strides[:, None] * 0.75)
+    inside = ((points - centre[:, :, None]).abs() < half).all(-1)
+    reachable = (truth[..., 2:] - truth[..., :2]).amax(-1, keepdim=True) < strides * (BINS - 1) * 1.3
+    allowed = inside & reachable & there[..., None]
+    of_class = scores.sigmoid().sqrt().transpose(1, 2).gather(1, classes[..., None].expand(-1, -1, len(points)))
+    align = of_class * iou.clamp(min=0) ** 6 * allowed
     # Ties of nothing (early in training all IoUs are near 0): prefer cells near the centre.
-    near = 1e-9 / (1 + (points[None] - centre[:, None]).norm(dim=-1) / strides[None])
-    align = align + near * (inside & reachable)
-    top = align.topk(min(CANDIDATES, align.shape[1]), 1)
-    chosen = torch.zeros_like(align).scatter_(1, top.indices, (top.values > 0).float())
+    align = align + 1e-9 / (1 + (points - centre[:, :, None]).norm(dim=-1) / strides) * allowed
+    top = align.topk(min(CANDIDATES, align.shape[2]), 2)
+    chosen = torch.zeros_like(align).scatter_(2, top.indices, (top.values > 0).float())
     owner_align = align * chosen
-    best, owner = owner_align.max(0)
-    cells = torch.nonzero(best > 0).squeeze(1)
-    owner = owner[cells]
-    peak_align, peak_iou = owner_align.amax(1), (iou * chosen).amax(1)
-    target = align[owner, cells] / (peak_align[owner] + 1e-12) * peak_iou[owner]
-    return cells, owner, target
+    best, owners = owner_align.max(1)
+    image, cell = torch.nonzero(best > 0, as_tuple=True)
+    owner = owners[image, cell]
+    peak_align, peak_iou = owner_align.amax(2), (iou * chosen).amax(2)
+    target = align[image, owner, cell] / (peak_align[image, owner] + 1e-12) * peak_iou[image, owner]
+    return image, cell, owner, target
+
+
+def taught_weights(fades: Tensor, points: Tensor, strides: Tensor) -> Tensor:
+    """Weights (B, A, classes) of the score's loss: 0 where a class is neither taught nor forbidden, else 1."""
+    corners = fades[:, :, None, :4]
+    inside = ((points >= corners[..., :2]) & (points <= corners[..., 2:])).all(-1)
+    # Of places where something may stand only fine cells fade: far things are small, large boxes stay forbidden.
+    inside &= (strides <= 16) | (fades[..., 4:] < ALL_CLASSES)
+    faded = (fades[..., 4:].long() >> torch.arange(len(CLASSES), device=fades.device)) & 1  # (B, M, classes)
+    return (inside.float().transpose(1, 2) @ faded.float() == 0).float()
 
 
 def detection_loss(
-    maps: list[Tensor], truths: list[Tensor], trusts: list[Tensor], fades: list[Tensor]
-) -> tuple[Tensor, dict[str, float]]:
+    maps: list[Tensor], truths: Tensor, trusts: Tensor, fades: Tensor
+) -> tuple[Tensor, dict[str, Tensor]]:
     """Sum of score (BCE against IoU-scaled targets), box (CIoU), side (DFL) and end (smooth L1) losses for a batch.
 
-    truths: (G, 9) box, foot and tip (NaN where not known) and class a picture. fades: (M, 5) box and the sum of 2**class of those
-    classes that are neither taught nor forbidden in it.
+    truths: (B, G, 9) box, foot and tip (NaN where not known) and class; class -1 pads. trusts: (B, G). fades: (B, M, 5) box and
+    the sum of 2**class of those classes that are neither taught nor forbidden in it; 0 pads.
     """
     side_logits, end_offsets, score_logits, points, strides = flatten_maps(maps)
     with torch.no_grad():  # only the assigned cells' boxes are differentiated, below
         boxes = boxes_from_sides(side_logits, points, strides)
-    targets, weights = torch.zeros_like(score_logits), torch.ones_like(score_logits)
-    box_loss = side_loss = end_loss = score_logits.sum() * 0
-    for index, (cones, trust, fade) in enumerate(zip(truths, trusts, fades, strict=True)):
-        if len(fade):
-            inside = (points[:, None] >= fade[None, :, :2]) & (points[:, None] <= fade[None, :, 2:4])
-            faded = (fade[:, 4].long()[:, None] >> torch.arange(len(CLASSES), device=fade.device)) & 1  # (M, classes)
-            # Of places where something may stand only fine cells fade: far things are small, large boxes stay forbidden.
-            reach = (strides[:, None] <= 16) | (fade[None, :, 4] < ALL_CLASSES)
-            weights[index][(inside.all(-1) & reach).float() @ faded.float() > 0] = 0.0
-        if len(cones) == 0:
-            continue
-        truth, ends, classes = cones[:, :4], cones[:, 4:8], cones[:, 8].long()
-        cells, owner, target = assign(score_logits[index].detach(), boxes[index], points, strides, truth, classes)
-        targets[index, cells, classes[owner]] = target
-        weights[index, cells] = 1.0
-        amount = target * trust[owner]
-        logits = side_logits[index, cells]
-        given = boxes_from_sides(logits, points[cells], strides[cells])
-        box_loss = box_loss + ((1 - overlap(given, truth[owner], complete=True)) * amount).sum()
-        wanted = (
-            torch.cat((points[cells] - truth[owner, :2], truth[owner, 2:] - points[cells]), 1) / strides[cells, None]
-        )
-        wanted = wanted.clamp(0, BINS - 1.01)
-        lower = wanted.long()
-        share = wanted - lower
-        log = functional.log_softmax(logits, -1)
-        cost = -(
-            log.gather(-1, lower[..., None]).squeeze(-1) * (1 - share)
-            + log.gather(-1, (lower + 1)[..., None]).squeeze(-1) * share
-        )
-        side_loss = side_loss + (cost.mean(1) * amount).sum()
-        wanted = offsets_of(ends, truth)[owner]
-        known = torch.isfinite(wanted).all(1)
-        if known.any():
-            wanted = wanted[known].clamp(-0.6, 0.9)  # a cone cut by the picture's edge has its ends far outside its box
-            apart = functional.smooth_l1_loss(end_offsets[index, cells][known], wanted, reduction="none", beta=0.03)
-            end_loss = end_loss + (apart.mean(1) * target[known]).sum()
+        there, classes = truths[..., 8] >= 0, truths[..., 8].clamp(min=0).long()
+        weights = taught_weights(fades, points, strides)
+    image, cell, owner, target = assign(score_logits.detach(), boxes, points, strides, truths[..., :4], classes, there)
+    targets = torch.zeros_like(score_logits)
+    targets[image, cell, classes[image, owner]] = target
+    weights[image, cell] = 1.0
+    truth, ends, amount = truths[image, owner, :4], truths[image, owner, 4:8], target * trusts[image, owner]
+    logits, at, stride = side_logits[image, cell], points[cell], strides[cell]
+    box_loss = ((1 - overlap(boxes_from_sides(logits, at, stride), truth, complete=True)) * amount).sum()
+    wanted = torch.cat((at - truth[:, :2], truth[:, 2:] - at), 1) / stride[:, None]
+    wanted = wanted.clamp(0, BINS - 1.01)
+    lower = wanted.long()
+    share = wanted - lower
+    log = functional.log_softmax(logits, -1)
+    cost = -(
+        log.gather(-1, lower[..., None]).squeeze(-1) * (1 - share)
+        + log.gather(-1, (lower + 1)[..., None]).squeeze(-1) * share
+    )
+    side_loss = (cost.mean(1) * amount).sum()
+    offsets = offsets_of(ends, truth)
+    known = torch.isfinite(offsets).all(1)
+    # a cone cut by the picture's edge has its ends far outside its box
+    offsets = torch.where(known[:, None], offsets, 0.0).clamp(-0.6, 0.9)
+    apart = functional.smooth_l1_loss(end_offsets[image, cell], offsets, reduction="none", beta=0.03)
+    end_loss = (apart.mean(1) * target * known).sum()
     total = targets.sum().clamp(min=4.0)
     raw = functional.binary_cross_entropy_with_logits(score_logits, targets, reduction="none")
     score_loss = (raw * weights).sum() / total
     box_loss, side_loss, end_loss = box_loss / total, side_loss / total, end_loss / total
     losses = {"score": score_loss, "box": box_loss, "side": side_loss, "end": end_loss}
     total_loss = 0.7 * score_loss + 7.5 * box_loss + 1.5 * side_loss + 6.0 * end_loss
-    return total_loss, {name: float(loss.detach()) for name, loss in losses.items()}
+    return total_loss, {name: loss.detach() for name, loss in losses.items()}

@@ -9,6 +9,7 @@ Channels are multiples of 16 for the runtime's kernels.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TypeGuard
 
 import torch
@@ -94,29 +95,17 @@ def doubled(features: Tensor) -> Tensor:
     return rows.flatten(3, 4).flatten(1, 2).permute(0, 3, 1, 2)
 
 
-class ConeNet(nn.Module):
+class Detector(nn.Module):
     """Image (B, 3, H, W) float in 0..1, RGB, H and W multiples of 32 -> one raw map (B, 4*BINS + 4 + classes, H/s, W/s) a
     stride.
 
     Channels: BINS logits for each of left, top, right, bottom distance in strides from the cell's centre; the offsets of
     foot x, foot y, tip x, tip y in shares of the box's size from the middle of its lower and upper side (`loss.offsets_of`);
-    the logits of CLASSES.
+    the logits of CLASSES. `widths`: channels of the features of each stride, which a subclass computes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, widths: Sequence[int]) -> None:
         super().__init__()
-        self.stem = conv(3, 16, 3, 2)
-        self.stage4 = nn.Sequential(conv(16, 32, 3, 2), SplitBlock(32, 1))
-        self.stage8 = nn.Sequential(conv(32, 64, 3, 2), SplitBlock(64, 1))
-        self.stage16 = nn.Sequential(conv(64, 128, 3, 2), SplitBlock(128, 2))
-        self.stage32 = nn.Sequential(conv(128, 192, 3, 2), SplitBlock(192, 1), PoolPyramid(192))
-        widths = (32, 64, 64, 96)
-        self.down32 = conv(192, 96, 1)
-        self.side16, self.top16 = conv(128, 64, 1), conv(96, 64, 1)
-        self.side8, self.mix8 = conv(64, 64, 1), SplitBlock(64, 1)
-        self.side4, self.top4 = conv(32, 32, 1), conv(64, 32, 1)
-        self.mix16 = SplitBlock(64, 1)
-        self.heads = nn.ModuleList(depthwise(width) for width in widths)
         self.sides = nn.ModuleList(nn.Conv2d(width, 4 * BINS, 1) for width in widths)
         self.ends = nn.ModuleList(nn.Conv2d(width, 4, 1) for width in widths)
         self.score = nn.ModuleList(nn.Conv2d(width, len(CLASSES), 1) for width in widths)
@@ -129,14 +118,7 @@ class ConeNet(nn.Module):
 
     def features(self, picture: Tensor) -> list[Tensor]:
         """Input of the output layers: (B, C, H/s, W/s) a stride."""
-        c4 = self.stage4(self.stem(picture))
-        c8 = self.stage8(c4)
-        c16 = self.stage16(c8)
-        p32 = self.down32(self.stage32(c16))
-        p16 = self.mix16(self.side16(c16) + doubled(self.top16(p32)))
-        p8 = self.mix8(self.side8(c8) + doubled(p16))
-        p4 = self.side4(c4) + doubled(self.top4(p8))
-        return [head(features) for head, features in zip(self.heads, (p4, p8, p16, p32), strict=True)]
+        raise NotImplementedError
 
     def forward(self, picture: Tensor) -> list[Tensor]:
         return self.outputs(self.features(picture))
@@ -145,6 +127,35 @@ class ConeNet(nn.Module):
         """What the output layers say of `features`, a raw map a stride."""
         layers = zip(features, self.sides, self.ends, self.score, strict=True)
         return [torch.cat((sides(shared), ends(shared), score(shared)), 1) for shared, sides, ends, score in layers]
+
+
+class ConeNet(Detector):
+    """The network that is shipped: 1.04 million parameters."""
+
+    def __init__(self) -> None:
+        widths = (32, 64, 64, 96)
+        super().__init__(widths)
+        self.stem = conv(3, 16, 3, 2)
+        self.stage4 = nn.Sequential(conv(16, 32, 3, 2), SplitBlock(32, 1))
+        self.stage8 = nn.Sequential(conv(32, 64, 3, 2), SplitBlock(64, 1))
+        self.stage16 = nn.Sequential(conv(64, 128, 3, 2), SplitBlock(128, 2))
+        self.stage32 = nn.Sequential(conv(128, 192, 3, 2), SplitBlock(192, 1), PoolPyramid(192))
+        self.down32 = conv(192, 96, 1)
+        self.side16, self.top16 = conv(128, 64, 1), conv(96, 64, 1)
+        self.side8, self.mix8 = conv(64, 64, 1), SplitBlock(64, 1)
+        self.side4, self.top4 = conv(32, 32, 1), conv(64, 32, 1)
+        self.mix16 = SplitBlock(64, 1)
+        self.heads = nn.ModuleList(depthwise(width) for width in widths)
+
+    def features(self, picture: Tensor) -> list[Tensor]:
+        c4 = self.stage4(self.stem(picture))
+        c8 = self.stage8(c4)
+        c16 = self.stage16(c8)
+        p32 = self.down32(self.stage32(c16))
+        p16 = self.mix16(self.side16(c16) + doubled(self.top16(p32)))
+        p8 = self.mix8(self.side8(c8) + doubled(p16))
+        p4 = self.side4(c4) + doubled(self.top4(p8))
+        return [head(features) for head, features in zip(self.heads, (p4, p8, p16, p32), strict=True)]
 
 
 def has_batch_norm(block: nn.Module) -> TypeGuard[nn.Sequential]:

@@ -19,17 +19,21 @@ import math
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
 import torch.distributed as dist
-from augment import make_sample, pyramid
+from augment import Sample, make_sample, pyramid
 from dataset import cut_out_cones, read_cones, read_labelled_clips, read_more_cones, read_renders
 from drawn_cones import draw_cone
 from drawn_objects import DRAW, draw_object
 from loss import detection_loss
-from network import ConeNet
+from network import ConeNet, Detector
+from teacher import Teacher, distillation_loss
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import DataLoader, IterableDataset
 
 SHARES = {
@@ -44,6 +48,8 @@ SHARES = {
     "false_boxes": 0.15,
 }
 LARGE = 1.45
+#: Names of the networks in logs and checkpoints.
+SHIPPED, TEACHER = "small", "teacher"
 LABELS = Path(__file__).parent / "labels"
 #: Sources of pictures without cones that others are drawn on.
 BACKGROUNDS = ("css_safety_cone", "highway_tidar_negatives", "otonom_sign_negatives", "labelled_clips")
@@ -116,10 +122,16 @@ class Batches(IterableDataset):
             yield collate(samples)
 
 
-def collate(batch):
+def collate(batch: list[Sample]) -> tuple[Tensor, ...]:
+    """Images (B, 3, size, size) uint8 RGB, objects (B, G, 9), trusts (B, G), fades (B, M, 5), padded (`loss.detection_loss`)."""
     images = np.stack([sample[0][..., ::-1].transpose(2, 0, 1) for sample in batch])
-    as_tensors = [[torch.from_numpy(sample[k]).float() for sample in batch] for k in (1, 2, 3)]
-    return torch.from_numpy(np.ascontiguousarray(images)), *as_tensors
+    objects, trusts, fades = ([torch.from_numpy(sample[k]).float() for sample in batch] for k in (1, 2, 3))
+    return (
+        torch.from_numpy(np.ascontiguousarray(images)),
+        pad_sequence(objects, batch_first=True, padding_value=-1.0),
+        pad_sequence(trusts, batch_first=True),
+        pad_sequence(fades, batch_first=True),
+    )
 
 
 def read_arguments() -> argparse.Namespace:
@@ -137,6 +149,10 @@ def read_arguments() -> argparse.Namespace:
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--rate", type=float, default=2e-3)
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=1, help="processes that make samples")
+    parser.add_argument(
+        "--teacher", default="", help="ImageNet weights of the backbone of a larger network to learn from"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--bf16", action="store_true", help="16-bit features: faster on processors with AMX and on GPUs"
@@ -148,40 +164,87 @@ def read_arguments() -> argparse.Namespace:
 def take_weights(network: ConeNet, checkpoint: Path) -> None:
     """Start from an earlier network: every weight of the same name and shape is taken, the others keep their random start."""
     own, earlier = network.state_dict(), torch.load(checkpoint, map_location="cpu", weights_only=True)["average"]
-    for name in [name for name in earlier if name.startswith("score.")]:  # of fewer classes: the first ones stay
-        if earlier[name].shape != own[name].shape:
-            earlier[name] = torch.cat((earlier[name], own[name][len(earlier[name]) :]))
+    for name in [name for name in earlier if name in own and earlier[name].ndim == own[name].ndim > 1]:
+        missing = torch.zeros_like(own[name][:, earlier[name].shape[1] :])
+        # Of a layer that joins more channels now, the new ones count nothing at first.
+        if missing.numel() and len(missing) == len(earlier[name]):
+            earlier[name] = torch.cat((earlier[name], missing), 1)
     taken = {name: value for name, value in earlier.items() if name in own and own[name].shape == value.shape}
     network.load_state_dict(own | taken)
     print(f"{len(taken)} of {len(own)} tensors taken from {checkpoint.name}", flush=True)
 
 
-def make_optimiser(network: ConeNet, rate: float) -> torch.optim.Optimizer:
-    """AdamW; biases and norms are not decayed."""
-    decayed = [p for p in network.parameters() if p.ndim > 1]
-    plain = [p for p in network.parameters() if p.ndim <= 1]
-    groups = [{"params": decayed, "weight_decay": 0.02}, {"params": plain, "weight_decay": 0.0}]
-    return torch.optim.AdamW(groups, lr=rate, betas=(0.9, 0.99))
+class Learner:
+    """A network with its optimiser, and the moving average of its weights, which is what is exported."""
+
+    def __init__(self, network: Detector, rate: float) -> None:
+        self.network, self.average = network, copy.deepcopy(network).eval()
+        groups: dict[tuple[float, float], list[torch.nn.Parameter]] = {}
+        for name, weights in network.named_parameters():
+            decay = 0.02 if weights.ndim > 1 else 0.0  # biases and norms are not decayed
+            share = 0.25 if name.startswith("backbone.") else 1.0  # what has seen ImageNet is to keep what it knows
+            groups.setdefault((decay, share), []).append(weights)
+        settings = [{"params": each, "weight_decay": decay, "share": share} for (decay, share), each in groups.items()]
+        self.optimiser = torch.optim.AdamW(settings, lr=rate, betas=(0.9, 0.99))
+
+    def learn(self, loss: Tensor, rate: float, step: int) -> None:
+        """One step down the gradient of `loss`."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate * group["share"]
+        self.optimiser.zero_grad()
+        loss.backward()
+        share_gradients(self.network)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
+        self.optimiser.step()
+        decay = 0.9988 * (1 - math.exp(-(step + 1) / 500))
+        pairs = zip(self.average.state_dict().values(), self.network.state_dict().values(), strict=True)
+        pairs = [(kept, value) for kept, value in pairs if kept.dtype.is_floating_point]
+        with torch.no_grad():
+            torch._foreach_lerp_([kept for kept, _ in pairs], [value for _, value in pairs], 1 - decay)
+
+    def state(self) -> dict[str, dict[str, Any]]:
+        return {
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+
+    def take(self, kept: dict[str, Any]) -> None:
+        """Take all of a `state`."""
+        self.network.load_state_dict(kept["network"])
+        self.average.load_state_dict(kept["average"])
+        self.optimiser.load_state_dict(kept["optimiser"])
 
 
-def follow_average(average: ConeNet, network: ConeNet, decay: float) -> None:
-    """Exponential moving average of weights and norm statistics: what is exported."""
-    with torch.no_grad():
-        for kept, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
-            if kept.dtype.is_floating_point:
-                kept.lerp_(value, 1 - decay)
+def make_learners(args: argparse.Namespace, device: str) -> dict[str, Learner]:
+    """The networks to train, in the order in which each learns from a batch: the teacher, where there is one, goes first."""
+    network = ConeNet()
+    if args.start:
+        take_weights(network, Path(args.start))
+    networks: dict[str, Detector] = {TEACHER: Teacher(Path(args.teacher))} if args.teacher else {}
+    networks[SHIPPED] = network
+    return {
+        name: Learner(network.to(device, memory_format=torch.channels_last), args.rate)
+        for name, network in networks.items()
+    }
 
 
-def go_on(checkpoint: Path, network: ConeNet, average: ConeNet, optimiser: torch.optim.Optimizer) -> int:
+def go_on(checkpoint: Path, learners: dict[str, Learner], device: str) -> int:
     """Take all of a checkpoint; its step."""
-    kept = torch.load(checkpoint, map_location=next(network.parameters()).device, weights_only=True)
-    network.load_state_dict(kept["network"])
-    average.load_state_dict(kept["average"])
-    optimiser.load_state_dict(kept["optimiser"])
+    kept = torch.load(checkpoint, map_location=device, weights_only=True)
+    for name, learner in learners.items():
+        learner.take(kept if name == SHIPPED else kept[name])
     return int(kept["step"])
 
 
-def share_gradients(network: ConeNet) -> None:
+def maps_of(network: Detector, images: Tensor, bf16: bool) -> list[Tensor]:
+    """The network's maps; features in 16 bits where asked for, outputs never: sides of boxes need all their bits."""
+    with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
+        features = network.features(images)
+    return network.outputs([level.float() for level in features])
+
+
+def share_gradients(network: Detector) -> None:
     """The mean of the gradients of all processes, in place, where there are several."""
     if not dist.is_initialized():
         return
@@ -214,44 +277,40 @@ def main() -> None:
             torch.cuda.set_device(int(os.environ["LOCAL_RANK"]) % torch.cuda.device_count())
     args.rank = dist.get_rank() if dist.is_initialized() else 0
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    network = ConeNet().to(device, memory_format=torch.channels_last)
-    if args.start:
-        take_weights(network, Path(args.start))
-    average = copy.deepcopy(network).eval()
-    optimiser = make_optimiser(network, args.rate)
-    args.start_step = go_on(Path(args.resume), network, average, optimiser) if args.resume else 0
-    loader = iter(DataLoader(Batches(args), batch_size=None, num_workers=1, prefetch_factor=6))
+    learners = make_learners(args, device)
+    args.start_step = go_on(Path(args.resume), learners, device) if args.resume else 0
+    loader = iter(DataLoader(Batches(args), batch_size=None, num_workers=args.workers, prefetch_factor=6))
 
     started = saved = time.monotonic()
-    step, sums = args.start_step, dict.fromkeys(("score", "box", "side", "end"), 0.0)
+    step, sums = args.start_step, dict[str, Tensor]()
     while (share := elapsed_share(started, args.minutes)) < 1:
         warm = min(1.0, (step - args.start_step + 1) / (50 if args.resume else 300))
-        for group in optimiser.param_groups:
-            group["lr"] = args.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
-        images, boxes, trusts, fades = next(loader)
-        images = images.to(device, memory_format=torch.channels_last).float() / 255
-        network.train()
-        with torch.autocast(device, torch.bfloat16, enabled=args.bf16):
-            features = network.features(images)
-        maps = network.outputs([level.float() for level in features])  # sides of boxes need all their bits
-        loss, parts = detection_loss(maps, *([t.to(device) for t in group] for group in (boxes, trusts, fades)))
-        optimiser.zero_grad()
-        loss.backward()
-        share_gradients(network)
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
-        optimiser.step()
+        rate = args.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
+        images, *truth = (part.to(device, non_blocking=True) for part in next(loader))
+        images = images.contiguous(memory_format=torch.channels_last).float() / 255
+        losses = {}
+        for name, learner in learners.items():
+            learner.network.train()
+            maps = maps_of(learner.network, images, args.bf16)
+            loss, parts = detection_loss(maps, *truth)
+            if name == SHIPPED and TEACHER in learners:
+                with torch.no_grad():
+                    teaching = maps_of(learners[TEACHER].average, images, args.bf16)
+                parts["distillation"] = distillation_loss(maps, teaching)
+                loss = loss + min(1.0, 4 * share) * parts["distillation"]
+            learner.learn(loss, rate, step)
+            losses |= {f"{name} {part}": value.detach() for part, value in parts.items()}
         step += 1
-        follow_average(average, network, 0.9988 * (1 - math.exp(-step / 500)))
-        sums = {name: sums[name] + parts[name] for name in sums}
+        sums = {name: sums.get(name, 0) + value for name, value in losses.items()}
         if step % 100 == 0 and args.rank == 0:
-            means = " ".join(f"{name} {value / 100:.3f}" for name, value in sums.items())
+            means = " ".join(f"{name} {float(value) / 100:.3f}" for name, value in sums.items())
             note(out, f"{step} {(time.monotonic() - started) / 60:.1f} min {means}")
-            sums = dict.fromkeys(sums, 0.0)
+            sums = {}
         if time.monotonic() - saved > 120 and args.rank == 0:
             saved = time.monotonic()
-            save(out, network, average, optimiser, step)
+            save(out, learners, step)
     if args.rank == 0:
-        save(out, network, average, optimiser, step)
+        save(out, learners, step)
     if dist.is_initialized():
         dist.destroy_process_group()
 
@@ -262,17 +321,10 @@ def note(out: Path, line: str) -> None:
         log.write(line + "\n")
 
 
-def save(out: Path, network: ConeNet, average: ConeNet, optimiser: torch.optim.Optimizer, step: int) -> None:
+def save(out: Path, learners: dict[str, Learner], step: int) -> None:
     part = out / "last.pt.part"
-    torch.save(
-        {
-            "network": network.state_dict(),
-            "average": average.state_dict(),
-            "optimiser": optimiser.state_dict(),
-            "step": step,
-        },
-        part,
-    )
+    others = {name: learner.state() for name, learner in learners.items() if name != SHIPPED}
+    torch.save(learners[SHIPPED].state() | {"step": step} | others, part)
     part.rename(out / "last.pt")
 
 
