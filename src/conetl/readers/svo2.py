@@ -89,9 +89,13 @@ def copy_video(path: Path, target: Path) -> None:
                 if number >= MAX_FRAMES:
                     raise DriveFolderError(f"{path}: more than {MAX_FRAMES:,} frames: cut the recording into several")
                 if stream is None:
-                    codec = _codec(data, path)
-                    with av.open(BytesIO(data), format=codec) as probed:
-                        stream = output.add_stream_from_template(probed.streams.video[0])
+                    try:
+                        with av.open(BytesIO(data), options={"format_whitelist": "h264,hevc"}) as probed:
+                            codec, stream = probed.format.name, output.add_stream_from_template(probed.streams.video[0])
+                    except av.FFmpegError as error:
+                        raise DriveFolderError(
+                            f"{path}: its first frame has no parameters of H.264 or H.265: {_export(path)}"
+                        ) from error
                     stream.time_base = Fraction(1, _UNITS)
                     start_ns, last = message.log_time, -1
                 packet = av.Packet(data)
@@ -147,21 +151,7 @@ def _stream(message: Message, path: Path) -> bytes:
     return found
 
 
-def _unit_heads(data: bytes) -> set[int]:
-    """The first bytes of the units of a stream, which have their types."""
-    return {head[0] for head in re.findall(rb"\0\0\x01(?=(.))", data, re.DOTALL)}
-
-
-def _codec(data: bytes, path: Path) -> str:
-    """By the parameter sets with which a stream begins: H.265's VPS begins with 0x40, a type that H.264 does not use."""
-    heads = _unit_heads(data)
-    if 0x40 in heads:
-        return "hevc"
-    if any(head & 31 == 7 for head in heads):
-        return "h264"
-    raise DriveFolderError(f"{path}: its first frame has no parameters of H.264 or H.265: {_export(path)}")
-
-
 def _can_begin(data: bytes, codec: str) -> bool:
-    """Whether decoding can begin with a frame (IDR of H.264, IRAP of H.265)."""
-    return any(16 <= head >> 1 & 63 <= 23 if codec == "hevc" else head & 31 == 5 for head in _unit_heads(data))
+    """Whether decoding can begin with a frame (IDR of H.264, IRAP of H.265), by the first bytes of its units."""
+    heads = {head[0] for head in re.findall(rb"\0\0\x01(?=(.))", data, re.DOTALL)}
+    return any(16 <= head >> 1 & 63 <= 23 if codec == "hevc" else head & 31 == 5 for head in heads)

@@ -371,7 +371,12 @@ def test_zed_recordings_of_other_layouts_name_the_tool_that_exports_them(tmp_pat
     images = [np.zeros((64, 128, 3), np.uint8)] * 2
     write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "mjpeg", {"strict": "-1"})
     said.append(str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception))
+    write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "libx264", {})
+    whole = (tmp_path / "a.svo2").read_bytes()
+    (tmp_path / "a.svo2").write_bytes(whole.replace(b"\0\0\x01\x67", b"\0\0\x01\x0c"))  # without the size of its images
+    said.append(str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception))
     assert all("svo_export.py --mode 0" in text for text in said), said
+    assert "has no parameters of H.264 or H.265" in said[-1]
     assert not (tmp_path / "a.mp4").exists()
 
 
