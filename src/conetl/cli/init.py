@@ -18,7 +18,7 @@ from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderEr
 from conetl.model.records import Rig, utc_from_ns
 from conetl.readers.drives import find_format, plain
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.readers.drives.proposal import Proposal, Question, answers_in, propose, still_valid
+from conetl.readers.drives.proposal import Proposal, Question, answers_in, outside_log, propose, still_valid
 from conetl.readers.drives.video import NAME, Preview, preview
 from conetl.readers.drives.video_timing import Timing, UnknownTimeError
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
@@ -26,7 +26,7 @@ from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 
 _TIME_QUESTIONS = {
     "timestamps": "Which file has the time of every left image, one per line (UTC, or nanoseconds since 1970)",
-    "start": "When was the first frame of the left camera taken (UTC, like 2026-03-02 10:00:00.250)",
+    "start": "When was the first frame of the left camera taken (UTC, or with its offset, like 2026-03-02 11:00:00.250+01:00)",
     "right-offset": "By how many seconds does the right file begin after the left one (0: both begin with one trigger)",
 }
 #: Answers with which the questions that come after these can be found, too.
@@ -50,7 +50,8 @@ def init(
         typer.Option(help="Of one file with both images: left-right, right-left, top-bottom, bottom-top."),
     ] = None,
     start: Annotated[
-        str | None, typer.Option(help="Time of the first left frame, UTC; else found from the images.")
+        str | None,
+        typer.Option(help="Time of the first left frame, UTC or with its offset; else found from the images."),
     ] = None,
     right_offset: Annotated[
         str | None,
@@ -80,7 +81,7 @@ def init(
     ] = None,
     columns: Annotated[
         str | None,
-        typer.Option(help="Columns of a table, by name or number: time=Zeit,lat=B,lon=L,height=H,heading=Kurs."),
+        typer.Option(help="Columns of a table, by name or number, like time=Zeit,lat=B,lon=L."),
     ] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the log's positions, like EPSG:25832.")] = None,
     heights: Annotated[str | None, typer.Option(help="ellipsoidal, or a height system like EPSG:5773.")] = None,
@@ -91,7 +92,8 @@ def init(
     mount: Annotated[
         str | None,
         typer.Option(
-            help="Left camera from the antenna or IMU: forward,left,up in metres[,pitch,yaw,roll in degrees]."
+            help="Left camera from the antenna or IMU: metres forward, left, up, then degrees of pitch, yaw, roll, "
+            "like 1.2,0.3,-0.2,3."
         ),
     ] = None,
     yes: Annotated[
@@ -177,7 +179,7 @@ def _counted(found: Preview) -> str:
     """How many frame pairs can be used, and why others cannot."""
     usable, total = len(found.drive.frame_pairs), found.drive.expected_frame_count
     if usable == total:
-        return f"{usable:,} frame pairs."
+        return f"{usable:,} frame pairs, positions in EPSG:{found.drive.map_srid}."
     reasons: dict[str, list[str]] = {}
     for rejection in found.rejections:
         reasons.setdefault(str(rejection.reason).replace("_", " "), []).append(rejection.detail)
@@ -198,6 +200,13 @@ def _settled(
         if proposal.questions:
             raise InputError(_missing(root, answers, kept, _texts(proposal)))
         settings = _with(kept, proposal)
+        if (problem := outside_log(root, settings)) is not None:
+            if not asks:
+                raise InputError(problem)
+            say(problem)
+            asked = Question("start", _TIME_QUESTIONS["start"])
+            answers[asked.key] = _answer(asked)
+            continue
         try:
             return settings, _previewed(root, settings, proposal.rig), proposal.rig
         except UnknownTimeError as error:

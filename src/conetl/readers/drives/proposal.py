@@ -30,6 +30,13 @@ _TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 _LARGEST_RIG_BYTES = 4_000_000
 #: How far a principal point is from the centre of its image, at most, in parts of the image's size.
 _OFF_CENTRE = 0.2
+#: How a table is read that does not say it.
+_TAKEN = {
+    "time": "times taken as UTC; if they are local or of GPS, state --time, like Europe/Berlin",
+    "heights": "heights taken as ellipsoidal; if they are not, state --heights, like EPSG:7837",
+}
+#: No number of metres or degrees is written like 07 or -0, but what is behind a decimal comma is.
+_LEADING_ZERO = re.compile(r"-0|-?0\d+")
 #: What a trajectory may lack: its reader says how to state the key in drive.yaml.
 _UNSTATED = {
     "columns": "Which column is what, by name or number, like time=Zeit,lat=B,lon=L,height=H,roll=R,pitch=P,heading=K?",
@@ -216,13 +223,35 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
         proposal.questions.append(Question(asked, f"{_UNSTATED[asked]} ({error})"))
         return
     kind = trajectory_format(path) or "table"
-    zone = "; times taken as UTC: if they are local, state --time" if kind == "table" and "time" not in settings else ""
-    proposal.found.append(_described(recorded, kind) + zone)
+    proposal.found.append(_described(recorded, kind))
+    if kind == "table":
+        taken = [text for key, text in _TAKEN.items() if key not in settings]
+        proposal.found.extend(f"{recorded.name}: {text}" for text in taken)
     if "sigma" in answers:
         proposal.settings["sigmas"] = {"horizontal_m": _numbers("sigma", answers["sigma"], 1, 1)[0]}
     elif not np.isfinite(recorded.sigma[:, :2]).any():
         text = "How accurate are its positions, horizontally, in metres (RTK 0.02, corrected 0.5, single 3)?"
         proposal.questions.append(Question("sigma", text))
+
+
+def outside_log(root: Path, settings: Mapping[str, Any]) -> str | None:
+    """What is wrong with a stated start of a video: nothing of it would be in the trajectory's time."""
+    images, log = settings["images"], settings["trajectory"]
+    path = root / images["left"]
+    if "start" not in images or "clock" in settings or path.is_dir():
+        return None
+    options = validated(log, TrajectoryFile, "answers").model_dump_json()
+    times_ns = _recorded(root / log["file"], options).times_ns
+    start_ns = parse_timestamp(images["start"])
+    if start_ns <= times_ns[-1] and start_ns + 1e9 * video_facts(path).duration_s >= times_ns[0]:
+        return None
+    first, last = (
+        str(np.datetime64(int(t), "ns").astype("datetime64[s]")).replace("T", " ") for t in times_ns[[0, -1]]
+    )
+    return (
+        f"--start {images['start']}: {log['file']} is of {first} to {last} UTC, the video of another time; state --start with "
+        "its offset from UTC, like 2026-03-02 11:00:00.250+01:00, or the time zone of the log with --time"
+    )
 
 
 def _columns(text: str) -> dict[str, str | int]:
@@ -281,6 +310,7 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
     if "mount" in answers:
         values = _numbers("mount", answers["mount"], 3, 6)
         proposal.settings["mount"] = dict(zip(_MOUNT, values, strict=False))
+        proposal.found.append(_mounted(values))
     elif rigs.body_is_left_camera(rig):
         text = (
             "Where is the left camera, seen from the antenna or IMU of the trajectory? Forward, left, up in metres, and "
@@ -288,6 +318,18 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         )
         proposal.questions.append(Question("mount", text))
     return None if path == root / RIG_YAML else rig
+
+
+def _mounted(values: Sequence[float]) -> str:
+    """A mount in words: a sign the wrong way round is seen there."""
+    forward, left, up, pitch, yaw, roll = (*values, 0.0, 0.0, 0.0)[:6]
+    place = (
+        f"{abs(forward):g} m {'before' if forward >= 0 else 'behind'}, {abs(left):g} m {'left' if left >= 0 else 'right'} of and "
+        f"{abs(up):g} m {'above' if up >= 0 else 'below'} the antenna or IMU"
+    )
+    turned = f", yaw {yaw:g}, roll {roll:g} degrees" if yaw or roll else ""
+    unstated = ", as no pitch is stated" if len(values) == 3 else ""
+    return f"left camera: {place}, looks {abs(pitch):g} degrees {'down' if pitch >= 0 else 'up'}{turned}{unstated}"
 
 
 def _fitting_rigs(
@@ -345,9 +387,15 @@ def _is_centred(camera: Camera, size: tuple[int, int]) -> bool:
 
 
 def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
-    """Numbers separated by commas. Raises InputError."""
+    """Numbers separated by commas, or by semicolons with decimal points or commas. Raises InputError."""
+    words = text.replace(",", ".").split(";") if ";" in text else text.split(",")
+    if most > 1 and (odd := next((word for word in words if _LEADING_ZERO.fullmatch(word.strip())), None)):
+        raise InputError(
+            f"--{key} {shown(text)}: {odd.strip()} looks like the end of a number with a decimal comma; write decimal points, or "
+            "semicolons between the numbers"
+        )
     try:
-        values = [float(word) for word in text.split(",")]
+        values = [float(word) for word in words]
     except ValueError:
         values = []
     if not least <= len(values) <= most or not np.isfinite(values).all():

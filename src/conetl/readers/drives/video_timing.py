@@ -129,8 +129,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         raise UnknownTimeError(
             "start",
             root,
-            f"turns and changes of speed do not show when {left.name} was recorded: there are too few of them in images "
-            f"and {track.name}, or the two are of different times{_stated_creation(left)}",
+            f"the images do not show when {left.name} was recorded: the drive has too few turns and changes of speed, or "
+            f"{track.name} is of another time{_stated_creation(left)}",
             _STATE_START,
         ) from error
     offset_ns = round(found.offset_s * 1e9)
@@ -203,10 +203,10 @@ def _named(camera: CameraImages, source: Source) -> list[Image]:
         raise UnknownTimeError(
             "timestamps",
             source.root,
-            f"the names of the images in {camera.name} ({found}) are no times since 1970",
-            f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
-            "right_timestamps where the right ones have others"
+            f"the names of the images in {camera.name} ({found}) are no times since 1970"
             + ("; images.start is for videos" if source.settings.images.start is not None else ""),
+            f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
+            "right_timestamps where the right ones have others",
         )
     return images
 
