@@ -147,7 +147,8 @@ def _as_json(tracks: Sequence[Track]) -> list[dict[str, object]]:
 def false_in_words(drives: Sequence[DriveEvaluation]) -> str:
     """How many cones that were found are false, and how many were not judged."""
     false, outside = (sum(map(len, of)) for of in zip(*((d.false, d.not_judged) for d in drives), strict=True))
-    return f"{false} false ones, {outside} outside of the surveyed area and not judged."
+    not_judged = f", {outside} outside of the surveyed area and not judged" if outside else ""
+    return f"{false} false ones{not_judged}."
 
 
 def figures_of(drives: Sequence[DriveEvaluation]) -> dict[str, ErrorStatistics]:
