@@ -167,11 +167,21 @@ order by c.changeset_no;
 
 -- name: drives_at_the_same_time
 -- The active drives with other content that were around a path while it was driven; that have the same id and length at any time; or
--- one of which has, in its middle, frame pairs where the other has some (2 m, at any time); and are not on hold.
--- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); frame_count; content_sha256; path_wkt (a line),
--- middle_wkt (positions of frame pairs in the middle), srid. Columns: drive_uuid, drive_id, changeset_no, rig, is_alike (id and length).
-with path as (
-    select ST_GeomFromText(%(path_wkt)s, %(srid)s) as geom, ST_GeomFromText(%(middle_wkt)s, %(srid)s) as middle
+-- in which the longer one passed the middle and the first or third quarter of the shorter one (1 m) at the same interval, at any time;
+-- and are not on hold. A part of half the length contains the middle and one of the others.
+-- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); frame_count; content_sha256; path_wkt (a line), srid;
+-- at_ns, eastings_m, northings_m (arrays: its frame pairs, in order); same_ns: intervals differ by no more.
+-- Columns: drive_uuid, drive_id, changeset_no, rig, is_alike (id and length).
+with path as (select ST_GeomFromText(%(path_wkt)s, %(srid)s) as geom),
+own as materialized (
+    select p.at_ns, ST_Expand(ST_SetSRID(ST_MakePoint(p.easting_m, p.northing_m), %(srid)s), 1) as box, p.n
+    from unnest(%(at_ns)s::bigint[], %(eastings_m)s::float8[], %(northings_m)s::float8[])
+        with ordinality as p (at_ns, easting_m, northing_m, n)
+),
+own_quarters as materialized (  -- two frames of each, as one may be lost
+    select q.quarter, o.at_ns, o.box
+    from generate_series(1, 3) as q (quarter)
+    join own o on o.n - q.quarter * cardinality(%(at_ns)s::bigint[]) / 4 in (1, 2)
 )
 select
     d.drive_uuid, d.drive_id, d.changeset_no, d.rig,
@@ -188,17 +198,27 @@ and case
     when not ST_Intersects(d.area, path.geom) then false
     when d.drive_id = %(drive_id)s and d.expected_frame_count = %(frame_count)s then true
     when d.captured_from_ns <= %(captured_to_ns)s and d.captured_to_ns >= %(captured_from_ns)s then d.drive_id <> %(drive_id)s
-    else not exists (
-        select from ST_Dump(path.middle) p
-        where not exists (
-            select from conetl.frame_pair f where f.drive_uuid = d.drive_uuid and ST_DWithin(f.geom, p.geom, 2)
+    else exists (
+        with near as materialized (
+            select o.quarter, f.captured_at_ns - o.at_ns as off_ns
+            from conetl.frame_pair f
+            join own_quarters o on o.box && f.geom
+            where f.drive_uuid = d.drive_uuid and d.expected_frame_count >= %(frame_count)s
+            union all
+            select q.quarter, f.captured_at_ns - o.at_ns
+            from generate_series(1, 3) as q (quarter)
+            join (
+                select f.captured_at_ns, f.geom, row_number() over (order by f.frame_index) as n, count(*) over () as count
+                from conetl.frame_pair f
+                where f.drive_uuid = d.drive_uuid
+            ) f on f.n - q.quarter * f.count / 4 in (1, 2)
+            join own o on o.box && f.geom
+            where d.expected_frame_count < %(frame_count)s
         )
-    ) or not exists (
-        select from (
-            select f.geom from conetl.frame_pair f where f.drive_uuid = d.drive_uuid
-            order by f.frame_index offset d.expected_frame_count / 2 limit 3
-        ) f
-        where not ST_DWithin(f.geom, path.geom, 2)
+        select
+        from near a
+        join near b on b.quarter <> 2 and abs(b.off_ns - a.off_ns) <= %(same_ns)s
+        where a.quarter = 2
     )
 end
 order by d.changeset_no;

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from conetl.db.connection import connect, execute
-from conetl.db.map.commit import commit_changeset
+from conetl.db.map.commit import commit_changeset, path_wkt
 from conetl.db.map.decision_store import find_decisions
-from conetl.db.map.drive_store import load_stored_drive
+from conetl.db.map.drive_store import drives_at_the_same_time, load_stored_drive
 from conetl.db.map.map_store import (
     feature_log,
     find_changeset,
@@ -29,6 +29,7 @@ from conetl.db.map.results import RunInfo
 from conetl.model.errors import DatabaseError, MapMismatchError
 from conetl.model.records import DriveRecords, SharedErrorJacobian, utc_from_ns
 from conetl.model.rejections import Rejection, RejectionReason
+from tests.synthetic.world import make_path
 
 DAY = timedelta(days=1)
 
@@ -188,6 +189,31 @@ def test_maps_do_not_see_each_other(conn, samples):
     # a feature of one map cannot be changed through another
     with pytest.raises(MapMismatchError):
         samples.commit(conn, samples.removed(samples.feature("b"), samples.START_NS + 1), key="3")
+
+
+@pytest.mark.parametrize("stored", [60, 30])
+@pytest.mark.parametrize(
+    ("step_m", "of_every", "found"),
+    [(1.0, 100, True), (1.0, 4, True), (1.3, 100, False)],
+    ids=("a part", "frames lost", "another speed"),
+)
+def test_drives_along_one_street_at_another_speed_are_no_candidates(conn, samples, stored, step_m, of_every, found):
+    """Hundreds of drives follow a street: reading all their frame pairs would take a minute."""
+    days_ns = 3 * 86_400_000_000_000
+    street = make_path(90, step_m)
+    before = samples.drive("before").model_copy(
+        update={"frame_pairs": tuple(make_path(90)[25 : 25 + stored]), "expected_frame_count": stored}
+    )
+    with map_transaction(conn):
+        commit_changeset(conn, DriveRecords(before), samples.changeset(drive_id="before", key="1"))
+    pairs = tuple(
+        pair.model_copy(update={"captured_at_ns": pair.captured_at_ns + days_ns})
+        for k, pair in enumerate(street[20:60])
+        if k % of_every != 3
+    )
+    drive = samples.drive("now").model_copy(update={"frame_pairs": pairs, "expected_frame_count": 40})
+    candidates = drives_at_the_same_time(conn, drive, path_wkt(drive), 2_000_000, map_name="default")
+    assert [one.drive_id for one in candidates] == ["before"] * found
 
 
 def test_another_crs_is_refused(conn, samples):

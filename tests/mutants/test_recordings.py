@@ -24,6 +24,7 @@ from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
 from conetl.pipeline.ingest import ingest
+from conetl.pipeline.maps.decisions import accept_drive
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES
@@ -137,7 +138,7 @@ def test_a_first_drive_on_hold_does_not_fix_the_crs_of_a_map(database_url: str, 
 def test_a_drive_far_aside_is_known_by_the_arrangement_of_its_cones(
     database_url: str, sample_settings: Settings
 ) -> None:
-    """Beyond all that the comparison with the map has in view."""
+    """Beyond all that the comparison with the map has in view. A person may accept it: there are two zones of one plan."""
     settings = sample_settings.model_copy(update={"database_url": SecretStr(database_url)})
     assert ingest(SAMPLES[0], settings=settings).counts_on_map
     done = commit(analyse(wrong.aside(86.0)(read_drive(SAMPLES[1])[0]), settings=settings), settings).report
@@ -145,3 +146,18 @@ def test_a_drive_far_aside_is_known_by_the_arrangement_of_its_cones(
     assert "the same cones elsewhere" in [check.name for check in done.health if check.verdict is Verdict.HOLD]
     with closing(connect(database_url)) as conn:
         assert len(read_current_features(conn)) == 9
+        accept_drive(conn, SAMPLES[1].name, map_name="default")
+        assert len(read_current_features(conn)) == 19
+
+
+def test_a_drive_with_images_of_another_one_counts_once_a_person_accepts_it(
+    database_url: str, sample_settings: Settings, tmp_path: Path
+) -> None:
+    settings = sample_settings.model_copy(update={"database_url": SecretStr(database_url)})
+    drive, _ = NAMED["10 image pairs of another drive"].read(FIRST, tmp_path)
+    done = commit(analyse(drive, settings=settings), settings).report
+    assert "images of one recording" in [check.name for check in done.health if check.verdict is Verdict.HOLD]
+    with closing(connect(database_url)) as conn:
+        assert not read_current_features(conn)
+        accept_drive(conn, drive.drive_id, map_name="default")
+        assert len(read_current_features(conn)) >= 9

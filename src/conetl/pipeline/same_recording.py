@@ -11,7 +11,8 @@ from conetl.db.connection import transaction
 from conetl.db.map.commit import path_wkt
 from conetl.db.map.drive_store import DriveThen, drives_at_the_same_time, read_frame_pairs
 from conetl.db.map.replay_store import other_deliveries
-from conetl.geometry.rig import map_SE3_left
+from conetl.geometry import pose as se3
+from conetl.geometry.rig import body_SE3_camera
 from conetl.mapping.association import near_pairs
 from conetl.model.arrays import Floats
 from conetl.model.errors import MapMismatchError
@@ -38,7 +39,7 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
         numbers = other_deliveries(
             conn, drive.drive_id, drive.captured_ns, drive.content_sha256, map_name=settings.map_name
         )
-        then = drives_at_the_same_time(conn, drive, path_wkt(drive), map_name=settings.map_name)
+        then = drives_at_the_same_time(conn, drive, path_wkt(drive), _SAME_STAMP_NS, map_name=settings.map_name)
         same = [one for one in then if _is_same_recording(drive, one, read_frame_pairs(conn, one.drive_uuid))]
     if numbers:
         number = numbers[-1]
@@ -113,9 +114,15 @@ def _count_within(times_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> 
 def _moving(pairs: Sequence[FramePair], rig: Rig) -> tuple[NDArray[np.int64], Floats]:
     """Time stamps (N,) and poses of the left camera (N, 4, 4) of the frame pairs of a vehicle that moves."""
     at_ns = np.array([pair.captured_at_ns for pair in pairs])
-    poses = np.array([map_SE3_left(pair.pose, rig) for pair in pairs])
+    poses = _left_poses(pairs, rig)
     moves = np.hypot(*np.diff(poses[:, :2, 3], axis=0, append=poses[-2:-1, :2, 3]).T) >= _MOVING_M
     return at_ns[moves], poses[moves]
+
+
+def _left_poses(pairs: Sequence[FramePair], rig: Rig) -> Floats:
+    """(N, 4, 4) exterior orientation of the left camera at frame pairs."""
+    rotations, positions_m = zip(*((pair.pose.map_R_body, pair.pose.map_t_body_m) for pair in pairs), strict=True)
+    return se3.compose(se3.se3(rotations, positions_m), body_SE3_camera(rig, "left"))
 
 
 def is_same_camera(
@@ -135,14 +142,11 @@ def is_same_camera(
         return False
     pairs = sorted(pairs, key=lambda pair: pair.captured_at_ns)
     times_ns, at_ns = (np.array([p.captured_at_ns for p in some]) for some in (pairs, drive.frame_pairs))
-    there, here = (
-        np.array([map_SE3_left(pair.pose, one) for pair in some])
-        for some, one in ((pairs, rig), (drive.frame_pairs, drive.rig))
-    )
     both = (at_ns >= times_ns[0]) & (at_ns <= times_ns[-1])
     if not both.any():
         return False
-    at_ns, here = at_ns[both], here[both]
+    there, here = _left_poses(pairs, rig), _left_poses(drive.frame_pairs, drive.rig)[both]
+    at_ns = at_ns[both]
     apart_m = here[:, :2, 3] - np.column_stack([np.interp(at_ns, times_ns, there[:, axis, 3]) for axis in (0, 1)])
     cosines = (here[:, :3, 2] * there[np.searchsorted(times_ns, at_ns), :3, 2]).sum(axis=1)
     return bool(np.median(np.linalg.norm(apart_m, axis=1)) < within_m and np.median(cosines) > np.cos(within_rad))

@@ -104,18 +104,20 @@ class DriveThen(NamedTuple):
     """Whether it has the id and the length of the recording."""
 
 
-def drives_at_the_same_time(conn: Connection, drive: Drive, path_wkt: str, *, map_name: str) -> list[DriveThen]:
+def drives_at_the_same_time(
+    conn: Connection, drive: Drive, path_wkt: str, same_ns: int, *, map_name: str
+) -> list[DriveThen]:
     """The drives that count, of other content, whose areas and times meet those of a drive that is not stored yet; of its own
-    length and id, or along the same middle of one of both, at any time.
+    length and id, or past the same positions at the same intervals, at any time.
 
-    path_wkt: its path (line, map CRS).
+    path_wkt: its path (line, map CRS); same_ns: intervals differ by no more.
     """
     captured_from_ns, captured_to_ns = drive.captured_ns
-    middle = len(drive.frame_pairs) // 2
-    points = [pair.pose.map_t_body_m for pair in drive.frame_pairs[max(middle - 1, 0) : middle + 2]]
+    eastings_m, northings_m, _ = zip(*(pair.pose.map_t_body_m for pair in drive.frame_pairs), strict=True)
     rows = read(
         conn, _UNREAD, "drives.drives_at_the_same_time", map_name=map_name, drive_id=drive.drive_id,
-        middle_wkt=f"MULTIPOINT({', '.join(f'{x!r} {y!r}' for x, y, _ in points)})",
+        at_ns=[pair.captured_at_ns for pair in drive.frame_pairs], eastings_m=list(eastings_m),
+        northings_m=list(northings_m), same_ns=same_ns,
         content_sha256=drive.content_sha256, captured_from_ns=captured_from_ns, captured_to_ns=captured_to_ns,
         frame_count=drive.expected_frame_count, path_wkt=path_wkt, srid=drive.map_srid,
     )  # fmt: skip
