@@ -28,6 +28,8 @@ _SAME_STAMP_NS = 2_000_000
 #: frame, nor to `_MOST_LOG_M`; a few frames, or those of a vehicle that waits, do not show that.
 _SAME_LOG_M, _SAME_LOG_RAD, _LEAST_PAIRS, _LEAST_PATH_M = 0.1, np.radians(0.1), 8, 5.0
 _MOST_LOG_M, _MOST_LOG_RAD = 0.5, np.radians(0.5)
+#: Over less than so many tolerances, two drives in one lane at about one speed, with a regular trigger, are as near each other.
+_TOLERANCES = 45.0
 #: Of the shorter recording so many must be frames of the other one, and so many of the time that both have in common. A vehicle
 #: that moves less between two frames waits.
 _LEAST_SHARE, _LEAST_COMMON_SHARE, _MOVING_M = 0.5, 0.9, 0.05
@@ -76,15 +78,27 @@ def has_the_same_log(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool
     sigma_m = float(np.median([np.hypot(*pair.pose.sigma_enu_m[:2]) for pair in pairs]))
     sigma_rad = float(np.median([np.hypot(*pair.pose.sigma_rpy_rad[1:]) for pair in pairs]))
     within_m, within_rad = min(_SAME_LOG_M + sigma_m, _MOST_LOG_M), min(_SAME_LOG_RAD + sigma_rad, _MOST_LOG_RAD)
-    return is_redated(drive, rig, pairs, within_m=within_m, within_rad=within_rad)
+    return is_redated(
+        drive, rig, pairs, within_m=within_m, within_rad=within_rad, uneven_m=_SAME_LOG_M,
+        least_path_m=max(_LEAST_PATH_M, _TOLERANCES * within_m),
+    )  # fmt: skip
 
 
-def is_redated(drive: Drive, rig: Rig, pairs: Sequence[FramePair], *, within_m: float, within_rad: float) -> bool:
+def is_redated(
+    drive: Drive,
+    rig: Rig,
+    pairs: Sequence[FramePair],
+    *,
+    within_m: float,
+    within_rad: float,
+    uneven_m: float = _SAME_CAMERA_M,
+    least_path_m: float = _LEAST_PATH_M,
+) -> bool:
     """Whether the left camera of a drive was where that of other frame pairs was, and looked the same way, at times that are all
     off by one time: as of another zone, with other leap seconds, or dated anew; whatever the numbers of the frames.
 
-    `_LEAST_SHARE` of the frames of the shorter recording, at least `_LEAST_PAIRS` over `_LEAST_PATH_M`, must be frames of the
-    other.
+    `_LEAST_SHARE` of the frames of the shorter recording, at least `_LEAST_PAIRS` over `least_path_m`, must be frames of the
+    other, displaced alike: to `uneven_m` (RMS).
     """
     if min(len(drive.frame_pairs), len(pairs)) < _LEAST_PAIRS:
         return False
@@ -99,11 +113,13 @@ def is_redated(drive: Drive, rig: Rig, pairs: Sequence[FramePair], *, within_m: 
     order = np.argsort(off_ns, kind="stable")
     counts = np.searchsorted(off_ns[order], off_ns[order] + _SAME_STAMP_NS, "right") - np.arange(len(order))
     first = int(np.argmax(counts))
-    same = i[order[first : first + counts[first]]]
+    chosen = order[first : first + counts[first]]
+    same, apart_m = i[chosen], here[i[chosen], :2, 3] - there[j[chosen], :2, 3]
     redated_ns = times_ns + off_ns[order[first]]
     common = min(_count_within(at_ns, redated_ns), _count_within(redated_ns, at_ns))
     least = max(_LEAST_PAIRS, _LEAST_SHARE * min(len(here), len(there)), _LEAST_COMMON_SHARE * common)
-    return len(same) >= least and bool(np.hypot(*np.ptp(here[same, :2, 3], axis=0)) >= _LEAST_PATH_M)
+    path_m, scatter_m = np.hypot(*np.ptp(here[same, :2, 3], axis=0)), np.hypot(*apart_m.std(axis=0))
+    return len(same) >= least and bool(path_m >= least_path_m and scatter_m <= uneven_m)
 
 
 def _count_within(times_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> int:
