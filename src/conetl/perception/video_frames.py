@@ -278,6 +278,10 @@ class _Decoders:
     """Open decoders, each used by one thread at a time, and the frames that were decoded last, of all threads."""
 
     def __init__(self) -> None:
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing is open and nothing kept."""
         self._changed = threading.Condition()
         """A frame was decoded, or a decoder is not used any more."""
         self._idle: list[_Decoder] = []
@@ -355,8 +359,8 @@ class _Decoders:
 
     def leave(self) -> None:
         """In a process that was forked: the open files are those of the process before, and other threads do not exist."""
-        self._of_others = self._idle, self._busy, self._kept
-        self.__init__()  # type: ignore[misc]
+        self._of_others = self._idle, self._busy, self._kept  # never freed: that is for the process before
+        self._begin()
 
     def _keep(self, key: tuple[_File, int], decoded: _Decoded) -> None:
         with self._changed:

@@ -26,7 +26,7 @@ from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_o
 from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.health import check_trajectory
-from conetl.tracking.lost_frames import check_lost_frames, check_place
+from conetl.tracking.lost_frames import check_lost_frames, check_recording
 from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, evenly_spread, span_params
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
 from conetl.tracking.trajectory import RefinedTrajectory
@@ -234,7 +234,7 @@ def check_poses(
     checks = check_trajectory(pairs, drive.rig, measured, trajectory, _by_its_clock(drive, params))
     if measured:
         read = grey_reader(drive.rig)
-        checks += [check(pairs, drive.rig, measured, read, params) for check in (check_lost_frames, check_place)]
+        checks += [check(pairs, drive.rig, measured, read, params) for check in (check_lost_frames, check_recording)]
     return checks if trajectory.control is None else [*checks, trajectory.control]
 
 

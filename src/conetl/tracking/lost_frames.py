@@ -21,7 +21,8 @@ from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
 from conetl.tracking.self_calibration import evenly_spread
 
-#: Images that go elsewhere contradict the log by so much (m), and by so many times what an even log departs from itself.
+#: Images that go elsewhere contradict the log by so much (m), and by so many times what an even log departs from itself; it turns
+#: by no more than so much (rad) beyond the mean of the intervals before and after.
 _ELSEWHERE_M, _EVEN_TIMES = 0.2, 2.0
 _EVEN_RAD = np.radians(0.3)
 #: Intervals, by their first and second pair counted from the one before, that cross it; and those beside it of equal lengths.
@@ -76,7 +77,7 @@ def check_lost_frames(
     )  # fmt: skip
 
 
-def check_place(
+def check_recording(
     pairs: Sequence[FramePair],
     rig: Rig,
     motions: Sequence[RelativeMotion],

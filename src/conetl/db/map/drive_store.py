@@ -196,5 +196,7 @@ def _track(row: Row) -> Track:
 
 
 def _marking_track(row: Row) -> MarkingTrack:
-    own = {"relative_cov_m2": covariances(row["relative_cov"]), "image_cov_m2": ()}
-    return record_of(MarkingTrack, row, marking=marking_of(row), shared_jacobian=jacobian_of(row), **own)
+    return record_of(
+        MarkingTrack, row, marking=marking_of(row), relative_cov_m2=covariances(row["relative_cov"]), image_cov_m2=(),
+        shared_jacobian=jacobian_of(row),
+    )  # fmt: skip
