@@ -179,7 +179,7 @@ def _counted(found: Preview) -> str:
     """How many frame pairs can be used, and why others cannot."""
     usable, total = len(found.drive.frame_pairs), found.drive.expected_frame_count
     if usable == total:
-        return f"{usable:,} frame pairs, positions in EPSG:{found.drive.map_srid}."
+        return f"{usable:,} frame pairs, positions in EPSG:{found.drive.map_srid} with ellipsoidal heights."
     reasons: dict[str, list[str]] = {}
     for rejection in found.rejections:
         reasons.setdefault(str(rejection.reason).replace("_", " "), []).append(rejection.detail)

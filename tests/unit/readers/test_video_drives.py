@@ -422,7 +422,7 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
         "left camera: 1 m before, 0 m left of and 1 m above the antenna or IMU, looks 0 degrees down, as no pitch"
         in made.output
     )
-    assert "positions in EPSG:32632" in made.output
+    assert "positions in EPSG:32632 with ellipsoidal heights" in made.output
     stated = yaml.safe_load((copy / "drive.yaml").read_text())["trajectory"]["columns"]
     assert stated == {"time": "Messzeit", "lat": 2, "lon": 3, "height": 4, "roll": 5, "pitch": 6, "heading": "Kurs"}
     assert len(read_drive(copy)[0].frame_pairs) == COUNT
