@@ -147,16 +147,15 @@ def imported_displacement(
         return None
     t, f = (np.array([one.xyz_m for one in side]) for side in (stated, features))
     covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
-    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
     pairs = _same_positions(stated, features, np.zeros(3), params)
     if pairs:
         i, j = list(pairs), list(pairs.values())
         # Where most have no cone near them, those that do are others' neighbours: their heights alone are compared.
-        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(near) else (0.0, 0.0, 1.0)
+        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_with_neighbours(t, f)) else (0.0, 0.0, 1.0)
         common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
         if common is not None:
             return common
-    return _arranged_alike(t, f, near, len(pairs), covs[0].mean(axis=0) + covs[1].mean(axis=0), params, _LEAST_SAME)
+    return _arranged_alike(stated, features, len(pairs), params, _LEAST_SAME)
 
 
 def far_displacement(
@@ -171,31 +170,31 @@ def far_displacement(
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
     if len(sure) < _LEAST_SAME_OF_DRIVE or not features:
         return None
-    t, f = (np.array([one.xyz_m for one in side]) for side in (sure, features))
-    covs = cov_matrices([one.cov_m2 for one in sure]), cov_matrices([one.cov_m2 for one in features])
-    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
     found = len(_same_positions(sure, features, np.zeros(3), params))
-    cov_m2 = covs[0].mean(axis=0) + covs[1].mean(axis=0)
-    check = _arranged_alike(t, f, near, found, cov_m2, params, _LEAST_SAME_OF_DRIVE)
+    check = _arranged_alike(sure, features, found, params, _LEAST_SAME_OF_DRIVE)
     if check is None or check.value is None or check.value <= _NEAR_M:
         return None
     return check.model_copy(update={"name": "the same cones elsewhere"})
 
 
+def _with_neighbours(t: Floats, f: Floats) -> NDArray[np.intp]:
+    """Which cones t (N, 3) have one of f (M, 3) within `FARTHEST_M`."""
+    return np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
+
+
 def _arranged_alike(
-    t: Floats,
-    f: Floats,
-    near: NDArray[np.intp],
+    cones: Sequence[Track | MapFeature],
+    features: Sequence[MapFeature],
     found: int,
-    cov_m2: Floats,
     params: ReconcileParams,
     least_same: int,
 ) -> HealthCheck | None:
-    """How far the cones t (N, 3) lie from those of the map, f (M, 3), that are arranged alike.
+    """How far cones lie from those of the map that are arranged alike.
 
-    near: which t have a cone of the map within `FARTHEST_M`; found: how many stand where one of the map stands, of
-    which twice as many must fit elsewhere, at least least_same; cov_m2 (3, 3): of one difference.
+    found: how many stand where one of the map stands, of which twice as many must fit elsewhere, at least least_same.
     """
+    t, f = (np.array([one.xyz_m for one in side]) for side in (cones, features))
+    near = _with_neighbours(t, f)
     some = near[:: 1 + len(near) // _MAX_TRACKS]
     found_of_some = found * len(some) / max(len(near), 1)
     least = max(least_same, _LEAST_SAME_SHARE * len(some), 2 * found_of_some + 1)
@@ -207,7 +206,8 @@ def _arranged_alike(
     fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, FARTHEST_M)
     if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > _SAME_ZONE_M:
         return None
-    sigma_m = _mean_sigma_m(cov_m2)
+    covs = cov_matrices([one.cov_m2 for one in cones]), cov_matrices([one.cov_m2 for one in features])
+    sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     limit_m = min(params.max_offset_m, _MAX_SIGMAS * sigma_m)
     return _aside(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
 

@@ -1,32 +1,21 @@
-"""Health checks for frames that both cameras lose or repeat within a drive, and for images of another recording."""
+"""A health check for frames that both cameras lose or repeat within a drive."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import expected_motions, motions_of
+from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
 from conetl.geometry.packing import vec3
-from conetl.model.arrays import Floats
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import FramePair, Rig, Side
+from conetl.model.records import FramePair, Rig
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
 from conetl.tracking.self_calibration import evenly_spread
 
-#: Images that go elsewhere contradict the log by so much (m), and by so many times what an even log departs from itself; it turns
-#: by no more than so much (rad) beyond the mean of the intervals before and after.
-_ELSEWHERE_M, _EVEN_TIMES = 0.2, 2.0
-_EVEN_RAD = np.radians(0.3)
-#: Intervals, by their first and second pair counted from the one before, that cross it; and those beside it of equal lengths.
-_ACROSS, _BESIDE = ((0, 1), (-1, 1), (0, 2), (-1, 2)), ((-1, 0), (1, 2), (-2, 0), (1, 3))
 #: A lost frame shows where the log moves so far (m) in an interval, at an even speed; at most so many intervals are tried.
 _LEAST_STEP_M, _UNEVEN_SHARE, _MOST_TRIED = 0.3, 0.2, 40
 
@@ -48,8 +37,7 @@ def check_lost_frames(
     lengths_m = np.linalg.norm(np.diff([pair.pose.map_t_body_m for pair in pairs], axis=0), axis=1)
     speeds = lengths_m / np.maximum(np.diff(at_s), 1e-6)
     even = np.abs(speeds[1:-1] - (speeds[:-2] + speeds[2:]) / 2) < _UNEVEN_SHARE * speeds[1:-1]
-    by_frames = {(motion.first_frame_index, motion.second_frame_index): motion for motion in motions}
-    measured = [by_frames.get((one.frame_index, other.frame_index)) for one, other in pairwise(pairs)]
+    measured = motions_between(pairs, motions)
     ratios = np.array([np.nan if motion is None else _length_m(motion) for motion in measured])
     ratios /= [max(float(np.linalg.norm(expected[:3, 3])), 1e-6) for expected in expected_motions(pairs, rig)]
     usual = np.abs(ratios - 1) < 2 * _UNEVEN_SHARE
@@ -75,77 +63,6 @@ def check_lost_frames(
         name="frames lost by both cameras", verdict=Verdict.HOLD if found else Verdict.PASS, value=float(len(found)),
         limit=0.0, detail=detail,
     )  # fmt: skip
-
-
-def check_recording(
-    pairs: Sequence[FramePair],
-    rig: Rig,
-    motions: Sequence[RelativeMotion],
-    read: ImageReader,
-    params: TrajectoryParams,
-) -> HealthCheck:
-    """Whether the images go elsewhere between two frame pairs and an even log does not: images of another recording follow.
-
-    Motions before and after agree with the log; the one between contradicts it, as do all that cross it, or none of them can be
-    measured, although those beside it can. read: grey images of a frame pair.
-    """
-    by_frames = {(motion.first_frame_index, motion.second_frame_index): motion for motion in motions}
-    measured = [by_frames.get((one.frame_index, other.frame_index)) for one, other in pairwise(pairs)]
-    expected = np.array(expected_motions(pairs, rig))
-    off_m = np.array([_off_m(motion, guess) for motion, guess in zip(measured, expected, strict=True)])
-    sizes_m = np.linalg.norm(off_m, axis=1)
-    seconds = np.diff([pair.captured_at_ns for pair in pairs]) * 1e-9
-    turns = Rotation.from_matrix(expected[:, :3, :3]).as_rotvec()
-    uneven_m, uneven_rad, uneven_s = (
-        np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=1) for x in (expected[:, :3, 3], turns, seconds[:, None])
-    )
-    even = (uneven_m < _ELSEWHERE_M / _EVEN_TIMES) & (uneven_rad < _EVEN_RAD) & (uneven_s < seconds[1:-1] / 2)
-    usual = sizes_m < _ELSEWHERE_M / _EVEN_TIMES
-    suspected = np.flatnonzero(even & usual[:-2] & ~(sizes_m[1:-1] < _ELSEWHERE_M) & usual[2:]) + 1
-    found = [
-        pairs[k].frame_index
-        for k in evenly_spread(suspected.tolist(), _MOST_TRIED)
-        if _goes_elsewhere(k, off_m[k], pairs, rig, read, params)
-    ]
-    detail = "The images go where GNSS/INS goes."
-    if found:
-        detail = (
-            f"After frame pair {' and '.join(map(str, found))} the images go elsewhere and GNSS/INS does not, while both agree "
-            "before and after: images of another recording are among those of this one, or frames were lost. Check names and "
-            "numbers of the images."
-        )
-    return HealthCheck(
-        name="images of one recording", verdict=Verdict.HOLD if found else Verdict.PASS, value=float(len(found)), limit=0.0,
-        detail=detail,
-    )  # fmt: skip
-
-
-def _goes_elsewhere(
-    k: int, off_m: Floats, pairs: Sequence[FramePair], rig: Rig, read: ImageReader, params: TrajectoryParams
-) -> bool:
-    """Whether all motions across the interval after pair k say what it says. off_m (3,): NaN where it was not measured."""
-
-    def evened(pair: FramePair, side: Side) -> NDArray[np.uint8]:
-        return np.asarray(cv2.equalizeHist(read(pair, side)))  # the exposure may change from one image to the next
-
-    def off_of(first: int, second: int) -> Floats:
-        both = pairs[k + first], pairs[k + second]
-        [motion] = motions_of(follow_drive(both, rig, evened, params), both, rig, params)
-        return _off_m(motion, expected_motions(both, rig)[0])
-
-    across = np.array([off_of(*ends) for ends in _ACROSS])
-    if np.isnan(off_m).any():
-        beside = np.array([off_of(*ends) for ends in _BESIDE if k + ends[0] >= 0 and k + ends[1] < len(pairs)])
-        return bool(np.isnan(across).all() and (np.linalg.norm(beside, axis=1) < _ELSEWHERE_M).all())
-    known = across[~np.isnan(across[:, 0])]
-    return len(known) > 1 and bool((np.linalg.norm(known - off_m, axis=1) < np.linalg.norm(off_m) / 2).all())
-
-
-def _off_m(motion: RelativeMotion | None, expected: Floats) -> Floats:
-    """(3,) how far a motion leads beyond the expected one (4, 4); NaN where it was not measured."""
-    if motion is None or motion.second_SE3_first is None:
-        return np.full(3, np.nan)
-    return np.asarray(np.array(motion.second_SE3_first)[:3, 3] - expected[:3, 3])
 
 
 def _moves_by(

@@ -98,6 +98,12 @@ def expected_motions(frame_pairs: Sequence[FramePair], rig: Rig) -> list[Floats]
     return [se3.compose(se3.invert(second), first) for first, second in pairwise(poses)]
 
 
+def motions_between(frame_pairs: Sequence[FramePair], motions: Iterable[RelativeMotion]) -> list[RelativeMotion | None]:
+    """The motion of every interval between neighbouring frame pairs; None where it is not among `motions`."""
+    by_frames = {(motion.first_frame_index, motion.second_frame_index): motion for motion in motions}
+    return [by_frames.get((one.frame_index, other.frame_index)) for one, other in pairwise(frame_pairs)]
+
+
 def motions_of(
     tracks: Iterable[StereoTracks],
     frame_pairs: Sequence[FramePair],
