@@ -14,14 +14,7 @@ from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
 from conetl.cli.map.base_layers import import_one, print_imported
 from conetl.db.map.map_store import read_current_features
-from conetl.evaluation.truth import (
-    TABLE_3_COLUMNS,
-    compare_with_truth,
-    line_as_dict,
-    median_error,
-    read_truth_cones,
-    table_3_rows,
-)
+from conetl.evaluation import truth
 from conetl.exports.text_files import export_geojson
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
@@ -66,25 +59,25 @@ def demo(
             if not as_json:
                 print_imported(imported)
     last = drives[-1]
-    truth, _ = read_truth_cones(last / "truth.csv")
+    known, _ = truth.read_truth_cones(last / "truth.csv")
     drive, _ = read_drive(last, map_srid=reports[-1].map_srid)
     path = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
     export = settings.exports_folder / "demo.geojson"
     with open_map(settings.map_name) as (conn, _):
         features = read_current_features(conn, map_name=settings.map_name)
         export_geojson(conn, export, map_name=settings.map_name)
-    lines, false = compare_with_truth(truth, features, path)
+    lines, false = truth.compare_with_truth(known, features, path)
     seconds = time.monotonic() - started
     if as_json:
         print_json(
             {
                 "reports": reports,
                 "cones": [
-                    {"feature_id": str(line.feature.feature_id) if line.feature else None, **line_as_dict(line)}
+                    {"feature_id": str(line.feature.feature_id) if line.feature else None, **truth.line_as_dict(line)}
                     for line in lines
                 ],
                 "false_features": [str(feature.feature_id) for feature in false],
-                "median_error_3d_m": median_error(lines),
+                "median_error_3d_m": truth.median_error(lines),
                 "seconds": seconds,
                 "export": str(export),
             }
@@ -93,11 +86,11 @@ def demo(
     out.print(
         "[bold]Cones against truth[/] in metres; foot on the ground, range from the nearest point of the drive path"
     )
-    print_table("", TABLE_3_COLUMNS, table_3_rows(lines, missing="not on the map"), numbers_from=2)
+    print_table("", truth.TABLE_3_COLUMNS, truth.table_3_rows(lines, missing="not on the map"), numbers_from=2)
     found = [line for line in lines if line.feature is not None]
     say(
         f"{len(found)} of {len(lines)} cones within 20 m of the drive path are on the map, {len(false)} false ones. "
-        f"Median 3D error {median_error(lines):.3f} m. {seconds:.0f} s in total."
+        f"Median 3D error {truth.median_error(lines):.3f} m. {seconds:.0f} s in total."
         if found
         else f"none of the {len(lines)} cones is on the map"
     )

@@ -13,7 +13,6 @@ from math import exp, hypot, lgamma, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -21,13 +20,13 @@ from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, classes_of, common_offset, near_pairs
 from conetl.mapping.marking_deltas import drive_of, lines_on_map
 from conetl.mapping.marking_lines import feet
+from conetl.model.arrays import Floats, Ints
 from conetl.model.health import AGREEMENT, HealthCheck, Verdict
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
 
-Floats = NDArray[np.float64]
 #: Sigmas of a common displacement that the stated ones do not explain.
 _MAX_SIGMAS = 5.0
 #: Smaller displacements and height differences are left to the fusion.
@@ -177,7 +176,7 @@ def far_displacement(
     return check.model_copy(update={"name": "the same cones elsewhere"})
 
 
-def _with_neighbours(t: Floats, f: Floats) -> NDArray[np.intp]:
+def _with_neighbours(t: Floats, f: Floats) -> Ints:
     """Which cones t (N, 3) have one of f (M, 3) within `FARTHEST_M`."""
     return np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
 

@@ -12,19 +12,18 @@ from math import hypot, sqrt
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.mapping.association import common_offset, moves, moves_by_earlier_drives, near_pairs, pair
 from conetl.mapping.deltas import added, changed, confirmed, ended, moved_and_merged, not_observed
 from conetl.mapping.existence_update import is_gone, missed, observed
 from conetl.mapping.fusion import tracks_in_map_frame
 from conetl.mapping.visibility import NotObserved
+from conetl.model.arrays import Floats
 from conetl.model.feature_classes import exclude_each_other, width_over_height
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
 
-Floats = NDArray[np.float64]
 #: (feature, offset_m, others_m) -> evidence that the feature is absent; see `visibility.check_visibility`.
 VisibilityCheck = Callable[[MapFeature, Floats, Floats], NotObserved | None]
 #: A feature this near to the middle of two tracks, as a share of their distance, was a mixture of both.

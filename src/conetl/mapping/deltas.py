@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from uuid import UUID, uuid5
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.packing import vec3
 from conetl.mapping.existence_update import observed
 from conetl.mapping.fusion import fuse
+from conetl.model.arrays import Floats
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.records import Track, sound
 
-Floats = NDArray[np.float64]
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
 
 

@@ -19,14 +19,13 @@ from typing import NamedTuple, TypeVar
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrices, cov_matrix
+from conetl.model.arrays import Floats
 from conetl.model.map_records import MapFeature
 from conetl.model.records import Cov3, SharedErrorJacobian, Track
 
-Floats = NDArray[np.float64]
 S = TypeVar("S")
 
 #: A feature keeps the shared-error Jacobians of at most so many calibrations, because each lengthens its versions. The smallest

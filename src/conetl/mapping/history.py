@@ -12,7 +12,6 @@ from itertools import pairwise
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from conetl.mapping.agreement import contradiction, is_confirmed, marking_contradiction
@@ -22,6 +21,7 @@ from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
 from conetl.mapping.markings import ViewCheck, reconcile_markings
 from conetl.mapping.visibility import NotObserved, not_in_view
+from conetl.model.arrays import Floats
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import (
     Classification,
@@ -40,7 +40,6 @@ from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track, sound
 
-Floats = NDArray[np.float64]
 #: Least time between two versions of a feature: the database stores microseconds.
 MIN_VALID_NS = 1000
 

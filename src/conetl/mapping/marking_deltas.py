@@ -8,14 +8,14 @@ from typing import NamedTuple
 from uuid import UUID, uuid5
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrices, vec3
 from conetl.mapping.deltas import seen_again
 from conetl.mapping.fusion import OffsetErrors, fuse, in_map_frame
-from conetl.mapping.marking_lines import Feet, Floats, Indices, Lines, lines_of
+from conetl.mapping.marking_lines import Feet, Indices, Lines, lines_of
 from conetl.mapping.visibility import MarkingView
+from conetl.model.arrays import Bools, Floats
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
 from conetl.model.records import SharedErrorJacobian, sound
@@ -90,7 +90,7 @@ def shape_of(feature: MapFeature) -> Marking:
     return feature.marking
 
 
-def sighting(track: int, drive: LineDrive, view: MarkingView, vertices: NDArray[np.bool_]) -> Sighting:
+def sighting(track: int, drive: LineDrive, view: MarkingView, vertices: Bools) -> Sighting:
     """By the frame pairs that had any of the vertices (n,) in view; where that is not known, those of the whole marking."""
     whole, own = drive.tracks[track], view.period_of(vertices)
     if own is None:

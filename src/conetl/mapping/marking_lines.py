@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.mapping.association import near_pairs
+from conetl.model.arrays import Bools, Floats
 from conetl.model.params import ReconcileParams
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 #: Lines that differ by more in direction are not the same marking.
 _LEAST_COSINE = float(np.cos(np.radians(20.0)))
@@ -65,7 +65,7 @@ class Feet(NamedTuple):
         found: Floats = (1 - share) * values[self.segment] + share * values[self.segment + 1]
         return found
 
-    def only(self, rows: Indices | NDArray[np.bool_]) -> Feet:
+    def only(self, rows: Indices | Bools) -> Feet:
         return Feet(*(values[rows] for values in self))  # type: ignore[arg-type]
 
 

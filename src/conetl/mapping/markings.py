@@ -18,30 +18,17 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.mapping import marking_deltas
 from conetl.mapping.deltas import not_observed
 from conetl.mapping.existence_update import confirming, is_gone, missed
 from conetl.mapping.fusion import offset_errors
-from conetl.mapping.marking_deltas import (
-    LineDrive,
-    Sighting,
-    added,
-    confirmed,
-    drive_of,
-    lines_on_map,
-    moved,
-    shape_of,
-    sighting,
-    split,
-    stretches_of,
-)
 from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
 from conetl.mapping.visibility import MarkingView, NotObserved
+from conetl.model.arrays import Bools, Floats
 from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.markings import MarkingTrack, marking_existence
 from conetl.model.params import ReconcileParams
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 #: Vertices (n, 3) in the drive's map frame -> when they were in view; see `visibility.markings_in_view`.
 ViewCheck = Callable[[Floats], MarkingView]
 #: A marking of another colour or width is as bad a match as one so much farther aside.
@@ -57,8 +44,8 @@ _LEAST_SHOWN, _SPACING_M = 0.5, 2.5
 class _State(NamedTuple):
     """What a drive says of the vertices (n,) of a stretch."""
 
-    seen: Mask
-    missed: Mask
+    seen: Bools
+    missed: Bools
     view: MarkingView
     """Of the vertices, since the stretch was last observed."""
 
@@ -76,12 +63,12 @@ class _State(NamedTuple):
 class _Comparison:
     """The lines of a drive and of the map, and which are the same."""
 
-    drive: LineDrive
+    drive: marking_deltas.LineDrive
     features: Sequence[MapFeature]
     on_map: Lines
     found: Feet
     """All feet from the map's vertices to lines of the drive beside them."""
-    near: Mask
+    near: Bools
     """(K,) of `found`: whether it may be the same marking."""
     penalty_m: Floats
     """(K,) of `found`."""
@@ -111,13 +98,19 @@ def reconcile_markings(
     drive, features = c.drive, c.features
     states = _states(c, check_view, params)
 
-    def evidence_for(j: int, one: Sighting) -> ExistenceEvidence:
+    def evidence_for(j: int, one: marking_deltas.Sighting) -> ExistenceEvidence:
         old = features[j]
         # What is observed, however seldom, is no evidence against what stands there.
         return confirming(old, summaries.get(old.feature_id), max(_own_existence(drive, one), 0.5), one.frames)
 
-    seen = {j: sighting(_main_line(c, j), drive, one.view, one.seen) for j, one in states.items() if one.is_seen}
-    confirmations = confirmed(seen, features, c.on_map, c.same, drive, {j: evidence_for(j, seen[j]) for j in seen})
+    seen = {
+        j: marking_deltas.sighting(_main_line(c, j), drive, one.view, one.seen)
+        for j, one in states.items()
+        if one.is_seen
+    }
+    confirmations = marking_deltas.confirmed(
+        seen, features, c.on_map, c.same, drive, {j: evidence_for(j, seen[j]) for j in seen}
+    )
     fixed = {j for j, feature in enumerate(features) if feature.feature_id in pinned}
     absent = {j: one for j, one in states.items() if one.half_is_gone and not (j in seen and j in fixed)}
     deltas = [delta for j, delta in confirmations.items() if j not in absent]
@@ -128,8 +121,8 @@ def reconcile_markings(
     anew = _painted_anew(c, states, vanished, sure)
     for j, own in anew.items():
         where = np.isin(np.flatnonzero(c.on_map.line == j), own.point)
-        one = sighting(int(own.line[0]), drive, states[j].view, where)
-        deltas.append(moved(features[j], own, one, drive, evidence_for(j, one)))
+        one = marking_deltas.sighting(int(own.line[0]), drive, states[j].view, where)
+        deltas.append(marking_deltas.moved(features[j], own, one, drive, evidence_for(j, one)))
     for j in against.keys() - anew.keys():
         absence, evidence = against[j]
         summary, gone = summaries.get(features[j].feature_id), j not in fixed and is_gone(evidence, params)
@@ -137,19 +130,19 @@ def reconcile_markings(
         deltas.append(end)
         if gone and j in seen:
             rest = _runs(states[j].seen)
-            deltas += [split(confirmations[j], run, end.changed_at_ns, founding_key) for run in rest]
+            deltas += [marking_deltas.split(confirmations[j], run, end.changed_at_ns, founding_key) for run in rest]
     for i in np.flatnonzero(sure).tolist():
         for part_m in c.claims.free_parts(i, drive.length_m(i), params.marking_least_m):
-            for piece in stretches_of(drive, i, part_m):
+            for piece in marking_deltas.stretches_of(drive, i, part_m):
                 view = check_view(piece.at(drive.lines.vertices_m))
-                one = sighting(i, drive, view, np.ones(len(piece.point), bool))
+                one = marking_deltas.sighting(i, drive, view, np.ones(len(piece.point), bool))
                 founding = confirming(None, None, _own_existence(drive, one), one.frames)
                 if founding.existence_probability >= params.founding_existence_probability:
-                    deltas.append(added(piece, one, drive, founding_key, founding))
+                    deltas.append(marking_deltas.added(piece, one, drive, founding_key, founding))
     return deltas
 
 
-def _own_existence(drive: LineDrive, one: Sighting) -> float:
+def _own_existence(drive: marking_deltas.LineDrive, one: marking_deltas.Sighting) -> float:
     """Existence probability of a part of a marking: that of the whole, unless fewer frame pairs say less."""
     whole = drive.tracks[one.track]
     return min(whole.existence_probability, marking_existence(one.frames, whole.contrast))
@@ -161,8 +154,8 @@ def _compared(
     params: ReconcileParams,
     offset: tuple[Floats, float],
 ) -> _Comparison:
-    drive, features = drive_of(markings), sorted(stretches, key=lambda feature: feature.feature_id)
-    on_map, map_cov = lines_on_map(features)
+    drive, features = marking_deltas.drive_of(markings), sorted(stretches, key=lambda feature: feature.feature_id)
+    on_map, map_cov = marking_deltas.lines_on_map(features)
     offset_m, weight = offset
     if weight == 0:
         offset_m, weight = lateral_offset(drive.lines, on_map, _variance(drive.cov_m2), _variance(map_cov), params)
@@ -187,11 +180,11 @@ def _compared(
     return _Comparison(drive, features, on_map, found, near, penalty_m, claims, same)
 
 
-def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive: LineDrive) -> Floats:
+def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive: marking_deltas.LineDrive) -> Floats:
     """(K,) for markings of another colour or width."""
     penalty = np.zeros(len(found.point))
     for k, (j, i) in enumerate(zip(on_map.line[found.point].tolist(), found.line.tolist(), strict=True)):
-        a, b = shape_of(features[j]), drive.tracks[i].marking
+        a, b = marking_deltas.shape_of(features[j]), drive.tracks[i].marking
         other_colour = len({a.colour, b.colour} - {"other"}) == 2
         other_width = abs(a.width_m - b.width_m) > _OTHER_WIDTH_M
         penalty[k] = _UNLIKE_M * (int(other_colour) + int(other_width))
@@ -239,7 +232,7 @@ def _absences(
 
 
 def _painted_anew(
-    c: _Comparison, states: Mapping[int, _State], vanished: Collection[int], sure: Mask
+    c: _Comparison, states: Mapping[int, _State], vanished: Collection[int], sure: Bools
 ) -> dict[int, Feet]:
     """Of the vanished stretches those with a free marking of the drive beside more than half of their vertices."""
     beside = np.flatnonzero(~c.near & np.isin(c.on_map.line[c.found.point], list(vanished)) & sure[c.found.line])
@@ -254,7 +247,7 @@ def _variance(cov_m2: Floats) -> float:
     return float(np.mean(cov_m2[:, 0, 0] + cov_m2[:, 1, 1])) / 2 if len(cov_m2) else 0.0
 
 
-def _runs(seen: Mask) -> list[NDArray[np.int64]]:
+def _runs(seen: Bools) -> list[NDArray[np.int64]]:
     """Successive observed vertices, at least two each."""
     rows = np.flatnonzero(seen)
     return [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(run) >= _LEAST_VERTICES]

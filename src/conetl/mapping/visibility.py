@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.linear_reference import spaced
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio, evidence_of
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import MapFeature
@@ -25,7 +26,6 @@ from conetl.model.params import MarkingParams, ReconcileParams
 from conetl.model.records import SIDES, Camera, Detection, FramePair, Rig, Side, Vec3
 from conetl.tracking.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
 
-Floats = NDArray[np.float64]
 #: Cones farther from a location than this do not explain detections at it.
 _NEIGHBOUR_M = 6.0
 #: Of frame pairs recorded nearer to each other one is searched for lane markings.
@@ -77,10 +77,10 @@ class DriveObservations:
     positions_m: Mapping[tuple[int, str], Floats]
     """(M, 3) observed objects in the drive's map frame, by frame index and class."""
     figures: AbsenceFigures
-    unclear: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    unclear: Mapping[str, Bools] = field(default_factory=dict)
     """By side: which squares (rows, columns) of the image show nothing or are blurred; empty where all are clear."""
 
-    def is_unclear(self, side: Side, u_px: Floats, v_px: Floats) -> NDArray[np.bool_]:
+    def is_unclear(self, side: Side, u_px: Floats, v_px: Floats) -> Bools:
         """Whether image points, arrays of one shape, lie where the lens shows nothing, or blurred."""
         if side not in self.unclear or self.figures.unclear is None:
             return np.zeros(np.shape(u_px), bool)
@@ -121,7 +121,7 @@ def observations_of_drive(
     )
 
 
-def _unclear_grids(rig: Rig, figures: AbsenceFigures) -> dict[str, NDArray[np.bool_]]:
+def _unclear_grids(rig: Rig, figures: AbsenceFigures) -> dict[str, Bools]:
     """As `DriveObservations.unclear`."""
     unclear = figures.unclear
     if unclear is None:
@@ -210,7 +210,7 @@ def visible_pairs(
 
 def pairs_in_view(
     foot_m: Floats, cone_height_m: float, drive: DriveObservations, params: ReconcileParams, category: str = CONE
-) -> tuple[NDArray[np.intp], Floats, list[tuple[Box, Box]]]:
+) -> tuple[Ints, Floats, list[tuple[Box, Box]]]:
     """The frame pairs in which both images would contain a cone at `foot_m` (3,) in the drive's map frame, hidden or not.
 
     Returns their rows in `drive` (K,), the cone's apparent heights (K, 2) in px and its boxes, left and right.
@@ -284,7 +284,7 @@ class MarkingView(NamedTuple):
     """The frame pairs (K,) that show any of some vertices (n,)."""
 
     captured_at_ns: NDArray[np.int64]
-    in_view: NDArray[np.bool_]
+    in_view: Bools
     """(n, K)"""
 
     def after(self, instant_ns: int) -> MarkingView:
@@ -292,7 +292,7 @@ class MarkingView(NamedTuple):
         later = self.captured_at_ns > instant_ns
         return MarkingView(self.captured_at_ns[later], self.in_view[:, later])
 
-    def period_of(self, vertices: NDArray[np.bool_]) -> tuple[int, int, int] | None:
+    def period_of(self, vertices: Bools) -> tuple[int, int, int] | None:
         """Number of the frame pairs that show any of the vertices (n,), and the instants of the first and the last; or None."""
         captured_ns = self.captured_at_ns[self.in_view[vertices].any(axis=0)]
         return (len(captured_ns), int(captured_ns.min()), int(captured_ns.max())) if len(captured_ns) else None

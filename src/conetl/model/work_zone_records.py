@@ -7,13 +7,10 @@ from enum import StrEnum
 from typing import Literal, NamedTuple
 from uuid import UUID
 
-import numpy as np
-from numpy.typing import NDArray
-
+from conetl.model.arrays import Floats
 from conetl.model.map_records import MapFeature
 from conetl.model.records import Side
 
-Floats = NDArray[np.float64]
 #: Source of the line along which stations and offsets are counted.
 AxisSource = Literal["lanes", "drives", "cones"]
 

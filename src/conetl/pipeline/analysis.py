@@ -20,21 +20,11 @@ from conetl.model.rejections import Rejection
 from conetl.perception.detections import with_detail, without_unread
 from conetl.perception.model_card import read_model_card
 from conetl.perception.stereo_check import check_stereo, in_one_file
+from conetl.pipeline import odometry
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
 from conetl.pipeline.detect import Along, Detected, detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
 from conetl.pipeline.markings import mark, marking_points
-from conetl.pipeline.odometry import (
-    Odometry,
-    check_poses,
-    motions_again,
-    moved,
-    odometry,
-    parts_to_follow,
-    refine,
-    self_calibrate,
-    with_rig,
-)
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
@@ -114,14 +104,16 @@ def analyse(
             parts = _Parts(chunks, executor, progress, with_markings=with_markings)
         found = _run_chunks(drive, chunks, parts, executor, with_markings=with_markings)
         drive = drive.model_copy(update={"rig": found.rig})
-        trajectory: RefinedTrajectory = executor.run(refine, drive, found.motions, found.matches, params)
+        trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, found.motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-        position_paths = executor.run(locate, moved(with_rig(chunks, found.rig), trajectory), found.matches)
+        position_paths = executor.run(
+            locate, odometry.moved(odometry.with_rig(chunks, found.rig), trajectory), found.matches
+        )
         detections, refused_detections = load_results(found.detections, Detection)
         drive, detections = without_unread(drive, detections, refused_detections)
         details, _ = load_results(map(detail_path, found.detections), ImageDetail)
         drive, without_detail = with_detail(drive, details)
-        health += check_poses(drive, found.motions, trajectory, params.trajectory)
+        health += odometry.check_poses(drive, found.motions, trajectory, params.trajectory)
         matches, refused_matches = load_results(found.matches, StereoMatch)
         positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(
@@ -180,7 +172,7 @@ class _Parts:
     def needed_for_calibration(self) -> list[int]:
         """Numbers of the parts whose odometry the self-calibration needs; none where there is no self-calibration."""
         params = self.parts[0][0].params.trajectory
-        return parts_to_follow(self.parts, params) if params.self_calibrate and params.refine else []
+        return odometry.parts_to_follow(self.parts, params) if params.self_calibrate and params.refine else []
 
     def of(self, chunk: Chunk | None) -> list[int]:
         """Numbers of the parts of a chunk; none of none."""
@@ -190,7 +182,7 @@ class _Parts:
         """Submit the odometry of those parts that lack it."""
         for k in numbers:
             if k not in self.followed:
-                self.followed[k] = self._executor.submit(odometry, *self.parts[k], self._count.tick)
+                self.followed[k] = self._executor.submit(odometry.odometry, *self.parts[k], self._count.tick)
                 self._count.follow(self.followed[k], self._motions[k])
 
     def detect(self, numbers: Iterable[int], rig: Rig | None) -> None:
@@ -239,19 +231,19 @@ def _calibrate(parts: _Parts, needed: Sequence[int], executor: Executor, params:
     whole = parts.parts[0][0]
     parts.follow(needed)
     parts.detect(needed[: os.cpu_count() or 1], None)
-    calibration: SelfCalibration = executor.run(self_calibrate, whole, _in_order(parts.followed))
+    calibration: SelfCalibration = executor.run(odometry.self_calibrate, whole, _in_order(parts.followed))
     if len(parts.followed) < len(parts.parts) and calibration.span_count < params.self_calibration_max_spans / 2:
         parts.follow(range(len(parts.parts)))
-        calibration = executor.run(self_calibrate, whole, _in_order(parts.followed))
+        calibration = executor.run(odometry.self_calibrate, whole, _in_order(parts.followed))
     return calibration
 
 
-def _motions_by(rig: Rig, given: Rig, parts: _Parts, executor: Executor) -> Callable[[], list[Odometry]]:
+def _motions_by(rig: Rig, given: Rig, parts: _Parts, executor: Executor) -> Callable[[], list[odometry.Odometry]]:
     """A function that waits for the motions of the parts that were followed, by the rig after self-calibration."""
-    before: list[Odometry] = _in_order(parts.followed)
+    before: list[odometry.Odometry] = _in_order(parts.followed)
     if not before or rig == given:
         return lambda: before
-    again = executor.submit(motions_again, [parts.parts[k] for k in sorted(parts.followed)], rig, before)
+    again = executor.submit(odometry.motions_again, [parts.parts[k] for k in sorted(parts.followed)], rig, before)
     return again.result
 
 

@@ -16,20 +16,11 @@ from uuid import UUID
 
 import numpy as np
 
+from conetl.db import receipt_store as receipts
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import hold_events
 from conetl.db.map.map_store import find_changeset, list_changesets
 from conetl.db.map.results import CommittedChangeset
-from conetl.db.receipt_store import (
-    QUIET,
-    RemovedCone,
-    StepTime,
-    is_published,
-    mark_published,
-    pending_changesets,
-    removed_by_changeset,
-    write_run_steps,
-)
 from conetl.exports.text_files import export_geojson
 from conetl.files.home import make_home
 from conetl.geometry.rig import map_SE3_left
@@ -44,7 +35,7 @@ from conetl.reports.figures import draw_plan_view
 
 _log = logging.getLogger(__name__)
 #: Hands the report of a changeset and the cones that it removed to whoever wants to know; returns when they have left.
-Notify = Callable[[IngestReport, Sequence[RemovedCone]], None]
+Notify = Callable[[IngestReport, Sequence[receipts.RemovedCone]], None]
 
 
 class PublishedFiles(NamedTuple):
@@ -61,7 +52,7 @@ def publish(
     committed: CommittedDrive,
     settings: Settings | None = None,
     database: MapDatabase | None = None,
-    times: Sequence[StepTime] = (),
+    times: Sequence[receipts.StepTime] = (),
 ) -> PublishedFiles:
     """Write the map as GeoJSON, and the plan view (PNG) and QA report of a drive. Notifies nobody: see `notify`.
 
@@ -73,7 +64,7 @@ def publish(
         database = database or stack.enter_context(MapDatabase(settings))
         conn = stack.enter_context(database.connection())
         geojson = _write_map(conn, settings)
-        write_run_steps(conn, changeset.changeset_id, times)
+        receipts.write_run_steps(conn, changeset.changeset_id, times)
         page = _write_page(conn, changeset, settings)
         renew_pages(conn, [change.changeset_id for change in committed.report.hold_changes], settings)
     plan_view = draw_plan_view(
@@ -119,16 +110,16 @@ def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Setti
 def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
     """Send what a changeset did, unless that was done before, and remember it."""
     with database.connection() as conn:
-        if is_published(conn, report.changeset_id):
+        if receipts.is_published(conn, report.changeset_id):
             return
-        send(report, removed_by_changeset(conn, report.changeset_id))
-        mark_published(conn, report.changeset_id)
+        send(report, receipts.removed_by_changeset(conn, report.changeset_id))
+        receipts.mark_published(conn, report.changeset_id)
 
 
 def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, send: Notify) -> None:
     """Write the map's file and the drive's report, then notify: what the run that committed a drive left pending, if anything."""
     with database.connection() as conn:
-        if is_published(conn, report.changeset_id):
+        if receipts.is_published(conn, report.changeset_id):
             return
         _write_map(conn, settings)
         for known in list_changesets(conn, map_name=settings.map_name):
@@ -141,13 +132,13 @@ def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, se
     notify(report, database, send)
 
 
-def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, quiet: timedelta = QUIET) -> None:
+def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, quiet: timedelta = receipts.QUIET) -> None:
     """Catch up on every drive of the map that was committed longer ago than `quiet` and is still pending.
 
     What fails is logged and left to the next caller: this one has drives to ingest.
     """
     with database.connection() as conn:
-        pending = pending_changesets(conn, map_name=settings.map_name, quiet=quiet)
+        pending = receipts.pending_changesets(conn, map_name=settings.map_name, quiet=quiet)
     for found in pending:
         with database.connection() as conn:
             known = find_changeset(conn, found.idempotency_key, map_name=settings.map_name)

@@ -17,33 +17,18 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db.connection import Connection
+from conetl.db.map import replay_store as store
 from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_drive, with_free_id
 from conetl.db.map.decision_store import held_drives, hold_changes, read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.map_store import require_map
-from conetl.db.map.replay_store import (
-    Neighbourhood,
-    affected_drives,
-    lock_neighbourhood,
-    read_deltas,
-    read_doubts_around,
-    read_misses,
-    read_standing_around,
-    read_versions,
-)
 from conetl.db.map.results import CommitResult, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
+from conetl.mapping import visibility
 from conetl.mapping.agreement import is_confirmed
 from conetl.mapping.changes import VisibilityCheck
 from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, replay_drives
 from conetl.mapping.markings import ViewCheck
-from conetl.mapping.visibility import (
-    DriveObservations,
-    blur_of,
-    check_visibility,
-    markings_in_view,
-    observations_of_drive,
-)
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MissedObservation
@@ -123,13 +108,13 @@ def merge_drive(
     )  # fmt: skip
     path = None if hold else path_wkt(drive)
 
-    def is_in_doubt(found: Neighbourhood) -> bool:
+    def is_in_doubt(found: store.Neighbourhood) -> bool:
         """Whether adjoining drives contradict some of those that are compared; drives far away may have to be, too, then."""
         compared = [*found.aside, *(ref.drive_uuid for ref in found.later)]
         doubts = find_doubts(conn, compared, _newcomer(found, drive)).values()
         return any(doubt.contested or not doubt.is_settled for doubt in doubts)
 
-    near = lock_neighbourhood(
+    near = store.lock_neighbourhood(
         conn,
         map_name,
         drive,
@@ -151,7 +136,7 @@ def merge_drive(
         others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
         return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
     spots = [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
-    view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
+    view = visibility.observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
     visible, in_view = _checks_of(lambda: view, records.markings, params.reconcile)
     own = DriveEvidence(
         key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
@@ -174,7 +159,10 @@ def merge_drive(
         extension = folded.updates[changeset.changeset_id]
         affected = [*replay.holds]
     else:
-        standing, summaries = read_standing_around(conn, near.drive_uuid), read_doubts_around(conn, near.drive_uuid)
+        standing, summaries = (
+            store.read_standing_around(conn, near.drive_uuid),
+            store.read_doubts_around(conn, near.drive_uuid),
+        )
         extension = apply_drive(standing, own, decisions, summaries)
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     result = commit_changeset(
@@ -195,7 +183,7 @@ def merge_drive(
     return Merged(changeset, extension, 0 if replay is None else len(replay.holds), result, others)
 
 
-def _newcomer(near: Neighbourhood, drive: Drive) -> Newcomer:
+def _newcomer(near: store.Neighbourhood, drive: Drive) -> Newcomer:
     return Newcomer(near.drive_uuid, drive, frozenset(near.aside) - {near.drive_uuid})
 
 
@@ -222,7 +210,7 @@ def replay_of(
     for _ in range(_MOST_ROUNDS):
         doubts = find_doubts(conn, aside, newcomer, trusted)
         while more := [one for one, doubt in doubts.items() if not doubt.is_settled and one not in aside]:
-            again = [ref for ref in affected_drives(conn, [*aside, *more]) if ref.drive_uuid not in fixed]
+            again = [ref for ref in store.affected_drives(conn, [*aside, *more]) if ref.drive_uuid not in fixed]
             aside = [*fixed, *(ref.drive_uuid for ref in again)]
             doubts = find_doubts(conn, aside, newcomer, trusted)
         compared = [*own, *stored_evidence(conn, again)]
@@ -263,12 +251,12 @@ def _folded(
     evidence: Sequence[DriveEvidence],
     decisions: Decisions,
 ) -> tuple[MapHistory, Replay]:
-    versions = read_versions(conn, [*aside, *around])
-    deltas = read_deltas(conn, aside)
+    versions = store.read_versions(conn, [*aside, *around])
+    deltas = store.read_deltas(conn, aside)
     out = set(aside)
     given: list[tuple[DriveOrder, FeatureVersion | MissedObservation]] = []
     given += [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in out]
-    given += read_misses(conn, [*aside, *around], without=out)
+    given += store.read_misses(conn, [*aside, *around], without=out)
     folded = replay_drives(evidence, decisions, given=given)
     replay = Replay(
         versions_before=versions,
@@ -286,10 +274,10 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
     """The evidence of ingested drives; what they had in view is read when it is needed. InputError where it was pruned."""
 
     @lru_cache(maxsize=_VIEWS_IN_MEMORY)
-    def view_of(drive_uuid: UUID) -> DriveObservations:
+    def view_of(drive_uuid: UUID) -> visibility.DriveObservations:
         stored = read_view(conn, drive_uuid)
         rig, figures = view_params[drive_uuid]
-        return observations_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
+        return visibility.observations_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
 
     require_comparable(conn, [ref.drive_uuid for ref in drives])
     view_params: dict[UUID, tuple[Rig, AbsenceFigures]] = {}
@@ -329,11 +317,11 @@ def founding_key(id_name: str, content_sha256: str) -> str:
 
 
 def _checks_of(
-    view: Callable[[], DriveObservations], markings: Sequence[MarkingTrack], params: ReconcileParams
+    view: Callable[[], visibility.DriveObservations], markings: Sequence[MarkingTrack], params: ReconcileParams
 ) -> tuple[VisibilityCheck, ViewCheck]:
     """Of cones and of lane markings; view: what the drive had in view, read when it is needed; markings: that it observed."""
-    blur_px = blur_of(markings)
+    blur_px = visibility.blur_of(markings)
     return (
-        lambda feature, offset_m, others_m: check_visibility(feature, offset_m, others_m, view(), params),
-        lambda vertices_m: markings_in_view(vertices_m, view(), blur_px, params),
+        lambda feature, offset_m, others_m: visibility.check_visibility(feature, offset_m, others_m, view(), params),
+        lambda vertices_m: visibility.markings_in_view(vertices_m, view(), blur_px, params),
     )

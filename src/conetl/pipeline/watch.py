@@ -29,17 +29,8 @@ from conetl.model.params import IngestParams
 from conetl.model.records import MAX_SPEED_M_S, FramePair, Rig, Track
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError
+from conetl.pipeline import live_pair as live
 from conetl.pipeline.database import database_url
-from conetl.pipeline.live_pair import (
-    Detectors,
-    LiveDrive,
-    PairSearch,
-    StepTimes,
-    new_drive,
-    open_detectors,
-    search_pair,
-    take_pair,
-)
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import MARKER
 from conetl.readers.drives.pairs import PairError
@@ -63,7 +54,7 @@ class PairTime:
     """From the last change of the later image to the commit."""
     waited_s: float
     """Of it, without work on this pair: notice of the file, a late pose, the pairs before it."""
-    work: StepTimes
+    work: live.StepTimes
     backlog: bool
     """Its images were there before the watch was ready: its total means nothing."""
 
@@ -97,7 +88,7 @@ class _Begun:
     """When it was noticed (monotonic s)."""
     srid: int
     rig: Rig
-    search: PairSearch
+    search: live.PairSearch
 
 
 @dataclass
@@ -105,7 +96,7 @@ class _Watch:
     """The state of a watch."""
 
     conn: Connection
-    detectors: Detectors
+    detectors: live.Detectors
     folder: Path
     settings: Settings
     report: WatchReport
@@ -117,7 +108,7 @@ class _Watch:
     changes: SimpleQueue[Path]
     """Files that changed, as the system reports them."""
     source: ArrivingDrive | None = None
-    drive: LiveDrive | None = None
+    drive: live.LiveDrive | None = None
     last: FramePair | None = None
     """The pair that the next one's position and time are compared with ..."""
     jumped: FramePair | None = None
@@ -159,7 +150,7 @@ def watch_drive(
     with ExitStack() as stack:
         conn = stack.enter_context(closing(connect(database_url(settings))))
         migrate_once(conn)
-        detectors = stack.enter_context(open_detectors(settings, params))
+        detectors = stack.enter_context(live.open_detectors(settings, params))
         changes = stack.enter_context(_changes_of(folder.resolve(), poll=poll))
         watch = _Watch(
             conn, detectors, folder, settings, report, stop, progress, max_behind_s, patience_s, time.time_ns(), changes
@@ -271,7 +262,7 @@ def _take_next(watch: _Watch) -> bool:
     watch.last, watch.jumped, watch.taken_index = pair, None, pair.frame_index
     if watch.drive is None:
         name = watch.settings.map_name
-        watch.drive = new_drive(watch.source.drive_id, watch.folder, begun.rig, begun.srid, name, pair)
+        watch.drive = live.new_drive(watch.source.drive_id, watch.folder, begun.rig, begun.srid, name, pair)
     _notice(watch, watch.source, _noticed(watch.changes, 0.0))
     watch.begun = _begin_next(watch, watch.source)
     _take(watch, watch.drive, begun)
@@ -297,7 +288,7 @@ def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
                     del watch.waiting[pair.key]
                     continue
                 _check_motion(watch, posed[0])
-                return _Begun(pair, since, posed[1], rig, search_pair(watch.detectors, rig, posed[0]))
+                return _Begun(pair, since, posed[1], rig, live.search_pair(watch.detectors, rig, posed[0]))
         except PairError as error:
             watch.report.refused[error.reason.value] += 1
             del watch.waiting[pair.key]
@@ -326,10 +317,10 @@ def _written_ns(pair: ArrivingPair) -> int:
         return 0
 
 
-def _take(watch: _Watch, drive: LiveDrive, begun: _Begun) -> None:
+def _take(watch: _Watch, drive: live.LiveDrive, begun: _Begun) -> None:
     """Take a pair whose images are complete."""
     pair, written_ns = begun.search.pair, _written_ns(begun.arriving)
-    watch.drive, times = take_pair(watch.conn, watch.detectors, drive, begun.search)
+    watch.drive, times = live.take_pair(watch.conn, watch.detectors, drive, begun.search)
     watch.report.standing = watch.drive.standing
     total_s = (time.time_ns() - written_ns) * 1e-9
     worked_s = times.detect_s + times.track_s + times.commit_s

@@ -10,19 +10,7 @@ from matplotlib.patches import Ellipse
 from scipy import stats
 
 from conetl.model.arrays import Bools, Floats
-from conetl.reports.figures import (
-    BLACK,
-    GREEN,
-    GREY,
-    ORANGE,
-    PINK,
-    SKY,
-    add_grid,
-    draw_arrow,
-    frame_plan,
-    new_figure,
-    png,
-)
+from conetl.reports import figures
 
 _AXES = ("along the line of sight", "across it", "up")
 _SCALES = (1, 2, 5, 10, 20, 50, 100)
@@ -45,27 +33,29 @@ def errors_over_range(
     errors_m, sigmas_m: (N, 3) along the line of sight, across it, up; track_errors_m likewise (T, 3), at each track's nearest
     range.
     """
-    figure = new_figure(9, 7.2, dpi=100)
+    figure = figures.new_figure(9, 7.2, dpi=100)
     axes = figure.subplots(3, 1, sharex=True)
     order = np.argsort(range_m)
     for k, ax in enumerate(axes):
         low, middle, high = _band(range_m[order], sigmas_m[order, k])
-        ax.fill_between(middle, 2 * low, 2 * high, color=GREEN, alpha=0.25, linewidth=0)
-        ax.fill_between(middle, -2 * high, -2 * low, color=GREEN, alpha=0.25, linewidth=0)
+        ax.fill_between(middle, 2 * low, 2 * high, color=figures.GREEN, alpha=0.25, linewidth=0)
+        ax.fill_between(middle, -2 * high, -2 * low, color=figures.GREEN, alpha=0.25, linewidth=0)
         centre = (low + high) / 2
         for sign in (-1, 1):
             label = "stated 2 sigma of a single position" if sign == 1 else None
-            ax.plot(middle, sign * 2 * centre, color=GREEN, linewidth=1.5, label=label)
-        ax.plot(range_m, errors_m[:, k], ".", color=SKY, markersize=5, label=f"single positions ({len(range_m)})")
+            ax.plot(middle, sign * 2 * centre, color=figures.GREEN, linewidth=1.5, label=label)
         ax.plot(
-            track_range_m, track_errors_m[:, k], "^", color=ORANGE, markeredgecolor="white", markersize=8,
+            range_m, errors_m[:, k], ".", color=figures.SKY, markersize=5, label=f"single positions ({len(range_m)})"
+        )
+        ax.plot(
+            track_range_m, track_errors_m[:, k], "^", color=figures.ORANGE, markeredgecolor="white", markersize=8,
             label=f"tracks ({len(track_range_m)})",
         )  # fmt: skip
         inside = float(np.mean(np.abs(errors_m[:, k]) <= 2 * sigmas_m[:, k])) if len(range_m) else float("nan")
         ax.axhline(0.0, color="#bbbbbb", linewidth=0.8, zorder=0)
         ax.set_ylabel(f"{_AXES[k]} (m)")
         ax.set_title(f"{inside:.0%} within 2 sigma", fontsize=9, loc="right")
-        add_grid(ax)
+        figures.add_grid(ax)
         _limit(ax, errors_m[:, k], np.append(2 * sigmas_m[:, k], np.abs(track_errors_m[:, k])))
     # Range errors grow with the square of the range: a logarithmic axis beyond 10 cm keeps small ones readable.
     axes[0].set_yscale("symlog", linthresh=0.1, linscale=1.5)
@@ -76,7 +66,7 @@ def errors_over_range(
     axes[0].set_title(title, loc="left")
     figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3)
     axes[2].set_xlabel("ground distance from the left camera (m), nearest one of tracks")
-    return png(figure)
+    return figures.png(figure)
 
 
 def error_plan(
@@ -103,40 +93,42 @@ def error_plan(
     shown = np.vstack([truth, path, false])
     low, high = shown.min(axis=0) - 3, shown.max(axis=0) + 3
     height = 10 * (high[1] - low[1]) / (high[0] - low[0]) + 0.8
-    figure = new_figure(10, float(np.clip(height, 3.5, 10)), dpi=100)
+    figure = figures.new_figure(10, float(np.clip(height, 3.5, 10)), dpi=100)
     ax = figure.add_subplot()
-    ax.plot(path[:, 0], path[:, 1], color=GREY, linewidth=1.5, label="path of the left camera")
+    ax.plot(path[:, 0], path[:, 1], color=figures.GREY, linewidth=1.5, label="path of the left camera")
     if len(single_truth_m):
         dots = single_truth_m[:, :2] - origin + scale * single_errors_m[:, :2]
         label = f"single positions ({len(dots)})"
-        ax.plot(dots[:, 0], dots[:, 1], ".", color=SKY, alpha=0.45, markersize=3, label=label)
+        ax.plot(dots[:, 0], dots[:, 1], ".", color=figures.SKY, alpha=0.45, markersize=3, label=label)
     for k, (at, error, cov) in enumerate(zip(truth[found], scale * errors_m[:, :2], cov_m2, strict=True)):
         values, vectors = np.linalg.eigh(cov[:2, :2])
         ax.add_patch(
             Ellipse(
                 tuple(at + error), *(2 * _ELLIPSE_SIGMAS * scale * np.sqrt(values)),
-                angle=float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))), fill=False, color=ORANGE, linewidth=1.2,
-                label="95 % ellipse of a track" if k == 0 else None,
+                angle=float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))), fill=False,
+                color=figures.ORANGE, linewidth=1.2, label="95 % ellipse of a track" if k == 0 else None,
             )
         )  # fmt: skip
-        draw_arrow(ax, at, at + error, ORANGE, lw=1.5, shrinkA=0, shrinkB=0)
-    ax.scatter(truth[found, 0], truth[found, 1], s=10, color=BLACK, label=f"cones of the truth ({found.sum()} found)")
+        figures.draw_arrow(ax, at, at + error, figures.ORANGE, lw=1.5, shrinkA=0, shrinkB=0)
+    ax.scatter(
+        truth[found, 0], truth[found, 1], s=10, color=figures.BLACK, label=f"cones of the truth ({found.sum()} found)"
+    )
     if (~found).any():
         label = f"missed ({(~found).sum()})"
-        ax.scatter(truth[~found, 0], truth[~found, 1], s=60, facecolors="none", edgecolors=BLACK, label=label)
+        ax.scatter(truth[~found, 0], truth[~found, 1], s=60, facecolors="none", edgecolors=figures.BLACK, label=label)
     if len(false):
-        ax.scatter(false[:, 0], false[:, 1], marker="x", s=60, color=PINK, label=f"false ({len(false)})")
+        ax.scatter(false[:, 0], false[:, 1], marker="x", s=60, color=figures.PINK, label=f"false ({len(false)})")
     for name, at in zip(names, truth, strict=True):
         ax.annotate(name, at, xytext=(6, -12), textcoords="offset points", fontsize=8)
-    frame_plan(ax, low, high, origin)
+    figures.frame_plan(ax, low, high, origin)
     ax.set_title(f"{title}; errors and ellipses enlarged {scale} times")
     ax.legend(fontsize=8, loc="best")
-    return png(figure)
+    return figures.png(figure)
 
 
 def nees_histogram(*, single: Floats, tracks: Floats, title: str) -> bytes:
     """Histogram of the NEES of N single positions and T tracks without the drive's common errors, and chi-square with 3."""
-    figure = new_figure(9, 4.2, dpi=100)
+    figure = figures.new_figure(9, 4.2, dpi=100)
     ax = figure.add_subplot()
     edges = np.linspace(0.0, _NEES_SHOWN, 33)
     beyond = float(np.mean(single > _NEES_SHOWN)) if len(single) else 0.0
@@ -144,15 +136,21 @@ def nees_histogram(*, single: Floats, tracks: Floats, title: str) -> bytes:
         width = edges[1] - edges[0]
         counts, _ = np.histogram(single, edges)
         label = f"single positions ({len(single)}), mean {single.mean():.2f}"
-        ax.bar(edges[:-1], counts / len(single) / width, width, align="edge", color=SKY, alpha=0.7, label=label)
+        ax.bar(edges[:-1], counts / len(single) / width, width, align="edge", color=figures.SKY, alpha=0.7, label=label)
     x = np.linspace(0.0, _NEES_SHOWN, 400)
-    ax.plot(x, stats.chi2.pdf(x, 3), color=BLACK, linewidth=1.8, label="chi-square with 3 degrees of freedom (mean 3)")
+    ax.plot(
+        x,
+        stats.chi2.pdf(x, 3),
+        color=figures.BLACK,
+        linewidth=1.8,
+        label="chi-square with 3 degrees of freedom (mean 3)",
+    )
     low, high = (float(stats.chi2.ppf(tail, 3)) for tail in (0.025, 0.975))
-    ax.axvspan(low, high, color=GREEN, alpha=0.10, label="its 95 %")
+    ax.axvspan(low, high, color=figures.GREEN, alpha=0.10, label="its 95 %")
     top = ax.get_ylim()[1]
     if len(tracks):
         ax.plot(
-            np.minimum(tracks, _NEES_SHOWN), np.full(len(tracks), 0.04 * top), "^", color=ORANGE, markeredgecolor="white",
+            np.minimum(tracks, _NEES_SHOWN), np.full(len(tracks), 0.04 * top), "^", color=figures.ORANGE, markeredgecolor="white",
             markersize=9, label=f"tracks ({len(tracks)}), mean {tracks.mean():.2f}",
         )  # fmt: skip
     if beyond:
@@ -163,7 +161,7 @@ def nees_histogram(*, single: Floats, tracks: Floats, title: str) -> bytes:
     ax.set_ylabel("density")
     ax.set_title(title)
     ax.legend(fontsize=8)
-    return png(figure)
+    return figures.png(figure)
 
 
 def _band(range_m: Floats, sigma_m: Floats) -> tuple[Floats, Floats, Floats]:

@@ -30,16 +30,7 @@ from conetl.model.errors import InputError
 from conetl.model.feature_classes import letter_of
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
-from conetl.reports.figures import (
-    Handle,
-    add_legend,
-    changes_of,
-    draw_arrow,
-    draw_markings,
-    draw_objects,
-    new_figure,
-    save_figure,
-)
+from conetl.reports import figures
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -163,14 +154,14 @@ def draw_map_picture(
     width, height = max(east - west, (north - south) * wide), max(north - south, (east - west) / wide)
     x, y = (west + east) / 2, (south + north) / 2
     figure = _compose(content, (x - width / 2, y - height / 2, x + width / 2, y + height / 2), title, footer, size_mm)
-    return save_figure(figure, path, suffixes=SUFFIXES)
+    return figures.save_figure(figure, path, suffixes=SUFFIXES)
 
 
 def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm: tuple[float, float]) -> Figure:
     """The figure of exactly `bbox`."""
     west, south, east, north = bbox
     box = (west, east, south, north)
-    figure = new_figure(size_mm[0] * _MM, size_mm[1] * _MM, dpi=_DPI)
+    figure = figures.new_figure(size_mm[0] * _MM, size_mm[1] * _MM, dpi=_DPI)
     axes = figure.add_subplot()
     axes.set_xlim(west, east)
     axes.set_ylim(south, north)
@@ -181,7 +172,7 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     _scale_bar(axes, box)
     _north(axes)
     figure.suptitle(title, x=0.012, ha="left", fontsize=13, fontweight="bold", color=_INK)
-    add_legend(figure, handles, loc="outside right upper", fontsize=8.5, handletextpad=0.6)
+    figures.add_legend(figure, handles, loc="outside right upper", fontsize=8.5, handletextpad=0.6)
     crs = CRS.from_epsg(content.srid)
     figure.supxlabel(
         f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=marks.DRIVE_PATH
@@ -198,7 +189,7 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
             before, tip = path[len(path) // 2 - 1], path[len(path) // 2]
             # Only the head: annotations are not clipped at the frame, and a segment may come from far outside of it.
             start = tip - (tip - before) / max(float(np.linalg.norm(tip - before)), 1e-9) * 1e-3
-            draw_arrow(axes, start, tip, marks.DRIVE_PATH, "-|>", linewidth=1.1, shrinkA=0, shrinkB=0)
+            figures.draw_arrow(axes, start, tip, marks.DRIVE_PATH, "-|>", linewidth=1.1, shrinkA=0, shrinkB=0)
     if content.paths_m:
         handles.append(Line2D([], [], color=marks.DRIVE_PATH, linewidth=1.3, label="drive path"))
     if content.lines_m:
@@ -226,7 +217,7 @@ def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     """Draw lane markings and their changes; their lines of the legend."""
     changes = content.changes or ()
     changed = {change.feature_id for change in changes}
-    lines = changes_of(changes, (feature for feature in content.standing if feature.feature_id not in changed))
+    lines = figures.changes_of(changes, (feature for feature in content.standing if feature.feature_id not in changed))
     low, high = np.array(box[::2]), np.array(box[1::2])
     shown = [
         line
@@ -234,10 +225,10 @@ def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
         for xy_m in [line.line_m[:, :2]]
         if (xy_m.max(axis=0) >= low).all() and (xy_m.min(axis=0) <= high).all()
     ]
-    return draw_markings(axes, shown)
+    return figures.draw_markings(axes, shown)
 
 
-def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[Handle]:
+def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[figures.Handle]:
     """Draw cones and other objects, and changes; their entries of the legend count those inside the picture."""
     changes = [change for change in content.changes or () if not change.is_of_line]
     changed = {change.feature_id for change in content.changes or ()}
@@ -247,12 +238,12 @@ def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[Handle]:
     for kind, style in marks.KIND_MARKS.items():
         groups.append((style, [change.state_after for change in changes if change.kind == kind]))
     by_class = any(letter_of(feature.category) for _, some in groups for feature in some)
-    handles: list[Handle] = []
+    handles: list[figures.Handle] = []
     for level, (style, features) in enumerate(groups, 4):
         positions = np.array([feature.xyz_m[:2] for feature in features]).reshape(-1, 2)
         inside = _inside(positions, box)
         classes = [feature.category for feature, kept in zip(features, inside.tolist(), strict=True) if kept]
-        handles[:0] = draw_objects(
+        handles[:0] = figures.draw_objects(
             axes, positions[inside], classes, style, by_class=by_class, size_pt=_SYMBOL_PT, zorder=level, edge="white"
         )
     moved = [change for change in changes if change.kind is DeltaKind.MOVED]
@@ -266,7 +257,7 @@ def _arrows(axes: Axes, moved: Sequence[FeatureChange], colour: str, box: Bbox) 
             continue
         old, new = change.old.xyz_m[:2], change.new.xyz_m[:2]
         axes.scatter(old[0], old[1], marker="o", s=26, facecolors="none", edgecolors=colour, linewidths=1.0, zorder=8)
-        draw_arrow(axes, old, new, colour, zorder=8, linewidth=1.2, clip_path=axes.patch, clip_on=True)
+        figures.draw_arrow(axes, old, new, colour, zorder=8, linewidth=1.2, clip_path=axes.patch, clip_on=True)
         if len(moved) <= _MAX_ARROW_LABELS:
             axes.annotate(
                 f"{change.shift_m:.2f} m", xy=new, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color=colour,

@@ -17,14 +17,7 @@ from conetl.model.errors import InputError
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import Finding, Level, WorkZone
 from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
-from conetl.workzones.layout_check import (
-    DEFAULT,
-    STANDARDS,
-    allowed_spacing_m,
-    check_layout,
-    layout_rules,
-    read_standard,
-)
+from conetl.workzones import layout_check
 
 FeedOption = Annotated[
     Path | None, typer.Option("--feed", help="WZDx: YAML file with publisher, road_names, contact, licence ...")
@@ -64,8 +57,11 @@ MaxAgeOption = Annotated[
 def check_layout_command(
     speed_kmh: Annotated[float, typer.Option(min=5, max=200, help="Speed limit that the rules depend on.")] = 50.0,
     standard: Annotated[
-        str, typer.Option("--standard", help=f"Source of the rules: {', '.join(STANDARDS)}.", show_default=True)
-    ] = DEFAULT,
+        str,
+        typer.Option(
+            "--standard", help=f"Source of the rules: {', '.join(layout_check.STANDARDS)}.", show_default=True
+        ),
+    ] = layout_check.DEFAULT,
     rules: RulesOption = None,
     lanes: LanesOption = None,
     as_of: Annotated[str | None, typer.Option("--as-of", help="State of the road at this time.")] = None,
@@ -79,22 +75,25 @@ def check_layout_command(
     as_json: JsonOption = False,
 ) -> None:
     """Check the layout of the work zones: spacing, missing cones, taper lengths, cones in the open lane."""
-    if standard not in STANDARDS:
-        raise InputError(f"--standard {standard}: expected one of {', '.join(STANDARDS)}")
+    if standard not in layout_check.STANDARDS:
+        raise InputError(f"--standard {standard}: expected one of {', '.join(layout_check.STANDARDS)}")
     chosen = read_yaml_model(rules, Rules, "rules")
-    layout = layout_rules(standard, chosen.layout)
+    layout = layout_check.layout_rules(standard, chosen.layout)
     with open_map(map_name) as (conn, info):
         found = read_zones(conn, map_name=info.map_name, as_of=parse_instant(as_of), lanes=lanes, params=chosen.zones)
     standing = [zone for zone in found.zones if zone.history.end_ns is None]
-    checked = [(zone, check_layout(zone.history, zone.layout, speed_kmh, layout, chosen.zones)) for zone in standing]
+    checked = [
+        (zone, layout_check.check_layout(zone.history, zone.layout, speed_kmh, layout, chosen.zones))
+        for zone in standing
+    ]
     findings = [finding for _, some in checked for finding in some]
-    taper_m, tangent_m = allowed_spacing_m(speed_kmh, layout)
+    taper_m, tangent_m = layout_check.allowed_spacing_m(speed_kmh, layout)
     spacing = (
         f"at most {taper_m:.1f} m between cones in tapers, {tangent_m:.1f} m in tangents"
         if math.isfinite(taper_m + tangent_m)
         else "no rule of spacing"
     )
-    known = read_standard(standard)
+    known = layout_check.read_standard(standard)
     title = f"Map {info.map_name}{f' as of {as_of}' if as_of else ''}, {known.standard}, {speed_kmh:g} km/h: {spacing}"
     if output is not None:
         export_layout_geojson(findings, output, srid=found.srid)
