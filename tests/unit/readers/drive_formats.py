@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.records import Rig
+from conetl.readers.drives import read_drive
 from conetl.readers.rigs import write_rig_yaml
 from conetl.readers.rigs.ros import write_ros_rig
 
@@ -50,6 +52,7 @@ class Frame:
     """Of the pose in bags: east, north, up (m), roll, pitch, yaw (degrees)."""
 
 
+@cache
 def sample_frames() -> list[Frame]:
     found = []
     stamps = (SAMPLE / "image_02/timestamps.txt").read_text().splitlines()
@@ -60,6 +63,11 @@ def sample_frames() -> list[Frame]:
         numbers = tuple(float(w) for w in (SAMPLE / f"oxts/data/{i:010d}.txt").read_text().split())
         found.append(Frame(left, right, stamp, stamp, numbers))
     return found
+
+
+@cache
+def sample_rig() -> Rig:
+    return read_drive(SAMPLE, headers_only=True)[0].rig
 
 
 def changed(frames: list[Frame], index: int, **values: Any) -> list[Frame]:

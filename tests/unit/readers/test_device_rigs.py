@@ -24,17 +24,17 @@ from conetl.readers.rigs import read_rig, read_rig_and_format, read_rig_for_imag
 from tests.unit.readers.test_rig_formats import (
     D1,
     D2,
+    FISHEYE,
     K1,
     K2,
     LENSES,
-    POINTS,
     SIZE,
     R,
     T,
     agrees_with_opencv,
+    agrees_with_opencvs_fisheye,
     change,
     complaint,
-    images_of,
     kalibr_content,
     make_rig,
     ros_content,
@@ -88,9 +88,9 @@ BAD_ZED = {
     "no size": (lambda text: text, None, r"images of 2208x1242 \(2K\), 1280x720 \(HD\); name that.*--image-size"),
     "other size": (lambda text: text, (640, 480), "none is 640x480"),
     "negative": (
-        lambda text: text.replace("Baseline=274", "Baseline=-274"),
+        lambda text: text.replace("=274", "=-274"),
         SIZE,
-        "'STEREO.Baseline' must be 10 millimetres or more, found -274",
+        "'STEREO.Baseline' must be 10 millimetres .*, found -274",
     ),
     "metres": (lambda text: text.replace("Baseline=274", "Baseline=0.274 #"), SIZE, "millimetres or more, found 0.274"),
     "degrees": (lambda text: text.replace("RX_HD=0", "RX_HD=9"), SIZE, "RX_HD.*small angles in radians"),
@@ -106,11 +106,8 @@ BAD_ZED = {
 @pytest.mark.parametrize("name", BAD_ZED)
 def test_a_bad_zed_file(tmp_path: Path, name: str) -> None:
     edit, size, message = BAD_ZED[name]
-    path = tmp_path / "SN1.conf"
-    path.write_text(edit(zed_text()))
-    with pytest.raises(CalibrationError, match=message) as raised:
-        read_rig(path, image_size=size)
-    assert str(raised.value).startswith(str(path)) and len(str(raised.value)) < 900
+    (tmp_path / "SN1.conf").write_text(edit(zed_text()))
+    complaint(tmp_path / "SN1.conf", message, image_size=size)
 
 
 # --------------------------------------------------------------------------- OAK
@@ -167,13 +164,11 @@ def test_an_oak_without_a_stereo_pair_is_not_guessed_at(tmp_path: Path) -> None:
 
 def test_oak_fisheyes(tmp_path: Path) -> None:
     content = oak_content(rectified=False)
-    d = [0.02, -0.01, 0.004, -0.0008]
     for _, camera in content["cameraData"]:
-        camera |= {"cameraType": 1, "distortionCoeff": [*d, *[0.0] * 10]}
+        camera |= {"cameraType": 1, "distortionCoeff": [*FISHEYE, *[0.0] * 10]}
     path = tmp_path / "calib.json"
     path.write_text(json.dumps(content))
-    theirs, _ = cv2.fisheye.projectPoints(POINTS[:, None], cv2.Rodrigues(R)[0], T, K2, np.array(d))
-    np.testing.assert_allclose(images_of(read_rig(path, pair=("B", "C")))[1], theirs.reshape(-1, 2), atol=1e-6)
+    agrees_with_opencvs_fisheye(read_rig(path, pair=("B", "C")))
 
 
 def oak_camera(socket: int, edit: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]], None]:
@@ -205,18 +200,15 @@ def test_a_bad_oak_file(tmp_path: Path, name: str) -> None:
 # --------------------------------------------------------------------------- Metashape
 
 
-def metashape_text(
-    *, extra: str = "", kind: str = "frame", scale: str = "", slave: str = "", d: np.ndarray | None = None
-) -> str:
+def metashape_text(*, extra: str = "", kind: str = "frame", scale: str = "", slave: str = "") -> str:
     """A chunk with the master (left) and a slave whose pose in the master is the inverse of OpenCV's R and T."""
     sensors = ""
     pose = f"<rotation>{' '.join(map(repr, R.T.ravel().tolist()))}</rotation>"
     pose += f"<location>{' '.join(map(repr, (-R.T @ T).tolist()))}</location>"
     for number, k, lens in ((0, K1, D1), (1, K2, D2)):
-        c = lens if d is None else d
         names = ("k1", "k2", "p2", "p1", "k3") if kind == "frame" else ("k1", "k2", "k3", "k4")
         values = {"f": k[1, 1], "cx": k[0, 2] + 0.5 - 640, "cy": k[1, 2] + 0.5 - 360, "b1": k[0, 0] - k[1, 1]}
-        values |= dict(zip(names, c, strict=True))
+        values |= dict(zip(names, lens if kind == "frame" else FISHEYE, strict=True))
         numbers = "".join(f"<{key}>{float(value)!r}</{key}>" for key, value in values.items())
         master = ' master_id="0"' if number else ""
         sensors += (
@@ -243,10 +235,8 @@ def test_metashape_multi_camera_system(tmp_path: Path) -> None:
 
 def test_metashape_equidistant_fisheye(tmp_path: Path) -> None:
     path = tmp_path / "cameras.xml"
-    d = np.array([0.02, -0.01, 0.004, -0.0008])
-    path.write_text(metashape_text(kind="equidistant_fisheye", d=d))
-    theirs, _ = cv2.fisheye.projectPoints(POINTS[:, None], cv2.Rodrigues(R)[0], T, K2, d)
-    np.testing.assert_allclose(images_of(read_rig(path))[1], theirs.reshape(-1, 2), atol=1e-6)
+    path.write_text(metashape_text(kind="equidistant_fisheye"))
+    agrees_with_opencvs_fisheye(read_rig(path))
 
 
 def test_metashape_lengths_in_another_unit_have_to_be_confirmed(tmp_path: Path) -> None:
@@ -261,16 +251,10 @@ def test_metashape_lengths_in_another_unit_have_to_be_confirmed(tmp_path: Path) 
 
 BAD_METASHAPE = {
     "skew": (metashape_text(extra="<b2>2</b2>"), "a skew of 2"),
-    "k4": (
-        metashape_text(extra="<k4>0.1</k4>"),
-        r"'Camera 0.calibration.k4' is 0.1, which conetl's lenses do not have",
-    ),
+    "k4": (metashape_text(extra="<k4>0.1</k4>"), "'Camera 0.calibration.k4' is 0.1, which conetl's lenses do not have"),
     "p3": (metashape_text(extra="<p3>1e-3</p3>"), "calibration.p3' is 0.001"),
     "unknown": (metashape_text(extra="<q7>1</q7>"), r"has \['q7'\], which conetl does not know"),
-    "spherical": (
-        metashape_text(kind="frame").replace('type="frame" class="adj', 'type="spherical" class="adj'),
-        "spherical",
-    ),
+    "spherical": (metashape_text().replace('"frame" class="adj', '"spherical" class="adj'), "spherical"),
     "no pose": (metashape_text(slave=" "), "'Camera 1.rotation' is missing"),
     "short": (metashape_text(slave="<rotation>1 0 0</rotation>"), "Camera 1.rotation' must be 9 numbers, found 3"),
     "no master": (metashape_text().replace(' master_id="0"', ""), "are not in one multi-camera system"),
@@ -292,14 +276,12 @@ def test_a_bad_metashape_file(tmp_path: Path, name: str) -> None:
 
 def test_kalibr_chain_of_three(tmp_path: Path) -> None:
     content = kalibr_content()
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec([0.0, 0.03, 0.0]).as_matrix(), [-0.2, 0.0, 0.01]
+    pose = se3.se3(Rotation.from_rotvec([0.0, 0.03, 0.0]).as_matrix(), [-0.2, 0.0, 0.01])
     content["cam2"] = {**content["cam1"], "T_cn_cnm1": pose.tolist()}
     path = tmp_path / "camchain.yaml"
     path.write_text(yaml.safe_dump(content))
     complaint(path, r"has 3 cameras, \['cam0', 'cam1', 'cam2'\]; choose the stereo pair")
-    first = np.eye(4)
-    first[:3, :3], first[:3, 3] = R, T
+    first = se3.se3(R, T)
     for pair, wanted in ((("cam0", "cam1"), first), (("cam1", "cam2"), pose), (("cam0", "cam2"), pose @ first)):
         found = rigs.left_SE3_right(read_rig(path, pair=pair))
         np.testing.assert_allclose(found, np.linalg.inv(wanted), atol=1e-9)
@@ -323,9 +305,7 @@ def rig_of_many() -> tuple[dict[str, Any], Rig, np.ndarray]:
     for name, side in (("l", "left"), ("r", "right"), ("rear", "left")):
         camera = rigs.camera_of(rig, side)  # type: ignore[arg-type]
         pose = se3.compose(body, rigs.body_SE3_camera(rig, side))  # type: ignore[arg-type]
-        content = camera.model_dump(exclude={"lens"}) | {
-            "lens": {"model": "brown", "coefficients": [*camera.lens.coefficients]}
-        }
+        content = camera.model_dump() | {"lens": {"model": "brown", "coefficients": [*camera.lens.coefficients]}}
         cameras[name] = content | {"body_SE3_camera": {"R": pose[:3, :3].tolist(), "t_m": pose[:3, 3].tolist()}}
     return {"rig_id": "van", "cameras": cameras}, rig, body
 
@@ -357,11 +337,9 @@ def test_points_of_scaled_images_are_scaled_points(factor: float, x: float, y: f
 
 def test_sigmas_are_scaled_with_the_image(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
-    path.write_text(
-        "left: {width_px: 1280, height_px: 720, fx_px: 900, fy_px: 900, cx_px: 640, cy_px: 360}\n"
-        "right: {width_px: 1280, height_px: 720, fx_px: 900, fy_px: 900, cx_px: 640, cy_px: 360}\n"
-        "baseline_m: 0.3\nsigmas: {left.fx_px: 2, right.cy_px: 4, relative.tx_m: 0.001}\n"
-    )
+    camera = "{width_px: 1280, height_px: 720, fx_px: 900, fy_px: 900, cx_px: 640, cy_px: 360}"
+    sigmas = "sigmas: {left.fx_px: 2, right.cy_px: 4, relative.tx_m: 0.001}"
+    path.write_text(f"left: {camera}\nright: {camera}\nbaseline_m: 0.3\n{sigmas}\n")
     covariance = rigs.resized(read_rig(path), 640, 360).calibration_covariance
     assert covariance is not None
     np.testing.assert_allclose(np.sqrt(np.diag(covariance.matrix)), [1, 2, 0.001])

@@ -23,14 +23,13 @@ from conetl.cli.inspect_drive import FORMAT_NAMES
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, Rig
+from conetl.model.records import Drive
 from conetl.model.rejections import Rejection
 from conetl.model.rejections import RejectionReason as R
 from conetl.readers.drives import FORMATS, drive_format, read_drive
 from conetl.readers.drives.header import find_drives, read_header
 from conetl.readers.rigs import write_rig_yaml
 from tests.unit.readers.drive_formats import (
-    SAMPLE,
     WRITERS,
     Frame,
     T,
@@ -38,6 +37,7 @@ from tests.unit.readers.drive_formats import (
     georeference,
     header,
     sample_frames,
+    sample_rig,
     write_bag,
     write_euroc,
 )
@@ -49,23 +49,16 @@ FORMAT_OF = {"kitti": "kitti", "plain": "plain", "euroc": "euroc"}
 ELSEWHERE = {"video"}
 
 
-@pytest.fixture(scope="module")
-def frames() -> list[Frame]:
-    return sample_frames()
+FRAMES, RIG = sample_frames(), sample_rig()
 
 
 @pytest.fixture(scope="module")
-def rig() -> Rig:
-    return read_drive(SAMPLE)[0].rig
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    return read_drive(WRITERS["kitti"](tmp_path_factory.mktemp("reference") / "run", FRAMES, RIG))[0]
 
 
-@pytest.fixture(scope="module")
-def reference(frames: list[Frame], rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    return read_drive(WRITERS["kitti"](tmp_path_factory.mktemp("reference") / "run", frames, rig))[0]
-
-
-def read(path: Path, cache: Path) -> tuple[Drive, list[Rejection]]:
-    return read_drive(path, images_folder=cache)
+def read(path: Path) -> tuple[Drive, list[Rejection]]:
+    return read_drive(path, images_folder=path.parent / "cache")
 
 
 def test_every_format_is_tested() -> None:
@@ -74,23 +67,21 @@ def test_every_format_is_tested() -> None:
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_every_format_gives_the_same_drive(
-    name: str, tmp_path: Path, frames: list[Frame], rig: Rig, reference: Drive
-) -> None:
-    path = WRITERS[name](tmp_path / "run", frames, rig)
+def test_every_format_gives_the_same_drive(name: str, tmp_path: Path, reference: Drive) -> None:
+    path = WRITERS[name](tmp_path / "run", FRAMES, RIG)
     assert drive_format(path) == FORMAT_OF.get(name, "bag")
-    drive, rejections = read(path, tmp_path / "cache")
+    drive, rejections = read(path)
     assert rejections == []
-    assert (drive.drive_id, drive.map_srid, drive.expected_frame_count) == ("run", reference.map_srid, len(frames))
+    assert (drive.drive_id, drive.map_srid, drive.expected_frame_count) == ("run", reference.map_srid, len(FRAMES))
     assert drive.rig.baseline_m == pytest.approx(reference.rig.baseline_m, rel=1e-4)
-    assert (drive.rig.left.width_px, drive.rig.left.height_px) == (rig.left.width_px, rig.left.height_px)
-    assert drive.rig.left.fx_px == pytest.approx(rig.left.fx_px, rel=1e-5)
+    assert (drive.rig.left.width_px, drive.rig.left.height_px) == (RIG.left.width_px, RIG.left.height_px)
+    assert drive.rig.left.fx_px == pytest.approx(RIG.left.fx_px, rel=1e-5)
     assert len(drive.frame_pairs) == len(reference.frame_pairs)
     for pair, wanted in zip(drive.frame_pairs, reference.frame_pairs, strict=True):
         assert (pair.frame_index, pair.captured_at_ns) == (wanted.frame_index, wanted.captured_at_ns)
         assert Path(pair.left_path).read_bytes() == Path(wanted.left_path).read_bytes()
         assert Path(pair.right_path).read_bytes() == Path(wanted.right_path).read_bytes()
-        # Bodies may be other frames; where the cameras are in the map must not depend on the format.
+        # Bodies may be other FRAMES; where the cameras are in the map must not depend on the format.
         for found, true in (
             (rigs.map_SE3_left(pair.pose, drive.rig), rigs.map_SE3_left(wanted.pose, reference.rig)),
             (rigs.map_SE3_right(pair.pose, drive.rig), rigs.map_SE3_right(wanted.pose, reference.rig)),
@@ -101,10 +92,10 @@ def test_every_format_gives_the_same_drive(
         np.testing.assert_allclose(pair.pose.sigma_rpy_rad, wanted.pose.sigma_rpy_rad)
         # x forward, z up, whatever the axes of the sensor are called
         np.testing.assert_allclose(pair.pose.map_R_body, wanted.pose.map_R_body, atol=2e-4)
-    again = read(path, tmp_path / "cache")[0]
+    again = read(path)[0]
     assert again.content_sha256 == drive.content_sha256
-    other = WRITERS[name](tmp_path / "other" / "run", changed(frames, 4, left=frames[5].left), rig)
-    assert read(other, tmp_path / "cache")[0].content_sha256 != drive.content_sha256
+    other = WRITERS[name](tmp_path / "other" / "run", changed(FRAMES, 4, left=FRAMES[5].left), RIG)
+    assert read(other)[0].content_sha256 != drive.content_sha256
 
 
 def small_image() -> bytes:
@@ -145,15 +136,13 @@ FAULTS: dict[str, tuple[Callable[[list[Frame]], list[Frame]], dict[int, R]]] = {
 
 @pytest.mark.parametrize("name", WRITERS)
 @pytest.mark.parametrize("fault", FAULTS)
-def test_the_same_faults_cost_the_same_pairs(
-    name: str, fault: str, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
+def test_the_same_faults_cost_the_same_pairs(name: str, fault: str, tmp_path: Path) -> None:
     damage, lost = FAULTS[fault]
-    drive, rejections = read(WRITERS[name](tmp_path / "run", damage(frames), rig), tmp_path / "cache")
+    drive, rejections = read(WRITERS[name](tmp_path / "run", damage(FRAMES), RIG))
     assert Counter(r.reason for r in rejections) == Counter(lost.values())
-    kept = [frame.stamp_ns for i, frame in enumerate(frames) if i not in lost]
+    kept = [frame.stamp_ns for i, frame in enumerate(FRAMES) if i not in lost]
     assert [pair.captured_at_ns for pair in drive.frame_pairs] == kept
-    assert drive.expected_frame_count == len(frames)
+    assert drive.expected_frame_count == len(FRAMES)
     if name != "plain":  # which numbers pairs by the rows of its trajectory
         assert {r.payload["frame_index"] for r in rejections} == set(lost)
     assert all(r.step == "frames" and r.detail for r in rejections)
@@ -162,23 +151,21 @@ def test_the_same_faults_cost_the_same_pairs(
         assert (found.captured_from_ns, found.captured_to_ns) == (kept[0], kept[-1])
 
 
-def test_a_bag_whose_recorder_had_no_time_at_first_has_the_time_of_its_end(
-    tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
-    first = changed(frames, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9)
-    found = read_header(write_bag(tmp_path / "run", first, rig, recorder_as_images=True))
+def test_a_bag_whose_recorder_had_no_time_at_first_has_the_time_of_its_end(tmp_path: Path) -> None:
+    first = changed(FRAMES, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9)
+    found = read_header(write_bag(tmp_path / "run", first, RIG, recorder_as_images=True))
     assert (found.problem, found.captured_from_ns) == (None, found.captured_to_ns)
-    assert found.captured_to_ns == frames[-1].stamp_ns
-    unset = [changed([f], 0, stamp_ns=f.stamp_ns % 10**15, pose_stamp_ns=f.stamp_ns % 10**15)[0] for f in frames]
-    found = read_header(write_bag(tmp_path / "unset", unset, rig))
+    assert found.captured_to_ns == FRAMES[-1].stamp_ns
+    unset = [changed([f], 0, stamp_ns=f.stamp_ns % 10**15, pose_stamp_ns=f.stamp_ns % 10**15)[0] for f in FRAMES]
+    found = read_header(write_bag(tmp_path / "unset", unset, RIG))
     assert (found.problem, found.captured_from_ns) == (None, None)
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_headers_only_understands_the_same(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    damaged = changed(changed(frames, 3, right=None), 4, left=(frames[4].left or b"")[:-500])
-    path = WRITERS[name](tmp_path / "run", damaged, rig)
-    full, full_rejections = read(path, tmp_path / "cache")
+def test_headers_only_understands_the_same(name: str, tmp_path: Path) -> None:
+    damaged = changed(changed(FRAMES, 3, right=None), 4, left=(FRAMES[4].left or b"")[:-500])
+    path = WRITERS[name](tmp_path / "run", damaged, RIG)
+    full, full_rejections = read(path)
     quick, rejections = read_drive(path, images_folder=tmp_path / "quick", headers_only=True)
     assert rejections == full_rejections
     assert [p.pose for p in quick.frame_pairs] == [p.pose for p in full.frame_pairs]
@@ -203,23 +190,21 @@ def test_headers_only_understands_the_same(name: str, tmp_path: Path, frames: li
         ("bag", "max_pose_gap_s: 1e308", r"max_pose_gap_s.*at most 3600"),
     ],
 )  # fmt: skip
-def test_a_drive_yaml_that_does_not_fit_is_refused(
-    name: str, text: str, message: str, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
-    path = WRITERS[name](tmp_path / "run", frames[:3], rig)
-    (path / "drive.yaml").write_text(text.replace("GEOREFERENCE", georeference(frames)))
+def test_a_drive_yaml_that_does_not_fit_is_refused(name: str, text: str, message: str, tmp_path: Path) -> None:
+    path = WRITERS[name](tmp_path / "run", FRAMES[:3], RIG)
+    (path / "drive.yaml").write_text(text.replace("GEOREFERENCE", georeference(FRAMES)))
     with pytest.raises((DriveFolderError, CalibrationError), match=message) as refused:
-        read(path, tmp_path / "cache")
+        read(path)
     assert len(str(refused.value)) < 1000
 
 
-def test_a_euroc_lens_makes_a_raw_rig(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_euroc(tmp_path / "run", frames, rig)
+def test_a_euroc_lens_makes_a_raw_rig(tmp_path: Path) -> None:
+    path = write_euroc(tmp_path / "run", FRAMES, RIG)
     for cam in ("cam0", "cam1"):
         file = path / f"mav0/{cam}/sensor.yaml"
         sensor = yaml.safe_load(file.read_text()) | {"distortion_coefficients": [-0.2, 0.05, 1e-4, 2e-4]}
         file.write_text(yaml.safe_dump(sensor))
-    raw = read(path, tmp_path / "cache")[0].rig.rectified_from
+    raw = read(path)[0].rig.rectified_from
     assert raw is not None
     assert (raw.left.lens.model, raw.left.lens.coefficients[:4]) == ("brown", (-0.2, 0.05, 1e-4, 2e-4))
 
@@ -237,56 +222,53 @@ def raw_image(stamp_ns: int, frame_id: str, data: bytes) -> tuple[str, Any]:
     )  # fmt: skip
 
 
-def test_raw_images_of_a_bag_lose_nothing(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    few = frames[:3]
-    path = write_bag(tmp_path / "run", few, rig, image=raw_image, image_name="image_raw")
-    drive, rejections = read(path, tmp_path / "cache")
+def test_raw_images_of_a_bag_lose_nothing(tmp_path: Path) -> None:
+    few = FRAMES[:3]
+    path = write_bag(tmp_path / "run", few, RIG, image=raw_image, image_name="image_raw")
+    drive, rejections = read(path)
     assert rejections == []
     for pair, frame in zip(drive.frame_pairs, few, strict=True):
         true = cv2.imdecode(np.frombuffer(frame.left or b"", np.uint8), cv2.IMREAD_COLOR)
         np.testing.assert_array_equal(cv2.imread(pair.left_path), true)
 
 
-def test_images_of_a_bag_are_unpacked_once(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_bag(tmp_path / "run", frames[:3], rig)
-    cache = tmp_path / "cache"
-    read(path, cache)
-    files = {p: p.stat().st_ino for p in cache.rglob("*.jpg")}
+def test_images_of_a_bag_are_unpacked_once(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run", FRAMES[:3], RIG)
+    read(path)
+    files = {p: p.stat().st_ino for p in (tmp_path / "cache").rglob("*.jpg")}
     assert len(files) == 6
-    read(path, cache)
-    assert {p: p.stat().st_ino for p in cache.rglob("*") if p.is_file()} == files
+    read(path)
+    assert {p: p.stat().st_ino for p in (tmp_path / "cache").rglob("*") if p.is_file()} == files
 
 
 @pytest.mark.parametrize(("late_ms", "kept"), [(4, 3), (6, 2)])
-def test_pairs_are_made_within_the_tolerance(
-    late_ms: int, kept: int, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
-    path = write_euroc(tmp_path / "run", frames[:3], rig)
-    stamp = frames[1].stamp_ns
+def test_pairs_are_made_within_the_tolerance(late_ms: int, kept: int, tmp_path: Path) -> None:
+    path = write_euroc(tmp_path / "run", FRAMES[:3], RIG)
+    stamp = FRAMES[1].stamp_ns
     change_rows(path, str(stamp), str(stamp + late_ms * 10**6), ("cam1",))
-    drive, rejections = read(path, tmp_path / "cache")
+    drive, rejections = read(path)
     assert len(drive.frame_pairs) == kept
     # each of the two that found no partner is one rejection
     assert [r.reason for r in rejections] == [R.IMAGE_MISSING] * (2 if kept == 2 else 0)
     assert all("5 ms" in r.detail for r in rejections)
 
 
-def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    file = WRITERS["mcap file"](tmp_path / "run", frames[:3], rig)
+def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path) -> None:
+    file = WRITERS["mcap file"](tmp_path / "run", FRAMES[:3], RIG)
     file.write_bytes(file.read_bytes()[:-20_000])
     with pytest.raises(DriveFolderError, match="mcap recover"):
-        read(file, tmp_path / "cache")
+        read(file)
 
 
-def test_a_bag_requires_the_poses_of_cameras_and_antenna(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_bag(tmp_path / "run", frames[:3], rig, connected=False)
+def test_a_bag_requires_the_poses_of_cameras_and_antenna(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run", FRAMES[:3], RIG, connected=False)
     with pytest.raises(CalibrationError, match=r"rig\.yaml with body_SE3_left"):
-        read(path, tmp_path / "cache")
-    shutil.copy(WRITERS["plain"](tmp_path / "plain", frames[:3], rig) / "rig.yaml", path / "rig.yaml")
+        read(path)
+    shutil.copy(WRITERS["plain"](tmp_path / "plain", FRAMES[:3], RIG) / "rig.yaml", path / "rig.yaml")
     with pytest.raises(DriveFolderError, match="antenna_t_m"):
-        read(path, tmp_path / "cache")
+        read(path)
     (path / "drive.yaml").write_text("antenna_t_m: [0.4, -0.2, 1.1]\n")
-    drive, rejections = read(path, tmp_path / "cache")
+    drive, rejections = read(path)
     assert (len(drive.frame_pairs), rejections) == (3, [])
 
 
@@ -299,14 +281,12 @@ def test_a_bag_requires_the_poses_of_cameras_and_antenna(tmp_path: Path, frames:
         ("/imu/data", []),
     ],
 )
-def test_a_damaged_message_costs_itself(
-    topic: str, lost: list[R], tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
+def test_a_damaged_message_costs_itself(topic: str, lost: list[R], tmp_path: Path) -> None:
     def mangle(name: str, number: int, data: bytes) -> bytes:
         return data[:10] if (name, number) == (topic, 3) else data
 
-    path = write_bag(tmp_path / "run", frames, rig, mangle=mangle)
-    drive, rejections = read(path, tmp_path / "cache")
+    path = write_bag(tmp_path / "run", FRAMES, RIG, mangle=mangle)
+    drive, rejections = read(path)
     assert [r.reason for r in rejections] == lost
     assert [r.payload["frame_index"] for r in rejections] == [3] * len(lost)
     assert (len(drive.frame_pairs), drive.expected_frame_count) == (10 - len(lost), 10)
@@ -314,14 +294,14 @@ def test_a_damaged_message_costs_itself(
 
 def costs_one(path: Path, number: int, reason: R, words: str) -> None:
     """Reading a drive of ten frame pairs rejects one of them."""
-    drive, rejections = read(path, path.parent / "cache")
+    drive, rejections = read(path)
     assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(reason, number)]
     assert words in rejections[0].detail
     assert len(drive.frame_pairs) == 9
 
 
-def test_stamps_that_no_driver_set_cost_their_pairs(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    costs_one(write_bag(tmp_path / "run", changed(frames, 4, stamp_ns=0), rig), 4, R.TIMESTAMP_INVALID, "stamp is zero")
+def test_stamps_that_no_driver_set_cost_their_pairs(tmp_path: Path) -> None:
+    costs_one(write_bag(tmp_path / "run", changed(FRAMES, 4, stamp_ns=0), RIG), 4, R.TIMESTAMP_INVALID, "stamp is zero")
 
 
 def change_rows(path: Path, old: str, new: str, cameras: tuple[str, ...] = ("cam0",)) -> None:
@@ -330,29 +310,29 @@ def change_rows(path: Path, old: str, new: str, cameras: tuple[str, ...] = ("cam
         file.write_text(file.read_text().replace(old, new))
 
 
-def test_a_euroc_row_without_a_time_costs_one_pair(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_euroc(tmp_path / "run", frames, rig)
-    change_rows(path, f"{frames[5].stamp_ns},", "soon,", ("cam0", "cam1"))
+def test_a_euroc_row_without_a_time_costs_one_pair(tmp_path: Path) -> None:
+    path = write_euroc(tmp_path / "run", FRAMES, RIG)
+    change_rows(path, f"{FRAMES[5].stamp_ns},", "soon,", ("cam0", "cam1"))
     costs_one(path, 5, R.TIMESTAMP_INVALID, "'soon' is not a time stamp")
 
 
-def test_a_euroc_row_must_stay_inside_the_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_euroc(tmp_path / "run", frames, rig)
-    (tmp_path / "outside.jpg").write_bytes(frames[1].left or b"")
+def test_a_euroc_row_must_stay_inside_the_drive(tmp_path: Path) -> None:
+    path = write_euroc(tmp_path / "run", FRAMES, RIG)
+    (tmp_path / "outside.jpg").write_bytes(FRAMES[1].left or b"")
     change_rows(path, "000001.jpg", "../../../../outside.jpg")
     costs_one(path, 1, R.IMAGE_MISSING, "not a file name inside the drive folder")
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_every_format_has_a_header(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+def test_every_format_has_a_header(name: str, tmp_path: Path) -> None:
+    path = WRITERS[name](tmp_path / "day" / "run", FRAMES, RIG)
     if path.is_dir():
         assert list(find_drives(tmp_path)) == [path]
     found = read_header(path)
-    assert (found.problem, found.drive_id, found.frame_pairs) == (None, "run", len(frames))
-    assert (found.captured_from_ns, found.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
+    assert (found.problem, found.drive_id, found.frame_pairs) == (None, "run", len(FRAMES))
+    assert (found.captured_from_ns, found.captured_to_ns) == (FRAMES[0].stamp_ns, FRAMES[-1].stamp_ns)
     assert read_header(path).header_sha256 == found.header_sha256
-    shorter = WRITERS[name](tmp_path / "other" / "run", frames[:-1], rig)
+    shorter = WRITERS[name](tmp_path / "other" / "run", FRAMES[:-1], RIG)
     assert read_header(shorter).header_sha256 != found.header_sha256
 
 
@@ -362,29 +342,29 @@ def small_file_of(path: Path, name: str) -> Path:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_header_and_reader_use_the_same_drive_yaml(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+def test_header_and_reader_use_the_same_drive_yaml(name: str, tmp_path: Path) -> None:
+    path = WRITERS[name](tmp_path / "day" / "run", FRAMES, RIG)
     before = read_header(path).header_sha256
     (path.parent / "drive.yaml").write_text("drive_id: of-somebody-else\n")
     assert read_header(path).header_sha256 == before
     settings = small_file_of(path, "drive.yaml")
     settings.write_text((settings.read_text() if settings.is_file() else "") + "drive_id: morning\n")
-    whole, _ = read(path, tmp_path / "cache")
+    whole, _ = read(path)
     found = read_header(path)
     assert found.drive_id == whole.drive_id == "morning"
     assert found.header_sha256 != before
     settings.write_text("no_such_key: 1\n")
     with pytest.raises(DriveFolderError) as refusal:
-        read(path, tmp_path / "cache")
+        read(path)
     assert read_header(path).problem == str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["kitti", "plain", "euroc"])
-def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_corrected_poses_are_another_header(name: str, tmp_path: Path) -> None:
     """Post-processing moves the poses and nothing else."""
-    before, corrected = (frames, [replace(f, oxts=(f.oxts[0] + 5e-6, *f.oxts[1:])) for f in frames if f.oxts])
+    before, corrected = (FRAMES, [replace(f, oxts=(f.oxts[0] + 5e-6, *f.oxts[1:])) for f in FRAMES if f.oxts])
     first, then = (
-        read_header(WRITERS[name](tmp_path / part / "run", made, rig)).header_sha256
+        read_header(WRITERS[name](tmp_path / part / "run", made, RIG)).header_sha256
         for part, made in (("before", before), ("after", corrected))
     )
     assert first != then
@@ -400,11 +380,9 @@ def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: l
         ("euroc", "mav0/cam1/data.csv"),
     ],
 )
-def test_missing_poses_are_the_problem_until_they_arrive(
-    name: str, late: str, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
+def test_missing_poses_are_the_problem_until_they_arrive(name: str, late: str, tmp_path: Path) -> None:
     """Trajectories are computed later than images are copied. What was refused without one is another delivery with it."""
-    path = WRITERS[name](tmp_path / "run", frames, rig)
+    path = WRITERS[name](tmp_path / "run", FRAMES, RIG)
     (path / late).rename(tmp_path / "late")
     with pytest.raises(DriveFolderError) as refusal:
         read_drive(path, headers_only=True)
@@ -417,24 +395,22 @@ def test_missing_poses_are_the_problem_until_they_arrive(
     assert after.header_sha256 != before.header_sha256
 
 
-def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = WRITERS["mcap file"](tmp_path / "run", frames[:2], rig)
+def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path) -> None:
+    path = WRITERS["mcap file"](tmp_path / "run", FRAMES[:2], RIG)
     before = read_header(path).header_sha256
-    write_rig_yaml(rig, small_file_of(path, "rig.yaml"))
+    write_rig_yaml(RIG, small_file_of(path, "rig.yaml"))
     assert read_header(path).header_sha256 != before
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_link_to_a_drive_of_any_format_is_that_drive(
-    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
-    path = WRITERS[name](tmp_path / "run", frames[:2], rig)
+def test_a_link_to_a_drive_of_any_format_is_that_drive(name: str, tmp_path: Path) -> None:
+    path = WRITERS[name](tmp_path / "run", FRAMES[:2], RIG)
     link = tmp_path / f"linked{path.suffix}"
     link.symlink_to(path)
     direct, linked = read_header(path), read_header(link)
     assert linked.problem is None
     assert (linked.drive_id, linked.header_sha256) == (direct.drive_id, direct.header_sha256)
-    assert read(link, tmp_path / "cache")[0].drive_id == direct.drive_id
+    assert read(link)[0].drive_id == direct.drive_id
 
 
 OUTSIDE = {"upwards": "../../elsewhere/cam0", "absolute": "{elsewhere}/cam0", "by a link": "linked"}
@@ -442,51 +418,47 @@ OUTSIDE = {"upwards": "../../elsewhere/cam0", "absolute": "{elsewhere}/cam0", "b
 
 @pytest.mark.parametrize("kind", OUTSIDE)
 @pytest.mark.parametrize("stream", ["left", "right", "trajectory"])
-def test_paths_outside_of_a_euroc_drive_are_rejected(
-    kind: str, stream: str, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
-    (write_euroc(tmp_path / "other", frames[:3], rig) / "mav0").rename(tmp_path / "elsewhere")
-    path = write_euroc(tmp_path / "run", frames[:3], rig)
+def test_paths_outside_of_a_euroc_drive_are_rejected(kind: str, stream: str, tmp_path: Path) -> None:
+    (write_euroc(tmp_path / "other", FRAMES[:3], RIG) / "mav0").rename(tmp_path / "elsewhere")
+    path = write_euroc(tmp_path / "run", FRAMES[:3], RIG)
     (path / "mav0" / "linked").symlink_to(tmp_path / "elsewhere" / "cam0")
     named = OUTSIDE[kind].format(elsewhere=tmp_path / "elsewhere")
     with (path / "drive.yaml").open("a") as file:
         file.write(f"streams: {{{stream}: {named}}}\n")
     with pytest.raises(DriveFolderError, match=f"'{named}' is outside the drive folder") as refusal:
-        read(path, tmp_path / "cache")
+        read(path)
     assert read_header(path).problem == str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["../front", "{path}/front"])
-def test_a_camera_may_be_anywhere_inside_of_a_euroc_drive(
-    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
-    path = write_euroc(tmp_path / "run", frames[:3], rig)
+def test_a_camera_may_be_anywhere_inside_of_a_euroc_drive(name: str, tmp_path: Path) -> None:
+    path = write_euroc(tmp_path / "run", FRAMES[:3], RIG)
     (path / "mav0" / "cam0").rename(path / "front")
     with (path / "drive.yaml").open("a") as file:
         file.write(f"streams: {{left: {name.format(path=path)}}}\n")
-    drive, _ = read(path, tmp_path / "cache")
+    drive, _ = read(path)
     found = read_header(path)
     assert (found.problem, found.frame_pairs, len(drive.frame_pairs)) == (None, 3, 3)
 
 
-def test_a_named_kitti_camera_must_not_be_a_link_to_the_outside(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = WRITERS["kitti"](tmp_path / "run", frames[:3], rig)
+def test_a_named_kitti_camera_must_not_be_a_link_to_the_outside(tmp_path: Path) -> None:
+    path = WRITERS["kitti"](tmp_path / "run", FRAMES[:3], RIG)
     (path / "image_02").rename(tmp_path / "elsewhere")
     (path / "image_02").symlink_to(tmp_path / "elsewhere")
     assert read_header(path).problem is None
-    read(path, tmp_path / "cache")  # where nothing is named, links are the user's own layout
+    read(path)  # where nothing is named, links are the user's own layout
     (path / "drive.yaml").write_text("cameras: {left: image_02}\n")
     with pytest.raises(DriveFolderError, match="is outside the drive folder") as refusal:
-        read(path, tmp_path / "cache")
+        read(path)
     assert read_header(path).problem == str(refusal.value)
 
 
-def test_a_bag_whose_metadata_is_a_bomb_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_bag(tmp_path / "run", frames, rig)
+def test_a_bag_whose_metadata_is_a_bomb_is_refused(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run", FRAMES, RIG)
     bomb = "\n".join(f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9) if n else 'x'}]" for n in range(10))
     (path / "metadata.yaml").write_text(bomb)
     with pytest.raises(DriveFolderError, match="each alias counts"):
-        read(path, tmp_path / "cache")
+        read(path)
 
 
 def compressed_chunks(path: Path, compression: CompressionType, extra: bytes) -> None:
@@ -514,42 +486,37 @@ def compressed_chunks(path: Path, compression: CompressionType, extra: bytes) ->
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 @pytest.mark.parametrize("name", ["bag", "mcap file"])
 def test_a_chunk_that_grows_beyond_the_limit_is_refused(
-    name: str,
-    compression: CompressionType,
-    tmp_path: Path,
-    frames: list[Frame],
-    rig: Rig,
-    monkeypatch: pytest.MonkeyPatch,
+    name: str, compression: CompressionType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = WRITERS[name](tmp_path / "run", frames[:3], rig)
+    path = WRITERS[name](tmp_path / "run", FRAMES[:3], RIG)
     file = path if path.is_file() else next(path.glob("*.mcap"))
     compressed_chunks(file, compression, b"")
-    assert len(read(path, tmp_path / "images")[0].frame_pairs) == 3
+    assert len(read(path)[0].frame_pairs) == 3
     data = file.read_bytes()
     at = data.index(bytes([6]), data.index(b"ros2"))  # the chunk, after the header
     file.write_bytes(data[: at + 25] + (2**40).to_bytes(8, "little") + data[at + 33 :])  # the size that it states
-    assert len(read(path, tmp_path / "images")[0].frame_pairs) == 3, "nobody allocates it"
+    assert len(read(path)[0].frame_pairs) == 3, "nobody allocates it"
     monkeypatch.setattr("conetl.readers.drives.bag_messages.MAX_CHUNK_BYTES", 8 << 20)
     file.write_bytes(data)
     compressed_chunks(file, compression, bytes(9 << 20))
     with pytest.raises(DriveFolderError, match=f"{path.name}: .* larger than 8 MB"):
-        read(path, tmp_path / "images")
+        read(path)
 
 
-def test_topics_beyond_all_bounds_are_named_in_short(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_bag(tmp_path / "run", frames[:3], rig, image_name="right" + 300 * "9")
+def test_topics_beyond_all_bounds_are_named_in_short(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run", FRAMES[:3], RIG, image_name="right" + 300 * "9")
     with pytest.raises(DriveFolderError, match="topics of the left and the right camera are unknown") as refused:
-        read(path, tmp_path / "images")
+        read(path)
     assert len(str(refused.value)) < 1000
 
 
-def test_a_lever_arm_that_tf_static_makes_too_long_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    far = rig.model_copy(
-        update={f"body_SE3_{side}": moved(rigs.body_SE3_camera(rig, side)) for side in ("left", "right")}
+def test_a_lever_arm_that_tf_static_makes_too_long_is_refused(tmp_path: Path) -> None:
+    far = RIG.model_copy(
+        update={f"body_SE3_{side}": moved(rigs.body_SE3_camera(RIG, side)) for side in ("left", "right")}
     )
-    path = write_bag(tmp_path / "run", frames[:3], far)
+    path = write_bag(tmp_path / "run", FRAMES[:3], far)
     with pytest.raises(CalibrationError, match=r"the lever arm of body_SE3_left is .* expected at most 100 m"):
-        read(path, tmp_path / "images")
+        read(path)
 
 
 def moved(pose: Any) -> Any:
@@ -557,34 +524,32 @@ def moved(pose: Any) -> Any:
 
 
 @pytest.mark.parametrize("name", ["bag", "mcap file", "odometry bag"])
-def test_a_type_with_other_fields_is_not_the_type(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = WRITERS[name](tmp_path / "run", frames[:3], rig)
+def test_a_type_with_other_fields_is_not_the_type(name: str, tmp_path: Path) -> None:
+    path = WRITERS[name](tmp_path / "run", FRAMES[:3], RIG)
     file = path if path.is_file() else next(f for f in path.iterdir() if f.suffix in (".mcap", ".db3"))
     old, new = (b"float64[9] k", b"float64[9] q")  # the same number of bytes in all definitions of CameraInfo
     assert old in file.read_bytes()
     file.write_bytes(file.read_bytes().replace(old, new))
     with pytest.raises((DriveFolderError, CalibrationError), match=r"CameraInfo|bag cannot be read"):
-        read(path, tmp_path / "images")
+        read(path)
 
 
-def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    path = write_bag(tmp_path / "run", frames[:3], rig)
+def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run", FRAMES[:3], RIG)
     text = (path / "metadata.yaml").read_text()
     text = re.sub("compression_format:.*", "compression_format: zstd", text)
     (path / "metadata.yaml").write_text(re.sub("compression_mode:.*", "compression_mode: file", text))
     with pytest.raises(DriveFolderError, match="compressed as a whole"):
-        read(path, tmp_path / "images")
+        read(path)
 
 
 @pytest.mark.parametrize(
     "row", ["9" * 5000 + ",a.jpg", "1772366401000000000," + "a" * 300, "1772366401000000000,a\0.jpg"]
 )
-def test_rows_of_a_euroc_folder_that_name_no_file_cost_their_pair(
-    row: str, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
-    path = write_euroc(tmp_path / "run", frames, rig)
+def test_rows_of_a_euroc_folder_that_name_no_file_cost_their_pair(row: str, tmp_path: Path) -> None:
+    path = write_euroc(tmp_path / "run", FRAMES, RIG)
     with (path / "mav0/cam0/data.csv").open("a") as file:
         file.write(row + "\n")
-    drive, rejections = read(path, tmp_path / "cache")
-    assert (len(drive.frame_pairs), len(rejections)) == (len(frames), 1)
+    drive, rejections = read(path)
+    assert (len(drive.frame_pairs), len(rejections)) == (len(FRAMES), 1)
     assert len(rejections[0].detail) < 500

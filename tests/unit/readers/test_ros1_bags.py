@@ -12,22 +12,14 @@ from rosbags.rosbag1 import Writer
 from rosbags.rosbag1.reader import Reader
 
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, Rig
+from conetl.model.records import Drive
 from conetl.readers.drives import drive_format, read_drive
 from conetl.readers.drives.header import find_drives, read_header
 from conetl.readers.rigs import write_rig_yaml
-from tests.unit.readers.drive_formats import SAMPLE, SIGMAS, Frame, georeference, sample_frames, write_ros1_bag
+from tests.unit.readers.drive_formats import SIGMAS, georeference, sample_frames, sample_rig, write_ros1_bag
 from tests.unit.readers.test_drive_formats import raw_image
 
-
-@pytest.fixture(scope="module")
-def frames() -> list[Frame]:
-    return sample_frames()[:4]
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return read_drive(SAMPLE)[0].rig
+FRAMES, RIG = sample_frames()[:4], sample_rig()
 
 
 def read(path: Path) -> Drive:
@@ -37,44 +29,42 @@ def read(path: Path) -> Drive:
 
 
 @pytest.mark.parametrize("compression", [*Writer.CompressionFormat])
-def test_compression_changes_nothing(
-    compression: Writer.CompressionFormat, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
-    plain = read(write_ros1_bag(tmp_path / "plain" / "run", frames, rig))
-    packed = write_ros1_bag(tmp_path / "packed" / "run", frames, rig, compression=compression, chunk_bytes=50_000)
+def test_compression_changes_nothing(compression: Writer.CompressionFormat, tmp_path: Path) -> None:
+    plain = read(write_ros1_bag(tmp_path / "plain" / "run", FRAMES, RIG))
+    packed = write_ros1_bag(tmp_path / "packed" / "run", FRAMES, RIG, compression=compression, chunk_bytes=50_000)
     assert read(packed).content_sha256 == plain.content_sha256
 
 
-def test_a_folder_with_one_bag_is_a_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    file = write_ros1_bag(tmp_path / "day" / "run" / "2026-03-02-10-00-00", frames, rig, odometry=True)
+def test_a_folder_with_one_bag_is_a_drive(tmp_path: Path) -> None:
+    file = write_ros1_bag(tmp_path / "day" / "run" / "2026-03-02-10-00-00", FRAMES, RIG, odometry=True)
     folder = file.parent
-    (folder / "drive.yaml").write_text(georeference(frames) + SIGMAS)
+    (folder / "drive.yaml").write_text(georeference(FRAMES) + SIGMAS)
     assert (drive_format(folder), list(find_drives(tmp_path))) == ("bag", [folder])
-    assert (read_header(folder).problem, read_header(folder).frame_pairs) == (None, len(frames))
+    assert (read_header(folder).problem, read_header(folder).frame_pairs) == (None, len(FRAMES))
     drive = read(folder)
-    assert (drive.drive_id, len(drive.frame_pairs)) == ("run", len(frames))
+    assert (drive.drive_id, len(drive.frame_pairs)) == ("run", len(FRAMES))
     (folder / "drive.yaml").unlink()
     shutil.copy(file, folder / "2026-03-02-10-05-00.bag")
     with pytest.raises(DriveFolderError, match=r"holds 2 drives \(2026-03-02-10-00-00.bag"):
         read(folder)
 
 
-def test_settings_beside_a_bare_bag(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    file = write_ros1_bag(tmp_path / "run", frames, rig, connected=False)
+def test_settings_beside_a_bare_bag(tmp_path: Path) -> None:
+    file = write_ros1_bag(tmp_path / "run", FRAMES, RIG, connected=False)
     (tmp_path / "run.drive.yaml").write_text("drive_id: morning\nantenna_t_m: [0.4, -0.2, 1.1]\n")
     with pytest.raises(CalibrationError, match=r"put a run\.rig\.yaml with body_SE3_left"):
         read(file)
-    write_rig_yaml(rig, tmp_path / "run.rig.yaml")
+    write_rig_yaml(RIG, tmp_path / "run.rig.yaml")
     assert read(file).drive_id == "morning"
 
 
-def test_raw_images(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    drive = read(write_ros1_bag(tmp_path / "run", frames[:2], rig, image=raw_image, image_name="image_raw"))
+def test_raw_images(tmp_path: Path) -> None:
+    drive = read(write_ros1_bag(tmp_path / "run", FRAMES[:2], RIG, image=raw_image, image_name="image_raw"))
     assert [Path(pair.left_path).suffix for pair in drive.frame_pairs] == [".png", ".png"]
 
 
-def test_types_that_are_not_used_may_have_any_definition(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    file = write_ros1_bag(tmp_path / "run", frames, rig)
+def test_types_that_are_not_used_may_have_any_definition(tmp_path: Path) -> None:
+    file = write_ros1_bag(tmp_path / "run", FRAMES, RIG)
     writer_add = Writer.add_connection
 
     def add(self: Writer, topic: str, msgtype: str, **options: Any) -> Any:
@@ -84,13 +74,13 @@ def test_types_that_are_not_used_may_have_any_definition(tmp_path: Path, frames:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Writer, "add_connection", add)
-        other = write_ros1_bag(tmp_path / "other" / "run", frames, rig)
+        other = write_ros1_bag(tmp_path / "other" / "run", FRAMES, RIG)
     assert read(other).content_sha256 == read(file).content_sha256
 
 
 @pytest.mark.parametrize("cut", [20, 2_000, 150_000])
-def test_a_bag_that_was_cut_off_is_refused(cut: int, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    file = write_ros1_bag(tmp_path / "run", frames, rig)
+def test_a_bag_that_was_cut_off_is_refused(cut: int, tmp_path: Path) -> None:
+    file = write_ros1_bag(tmp_path / "run", FRAMES, RIG)
     file.write_bytes(file.read_bytes()[:-cut])
     with pytest.raises(DriveFolderError, match=r"run\.bag: the bag cannot be read: .*'rosbag reindex run\.bag'"):
         read(file)
@@ -98,9 +88,9 @@ def test_a_bag_that_was_cut_off_is_refused(cut: int, tmp_path: Path, frames: lis
     assert problem is not None and "rosbag reindex" in problem
 
 
-def test_a_bag_without_an_index_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_a_bag_without_an_index_is_refused(tmp_path: Path) -> None:
     """As a recorder that died leaves it: index_pos is written last."""
-    file = write_ros1_bag(tmp_path / "run", frames, rig)
+    file = write_ros1_bag(tmp_path / "run", FRAMES, RIG)
     data = file.read_bytes()
     at = data.index(b"index_pos=") + 10
     file.write_bytes(data[:at] + bytes(8) + data[at + 8 :])
@@ -110,20 +100,16 @@ def test_a_bag_without_an_index_is_refused(tmp_path: Path, frames: list[Frame], 
 
 @pytest.mark.parametrize("compression", [None, *Writer.CompressionFormat])
 def test_a_chunk_beyond_the_limit_is_refused(
-    compression: Writer.CompressionFormat | None,
-    tmp_path: Path,
-    frames: list[Frame],
-    rig: Rig,
-    monkeypatch: pytest.MonkeyPatch,
+    compression: Writer.CompressionFormat | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("conetl.readers.drives.bag_messages.MAX_CHUNK_BYTES", 200_000)
-    file = write_ros1_bag(tmp_path / "run", frames, rig, compression=compression, chunk_bytes=1 << 20)
+    file = write_ros1_bag(tmp_path / "run", FRAMES, RIG, compression=compression, chunk_bytes=1 << 20)
     with pytest.raises(DriveFolderError, match=r"chunk is .*larger than 0 MB: record smaller chunks"):
         read(file)
 
 
-def test_an_index_that_names_a_message_twice_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
-    file = write_ros1_bag(tmp_path / "run", frames, rig, chunk_bytes=1 << 22)
+def test_an_index_that_names_a_message_twice_is_refused(tmp_path: Path) -> None:
+    file = write_ros1_bag(tmp_path / "run", FRAMES, RIG, chunk_bytes=1 << 22)
     with Reader(file) as reader:
         fixes = next(reader.indexes[c.id] for c in reader.connections if c.topic == "/gnss/fix")
         first, second = fixes[0].offset, fixes[1].offset
@@ -135,9 +121,9 @@ def test_an_index_that_names_a_message_twice_is_refused(tmp_path: Path, frames: 
         read(file)
 
 
-def test_an_index_that_names_a_chunk_often_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_an_index_that_names_a_chunk_often_is_refused(tmp_path: Path) -> None:
     """Each chunk info at the end of the file may point to the largest chunk."""
-    file = write_ros1_bag(tmp_path / "run", frames, rig, chunk_bytes=60_000)
+    file = write_ros1_bag(tmp_path / "run", FRAMES, RIG, chunk_bytes=60_000)
     with Reader(file) as reader:
         positions = [info.pos for info in reader.chunk_infos]
     data = file.read_bytes()

@@ -13,6 +13,7 @@ import av
 import numpy as np
 import pytest
 import yaml
+from click.testing import Result
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
@@ -84,15 +85,24 @@ def folder(sample: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_video_drive(tmp_path_factory.mktemp("video") / "run", sample)
 
 
-def with_settings(folder: Path, tmp_path: Path, text: str) -> Path:
-    """The same files with another drive.yaml."""
+def copied(folder: Path, tmp_path: Path, *left_out: str, settings: str | None = None) -> Path:
+    """The other files, with another drive.yaml or without one."""
     copy = tmp_path / "copy"
-    copy.mkdir()
+    copy.mkdir(parents=True)
     for path in folder.iterdir():
-        (copy / path.name).hardlink_to(path)
-    (copy / "drive.yaml").unlink()
-    (copy / "drive.yaml").write_text(text)
+        if path.name not in ("drive.yaml", *left_out):
+            (copy / path.name).hardlink_to(path)
+    if settings is not None:
+        (copy / "drive.yaml").write_text(settings)
     return copy
+
+
+def init(folder: Path, *options: str) -> Result:
+    return CliRunner().invoke(app, ["init", str(folder), "--yes", *options])
+
+
+def start_of(drive: Drive) -> str:
+    return f"{np.datetime64(drive.frame_pairs[0].captured_at_ns, 'ns')}Z".replace("T", " ")
 
 
 @pytest.mark.parametrize("name", VIDEOS)
@@ -135,8 +145,7 @@ def test_cones_of_a_bag_are_those_of_the_images(whole: Drive, cones: np.ndarray,
 @pytest.mark.parametrize("name", LOGS)
 def test_every_log_gives_the_poses_of_the_drive(name: str, folder: Path, tmp_path: Path, sample: Drive) -> None:
     """Positions alone show neither attitude nor, by their heading, how far the camera is from the antenna."""
-    videos = with_settings(folder, tmp_path, (folder / "drive.yaml").read_text())
-    (videos / "drive.csv").unlink()
+    videos = copied(folder, tmp_path, "drive.csv", settings=(folder / "drive.yaml").read_text())
     drive, _ = read_drive(with_log(videos, tmp_path / "run", LOGS[name], known_of(sample)))
     assert len(drive.frame_pairs) >= COUNT - 2
     true = {pair.captured_at_ns // 10**6: pair.pose for pair in sample.frame_pairs}
@@ -151,7 +160,7 @@ def test_every_log_gives_the_poses_of_the_drive(name: str, folder: Path, tmp_pat
 
 def test_a_part_of_the_recording(folder: Path, tmp_path: Path, sample: Drive) -> None:
     text = (folder / "drive.yaml").read_text().replace("}", ", every: 3, from_s: 0.3, to_s: 1.2}")
-    drive, _ = read_drive(with_settings(folder, tmp_path, text))
+    drive, _ = read_drive(copied(folder, tmp_path, settings=text))
     start_ns = sample.frame_pairs[0].captured_at_ns
     inside = [t for pair in sample.frame_pairs if 0.3e9 <= (t := pair.captured_at_ns) - start_ns <= 1.2e9]
     assert len(drive.frame_pairs) == len(inside[::3])
@@ -170,7 +179,7 @@ def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive, folders: 
     write_rig_yaml(sample.rig, root / "rig.yaml")
     write_csv(root, known_of(sample))
     if left == "left":
-        made = CliRunner().invoke(app, ["init", str(root), "--yes"])
+        made = init(root)
         assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
     else:
         (root / "drive.yaml").write_text(f"images: {{left: {left}, right: {right}}}\n")
@@ -206,17 +215,17 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     write_rig_yaml(sample.rig, root / "rig.yaml")
     write_csv(root, known_of(sample))
     (root / "times.txt").write_text("\n".join(f"{p.captured_at_ns}" for p in sample.frame_pairs))
-    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--start", "2026-03-02 09:41:07Z"])
+    made = init(root, "--start", "2026-03-02 09:41:07Z")
     said = str(made.exception)
     assert "names of the images in left (0000.jpg to 0015.jpg) are no times" in said and "--timestamps: " in said
     assert "images.start is for videos" in said and not (root / "drive.yaml").exists()
-    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--timestamps", "time.txt"])
+    made = init(root, "--timestamps", "time.txt")
     assert "--timestamps time.txt: there is no such file" in str(made.exception)
     (root / "local.txt").write_text("\n".join(f"{p.captured_at_ns + 3600 * 10**9}" for p in sample.frame_pairs))
-    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--timestamps", "local.txt"])
+    made = init(root, "--timestamps", "local.txt")
     assert made.exit_code == 1 and "its own are from 2026-03-02T09:41:07" in made.output
     assert "trajectory.time: Europe/Berlin" in made.output
-    made = CliRunner().invoke(app, ["init", str(root), "--yes", "--force", "--timestamps", "times.txt"])
+    made = init(root, "--force", "--timestamps", "times.txt")
     assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
     drive, _ = read_drive(root)
     assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
@@ -235,22 +244,15 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
             start + "}\ntrajectory: {file: ../drive.csv}": "outside the drive folder",
         }.items()
     ):
-        (tmp_path / str(number)).mkdir()
-        copy = with_settings(folder, tmp_path / str(number), text)
+        copy = copied(folder, tmp_path / str(number), settings=text)
         (copy / "stills").mkdir()
         with pytest.raises((DriveFolderError, CalibrationError), match=message):
             read_drive(copy)
-    for number, (name, message) in enumerate(
-        {"drive.csv": "which file is the trajectory", "rig.yaml": r"rig\.yaml is missing"}.items()
-    ):
-        (tmp_path / f"without {number}").mkdir()
-        copy = with_settings(folder, tmp_path / f"without {number}", start + "}")
-        (copy / name).unlink()
+    for name, message in (("drive.csv", "which file is the trajectory"), ("rig.yaml", r"rig\.yaml is missing")):
+        copy = copied(folder, tmp_path / f"without {name}", name, settings=start + "}")
         with pytest.raises((DriveFolderError, CalibrationError), match=message):
             read_drive(copy)
-    (tmp_path / "still").mkdir()
-    still = with_settings(folder, tmp_path / "still", "images: {start: '2026-03-02 09:41:07'}")
-    (still / "right.mp4").unlink()
+    still = copied(folder, tmp_path / "still", "right.mp4", settings="images: {start: '2026-03-02 09:41:07'}")
     image, times = np.full((320, 960, 3), 90, np.uint8), [pair.captured_at_ns for pair in sample.frame_pairs]
     write_frames(still / "right.mp4", [image] * COUNT, times, "libx264", {})
     with pytest.raises(DriveFolderError, match=r"do not show how right\.mp4 and left\.mp4 are shifted in time"):
@@ -262,8 +264,7 @@ def test_a_mount_takes_the_place_of_the_pose_in_the_rig(folder: Path, tmp_path: 
     free = rig.model_copy(
         update={"body_SE3_left": np.eye(4).tolist(), "body_SE3_right": rigs.left_SE3_right(rig).tolist()}
     )
-    copy = with_settings(folder, tmp_path, (folder / "drive.yaml").read_text())
-    (copy / "rig.yaml").unlink()
+    copy = copied(folder, tmp_path, "rig.yaml", settings=(folder / "drive.yaml").read_text())
     write_rig_yaml(Rig.model_validate(free), copy / "rig.yaml")
     with pytest.raises(CalibrationError, match="where the cameras are on the vehicle is unknown"):
         read_drive(copy)
@@ -290,10 +291,8 @@ def test_one_recording_is_a_drive_for_each_stereo_pair(folder: Path, tmp_path: P
     text = (folder / "drive.yaml").read_text()
     found = {}
     for name in ("main", "wide", "none"):
-        (tmp_path / name).mkdir()
         chosen = f"pair: [{name}_left, {name}_right]\n" if name != "none" else ""
-        copy = with_settings(folder, tmp_path / name, f"{text}drive_id: {name}\n{chosen}")
-        (copy / "rig.yaml").unlink()
+        copy = copied(folder, tmp_path / name, "rig.yaml", settings=f"{text}drive_id: {name}\n{chosen}")
         (copy / "rig.yaml").write_text(yaml.safe_dump({"rig_id": "van", "cameras": cameras}))
         if not chosen:
             with pytest.raises(CalibrationError, match=r"4 cameras.*'pair: \[LEFT, RIGHT\]' in drive\.yaml"):
@@ -318,21 +317,19 @@ def test_frames_are_found_for_people_inside_the_drive_only(folder: Path) -> None
 
 
 def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: Drive) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    (copy / "drive.yaml").unlink()
-    start = np.datetime64(sample.frame_pairs[0].captured_at_ns, "ns")
-    arguments = ["init", str(copy), "--yes", "--right-offset", "0", "--start", f"{start}Z".replace("T", " ")]
-    made = CliRunner().invoke(app, arguments)
+    copy = copied(folder, tmp_path)
+    known = ("--right-offset", "0", "--start", start_of(sample))
+    made = init(copy, *known)
     assert made.exit_code == 0, made.output
     assert "16 frame pairs" in made.output and f"conetl ingest {copy}" in made.output
     assert len(read_drive(copy)[0].frame_pairs) == COUNT
-    again = CliRunner().invoke(app, arguments)
+    again = init(copy, *known)
     assert again.exit_code != 0 and "--force" in str(again.exception)
-    part = CliRunner().invoke(app, [*arguments, "--force", "--every", "3", "--from", "0.15", "--to", "1.05"])
+    part = init(copy, *known, "--force", "--every", "3", "--from", "0.15", "--to", "1.05")
     assert part.exit_code == 0, part.output
     whole, shorter = sample.frame_pairs[0].captured_at_ns, [p.captured_at_ns for p in read_drive(copy)[0].frame_pairs]
     assert [round((t - whole) / 1e8) for t in shorter] == [2, 5, 8]  # of frames 0.1 s apart
-    backwards = CliRunner().invoke(app, [*arguments, "--force", "--from", "5", "--to", "2"])
+    backwards = init(copy, *known, "--force", "--from", "5", "--to", "2")
     assert "--to 2 is not after --from 5" in str(backwards.exception)
     drive = CliRunner().invoke(app, ["init", str(SAMPLE), "--json"])
     assert json.loads(drive.output)["next"][1] == f"conetl ingest {SAMPLE}"
@@ -340,16 +337,14 @@ def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: 
 
 @pytest.mark.parametrize("codec", ["libx264", "libx265"])
 def test_init_makes_a_drive_of_a_zed_recording(codec: str, folder: Path, tmp_path: Path, sample: Drive) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    for name in ("drive.yaml", "left.mp4", "right.mp4"):
-        (copy / name).unlink()
+    copy = copied(folder, tmp_path, "left.mp4", "right.mp4")
     both = [np.hstack([read_pair_image(p, s, sample.rig) for s in ("left", "right")]) for p in sample.frame_pairs]
     times_ns = [pair.captured_at_ns for pair in sample.frame_pairs]
     options = {"crf": "18", "g": "5"} | ({} if codec == "libx264" else {"x265-params": "log-level=none"})
     path = write_svo2(copy / "road.svo2", both, times_ns, codec, options)
     with pytest.raises(DriveFolderError, match=f"conetl init {copy}"):
         read_drive(copy)
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+    made = init(copy)
     assert made.exit_code == 0, made.output
     assert f"{COUNT} frames" in made.output and "SN38486288.conf" in made.output
     drive, rejections = read_drive(copy)
@@ -358,63 +353,59 @@ def test_init_makes_a_drive_of_a_zed_recording(codec: str, folder: Path, tmp_pat
     for n, side in ((0, "left"), (7, "right"), (15, "left"), (3, "right")):
         found, true = (read_pair_image(d.frame_pairs[n], side, d.rig) for d in (drive, sample))
         assert same_image(found, true)
-    again = CliRunner().invoke(app, ["init", str(copy), "--yes", "--force"])
+    again = init(copy, "--force")
     assert again.exit_code == 0, again.output
     path.write_bytes(path.read_bytes()[:-2000])
-    assert "mcap recover" in str(CliRunner().invoke(app, ["init", str(copy), "--yes", "--force"]).exception)
+    assert "mcap recover" in str(init(copy, "--force").exception)
 
 
 def test_zed_recordings_of_other_layouts_name_the_tool_that_exports_them(tmp_path: Path) -> None:
     (tmp_path / "a.svo").write_bytes(b"ZED")
-    said = [str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception)]
+    said = [str(init(tmp_path).exception)]
     (tmp_path / "a.svo").unlink()
     images = [np.zeros((64, 128, 3), np.uint8)] * 2
     write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "mjpeg", {"strict": "-1"})
-    said.append(str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception))
+    said.append(str(init(tmp_path).exception))
     write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "libx264", {})
     whole = (tmp_path / "a.svo2").read_bytes()
     (tmp_path / "a.svo2").write_bytes(whole.replace(b"\0\0\x01\x67", b"\0\0\x01\x0c"))  # without the size of its images
-    said.append(str(CliRunner().invoke(app, ["init", str(tmp_path), "--yes"]).exception))
+    said.append(str(init(tmp_path).exception))
     assert all("svo_export.py --mode 0" in text for text in said), said
     assert "has no parameters of H.264 or H.265" in said[-1]
     assert not (tmp_path / "a.mp4").exists()
 
 
 def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    for name in ("drive.yaml", "rig.yaml", "drive.csv"):
-        (copy / name).unlink()
+    copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
     (copy / "left.mp4").rename(copy / "front.mp4")
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+    made = init(copy)
     assert made.exit_code != 0
     assert all(f"--{option}: " in str(made.exception) for option in ("left", "trajectory", "rig"))
     for header, option in (("time,easting,northing,h", "crs"), ("time,lat,lon,h_msl", "heights")):
         (copy / "log.csv").write_text(f"{header}\n1707297300,49,8,110\n1707297301,49.0001,8,110\n")
-        made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+        made = init(copy)
         assert f"--{option}: In which" in str(made.exception), made.exception
     assert not (copy / "drive.yaml").exists()
 
 
 def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path, sample: Drive) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    (copy / "drive.yaml").unlink()
+    copy = copied(folder, tmp_path)
     log = copy / "drive.csv"
     rows = [line.split(",")[:7] for line in log.read_text().splitlines()[2:]]
     log.unlink()
     names = ["Messzeit", "geogr. Breite", "geogr. Länge", "Höhe, ell.", "Wanken [°]", "Nicken [°]", "Kurs"]
     table = [";".join(names), *(";".join([row[0].rstrip("Z"), *row[1:]]) for row in rows)]
     (copy / "Fahrt.csv").write_text("\n".join(table), encoding="cp1252")
-    start = f"{np.datetime64(sample.frame_pairs[0].captured_at_ns, 'ns')}Z".replace("T", " ")
-    known = ["init", str(copy), "--yes", "--start", start, "--right-offset", "0", "--sigma", "0.02", "--mount", "1,0,1"]
-    said = str(CliRunner().invoke(app, known).exception)
+    known = ["--start", start_of(sample), "--right-offset", "0", "--sigma", "0.02", "--mount", "1,0,1"]
+    said = str(init(copy, *known).exception)
     assert "--trajectory: " in said and "none was recognised; there is Fahrt.csv" in said
     known += ["--trajectory", "Fahrt.csv"]
-    said = str(CliRunner().invoke(app, known).exception)
+    said = str(init(copy, *known).exception)
     assert "--columns: Which column is what" in said and "found Messzeit, geogr. Breite, " in said, said
-    made = CliRunner().invoke(app, [*known, "--columns", "Messzeit,2"])
+    made = init(copy, *known, "--columns", "Messzeit,2")
     assert "--columns 'Messzeit,2': expected names as in time=Zeit" in str(made.exception)
     columns = ["--columns", "time=Messzeit, lat=2,lon=3,height=4,roll=5,pitch=6,heading=Kurs"]
-    made = CliRunner().invoke(app, [*known, *columns])
+    made = init(copy, *known, *columns)
     assert made.exit_code == 0, made.exception
     assert "Fahrt.csv: times taken as UTC; if they are local" in made.output, made.output
     assert "Fahrt.csv: heights taken as ellipsoidal; if they are not" in made.output, made.output
@@ -429,35 +420,32 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
     # With --force the columns stay, whatever characters their names have; a line without time is not why no record fits.
     stated["height"] = "Höhe, ell."
     (copy / "drive.yaml").write_text(yaml.safe_dump({"trajectory": {"file": "Fahrt.csv", "columns": stated}}))
-    made = CliRunner().invoke(app, [*known, "--force", "--time", "utc"])
+    made = init(copy, *known, "--force", "--time", "utc")
     assert made.exit_code == 0 and "taken as UTC" not in made.output, made.exception
     assert yaml.safe_load((copy / "drive.yaml").read_text())["trajectory"]["columns"] == stated
-    made = CliRunner().invoke(
-        app, [*known, "--force", "--time", "Asia/Tokyo", "--columns", columns[1].replace("Messzeit", "1")]
-    )
+    made = init(
+        copy, *known, "--force", "--time", "Asia/Tokyo", "--columns", columns[1].replace("Messzeit", "1")
+    )  # fmt: skip
     assert made.exit_code == 2 or isinstance(made.exception, ConetlError), made.output
     assert "Fahrt.csv is of 2026-03-02 00:41:07 to 2026-03-02 00:41:" in str(made.exception), made.exception
 
 
 def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: Path, tmp_path: Path) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    WRITERS["opencv"](read_rig_yaml(copy / "rig.yaml"), tmp_path / "stereo.yml")
-    for name in ("drive.yaml", "rig.yaml"):
-        (copy / name).unlink()
+    copy = copied(folder, tmp_path, "rig.yaml")
+    WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), tmp_path / "stereo.yml")
     text = "\n".join(x for x in (tmp_path / "stereo.yml").read_text().splitlines() if not x.startswith("image_"))
     (copy / "stereo.yml").write_text(text)
-    known = ["init", str(copy), "--yes"]
-    made = CliRunner().invoke(app, known)
+    made = init(copy)
     assert "calibration stereo.yml (OpenCV stereo calibration): 960 x 320" in made.output
     # Not that of images of another size: its principal point would be off their centre.
     (copy / "stereo.yml").write_text(text.replace("478.", "956."))
-    made = CliRunner().invoke(app, known)
+    made = init(copy)
     assert "stereo.yml is not used as a calibration: 'image_width, image_height' are missing" in made.output
     assert "--rig: Which file" in str(made.exception)
     # Which is not known before it is known how the images lie in a file.
     (copy / "stereo.yml").write_text(text)
     (copy / "right.mp4").unlink()
-    made = CliRunner().invoke(app, known)
+    made = init(copy)
     assert "--layout: How do" in str(made.exception) and "--rig" not in str(made.exception)
     assert "stereo.yml" not in made.output
 
@@ -465,15 +453,12 @@ def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: 
 def test_init_finds_files_that_are_named_from_the_current_folder(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    (copy / "drive.yaml").unlink()
+    copy = copied(folder, tmp_path)
     (copy / "rig.yaml").rename(tmp_path / "van.yaml")
     (copy / "left.mp4").rename(copy / "a.mp4")
     monkeypatch.chdir(tmp_path)
     files = ["--left", "copy/a.mp4", "--trajectory", "copy/drive.csv", "--rig", "van.yaml"]
-    made = CliRunner().invoke(
-        app, ["init", "copy", "--yes", "--right-offset", "0", "--start", "2026-03-02 09:41:07.25", *files]
-    )
+    made = init(Path("copy"), "--right-offset", "0", "--start", "2026-03-02 09:41:07.25", *files)
     assert made.exit_code == 0, (made.exception, made.output)
     stated = yaml.safe_load((copy / "drive.yaml").read_text())
     assert (stated["images"]["left"], stated["trajectory"]["file"]) == ("a.mp4", "drive.csv")
@@ -482,14 +467,10 @@ def test_init_finds_files_that_are_named_from_the_current_folder(
 
 def test_init_names_all_that_is_missing_at_once(folder: Path, tmp_path: Path, sample: Drive) -> None:
     """Where the mount is missing, too, which the search for the start needs."""
-    copy = with_settings(folder, tmp_path, "")
-    (copy / "drive.yaml").unlink()
-    (copy / "rig.yaml").rename(tmp_path / "rig.yaml")
-    WRITERS["opencv"](read_rig_yaml(tmp_path / "rig.yaml"), copy / "stereo.yml")
-    known = known_of(sample)
-    (copy / "drive.csv").unlink()
-    LOGS["GPX"].write(copy, known)
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes"])
+    copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
+    WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), copy / "stereo.yml")
+    LOGS["GPX"].write(copy, known_of(sample))
+    made = init(copy)
     missing = [line.split(":")[0] for line in str(made.exception).splitlines()[1:]]
     assert missing == ["  --sigma", "  --mount", "  --right-offset", "  --start"], made.exception
 
@@ -497,16 +478,14 @@ def test_init_names_all_that_is_missing_at_once(folder: Path, tmp_path: Path, sa
 def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(
     folder: Path, tmp_path: Path
 ) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    (copy / "drive.yaml").unlink()
-    (copy / "rig.yaml").rename(tmp_path / "rig.yaml")
-    WRITERS["opencv"](read_rig_yaml(tmp_path / "rig.yaml"), copy / "stereo.yml")
+    copy = copied(folder, tmp_path, "rig.yaml")
+    WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), copy / "stereo.yml")
     files = {path.name: path.read_bytes() for path in copy.iterdir()}
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--mount", "1,0,1"])
+    made = init(copy, "--right-offset", "0", "--mount", "1,0,1")
     assert made.exit_code != 0 and "--start: When was the first frame" in str(made.exception)
     assert {path.name: path.read_bytes() for path in copy.iterdir()} == files, "nor the calibration that it found"
     assert "time of creation" not in str(made.exception)
-    (tmp_path / "rig.yaml").rename(copy / "rig.yaml")
+    (copy / "rig.yaml").hardlink_to(folder / "rig.yaml")
     (copy / "left.mp4").unlink()
     with av.open(str(folder / "left.mp4")) as source, av.open(str(copy / "left.mp4"), "w") as container:
         container.metadata["creation_time"] = "2026-03-02T09:41:07Z"
@@ -515,14 +494,14 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
             if packet.dts is not None:
                 packet.stream = stream
                 container.mux(packet)
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
+    made = init(copy, "--right-offset", "0")
     assert "left.mp4 states 2026-03-02 09:41:07 UTC as its time of creation" in str(made.exception)
     (copy / "left.mp4").unlink()
     (copy / "left.mp4").hardlink_to(folder / "left.mp4")
     rows = (copy / "drive.csv").read_text().splitlines()
     (copy / "drive.csv").unlink()
     (copy / "drive.csv").write_text("\n".join([*rows, rows[-1].replace("T09:", "T19:", 1)]))
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0"])
+    made = init(copy, "--right-offset", "0")
     assert "hours with the video) to search" in str(made.exception)
     for option, value, says in (
         ("--start", "2026-03-02 22:41:07.250", "the video of another time; state --start with its offset"),
@@ -533,23 +512,24 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
         ("--time", "noon", "expected utc, gps or a zone"),
         ("--layout", "noon", "noon"),
     ):
-        made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", option, value])
+        made = init(copy, "--right-offset", "0", option, value)
         assert isinstance(made.exception, ConetlError | SystemExit), (option, made.exception)
         assert says in f"{made.exception}{made.output}", option
 
 
 def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path, sample: Drive) -> None:
     start = "2026-03-02 09:41:07Z"
-    copy = with_settings(
+    copy = copied(
         folder,
         tmp_path,
-        f"drive_id: ring road\nimages: {{start: '{start}', right_offset_s: 0, every: 2, left: left.mp4, right: right.mp4}}\n"
+        settings="drive_id: ring road\n"
+        f"images: {{start: '{start}', right_offset_s: 0, every: 2, left: left.mp4, right: right.mp4}}\n"
         "trajectory: {file: drive.csv}\nclock: {offset_s: 0.0, sigma_s: 0.02}\n"
         "mount: {forward_m: 1.5, left_m: 0.2, up_m: 0.4, pitch_deg: 10}\n",
     )
 
     def renewed(*options: str) -> dict[str, dict[str, object]]:
-        made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--force", *options])
+        made = init(copy, "--force", *options)
         assert made.exit_code == 0, made.output
         assert "kept from drive.yaml: " in made.output
         assert "every" not in made.output or "--every" not in options
@@ -576,7 +556,7 @@ def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path
     after = renewed("--right", "r.mp4", "--trajectory", "other.csv")
     assert after["images"]["start"] == "2026-03-02 09:41:07.010000000Z" and after["images"]["right_offset_s"] == 0.0
     (copy / "drive.yaml").write_text("images: [\n")
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--force", "--right", "r.mp4"])
+    made = init(copy, "--force", "--right", "r.mp4")
     assert "written anew without it" in made.output and "kept" not in made.output
     (copy / "drive.yaml").write_text("images: [\n")
     options = ["--right", "r.mp4", "--start", start, "--right-offset", "0"]
@@ -589,21 +569,17 @@ def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path
 def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_images(
     folder: Path, tmp_path: Path, sample: Drive
 ) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    rig = read_rig_yaml(copy / "rig.yaml")
-    for name in ("drive.yaml", "rig.yaml"):
-        (copy / name).unlink()
+    copy, rig = copied(folder, tmp_path, "rig.yaml"), read_rig_yaml(folder / "rig.yaml")
     wrong = {s: getattr(rig, s).model_copy(update={"height_px": rig.left.height_px + 2}) for s in ("left", "right")}
     write_rig_yaml(rig.model_copy(update=wrong), copy / "rig.yaml")
     WRITERS["opencv"](rig, copy / "stereo.yml")
     for side, name in (("left", "GX01_L.mp4"), ("right", "GX01_R.mp4")):
         (copy / f"{side}.mp4").rename(copy / name)
-    start = f"{np.datetime64(sample.frame_pairs[0].captured_at_ns, 'ns')}Z".replace("T", " ")
-    options = ["--yes", "--mount", "1,0,1", "--start", start, "--right-offset", "0"]
-    made = CliRunner().invoke(app, ["init", str(copy), *options])
+    options = ["--mount", "1,0,1", "--start", start_of(sample), "--right-offset", "0"]
+    made = init(copy, *options)
     assert "calibration rig.yaml: for images of 960 x 322, these have 960 x 320" in made.output
     assert "the cameras (stereo.yml)?" in str(made.exception) and "It replaces rig.yaml." in str(made.exception)
-    made = CliRunner().invoke(app, ["init", str(copy), *options, "--rig", "stereo.yml"])
+    made = init(copy, *options, "--rig", "stereo.yml")
     assert made.exit_code == 0, made.exception
     assert read_rig_yaml(copy / "rig.yaml").left.height_px == 320
     assert yaml.safe_load((copy / "drive.yaml").read_text())["images"]["right"] == "GX01_R.mp4"
@@ -615,49 +591,39 @@ def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_
             (copy / side / f"{pair.captured_at_ns}{path.suffix}").hardlink_to(path)
     (copy / "drive.yaml").unlink()
     (copy / "GX01_R.mp4").unlink()
-    made = CliRunner().invoke(app, ["init", str(copy), *options])
+    made = init(copy, *options)
     assert "--layout: How do" in str(made.exception) and "--rig" not in str(made.exception)
     (copy / "GX01_L.mp4").unlink()
     write_rig_yaml(rig.model_copy(update=wrong), copy / "rig.yaml")
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--mount", "1,0,1"])
+    made = init(copy, "--mount", "1,0,1")
     assert "calibration rig.yaml: for images of 960 x 322, these have 960 x 320" in made.output
 
 
 def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample: Drive) -> None:
-    copy = with_settings(folder, tmp_path, "")
-    (copy / "drive.yaml").unlink()
+    copy = copied(folder, tmp_path)
     rows = (copy / "drive.csv").read_text().splitlines(keepends=True)
     (copy / "drive.csv").unlink()
     (copy / "drive.csv").write_text("".join(rows[:-4]))
-    start = f"{np.datetime64(sample.frame_pairs[0].captured_at_ns, 'ns')}Z".replace("T", " ")
-    made = CliRunner().invoke(app, ["init", str(copy), "--yes", "--right-offset", "0", "--start", start])
+    start = start_of(sample)
+    made = init(copy, "--right-offset", "0", "--start", start)
     assert made.exit_code == 0, made.output
     assert "12 of 16 frame pairs can be used." in made.output
     assert "pose missing: 4, the first: drive.csv ended 0." in made.output
     late = start.replace("2026", "2025")
-    again = ["init", str(copy), "--yes", "--right-offset", "0", "--force"]
-    made = CliRunner().invoke(app, [*again, "--start", late])
+    made = init(copy, "--right-offset", "0", "--force", "--start", late)
     assert "drive.csv is of 2026-03-02 09:41:07 to 2026-03-02 09:41:08 UTC" in str(made.exception)
-    made = CliRunner().invoke(app, [*again, "--from", "900"])
+    made = init(copy, "--right-offset", "0", "--force", "--from", "900")
     assert made.exit_code == 1 and "is written, but the drive cannot be read yet" in made.output, made.output
     assert "kept from drive.yaml: images (left, right" in made.output
 
 
 def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tmp_path: Path) -> None:
     """On a terminal, where an end of input stands for Ctrl-C."""
-    copy = with_settings(folder, tmp_path, "")
-    (copy / "drive.yaml").unlink()
+    copy = copied(folder, tmp_path)
     terminal, stdin = os.openpty()
     os.write(terminal, b"0\n\x04")
-    command = [
-        sys.executable,
-        "-c",
-        "from conetl.cli import main; main()",
-        "init",
-        str(copy),
-        "--trajectory",
-        "drive.csv",
-    ]
+    program = "from conetl.cli import main; main()"
+    command = [sys.executable, "-c", program, "init", str(copy), "--trajectory", "drive.csv"]
     made = subprocess.run(command, stdin=stdin, capture_output=True, text=True, timeout=120, check=False)
     os.close(terminal)
     os.close(stdin)
@@ -672,8 +638,8 @@ def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tm
 
 
 def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:
-    copy = with_settings(folder, tmp_path, "images: {start: '2026-03-02 10:00:00Z', right_offset_s: 0}")
-    (copy / "left.mp4").unlink()
+    settings = "images: {start: '2026-03-02 10:00:00Z', right_offset_s: 0}"
+    copy = copied(folder, tmp_path, "left.mp4", settings=settings)
     (copy / "left.mp4").symlink_to(folder / "left.mp4")
     with pytest.raises(DriveFolderError, match="outside the drive folder"):
         read_drive(copy)

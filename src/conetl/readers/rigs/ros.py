@@ -13,7 +13,6 @@ Kalibr's IMU is any IMU, conetl's body is the INS of the trajectory; write body_
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from conetl.geometry.camera import intrinsics, matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Rig
+from conetl.model.records import SIDES, Camera, Rig
 from conetl.readers.rigs.common import (
     Node,
     Pair,
@@ -124,23 +123,17 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
     """
     with named(f"{folder}: this rig cannot be rectified, as ROS requires", CalibrationError):
         flat = rectify(rig)
-    base_m = rig.baseline_m
-    raw_R_rect = [
-        rigs.body_SE3_camera(rig, side)[:3, :3].T @ rigs.body_SE3_camera(flat, side)[:3, :3]
-        for side in ("left", "right")
-    ]
+    raw_R_rect = [rigs.stored_R_camera(flat, side) for side in SIDES]
     if flat is rig:
         # Parallel within tolerance; ROS requires exact rows, so its rotations contain the remaining turn.
-        raw_R_rect = list(common_rotation(rigs.left_SE3_right(rig)))
-    for name, camera, target, turn, shift in (
-        ("left", rig.left, flat.left, raw_R_rect[0], 0.0),
-        ("right", rig.right, flat.right, raw_R_rect[1], -base_m),
-    ):
+        raw_R_rect = [*common_rotation(rigs.left_SE3_right(rig))]
+    for side, turn, shift in zip(SIDES, raw_R_rect, (0.0, -rig.baseline_m), strict=True):
+        camera, target = rigs.camera_of(rig, side), rigs.camera_of(flat, side)
         projection = np.column_stack([matrix_k(target), [target.fx_px * shift, 0.0, 0.0]])
         content = {
             "image_width": camera.width_px,
             "image_height": camera.height_px,
-            "camera_name": name,
+            "camera_name": side,
             "camera_matrix": _matrix(matrix_k(camera)),
             "distortion_model": {"fisheye": "equidistant", "rational": "rational_polynomial"}.get(
                 camera.lens.model, "plumb_bob"
@@ -149,7 +142,7 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
             "rectification_matrix": _matrix(turn.T),
             "projection_matrix": _matrix(projection),
         }
-        write_yaml(folder / f"{name}.yaml", content)
+        write_yaml(folder / f"{side}.yaml", content)
 
 
 def _matrix(values: Floats) -> dict[str, Any]:
@@ -161,10 +154,8 @@ def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     content = read_yaml(path)
     if not isinstance(content, Mapping):
         raise CalibrationError(f"{path}: expected a YAML mapping with the keys cam0 and cam1")
-    names = sorted(
-        (name for name in map(str, content) if re.fullmatch(r"cam\d{1,3}", name)), key=lambda name: int(name[3:])
-    )
-    if len(names) < 2 or names != [f"cam{number}" for number in range(len(names))]:
+    names = [name for number in range(1000) if (name := f"cam{number}") in content]
+    if len(names) < 2 or names[-1] != f"cam{len(names) - 1}":
         raise CalibrationError(
             f"{path}: expected the cameras cam0 (left), cam1 (right) and so on, found {shown(names)}"
         )
