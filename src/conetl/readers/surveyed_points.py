@@ -20,7 +20,7 @@ from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 _NAMES = ("name", "id", "point", "point_id", "cone_id", "nr", "no")
-_HEIGHTS = ("height_m", "height", "h", "z")
+_HEIGHTS = ("height_m", "height", "h", "z", "height_ellipsoidal_m")
 _SIGMAS = ("sigma_e_m", "sigma_n_m", "sigma_u_m")
 
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from conetl.evaluation.truth import check_map
+from conetl.evaluation.truth import check_map, read_truth_cones
 from conetl.model.errors import InputError
 from conetl.readers.surveyed_points import read_surveyed_points
 from tests import records
+from tests.command import ROOT
 
 SRID = 32632
 ORIGIN = np.array([458300.0, 5427840.0, 116.0])
@@ -60,6 +61,14 @@ def test_points_in_another_crs_are_the_same_points(tmp_path: Path) -> None:
     found = read_surveyed_points(file, SRID, crs="EPSG:4979")
     assert np.array([point.xyz_m for point in found]) == pytest.approx(xyz, abs=1e-3)
     assert found[1].name == "P1"
+
+
+def test_the_truth_of_a_sample_drive_is_a_file_of_points() -> None:
+    path = ROOT / "data/drives/2026-03-02_taper_pass1/truth.csv"
+    found = read_surveyed_points(path, SRID, crs=f"EPSG:{SRID}", sigma_m=0.01)
+    assert [(point.name, point.xyz_m) for point in found] == [
+        (cone.cone_id, pytest.approx(cone.xyz_m, abs=1e-4)) for cone in read_truth_cones(path)[0]
+    ]
 
 
 @pytest.mark.parametrize(
