@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import os
 from collections.abc import Mapping
 from importlib import import_module
 from importlib.metadata import version
@@ -17,7 +18,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from conetl.cli.console import say, start_logging
+from conetl.cli.console import note, say, start_logging
 
 #: Heading of the first help page -> name of a command -> its module below `conetl.cli` and function.
 _COMMANDS = {
@@ -255,6 +256,11 @@ def main(
 ) -> None:
     """Turn stereo survey drives into a versioned HD map of traffic cones."""
     start_logging(verbose)
+    if any(name.startswith("CONETL_") for name in os.environ):
+        from conetl.pipeline.settings import ignored_variables  # pydantic takes time to load
+
+        if ignored := ignored_variables(os.environ):
+            note(f"ignored environment variables, which are no settings: {', '.join(ignored)}")
 
 
 def epilog_of(command: str) -> str | None:

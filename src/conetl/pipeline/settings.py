@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
@@ -17,6 +20,11 @@ from conetl.files.storage import as_path, is_remote
 from conetl.model.errors import InputError
 from conetl.model.map_records import MAP_NAME
 
+#: Variables that are no settings: of compose.yaml, of conetl's services, of tests, and those that Kubernetes sets for a service.
+_NO_SETTING = re.compile(
+    "CONETL_(VERSION|HOST|DRIVES|THREADS|SERVICE_TOKEN|SHARED_DATA|SCREENSHOTS|STREAMS|RENEW_MESSAGES"
+    "|(.*_)?(SERVICE_HOST|SERVICE_PORT(_.*)?|PORT(_.*)?))"
+)
 _MAP_NAME_WORDS = "1 to 40 characters of a-z, 0-9, _ and -, the first not -, for example night_survey"
 
 
@@ -124,6 +132,14 @@ def read_settings(map_name: str | None = None) -> Settings:
         name = f"CONETL_{'_'.join(str(part) for part in first['loc']).upper()}"
         wanted = f"expected {_MAP_NAME_WORDS}" if first["loc"] == ("map_name",) else expectation(first)
         raise InputError(f"the environment variable {name} is {first['input']!r}: {wanted}") from error
+
+
+def ignored_variables(names: Iterable[str]) -> list[str]:
+    """Of the names of environment variables those that look like settings and are none, with the setting that may be meant."""
+    known = [f"CONETL_{name.upper()}" for name in Settings.model_fields]
+    unknown = [n for n in names if n.startswith("CONETL_") and n not in known and not _NO_SETTING.fullmatch(n)]
+    near = {name: get_close_matches(name, known, n=1, cutoff=0.7) for name in unknown}
+    return [name + "".join(f" (did you mean {other}?)" for other in near[name]) for name in sorted(unknown)]
 
 
 def prefect_environment(home: Path) -> dict[str, str]:

@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from conetl.model.errors import InputError
-from conetl.pipeline.settings import Settings, read_settings
+from conetl.pipeline.settings import Settings, ignored_variables, read_settings
+from tests.command import ROOT, conetl
 
 
 def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -19,6 +23,26 @@ def test_a_variable_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv(name, value)
     with pytest.raises(InputError, match=name):
         read_settings()
+
+
+def test_variables_that_nothing_reads_are_named() -> None:
+    done = conetl("rig", "show", "none.yaml", CONETL_MODEL="mine.onnx", CONETL_UNHEARD_OF=1)
+    assert "CONETL_MODEL (did you mean CONETL_MODEL_PATH?), CONETL_UNHEARD_OF\n" in done.stderr
+    assert "ignored" not in conetl("rig", "show", "none.yaml", CONETL_MODEL_PATH="mine.onnx").stderr
+    kubernetes = [
+        "CONETL_VIEW_SERVICE_HOST",
+        "CONETL_PORT",
+        "CONETL_PORT_8080_TCP_ADDR",
+        "CONETL_VIEW_SERVICE_PORT_HTTP",
+    ]
+    files = [
+        ROOT / "compose.yaml",
+        *(p for name in ("tests", "benchmarks", "flows") for p in (ROOT / name).rglob("*.py")),
+    ]
+    used = {
+        name for file in files if file != Path(__file__) for name in re.findall(r"\bCONETL_[A-Z_]+\b", file.read_text())
+    }
+    assert len(used) > 15 and ignored_variables([*used, *kubernetes, "PREFECT_HOME"]) == []
 
 
 def test_what_is_told_of_a_drive_on_one_map_does_not_replace_what_is_told_of_it_on_another() -> None:
