@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -15,7 +16,8 @@ from conetl.cli.console import JsonOption, complain, print_json, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import validated
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
-from conetl.model.records import Rig, utc_from_ns
+from conetl.model.records import SIDES, Rig, utc_from_ns
+from conetl.perception.video import video_facts
 from conetl.readers.drives import find_format, plain
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
 from conetl.readers.drives.proposal import Proposal, Question, answers_in, outside_log, propose, still_valid
@@ -25,9 +27,9 @@ from conetl.readers.rigs import RIG_YAML, write_rig_yaml
 from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 
 _TIME_QUESTIONS = {
-    "timestamps": "Which file has the time of every left image, one per line (UTC, or nanoseconds since 1970)",
-    "start": "When was the first frame of the left camera taken (UTC, or with its offset, like 2026-03-02 11:00:00.250+01:00)",
-    "right-offset": "By how many seconds does the right file begin after the left one (0: both begin with one trigger)",
+    "timestamps": "File with the time of every left image, one per line (UTC, or nanoseconds since 1970)",
+    "start": "Time of the first left frame, UTC or with its offset, like 2026-03-02 11:00:00.250+01:00",
+    "right-offset": "Seconds by which the right file begins after the left one; 0: one trigger; the images do not show it",
 }
 #: Answers with which the questions that come after these can be found, too.
 _STAND_INS = {"layout": "left-right", "sigma": "1", "mount": "0,0,0", "right-offset": "0"}
@@ -140,7 +142,7 @@ def init(
     settings, found, new_rig = _settled(root, answers, kept, asks=asks, as_json=as_json)
     _add_timing(settings, found.timing)
     _write(root, settings, new_rig)
-    text = f"{root / DRIVE_YAML} is written: {_counted(found)}"
+    text = f"{folder / DRIVE_YAML}: {_counted(found)}"
     start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s
     if start_ns is not None and sigma_s and "start" not in answers:
         text += (
@@ -212,8 +214,13 @@ def _settled(
         except UnknownTimeError as error:
             if not asks:
                 raise InputError(_missing(root, answers, kept, _text(error))) from error
-            say(error.cause)
-            asked = Question(error.key, _TIME_QUESTIONS[error.key])
+            default = None
+            if error.key == "right-offset":  # files of equally many frames most likely begin with one trigger
+                frames = {video_facts(root / settings["images"][side]).frames for side in SIDES}
+                default = "0" if len(frames) == 1 else None
+            else:
+                say(error.cause)
+            asked = Question(error.key, _TIME_QUESTIONS[error.key], default)
             answers[asked.key] = _answer(asked)
         except ConetlError as error:
             _write(root, settings, proposal.rig)
@@ -267,7 +274,7 @@ def _texts(proposal: Proposal) -> dict[str, str]:
 
 
 def _text(error: UnknownTimeError) -> dict[str, str]:
-    return {error.key: f"{_TIME_QUESTIONS[error.key]}? ({error.cause})"}
+    return {error.key: f"{_TIME_QUESTIONS[error.key]} ({error.cause})"}
 
 
 def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
@@ -350,11 +357,11 @@ def _write(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> None:
 
 
 def _finish(folder: Path, text: str, settings: dict[str, Any], as_json: bool) -> None:
-    commands = [f"conetl inspect {folder} --page inspection.html", f"conetl ingest {folder}"]
+    named = quote(str(folder))
+    commands = [f"conetl inspect {named} --page inspection.html", f"conetl ingest {named}"]
     if as_json:
         print_json({"settings": settings, "next": commands})
         return
     say(text)
-    say("Next:")
-    for command in commands:
-        say(f"  {command}")
+    say(f"To look at it first: {commands[0]}")
+    say(f"Next: {commands[1]}")

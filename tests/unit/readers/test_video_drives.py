@@ -331,8 +331,10 @@ def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: 
     assert [round((t - whole) / 1e8) for t in shorter] == [2, 5, 8]  # of frames 0.1 s apart
     backwards = init(copy, *known, "--force", "--from", "5", "--to", "2")
     assert "--to 2 is not after --from 5" in str(backwards.exception)
-    drive = CliRunner().invoke(app, ["init", str(SAMPLE), "--json"])
-    assert json.loads(drive.output)["next"][1] == f"conetl ingest {SAMPLE}"
+    named = tmp_path / "a b"
+    named.symlink_to(SAMPLE)
+    drive = CliRunner().invoke(app, ["init", str(named), "--json"])
+    assert json.loads(drive.output)["next"][1] == f"conetl ingest '{named}'"
 
 
 @pytest.mark.parametrize("codec", ["libx264", "libx265"])
@@ -482,7 +484,7 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
     WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), copy / "stereo.yml")
     files = {path.name: path.read_bytes() for path in copy.iterdir()}
     made = init(copy, "--right-offset", "0", "--mount", "1,0,1")
-    assert made.exit_code != 0 and "--start: When was the first frame" in str(made.exception)
+    assert made.exit_code != 0 and "--start: Time of the first left frame" in str(made.exception)
     assert {path.name: path.read_bytes() for path in copy.iterdir()} == files, "nor the calibration that it found"
     assert "time of creation" not in str(made.exception)
     (copy / "rig.yaml").hardlink_to(folder / "rig.yaml")
@@ -621,14 +623,14 @@ def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tm
     """On a terminal, where an end of input stands for Ctrl-C."""
     copy = copied(folder, tmp_path)
     terminal, stdin = os.openpty()
-    os.write(terminal, b"0\n\x04")
+    os.write(terminal, b"\n\x04")
     program = "from conetl.cli import main; main()"
     command = [sys.executable, "-c", program, "init", str(copy), "--trajectory", "drive.csv"]
     made = subprocess.run(command, stdin=stdin, capture_output=True, text=True, timeout=120, check=False)
     os.close(terminal)
     os.close(stdin)
     assert made.returncode != 0
-    assert "(0: both begin with one trigger): " in made.stdout and "When was the first frame" in made.stdout
+    assert "the images do not show it [0]: " in made.stdout and "Time of the first left frame" in made.stdout
     assert made.stdout.count("trajectory drive.csv") == 1 and "images: {start" not in made.stdout
     assert re.search(r"\d\d:\d\d:\d\d\.\d{3} UTC for", made.stdout), "precise enough to answer"
     assert not (copy / "drive.yaml").exists()

@@ -313,8 +313,7 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         proposal.found.append(_mounted(values))
     elif rigs.body_is_left_camera(rig):
         text = (
-            "Where is the left camera, seen from the antenna or IMU of the trajectory? Forward, left, up in metres, and "
-            "its pitch in degrees (positive: looks down), like 1.2,0.3,-0.2,3"
+            "Left camera from the antenna or IMU: metres forward, left, up, degrees it looks down, like 1.2,0.3,-0.2,3"
         )
         proposal.questions.append(Question("mount", text))
     return None if path == root / RIG_YAML else rig
