@@ -27,6 +27,7 @@ from conetl.model.errors import CalibrationError, StorageError
 from conetl.model.health import CALIBRATION, HealthCheck, HoldChange, Verdict
 from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
 from conetl.model.map_records import DeltaKind
+from conetl.model.rejections import RejectionReason
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
@@ -232,8 +233,9 @@ def test_a_report_of_an_ingest_says_each_thing_once(capsys: pytest.CaptureFixtur
 def test_a_report_says_that_no_lane_markings_were_found_where_they_were_searched(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    print_report(report(categories=("traffic_cone",)))
-    assert "marking" not in capsys.readouterr().out
+    print_report(report(categories=("traffic_cone",), rejections={RejectionReason.BOX_CUT_BY_BORDER: 20}))
+    said = capsys.readouterr().out
+    assert "marking" not in said and "\nQuarantined: 20 box cut by border.\n" in said
     print_report(report(categories=("lane_marking", "traffic_cone")))
     assert "No lane markings found; none changed on the map." in capsys.readouterr().out
     print_report(report(categories=("lane_marking",), markings=2, line_counts={DeltaKind.ADDED: 3}))

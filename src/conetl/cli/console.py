@@ -119,8 +119,9 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
     for row in cells:
         table.add_row(*(escape(row[index]) for index in filled))
     # As wide as necessary: a line may wrap in a terminal, but no number is ever cut off.
-    wide = Console(highlight=False, width=_ANY_WIDTH)
-    Console(highlight=False, width=Measurement.get(wide, wide.options, table).maximum).print(table)
+    # In a dumb terminal rich ignores a width without a height.
+    wide = Console(highlight=False, width=_ANY_WIDTH, height=1)
+    Console(highlight=False, width=Measurement.get(wide, wide.options, table).maximum, height=1).print(table)
 
 
 def print_records(title: str, columns: Columns, records: Iterable[object], *, numbers_from: int = 1) -> None:

@@ -59,8 +59,12 @@ def ingest(
     )
     if as_json:
         ui.print_json(reports)
-    elif not all(report.is_known for report in reports):
-        ui.say(f"Reports: {settings.reports_folder}")
+    elif new := [report for report in reports if not report.is_known]:
+        image = settings.drive_image_path(new[0].drive_id)
+        if len(new) == 1 and image.is_file():
+            ui.say(f"Plan view, beside it a report: {image}")
+        else:
+            ui.say(f"Plan views and reports: {settings.reports_folder}")
         ui.say(f"The map in the browser: conetl view --map {settings.map_name}")
     raise typer.Exit(exit_code)
 
@@ -201,7 +205,8 @@ _CHANGES: ui.Columns = {
     "northing m": lambda line: line.xyz_m[1],
     "height m": lambda line: line.xyz_m[2],
     "object m": lambda line: f"{line.cone_height_m:.2f}",
-    "sigma m": "sigma_horizontal_m",
+    "sigma horiz. m": "sigma_horizontal_m",
+    "sigma height m": "sigma_height_m",
     "probability": lambda line: None if line.kind is DeltaKind.REMOVED else line.existence_probability,
     "observations": "observation_count",
     "shift m": "shift_m",
@@ -224,12 +229,14 @@ def print_report(report: IngestReport) -> None:
             state = f", but it does not count: {report.not_counted}"
         ui.out.print(f"{drive}: no changes, {known}{state}.")
         return
+    categories = {change.category for change in report.changes}
+    ui.out.print(drive)
+    ui.print_records("", ui.class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
     failed = ", ".join(check.name for check in holding(report.health))
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is as it was"
-    categories = {change.category for change in report.changes}
     noun = "object" if categories - {CONE} else "cone"
     ui.out.print(
-        f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
+        f"{changed[0].upper()}{changed[1:]}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}."
     )
     if lines:
@@ -242,6 +249,9 @@ def print_report(report: IngestReport) -> None:
     told = {check.name for check in report.health if check.verdict is not Verdict.PASS}
     if report.calibration and CALIBRATION not in told:
         ui.out.print(f"Calibration: {report.calibration.partition(' (')[0]}.")  # the figures are in the drive's report
+    if report.rejections:
+        reasons = (f"{count} {reason.replace('_', ' ')}" for reason, count in report.rejections.items())
+        ui.out.print(f"Quarantined: {', '.join(reasons)}.")
     ui.print_checks([check for check in report.health if check.verdict is not Verdict.HOLD])
     if report.replayed_drives:
         later = ui.counted(report.replayed_drives, "later drive")
@@ -249,7 +259,4 @@ def print_report(report: IngestReport) -> None:
     for change in report.hold_changes:
         if change.sentence not in report.remarks:
             ui.say(change.sentence)
-    ui.print_records("", ui.class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
-    rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]
-    ui.print_table("Quarantined", ("reason", "records"), rows)
     ui.out.print()

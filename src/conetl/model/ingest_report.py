@@ -25,6 +25,7 @@ class ChangeLine(Record):
     xyz_m: Vec3
     cone_height_m: float
     sigma_horizontal_m: float
+    sigma_height_m: float
     existence_probability: float
     observation_count: int
     shift_m: float | None
@@ -132,5 +133,5 @@ class TooManyRejectionsError(NeedsAttentionError):
         super().__init__(
             report,
             f"{rejected} of {total} frame pairs of drive {report.drive_id} were rejected or show too little, more than "
-            f"{allowed_fraction:.0%} (max_rejected_fraction). The others are on the map; see the table of rejections.{cause}",
+            f"{allowed_fraction:.0%} (max_rejected_fraction). The others are on the map; see what was quarantined.{cause}",
         )

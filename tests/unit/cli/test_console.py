@@ -59,3 +59,12 @@ def test_a_bar_counts_in_its_unit_and_leaves_nothing_behind(monkeypatch: pytest.
     assert shown.endswith("\x1b[2K"), "the line is erased, and the cursor stands at its beginning"
     done = shown.rsplit("\r", 1)[0]
     assert "461/461" in done
+
+
+def test_no_cell_is_cut_off_in_a_terminal_that_does_not_know_its_width(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "dumb")
+    print_table("", ("name", "value"), [("a" * 70, "b" * 70)])
+    assert "b" * 70 in capsys.readouterr().out

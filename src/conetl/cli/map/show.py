@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from itertools import pairwise
-from math import dist
+from math import dist, sqrt
 from operator import attrgetter
 from typing import Annotated, Any
 
@@ -33,7 +33,8 @@ _FEATURES: ui.Columns = {
     "northing m": lambda v: v.feature.xyz_m[1],
     "height m": lambda v: v.feature.xyz_m[2],
     "object m": lambda v: f"{v.feature.cone_height_m:.2f}",
-    "sigma m": lambda v: horizontal_sigma_m(v.feature.cov_m2),
+    "sigma horiz. m": lambda v: horizontal_sigma_m(v.feature.cov_m2),
+    "sigma height m": lambda v: sqrt(v.feature.cov_m2[5]),
     "probability": lambda v: v.feature.existence_probability,
     "observations": lambda v: v.feature.observation_count,
     "drives": "seen_count",
