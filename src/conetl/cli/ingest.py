@@ -61,10 +61,10 @@ def ingest(
         ui.print_json(reports)
     elif new := [report for report in reports if not report.is_known]:
         image = settings.drive_image_path(new[0].drive_id)
-        if len(new) == 1 and image.is_file():
-            ui.say(f"Plan view, beside it a report: {image}")
-        else:
-            ui.say(f"Plan views and reports: {settings.reports_folder}")
+        drawn = len(new) == 1 and image.is_file()
+        ui.say(
+            f"Plan view, beside it a report: {image}" if drawn else f"Plan views and reports: {settings.reports_folder}"
+        )
         ui.say(f"The map in the browser: conetl view --map {settings.map_name}")
     raise typer.Exit(exit_code)
 
@@ -230,13 +230,12 @@ def print_report(report: IngestReport) -> None:
         ui.out.print(f"{drive}: no changes, {known}{state}.")
         return
     categories = {change.category for change in report.changes}
-    ui.out.print(drive)
     ui.print_records("", ui.class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
     failed = ", ".join(check.name for check in holding(report.health))
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is as it was"
     noun = "object" if categories - {CONE} else "cone"
     ui.out.print(
-        f"{changed[0].upper()}{changed[1:]}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
+        f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}."
     )
     if lines:

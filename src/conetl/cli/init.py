@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from shlex import quote
@@ -29,7 +29,7 @@ from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 _TIME_QUESTIONS = {
     "timestamps": "File with the time of every left image, one per line (UTC, or nanoseconds since 1970)",
     "start": "Time of the first left frame, UTC or with its offset, like 2026-03-02 11:00:00.250+01:00",
-    "right-offset": "Seconds by which the right file begins after the left one; 0: one trigger; the images do not show it",
+    "right-offset": "Seconds by which the right file begins after the left one (0: both begin with one trigger)",
 }
 #: Answers with which the questions that come after these can be found, too.
 _STAND_INS = {"layout": "left-right", "sigma": "1", "mount": "0,0,0", "right-offset": "0"}
@@ -194,41 +194,53 @@ def _settled(
 ) -> tuple[dict[str, Any], Preview, Rig | None]:
     """Settings, the drive that they make, and the rig that has to be written. Nothing is written while something is missing.
 
-    kept: settings that no answer replaces. Raises InputError where an answer is missing.
+    kept: settings that no answer replaces. A wrong answer is asked again. Raises InputError where an answer is missing and
+    nobody can be asked.
     """
     asked, shown = None, set[str]()
     while True:
-        proposal = _complete(root, answers, asked, shown, asks=asks, as_json=as_json)
-        if proposal.questions:
-            raise InputError(_missing(root, answers, kept, _texts(proposal)))
-        settings = _with(kept, proposal)
-        if (problem := outside_log(root, settings)) is not None:
-            if not asks:
-                raise InputError(problem)
-            say(problem)
-            asked = Question("start", _TIME_QUESTIONS["start"])
+        try:
+            proposal = propose(root, answers)
+        except ConetlError as error:
+            if asked is None:
+                raise
+            say(str(error))
             answers[asked.key] = _answer(asked)
             continue
-        try:
-            return settings, _previewed(root, settings, proposal.rig), proposal.rig
-        except UnknownTimeError as error:
+        for line in () if as_json else proposal.found:
+            if line not in shown:
+                say(f"  {line}")
+        shown.update(proposal.found)
+        settings, questions = _with(kept, proposal), proposal.questions
+        if not questions and (problem := outside_log(root, settings)) is not None:
             if not asks:
-                raise InputError(_missing(root, answers, kept, _text(error))) from error
-            default = None
-            if error.key == "right-offset":  # files of equally many frames most likely begin with one trigger
-                frames = {video_facts(root / settings["images"][side]).frames for side in SIDES}
-                default = "0" if len(frames) == 1 else None
-            else:
-                say(error.cause)
-            asked = Question(error.key, _TIME_QUESTIONS[error.key], default)
-            answers[asked.key] = _answer(asked)
-        except ConetlError as error:
-            _write(root, settings, proposal.rig)
-            complain(
-                f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:\n{error}\nEdit the file, or run this command "
-                "again with --force and the options that correct it."
-            )
-            raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
+                raise InputError(problem)
+            questions = [Question("start", _TIME_QUESTIONS["start"], cause=problem)]
+        elif not questions:
+            try:
+                return settings, _previewed(root, settings, proposal.rig), proposal.rig
+            except UnknownTimeError as error:
+                questions = [_time_question(error, root, settings["images"])]
+            except ConetlError as error:
+                _write(root, settings, proposal.rig)
+                complain(
+                    f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:\n{error}\nEdit the file, or run this "
+                    "command again with --force and the options that correct it."
+                )
+                raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
+        if not asks:
+            raise InputError(_missing(root, answers, kept, questions))
+        asked = questions[0]
+        if asked.cause:
+            say(asked.cause)
+        answers[asked.key] = _answer(asked)
+
+
+def _time_question(error: UnknownTimeError, root: Path, images: Mapping[str, Any]) -> Question:
+    """What a person is asked where the images do not show it; files of equally many frames most likely have one trigger."""
+    asks_shift = error.key == "right-offset"
+    equal = asks_shift and len({video_facts(root / images[side]).frames for side in SIDES}) == 1
+    return Question(error.key, _TIME_QUESTIONS[error.key], "0" if equal else None, error.cause)
 
 
 def _with(kept: Mapping[str, Any], proposal: Proposal) -> dict[str, Any]:
@@ -245,36 +257,28 @@ def _previewed(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> Prev
         return preview(root, validated(settings, DriveYaml, "answers"), rig)
 
 
-def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], found: Mapping[str, str]) -> str:
-    """All options that a folder still needs, as far as they can be known without the answers. found: the first of them."""
+def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], questions: Sequence[Question]) -> str:
+    """All options that a folder still needs, as far as they can be known without the answers. questions: the first of them."""
     texts: dict[str, str] = {}
     known = dict(answers)
     with suppress(ConetlError):  # of the stand-ins
-        while found:
-            texts |= found
-            if not found.keys() <= _STAND_INS.keys():
+        while questions:
+            texts |= {q.key: f"{q.text} ({q.cause})" if q.cause else q.text for q in questions}
+            keys = {question.key for question in questions}
+            if not keys <= _STAND_INS.keys():
                 break
-            known |= {key: _STAND_INS[key] for key in found}
+            known |= {key: _STAND_INS[key] for key in keys}
             proposal = propose(root, known)
-            found = _texts(proposal)
-            if "layout" in texts and "rig" in found:
+            questions, settings = proposal.questions, _with(kept, proposal)
+            if "layout" in texts and any(question.key == "rig" for question in questions):
                 break  # a calibration may fit another layout
-            if not found:
+            if not questions:
                 try:
-                    _previewed(root, _with(kept, proposal), proposal.rig)
+                    _previewed(root, settings, proposal.rig)
                 except UnknownTimeError as error:
-                    found = _text(error)
+                    questions = [_time_question(error, root, settings["images"])]
     lines = "\n".join(f"  --{key}: {text}" for key, text in texts.items())
     return f"{root}: something is missing; answer it with these options:\n{lines}"
-
-
-def _texts(proposal: Proposal) -> dict[str, str]:
-    """What is asked, by option."""
-    return {question.key: question.text for question in proposal.questions}
-
-
-def _text(error: UnknownTimeError) -> dict[str, str]:
-    return {error.key: f"{_TIME_QUESTIONS[error.key]} ({error.cause})"}
 
 
 def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
@@ -295,32 +299,6 @@ def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
 
 def _answer(question: Question) -> str:
     return str(typer.prompt(question.text, default=question.default))
-
-
-def _complete(
-    root: Path, answers: dict[str, str], asked: Question | None, shown: set[str], *, asks: bool, as_json: bool
-) -> Proposal:
-    """The proposal once nothing is missing, or nobody can be asked. asked: the question that was answered last; a wrong answer
-    is asked again. shown: what was said of the folder before.
-    """
-    while True:
-        try:
-            proposal = propose(root, answers)
-        except ConetlError as error:
-            if asked is None:
-                raise
-            say(str(error))
-            answers[asked.key] = _answer(asked)
-            continue
-        if not as_json:
-            for line in proposal.found:
-                if line not in shown:
-                    say(f"  {line}")
-            shown.update(proposal.found)
-        if not (proposal.questions and asks):
-            return proposal
-        asked = proposal.questions[0]
-        answers[asked.key] = _answer(asked)
 
 
 def _add_timing(settings: dict[str, Any], timing: Timing) -> None:

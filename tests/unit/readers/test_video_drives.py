@@ -630,7 +630,7 @@ def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tm
     os.close(terminal)
     os.close(stdin)
     assert made.returncode != 0
-    assert "the images do not show it [0]: " in made.stdout and "Time of the first left frame" in made.stdout
+    assert "(0: both begin with one trigger) [0]: " in made.stdout and "Time of the first left frame" in made.stdout
     assert made.stdout.count("trajectory drive.csv") == 1 and "images: {start" not in made.stdout
     assert re.search(r"\d\d:\d\d:\d\d\.\d{3} UTC for", made.stdout), "precise enough to answer"
     assert not (copy / "drive.yaml").exists()

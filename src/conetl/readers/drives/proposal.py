@@ -64,6 +64,8 @@ class Question(NamedTuple):
     """Name of the option of `conetl init` that answers it."""
     text: str
     default: str | None = None
+    cause: str | None = None
+    """Why it is asked."""
 
 
 class Proposal(NamedTuple):
@@ -220,7 +222,7 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
         asked = next((key for key in _UNSTATED if key not in answers and f"{{{key}: " in str(error)), None)
         if asked is None:
             raise
-        proposal.questions.append(Question(asked, f"{_UNSTATED[asked]} ({error})"))
+        proposal.questions.append(Question(asked, _UNSTATED[asked], cause=str(error)))
         return
     kind = trajectory_format(path) or "table"
     proposal.found.append(_described(recorded, kind))
