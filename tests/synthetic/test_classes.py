@@ -9,6 +9,9 @@ from uuid import NAMESPACE_URL, uuid5
 import numpy as np
 import pytest
 
+from conetl.geometry.calibration.covariance import unpack_all
+from conetl.geometry.packing import cov3, cov_matrix
+from conetl.mapping.fusion import fuse
 from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
 from conetl.mapping.visibility import check_visibility, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures
@@ -17,6 +20,7 @@ from conetl.model.map_records import Decisions, DeltaKind
 from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.records import Detection, FramePair, Position, Side, Track
 from conetl.model.rejections import Rejection
+from conetl.tracking.error_propagation import class_error_id
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig
 
 RIG, PARAMS = make_rig(), IngestParams()
@@ -91,6 +95,26 @@ def test_each_class_has_its_tracks_and_a_sign_may_hang_above_a_drum() -> None:
     # The box of a flat object is that of a round one here: half its width nearer.
     assert np.abs(misses_m[:, 1:]).max() < 0.08
     assert np.abs(misses_m[[one[0] in (CONE, "drum") for one in found], 0]).max() < 0.08
+
+
+def test_errors_of_a_class_are_stated_apart_and_stay_however_many_drives() -> None:
+    """What drums of one drive have in common is part of their covariances, not of that between them. It remains in fusion over
+    drives, as the network errs alike in each."""
+    pairs, others = make_path(40), [*ROW, DRUM]
+    tracks, _, _ = tracks_of(boxes_of(others, pairs, np.random.default_rng(1)), pairs)
+    drum = next(track for track in tracks if track.category == "drum")
+    assert all(track.shared_jacobian is None for track in tracks if track.category == CONE)
+    shared = drum.shared_jacobian
+    assert shared is not None and shared.calibrations == (class_error_id("drum"),)
+    [[moved_m]] = unpack_all(shared.calibrations, [shared])
+    common = moved_m @ moved_m.T
+    apart = cov_matrix(drum.cov_m2) - cov_matrix(drum.relative_cov_m2) - common
+    assert np.trace(common) > 1e-6 and np.linalg.eigvalsh(apart).min() > 0, "the rest is that of the poses"
+    cov, jacobian = drum.cov_m2, drum.shared_jacobian
+    for _ in range(20):
+        fused = fuse([cov], [jacobian], [drum.cov_m2], [drum.shared_jacobian])
+        cov, [jacobian] = cov3(fused.cov_m2[0]), fused.shared_jacobian
+    np.testing.assert_allclose(cov_matrix(cov), common + (cov_matrix(drum.cov_m2) - common) / 21, rtol=1e-3, atol=1e-9)
 
 
 def test_the_class_is_that_of_most_scores() -> None:

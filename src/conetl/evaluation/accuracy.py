@@ -9,14 +9,21 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from conetl.evaluation.truth import TruthCone, TruthLine
-from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance
+from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance, unpack_all
 from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, point_nees, pooled
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats
 from conetl.model.records import Drive, Pose, Position, Record, Rig, Track, Vec3
 from conetl.tracking.association import MotionError
-from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov, outline_errors
+from conetl.tracking.error_propagation import (
+    PoseCov,
+    class_error_id,
+    constant_and_change,
+    moved_by_poses,
+    moved_cov,
+    outline_errors,
+)
 
 #: Upper ends of the range bands; the last is open.
 RANGE_BANDS_M = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0)
@@ -54,13 +61,11 @@ class PointErrors:
             return self.own_cov_m2
         return np.asarray(block_diag(*self.own_cov_m2) + self.change_cov_m2)
 
-    def single_own_cov_m2(self) -> Floats:
-        """(N, 3, 3) of the same, of each estimate alone."""
-        if self.change_cov_m2 is None:
-            return self.own_cov_m2
-        count = len(self.own_cov_m2)
-        blocks = self.change_cov_m2.reshape(count, 3, count, 3)
-        return np.asarray(self.own_cov_m2 + blocks[np.arange(count), :, np.arange(count)])
+    def precision(self) -> Floats:
+        """(3N, 3N) inverse of the joint covariance of all estimates, common errors included."""
+        change = 0.0 if self.change_cov_m2 is None else self.change_cov_m2
+        common = _moved(self.common_jacobian, self.common_cov)
+        return np.asarray(np.linalg.inv(block_diag(*self.own_cov_m2) + change + common))
 
     def in_sight_axes(self, vectors: Floats) -> Floats:
         """(N, 3) vectors along the line of sight, across it (to the left) and up."""
@@ -106,7 +111,8 @@ def track_errors(
 
     They share the common errors of the drive's positions (`position_errors`). Each track has its own Jacobian, because an error
     of the heading is not one shift of all cones: the Jacobians of its sightings, weighted by their share of the information, as
-    in the adjustment. positions: single positions of the drive. motion: of a refined trajectory, as used for the tracks.
+    in the adjustment. What objects of one class have in common the tracks state. positions: single positions of the drive.
+    motion: of a refined trajectory, as used for the tracks.
     """
     found = [(line, line.feature) for line in lines if line.feature is not None]
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
@@ -124,6 +130,7 @@ def track_errors(
         shares = _track_shares([by_member[member] for member in track.members], poses, drive.rig, motion)
         jacobians.append(np.einsum("fij,fjk->ik", shares, jacobian)[None])
         variances.append(np.mean(sigmas**2, axis=0))
+    by_class = _moved_by_classes([track for _, track in found])
     return PointErrors(
         cone_ids=tuple(line.truth.cone_id for line, _ in found),
         truth_m=truth,
@@ -132,9 +139,11 @@ def track_errors(
         own_cov_m2=cov_matrices([track.relative_cov_m2 for _, track in found]),
         range_m=np.linalg.norm(level, axis=1),
         sight=_unit(level),
-        common_jacobian=np.concatenate(jacobians),
+        common_jacobian=np.concatenate([np.concatenate(jacobians), by_class], axis=2),
         common_cov=block_diag(
-            np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), calibration_of(drive.rig)
+            np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)),
+            calibration_of(drive.rig),
+            np.eye(by_class.shape[2]),
         ),
     )
 
@@ -229,6 +238,26 @@ def select(errors: PointErrors, keep: Bools) -> PointErrors:
     )
 
 
+def given_others(errors: PointErrors, chosen: Bools) -> PointErrors:
+    """The errors of a mask (N,) less what the others of the drive show of the common errors (the conditional distribution, e.g.
+    Koch 1999, ch. 2.5.3).
+
+    So the error of GNSS/INS, one draw for the whole drive, does not decide about each class anew. Errors common to the chosen
+    ones alone stay common; of the rest, what the others leave unknown becomes part of their own.
+    """
+    precision, rows = errors.precision(), np.repeat(chosen, 3)
+    own, alone = select(errors, chosen), ~errors.common_jacobian[~chosen].any(axis=(0, 1))
+    cov = np.linalg.inv(precision[np.ix_(rows, rows)])
+    jacobian, common = own.common_jacobian[:, :, alone], errors.common_cov[np.ix_(alone, alone)]
+    return replace(
+        own,
+        difference_m=(cov @ (precision @ errors.difference_m.ravel())[rows]).reshape(-1, 3),
+        common_jacobian=jacobian,
+        common_cov=common,
+        change_cov_m2=cov - _moved(jacobian, common) - block_diag(*own.own_cov_m2),
+    )
+
+
 def drive_consistency(*drives: PointErrors) -> Consistency | None:
     """NEES of all errors of a drive, with its relative and common part; None without errors.
 
@@ -243,21 +272,40 @@ def drive_consistency(*drives: PointErrors) -> Consistency | None:
 
 
 def single_nees(errors: PointErrors) -> Floats:
-    """(N,) NEES of each estimate under its own covariance, without the common errors: chi-square with about 3 degrees of freedom.
-
-    The common errors are estimated from all N and subtracted.
-    """
+    """(N,) NEES of each estimate given all others (`given_others`): chi-square with 3 degrees of freedom."""
     count = len(errors.difference_m)
     if not count:
         return np.zeros(0)
-    own_cov_m2 = errors.single_own_cov_m2()
-    weight = np.linalg.inv(own_cov_m2)
-    values, vectors = np.linalg.eigh(errors.common_cov)
-    scaled = errors.common_jacobian @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    # The prior keeps common errors at zero that the points do not determine.
-    normal = np.einsum("nik,nij,njl->kl", scaled, weight, scaled) + np.eye(len(values))
-    side = np.einsum("nik,nij,nj->k", scaled, weight, errors.difference_m)
-    return point_nees(errors.difference_m - scaled @ np.linalg.solve(normal, side), own_cov_m2)
+    precision = errors.precision()
+    blocks = precision.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+    return point_nees((precision @ errors.difference_m.ravel()).reshape(-1, 3), blocks)
+
+
+def _moved(jacobian: Floats, cov: Floats) -> Floats:
+    """(3N, 3N) covariance of N estimates by common errors: (N, 3, K), (K, K)."""
+    flat = jacobian.reshape(3 * len(jacobian), len(cov))
+    return np.asarray(flat @ cov @ flat.T)
+
+
+def _moved_by_classes(tracks: Sequence[Track]) -> Floats:
+    """(N, 3, 3C) Jacobian of N tracks by the errors common to each of their C classes, in sigmas (`class_error_id`)."""
+    parts = []
+    for n, track in enumerate(tracks):
+        shared, own = track.shared_jacobian, class_error_id(track.category)
+        if shared is not None and own in shared.calibrations:
+            [moved] = unpack_all(shared.calibrations, [shared])
+            parts.append((n, track.category, moved[shared.calibrations.index(own), :, :3]))
+    return _columns(len(tracks), parts)
+
+
+def _columns(count: int, parts: Sequence[tuple[int, str, Floats]]) -> Floats:
+    """(N, 3, 3C) Jacobian of N points by C named errors, from (3, 3) of some points by some errors."""
+    order = sorted({name for _, name, _ in parts})
+    jacobian = np.zeros((count, 3, 3 * len(order)))
+    for n, name, moved in parts:
+        k = 3 * order.index(name)
+        jacobian[n, :, k : k + 3] = moved
+    return jacobian
 
 
 def _sight_axes(sight: Floats) -> Floats:
@@ -309,16 +357,13 @@ def _outline_parts(
 
     turn (N, 3, 3): map_R_left of each position. cov_m2 (N, 3, 3): of image points and outline together, in the map.
     """
-    order = sorted({name for name, p in zip(cone_ids, positions, strict=True) if p.sigma_outline_m > 0})
-    jacobian = np.zeros((len(positions), 3, 3 * len(order)))
-    own = cov_m2.copy()
+    parts, own = [], cov_m2.copy()
     for n, (name, position) in enumerate(zip(cone_ids, positions, strict=True)):
         if position.sigma_outline_m > 0:
             moved = turn[n] @ outline_errors(position, rig)
-            k = 3 * order.index(name)
-            jacobian[n, :, k : k + 3] = moved
+            parts.append((n, name, moved))
             own[n] -= moved @ moved.T
-    return jacobian, own
+    return _columns(len(positions), parts), own
 
 
 def _track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:

@@ -14,9 +14,9 @@ from conetl.evaluation.accuracy import (
     PointErrors,
     by_range,
     drive_consistency,
+    given_others,
     members_of,
     position_errors,
-    select,
     single_nees,
     statistics,
     track_errors,
@@ -51,7 +51,7 @@ _STATISTICS = (
 _BANDS = (
     "range m", "estimates", "median 3D", "RMSE along", "across", "up", "stated along", "across", "up", "bias along"
 )  # fmt: skip
-_CLASSES = ("class", "found", "false", "median 3D", "largest", "NEES relative", "absolute", "95 % band")
+_CLASSES = ("class", "found", "false", "median 3D", "largest", "NEES relative", "common", "absolute", "95 % band")
 _DRIVES = ("drive", "cones found", "false", "not judged", "median 3D", "tracks: relative", "common", "absolute",
            "single positions: relative", "common", "absolute")  # fmt: skip
 _DRIVES_TEXT = (
@@ -228,7 +228,7 @@ def class_figures(drives: Sequence[DriveEvaluation]) -> dict[str, dict[str, obje
 
 def _of_class(drive: DriveEvaluation, category: str) -> PointErrors:
     named = {line.truth.cone_id for line in drive.lines if line.truth.category == category}
-    return select(drive.tracks, np.array([name in named for name in drive.tracks.cone_ids], dtype=bool))
+    return given_others(drive.tracks, np.array([name in named for name in drive.tracks.cone_ids], dtype=bool))
 
 
 def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
@@ -237,14 +237,17 @@ def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
     for category, figures in class_figures(drives).items():
         nees = figures["nees"]
         assert isinstance(nees, dict)
-        absolute, relative = nees["absolute"], nees["relative"]
+        absolute = nees["absolute"]
         rows.append((
             noun_of(category), f"{figures['found']} of {figures['of']}", figures["false"],
             *("" if value is None else f"{value:.3f}" for value in (figures["median_3d_m"], figures["largest_3d_m"])),
-            *("" if part is None else f"{part['per_dof']:.2f}" for part in (relative, absolute)),
+            *("" if part is None else f"{part['per_dof']:.2f}" for part in (nees["relative"], nees["common"], absolute)),
             "" if absolute is None else f"{absolute['low'] / absolute['dof']:.2f} to {absolute['high'] / absolute['dof']:.2f}",
         ))  # fmt: skip
-    note = "Metres; NEES of tracks per degree of freedom, and the band of the absolute one."
+    note = (
+        "Metres; NEES of tracks per degree of freedom, given what the drive's other classes show of its common errors. Relative: "
+        "scatter within the class. Common: errors that its objects share. Absolute: both, and its band."
+    )
     return [Section("By class", note, _CLASSES, rows)] if len(rows) > 1 else []
 
 

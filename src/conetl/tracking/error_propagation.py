@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
+from uuid import NAMESPACE_OID, UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,14 +197,19 @@ def outline_errors(position: Position, rig: Rig) -> Floats:
     return np.column_stack([[right_m, 0.0, 0.0], [0.0, down_m, 0.0], xyz_m / xyz_m[2] * away_m])
 
 
-def outline_cov(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping[int, Floats], rig: Rig) -> Floats:
-    """Covariance (3, 3) m^2 of a joint fit by the errors of this cone's foot, axis and shape (`outline_errors`), in all images
-    alike.
+def outline_jacobian(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping[int, Floats], rig: Rig) -> Floats:
+    """(3, 3) m: change of a joint fit by one sigma of each error of this cone's foot, axis and shape (`outline_errors`), in all
+    images alike.
 
     From one side they do not average out; from several sides they partly cancel. Zero for boxes without feet (`sigma_outline_m`
     0).
     """
     errors = np.stack([outline_errors(p, rig) * (p.sigma_outline_m > 0) for p in group])
     turn = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
-    moved = np.einsum("fij,fjk,fkl->il", shares, turn, errors)
-    return np.asarray(moved @ moved.T)
+    return np.asarray(np.einsum("fij,fjk,fkl->il", shares, turn, errors))
+
+
+def class_error_id(category: str) -> UUID:
+    """Of the outline errors that all objects of a class have in common, among the shared errors of drives: the network errs alike
+    in every drive."""
+    return uuid5(NAMESPACE_OID, f"conetl:outline:{category}")

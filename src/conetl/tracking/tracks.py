@@ -19,7 +19,7 @@ from conetl.model.params import IngestParams, TrackParams
 from conetl.model.records import Detection, FramePair, Position, Rig, Side, StereoMatch, Track
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.tracking.association import MotionError, chain_positions
-from conetl.tracking.error_propagation import common_cov, moved_by_calibration, outline_cov
+from conetl.tracking.error_propagation import class_error_id, common_cov, moved_by_calibration, outline_jacobian
 from conetl.tracking.existence import existence_probability
 
 Floats = NDArray[np.float64]
@@ -162,15 +162,19 @@ def fuse_group(
     if existence < limits.min_existence_probability:
         detail = f"existence probability {existence:.2f}, expected at least {limits.min_existence_probability}"
         return _reject(RejectionReason.EXISTENCE_UNLIKELY, group, detail)
-    own_cov = foot.cov_m2 + outline_cov(group, foot.shares, data.map_SE3_left, rig)
+    outline = outline_jacobian(group, foot.shares, data.map_SE3_left, rig)
+    of_class = FEATURE_CLASSES[category].outline_common ** 0.5 * outline
+    own_cov = foot.cov_m2 + outline @ outline.T - of_class @ of_class.T
     log = data.params.trajectory if data.motion is None else None
+    of_drive = common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)
+    shared = [(class_error_id(category), of_class)] if of_class.any() else []
     drift_m = data.motion.drift_m.get(nearest.frame_index, np.zeros(3)) if data.motion else np.zeros(3)
     first, last = (data.frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
         category=category,
         xyz_m=vec3(foot.xyz_m),
-        cov_m2=cov3(own_cov + common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)),
+        cov_m2=cov3(own_cov + of_class @ of_class.T + of_drive),
         relative_cov_m2=cov3(own_cov + np.outer(drift_m, drift_m)),
         centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,
@@ -182,7 +186,7 @@ def fuse_group(
         residual_rms_px=float(np.sqrt(np.mean(foot.residuals_px**2))),
         nearest_range_m=nearest_m,
         members=tuple((p.frame_index, p.match_index) for p in group),
-        shared_jacobian=jacobian_of(moved_by_calibration(group, foot.shares, rig, data.map_SE3_left), rig),
+        shared_jacobian=jacobian_of(moved_by_calibration(group, foot.shares, rig, data.map_SE3_left), rig, shared),
     )
 
 

@@ -9,6 +9,7 @@ from conetl.evaluation.accuracy import (
     PointErrors,
     by_range,
     drive_consistency,
+    given_others,
     members_of,
     position_errors,
     select,
@@ -122,6 +123,34 @@ def test_an_error_of_the_calibration_is_common_to_all_positions() -> None:
     assert calibrated.relative.value < 0.05 * calibrated.relative.dof
     assert 0.5 < calibrated.common.value < 1.5
     assert uncalibrated.relative.value > 20 * max(calibrated.relative.value, 1e-3)
+
+
+def test_a_class_is_judged_given_what_the_others_show_of_the_common_errors() -> None:
+    """With errors drawn from the stated covariance the NEES of a class has the degrees of freedom of its objects. Of an offset
+    of the drive by 30 cm, which all objects show, nearly nothing is left in each class."""
+    rng, count = np.random.default_rng(8), 7
+    common = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3, 3))], axis=2)
+    common[:3, :, 3:] = 0.03 * np.eye(3)
+    few, own = np.arange(count) < 3, np.tile(1e-4 * np.eye(3), (count, 1, 1))
+    cov = np.diag([0.02**2] * 3 + [1.0] * 3)
+
+    def errors(difference_m: np.ndarray) -> PointErrors:
+        zero = np.zeros((count, 3))
+        return PointErrors(tuple("abcdefg"), zero, difference_m, own, own, zero[:, 0], zero, common, cov)
+
+    drawn = 0.01 * rng.standard_normal((200, count, 3)) + np.einsum(
+        "nij,dj->dni", common, rng.standard_normal((200, 6)) * np.sqrt(np.diag(cov))
+    )
+    for chosen, of_class in ((few, 3), (~few, 0)):
+        nees = drive_consistency(*(given_others(errors(one), chosen) for one in drawn))
+        assert nees is not None
+        assert (nees.absolute.dof, nees.common.dof) == (200 * 3 * chosen.sum(), 200 * of_class)
+        assert nees.absolute.holds() and nees.relative.holds()
+    off = given_others(errors(drawn[0] + (0.3, 0.0, 0.0)), few)
+    np.testing.assert_allclose(off.difference_m, given_others(errors(drawn[0]), few).difference_m, atol=0.02)
+    alone = given_others(errors(drawn[0]), np.ones(count, dtype=bool))
+    np.testing.assert_allclose(alone.difference_m, drawn[0], err_msg="without others nothing is known")
+    np.testing.assert_allclose(alone.change_cov_m2, 0.0, atol=1e-9)
 
 
 def test_without_found_cones_there_are_no_figures() -> None:

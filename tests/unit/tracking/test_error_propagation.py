@@ -17,7 +17,7 @@ from conetl.geometry.packing import cov_matrix
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import CalibrationCovariance, FramePair, Position
-from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_cov, pose_cov
+from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_jacobian, pose_cov
 from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.trajectory import log_errors, refine_trajectory
 from tests import records
@@ -175,21 +175,21 @@ def test_outline_errors_remain_from_one_side_and_cancel_from_opposite_ones() -> 
     left = camera_poses(pairs, RIG, "left")
     position = drawn.positions[0].model_copy(update={"sigma_outline_m": 0.02})
     shares = np.stack([0.5 * np.eye(3)] * 2)
-    one_side = outline_cov([position, position], shares, left, RIG)
+    one_side = outline_jacobian([position, position], shares, left, RIG)
     xyz_m = np.array(position.camera_xyz_m)
     per_px = xyz_m[2] ** 2 / (RIG.left.fx_px * RIG.baseline_m)
     sigma_px = cov_matrix(position.camera_cov_m2)[2, 2] ** 0.5 / per_px
     away = xyz_m / xyz_m[2] * shared_disparity_px(sigma_px) * per_px
-    np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2 + away @ away)
+    np.testing.assert_allclose(np.square(one_side).sum(), 2 * 0.02**2 + away @ away)
     aside = FEATURE_CLASSES["traffic_sign"].outline_aside
     sign = position.model_copy(update={"category": "traffic_sign"})
-    of_sign = outline_cov([sign, sign], shares, left, RIG)
-    np.testing.assert_allclose(np.trace(of_sign), (1 + aside**2) * 0.02**2 + away @ away)
+    of_sign = outline_jacobian([sign, sign], shares, left, RIG)
+    np.testing.assert_allclose(np.square(of_sign).sum(), (1 + aside**2) * 0.02**2 + away @ away)
     turned = left[position.frame_index].copy()
     turned[:3, [0, 2]] *= -1  # from the other side: right and left, far and near are exchanged
     other = position.model_copy(update={"frame_index": 99})
-    both_sides = outline_cov([position, other], shares, {**left, 99: turned}, RIG)
-    np.testing.assert_allclose(np.trace(both_sides), 0.02**2 + away[1] ** 2)
+    both_sides = outline_jacobian([position, other], shares, {**left, 99: turned}, RIG)
+    np.testing.assert_allclose(np.square(both_sides).sum(), 0.02**2 + away[1] ** 2)
 
 
 PARAMS = TrajectoryParams()

@@ -159,12 +159,18 @@ def as_rows(matrix: Floats) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in matrix.tolist())
 
 
-def jacobian_of(jacobian: Floats, rig: Rig) -> SharedErrorJacobian | None:
-    """Shared-error Jacobian of a position from its derivative (3, N) by the parameters of `known_covariance`, if any."""
-    shared = shared_errors(rig)
-    if shared is None:
-        return None
-    [shared_jacobian] = pack_all((shared.calibration,), (jacobian @ np.array(shared.matrix))[None, None])
+def jacobian_of(jacobian: Floats, rig: Rig, others: Sequence[tuple[UUID, Floats]] = ()) -> SharedErrorJacobian | None:
+    """Shared-error Jacobian of a position from its derivative (3, N) by the parameters of `known_covariance`, if any.
+
+    others: ids and Jacobians (3, K) of what drives share beside the calibration.
+    """
+    shared, parts = shared_errors(rig), dict(others)
+    if shared is not None:
+        parts[shared.calibration] = jacobian @ np.array(shared.matrix)
+    moved_m = np.zeros((1, len(parts), 3, max((part.shape[1] for part in parts.values()), default=0)))
+    for k, key in enumerate(sorted(parts)):
+        moved_m[0, k, :, : parts[key].shape[1]] = parts[key]
+    [shared_jacobian] = pack_all(tuple(sorted(parts)), moved_m)
     return shared_jacobian
 
 
