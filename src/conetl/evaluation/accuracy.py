@@ -10,8 +10,8 @@ from scipy.linalg import block_diag
 
 from conetl.evaluation.truth import TruthCone, TruthLine
 from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance, unpack_all
-from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, point_nees, pooled
-from conetl.geometry.packing import cov_matrices, vec3
+from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, pooled
+from conetl.geometry.packing import cov_matrices, on_diagonal, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats
 from conetl.model.records import Drive, Pose, Position, Record, Rig, Track, Vec3
@@ -28,7 +28,7 @@ from conetl.tracking.error_propagation import (
 #: Upper ends of the range bands; the last is open.
 RANGE_BANDS_M = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0)
 #: Fields of `PointErrors` with one row per estimate.
-_PER_ESTIMATE = ("truth_m", "difference_m", "cov_m2", "own_cov_m2", "range_m", "sight", "common_jacobian")
+_PER_ESTIMATE = ("truth_m", "difference_m", "cov_m2", "range_m", "sight", "common_jacobian")
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class PointErrors:
     cov_m2: Floats
     """(N, 3, 3) absolute, as stated"""
     own_cov_m2: Floats
-    """(N, 3, 3) without the common errors of the drive and the changes of its pose errors"""
+    """(3N, 3N) without the common errors of the drive; pose errors that change within it correlate single positions"""
     range_m: Floats
     """(N,) ground distance from the left camera, the nearest one of tracks"""
     sight: Floats
@@ -52,20 +52,10 @@ class PointErrors:
     """(N, 3, K) of each estimate by the common errors of the drive"""
     common_cov: Floats
     """(K, K) of the common errors"""
-    change_cov_m2: Floats | None = None
-    """(3N, 3N) added to `own_cov_m2` by pose errors that change within the drive, correlated between estimates"""
 
-    def whole_own_cov_m2(self) -> Floats:
-        """(3N, 3N) without the common errors; (N, 3, 3) where the estimates are independent."""
-        if self.change_cov_m2 is None:
-            return self.own_cov_m2
-        return np.asarray(block_diag(*self.own_cov_m2) + self.change_cov_m2)
-
-    def precision(self) -> Floats:
-        """(3N, 3N) inverse of the joint covariance of all estimates, common errors included."""
-        change = 0.0 if self.change_cov_m2 is None else self.change_cov_m2
-        common = _moved(self.common_jacobian, self.common_cov)
-        return np.asarray(np.linalg.inv(block_diag(*self.own_cov_m2) + change + common))
+    def joint_cov_m2(self) -> Floats:
+        """(3N, 3N) of all estimates, common errors included."""
+        return self.own_cov_m2 + _moved(self.common_jacobian, self.common_cov)
 
     def in_sight_axes(self, vectors: Floats) -> Floats:
         """(N, 3) vectors along the line of sight, across it (to the left) and up."""
@@ -136,7 +126,7 @@ def track_errors(
         truth_m=truth,
         difference_m=xyz - truth,
         cov_m2=cov_matrices([track.cov_m2 for _, track in found]),
-        own_cov_m2=cov_matrices([track.relative_cov_m2 for _, track in found]),
+        own_cov_m2=on_diagonal(cov_matrices([track.relative_cov_m2 for _, track in found])),
         range_m=np.linalg.norm(level, axis=1),
         sight=_unit(level),
         common_jacobian=np.concatenate([np.concatenate(jacobians), by_class], axis=2),
@@ -187,12 +177,11 @@ def position_errors(
         truth_m=truth,
         difference_m=xyz - truth,
         cov_m2=cov_matrices([p.cov_m2 for p in chosen]),
-        own_cov_m2=own_cov,
+        own_cov_m2=on_diagonal(own_cov) + change,
         range_m=np.array([p.range_m for p in chosen]),
         sight=_unit(xyz[:, :2] - left[:, :2, 3]),
         common_jacobian=np.concatenate([jacobian, outline], axis=2),
         common_cov=block_diag(common, np.eye(outline.shape[2])),
-        change_cov_m2=change,
     )
 
 
@@ -229,11 +218,10 @@ def by_range(errors: PointErrors) -> list[RangeBand]:
 
 def select(errors: PointErrors, keep: Bools) -> PointErrors:
     """The errors of a mask (N,)."""
-    change = errors.change_cov_m2
     return replace(
         errors,
         cone_ids=tuple(name for name, kept in zip(errors.cone_ids, keep.tolist(), strict=True) if kept),
-        change_cov_m2=None if change is None else change[np.ix_(*2 * [np.repeat(keep, 3)])],
+        own_cov_m2=errors.own_cov_m2[np.ix_(*2 * [np.repeat(keep, 3)])],
         **{name: getattr(errors, name)[keep] for name in _PER_ESTIMATE},
     )
 
@@ -245,7 +233,7 @@ def given_others(errors: PointErrors, chosen: Bools) -> PointErrors:
     So the error of GNSS/INS, one draw for the whole drive, does not decide about each class anew. Errors common to the chosen
     ones alone stay common; of the rest, what the others leave unknown becomes part of their own.
     """
-    precision, rows = errors.precision(), np.repeat(chosen, 3)
+    precision, rows = np.linalg.inv(errors.joint_cov_m2()), np.repeat(chosen, 3)
     own, alone = select(errors, chosen), ~errors.common_jacobian[~chosen].any(axis=(0, 1))
     cov = np.linalg.inv(precision[np.ix_(rows, rows)])
     jacobian, common = own.common_jacobian[:, :, alone], errors.common_cov[np.ix_(alone, alone)]
@@ -254,7 +242,7 @@ def given_others(errors: PointErrors, chosen: Bools) -> PointErrors:
         difference_m=(cov @ (precision @ errors.difference_m.ravel())[rows]).reshape(-1, 3),
         common_jacobian=jacobian,
         common_cov=common,
-        change_cov_m2=cov - _moved(jacobian, common) - block_diag(*own.own_cov_m2),
+        own_cov_m2=cov - _moved(jacobian, common),
     )
 
 
@@ -265,20 +253,10 @@ def drive_consistency(*drives: PointErrors) -> Consistency | None:
     few common errors: judge a campaign by the sum.
     """
     return pooled(
-        consistency(errors.difference_m, errors.whole_own_cov_m2(), errors.common_jacobian, errors.common_cov)
+        consistency(errors.difference_m, errors.own_cov_m2, errors.common_jacobian, errors.common_cov)
         for errors in drives
         if len(errors.difference_m)
     )
-
-
-def single_nees(errors: PointErrors) -> Floats:
-    """(N,) NEES of each estimate given all others (`given_others`): chi-square with 3 degrees of freedom."""
-    count = len(errors.difference_m)
-    if not count:
-        return np.zeros(0)
-    precision = errors.precision()
-    blocks = precision.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-    return point_nees((precision @ errors.difference_m.ravel()).reshape(-1, 3), blocks)
 
 
 def _moved(jacobian: Floats, cov: Floats) -> Floats:
@@ -336,15 +314,13 @@ def pose_and_calibration(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tupl
 
 def pose_parts(
     jacobian: Floats, frames: Sequence[int], variances: Floats, poses: PoseCov | None
-) -> tuple[Floats, Floats | None]:
+) -> tuple[Floats, Floats]:
     """Covariance (6, 6) of the constant error of all poses, and (3N, 3N) of N points by the part that changes between frames.
 
     jacobian (N, 3, 6): of the points by their poses; frames (N,): their indices; variances (N, 6): stated.
     """
-    if not frames:
-        return np.zeros((6, 6)), None
-    if poses is None:
-        return np.diag(np.mean(variances, axis=0)), None
+    if not frames or poses is None:
+        return np.diag(np.mean(variances, axis=0)) if frames else np.zeros((6, 6)), np.zeros(2 * (3 * len(frames),))
     order, rank = np.unique(frames, return_inverse=True)
     constant, change = constant_and_change(poses(order.tolist()))
     return constant, moved_cov(jacobian, rank, change)

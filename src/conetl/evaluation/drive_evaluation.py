@@ -17,7 +17,6 @@ from conetl.evaluation.accuracy import (
     given_others,
     members_of,
     position_errors,
-    single_nees,
     statistics,
     track_errors,
 )
@@ -33,7 +32,7 @@ from conetl.evaluation.truth import (
     median_error,
     table_3_rows,
 )
-from conetl.geometry.consistency import Consistency
+from conetl.geometry.consistency import Consistency, left_out_nees
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -280,7 +279,9 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
             title=name,
         ),
         "nees.png": accuracy_plots.nees_histogram(
-            single=single_nees(singles), tracks=single_nees(tracks), title=f"{name}: do the stated sigmas hold?"
+            single=left_out_nees(singles.difference_m, singles.joint_cov_m2()),
+            tracks=left_out_nees(tracks.difference_m, tracks.joint_cov_m2()),
+            title=f"{name}: do the stated sigmas hold?",
         ),
     }
     cones, errors, bands, nees, *others = evaluation.tables()

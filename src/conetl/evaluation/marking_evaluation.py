@@ -22,7 +22,7 @@ from conetl.evaluation.markings import (
 )
 from conetl.evaluation.nees_table import NEES_COLUMNS, NEES_TEXT, nees_as_dict, nees_rows
 from conetl.geometry.consistency import Consistency, pooled
-from conetl.geometry.packing import cov_matrices
+from conetl.geometry.packing import cov_matrices, on_diagonal
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.markings import MarkingTrack
 from conetl.model.records import Drive
@@ -129,8 +129,7 @@ def _common(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -> Com
     return CommonErrors(
         jacobian,
         block_diag(constant, calibration_of(drive.rig)),
-        cov_matrices([cov for track in tracks for cov in track.image_cov_m2]),
-        change,
+        on_diagonal(cov_matrices([cov for track in tracks for cov in track.image_cov_m2])) + change,
     )
 
 

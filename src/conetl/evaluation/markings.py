@@ -22,7 +22,7 @@ from conetl.geometry.camera import project as image_points
 from conetl.geometry.consistency import Consistency, consistency
 from conetl.geometry.geodesy import to_map
 from conetl.geometry.linear_reference import directions_at, project, resampled, stations
-from conetl.geometry.packing import cov_matrices
+from conetl.geometry.packing import cov_matrices, on_diagonal
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.model.arrays import Bools, Floats
 from conetl.model.errors import InputError
@@ -84,9 +84,7 @@ class CommonErrors(NamedTuple):
     cov: Floats
     """(K, K)"""
     own_cov_m2: Floats
-    """(V, 3, 3) of the vertices without any error of poses and calibration"""
-    change_cov_m2: Floats | None = None
-    """(3V, 3V) added to it by pose errors that change within the drive, correlated between vertices"""
+    """(3V, 3V) of the vertices without them; pose errors that change within the drive correlate them"""
 
 
 @dataclass(frozen=True)
@@ -209,7 +207,7 @@ def compare_markings(
     keep = of >= 0
     axes = axes[keep]
     if common is None:
-        own = cov_matrices([cov for one in found for cov in one.cov_m2])
+        own = on_diagonal(cov_matrices([cov for one in found for cov in one.cov_m2]))
         common = CommonErrors(np.zeros((len(vertices), 3, 0)), np.zeros((0, 0)), own)
     return MarkingErrors(
         truth_index=truth_index,
@@ -272,13 +270,8 @@ def marking_consistency(errors: MarkingErrors) -> dict[str, Consistency | None]:
 
 def _joint_cov(common: CommonErrors, keep: Bools, axes: Floats) -> Floats:
     """(V, 2, V, 2) of the kept vertices, in their axes (V, 2, 3), without the common errors."""
-    count = len(axes)
-    joint = np.zeros((count, 2, count, 2))
-    joint[np.arange(count), :, np.arange(count)] = axes @ common.own_cov_m2[keep] @ np.swapaxes(axes, 1, 2)
-    if common.change_cov_m2 is not None:
-        change = common.change_cov_m2.reshape(len(keep), 3, len(keep), 3)[keep][:, :, keep]
-        joint += np.einsum("nij,njmk,mlk->niml", axes, change, axes, optimize=True)
-    return joint
+    own = common.own_cov_m2.reshape(len(keep), 3, len(keep), 3)[keep][:, :, keep]
+    return np.asarray(np.einsum("nij,njmk,mlk->niml", axes, own, axes, optimize=True))
 
 
 def _distances(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats, Floats]:

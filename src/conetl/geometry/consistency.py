@@ -82,6 +82,16 @@ def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Floats:
     return np.asarray(np.einsum("...i,...i->...", difference, solved))
 
 
+def left_out_nees(difference_m: Floats, cov_m2: Floats) -> Floats:
+    """(N,) NEES of each of N points (N, 3) given all others, chi-square with 3 degrees of freedom; cov_m2 (3N, 3N) of all.
+
+    What one is off its prediction by all others, in terms of the inverse of all (e.g. Rasmussen & Williams 2006, 5.4.2).
+    """
+    count, inverse = len(difference_m), np.linalg.inv(cov_m2)
+    blocks = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+    return point_nees((inverse @ difference_m.ravel()).reshape(count, 3), blocks)
+
+
 def consistency(
     difference_m: ArrayLike, own_cov_m2: ArrayLike, common_jacobian: ArrayLike, common_cov: ArrayLike
 ) -> Consistency:

@@ -421,10 +421,10 @@ class Position(Record):
 
 
 class SharedErrorJacobian(NamedTuple):
-    """Change of a position by one sigma of each calibration error that drives share."""
+    """Change of a position by one sigma of each error that drives share: of a calibration, or of a class of objects."""
 
     calibrations: tuple[UUID, ...]
-    """Sorted."""
+    """Sorted; also `class_error_id` of a class."""
     moved_m: bytes
     """(C, 3, K) metres of the map, big-endian float32: by calibration, axis, error; see `geometry/calibration/covariance.py`."""
 
@@ -436,9 +436,9 @@ class Track(Record):
     category: str = CONE
     xyz_m: Vec3
     cov_m2: Cov3
-    """Absolute, with the errors of pose and calibration that all observations share."""
+    """Absolute, with the errors of pose and calibration that all observations share, and of the class that its objects share."""
     relative_cov_m2: Cov3
-    """Without these: for distances between cones of this drive."""
+    """Without these: for distances between objects of one class in this drive."""
     centre_xyz_m: Vec3
     cone_height_m: Positive
     cone_height_sigma_m: Positive
@@ -451,7 +451,7 @@ class Track(Record):
     members: tuple[tuple[int, int], ...] = Field(min_length=1)
     """(frame_index, match_index) of every position."""
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
-    """Of the calibration's part in `cov_m2`; None where unknown. Stored in the database, not part of JSON."""
+    """Of the parts of calibration and class in `cov_m2`; None where unknown. Stored in the database, not part of JSON."""
 
 
 class DriveRecords(NamedTuple):

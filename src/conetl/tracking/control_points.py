@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.consistency import left_out_nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.model.health import HealthCheck, Verdict
@@ -257,14 +258,8 @@ def _best_first(chi2: Floats) -> Iterator[tuple[int, int]]:
 def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> dict[int, int]:
     """The points that all others confirm: the one that fits worst is left out until all do."""
     while len(chosen) > 1:
-        count = len(chosen)
-        known = _off_cov(cones, survey, chosen)
-        # What one is off its prediction by all others, in terms of the inverse of all (e.g. Rasmussen & Williams 2006, 5.4.2).
-        inverse = np.linalg.inv(known.reshape(3 * count, 3 * count)).reshape(known.shape)
-        off_chosen = np.array([off[i, g] for i, g in chosen.items()])
-        weighed = np.einsum("iajb,jb->ia", inverse, off_chosen)
-        own = inverse[np.arange(count), :, np.arange(count)]
-        misfits = np.einsum("ia,ia->i", weighed, np.linalg.solve(own, weighed[..., None])[..., 0])
+        size, off_chosen = 3 * len(chosen), np.array([off[i, g] for i, g in chosen.items()])
+        misfits = left_out_nees(off_chosen, _off_cov(cones, survey, chosen).reshape(size, size))
         worst = int(misfits.argmax())
         if misfits[worst] <= _GATE_CHI2:
             break

@@ -104,7 +104,7 @@ def test_nees_of_drawn_noise_is_in_its_band_and_that_of_too_small_sigmas_is_not(
         noise = rng.multivariate_normal(np.zeros(3), own, len(vertices))
         seen.append(found(vertices + noise + shift, own + shared))
         count += len(vertices)
-    common = CommonErrors(np.tile(np.eye(3), (count, 1, 1)), shared, np.tile(own, (count, 1, 1)))
+    common = CommonErrors(np.tile(np.eye(3), (count, 1, 1)), shared, np.kron(np.eye(count), own))
     results = marking_consistency(compare_markings(known, seen, everywhere, common))
     for name, dof in (("lateral", count), ("height", count), ("together", 2 * count)):
         one = results[name]
@@ -124,8 +124,8 @@ def test_pose_errors_that_drift_along_a_drive_are_in_the_band_as_correlated_erro
     drift, noise = (rng.multivariate_normal(np.zeros(change.shape[0]), change).reshape(-1, 3),
                     rng.multivariate_normal(np.zeros(3), own, len(vertices)))  # fmt: skip
     seen, none = [found(vertices + noise + drift, own)], (np.zeros((len(vertices), 3, 0)), np.zeros((0, 0)))
-    for added, holds in ((change, True), (None, False)):
-        common = CommonErrors(*none, np.tile(own, (len(vertices), 1, 1)), added)
+    for added, holds in ((change, True), (0.0, False)):
+        common = CommonErrors(*none, np.kron(np.eye(len(vertices)), own) + added)
         results = marking_consistency(compare_markings(known, seen, everywhere, common))
         assert [one is not None and one.absolute.holds(0.999) for one in results.values()] == [holds] * 3
 
