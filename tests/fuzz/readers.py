@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,6 +48,7 @@ from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.oxts import parse_oxts
 from conetl.readers.trajectories.times import misplaced, parse_timestamps
 from tests.fuzz import video_files as videos
+from tests.prepared import prepared
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_device_rigs as device_rigs
@@ -90,20 +92,18 @@ def _of_small_images(line: str) -> str:
     return f"{key} {' '.join(values)}\n"
 
 
-def write_drive(name: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        path = formats.WRITERS[name](folder / "run", small_frames(), small_rig())
-        if name == "kitti":
-            calibration = path / "calib_cam_to_cam.txt"
-            calibration.write_text("".join(map(_of_small_images, calibration.read_text().splitlines())))
-            (path / "drive.yaml").write_text("sigmas: {horizontal_m: 0.02, yaw_deg: 0.1}\ncameras: {left: image_02}\n")
-        if name == "plain":
-            (path / "drive.yaml").write_text("drive_id: morning\ntimestamps_timezone: Europe/Berlin\nmap_srid: 25832\n")
-        if name == "bag":
-            (path / "drive.yaml").write_text("pair_tolerance_ms: 4\nantenna_t_m: [0.4, -0.2, 1.1]\n")
-        return path
-
-    return write
+@prepared
+def write_drive(folder: Path, name: str) -> Path:
+    path = formats.WRITERS[name](folder / "run", small_frames(), small_rig())
+    if name == "kitti":
+        calibration = path / "calib_cam_to_cam.txt"
+        calibration.write_text("".join(map(_of_small_images, calibration.read_text().splitlines())))
+        (path / "drive.yaml").write_text("sigmas: {horizontal_m: 0.02, yaw_deg: 0.1}\ncameras: {left: image_02}\n")
+    if name == "plain":
+        (path / "drive.yaml").write_text("drive_id: morning\ntimestamps_timezone: Europe/Berlin\nmap_srid: 25832\n")
+    if name == "bag":
+        (path / "drive.yaml").write_text("pair_tolerance_ms: 4\nantenna_t_m: [0.4, -0.2, 1.1]\n")
+    return path
 
 
 def read_whole_drive(path: Path, scratch: Path) -> object:
@@ -130,28 +130,22 @@ def read_arriving(path: Path, _: Path) -> object:
 # --------------------------------------------------------------------------- trajectories
 
 
-def read_any_trajectory(name: str) -> Callable[[Path, Path], object]:
+def read_any_trajectory(name: str, path: Path, _: Path) -> object:
     """Found by its content, and read in the format that it was written in, whatever its content is now."""
     sample = trajectory_files.SAMPLES[name]
-
-    def read(path: Path, _: Path) -> object:
-        find_trajectories(path.parent)
-        with suppress(DriveFolderError):
-            read_trajectory(path, sample.settings)
-        return read_trajectory(path, sample.settings.model_copy(update={"format": sample.format}))
-
-    return read
+    find_trajectories(path.parent)
+    with suppress(DriveFolderError):
+        read_trajectory(path, sample.settings)
+    return read_trajectory(path, sample.settings.model_copy(update={"format": sample.format}))
 
 
 # --------------------------------------------------------------------------- rigs
 
 
-def written(name: str, text: str | bytes) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
-        return folder / name
-
-    return write
+@prepared
+def written(folder: Path, name: str, text: str | bytes) -> Path:
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    return folder / name
 
 
 def write_kitti_rig(folder: Path) -> Path:
@@ -208,17 +202,15 @@ def points() -> np.ndarray:
     )
 
 
-def write_by_gdal(name: str, driver: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        columns = [
-            np.array(values) if not isinstance(values[0], str) else np.array(values, object) for values in ROWS.values()
-        ]
-        pyogrio.raw.write(
-            folder / name, points(), columns, list(ROWS), geometry_type="Point Z", crs="EPSG:4326", driver=driver
-        )
-        return folder / name
-
-    return write
+@prepared
+def write_by_gdal(folder: Path, name: str, driver: str) -> Path:
+    columns = [
+        np.array(values) if not isinstance(values[0], str) else np.array(values, object) for values in ROWS.values()
+    ]
+    pyogrio.raw.write(
+        folder / name, points(), columns, list(ROWS), geometry_type="Point Z", crs="EPSG:4326", driver=driver
+    )
+    return folder / name
 
 
 def write_map_csv(folder: Path) -> Path:
@@ -264,16 +256,14 @@ def read_lines(path: Path, _: Path) -> object:
     return found
 
 
-def write_lanes(name: str, driver: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        lines = np.asarray(shapely.to_wkb([shapely.LineString(LON_LAT), shapely.LineString(LON_LAT[1:])]), object)
-        kinds = [np.array(["solid", "dashed"], object), np.array([0.12, 0.15])]
-        pyogrio.raw.write(
-            folder / name, lines, kinds, ["kind", "width"], geometry_type="LineString", crs="EPSG:4326", driver=driver
-        )
-        return folder / name
-
-    return write
+@prepared
+def write_lanes(folder: Path, name: str, driver: str) -> Path:
+    lines = np.asarray(shapely.to_wkb([shapely.LineString(LON_LAT), shapely.LineString(LON_LAT[1:])]), object)
+    kinds = [np.array(["solid", "dashed"], object), np.array([0.12, 0.15])]
+    pyogrio.raw.write(
+        folder / name, lines, kinds, ["kind", "width"], geometry_type="LineString", crs="EPSG:4326", driver=driver
+    )
+    return folder / name
 
 
 # --------------------------------------------------------------------------- small files of drives
@@ -380,7 +370,7 @@ READERS: dict[str, Reader] = {
     "timestamps": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/timestamps.txt", f)), read_stamps),
     "velodyne": Reader(write_scans, read_scans),
     **{
-        f"trajectory_{name}": Reader(sample.write, read_any_trajectory(name))
+        f"trajectory_{name}": Reader(sample.write, partial(read_any_trajectory, name))
         for name, sample in trajectory_files.SAMPLES.items()
     },
     "rig_yaml": Reader(write_rig, read_any_rig),

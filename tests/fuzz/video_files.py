@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from conetl.readers.drives.proposal import propose
 from conetl.readers.drives.video import preview
 from conetl.readers.rigs import write_rig_yaml
 from conetl.readers.svo2 import copy_video, read_svo2
+from tests.prepared import prepared
 from tests.video_drives import write_frames, write_svo2
 
 START_S, RATE_HZ = 1_772_445_600, 10
@@ -49,26 +49,23 @@ def shaken(count: int, width: int, height: int) -> list[np.ndarray]:
     return [scene[y : y + height, x : x + width] for x, y in offsets]
 
 
-def write_video(suffix: str, rig: Rig, frames: int, settings: str = SETTINGS) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        root = folder / "run"
-        root.mkdir()
-        images = shaken(frames, rig.left.width_px, rig.left.height_px)
-        times_ns = [n * 10**9 // RATE_HZ for n in range(frames)]
-        codec, options = CODECS[suffix]
-        for side in ("left", "right"):
-            write_frames(root / f"{side}.{suffix}", images, times_ns, codec, options)
-        write_rig_yaml(rig, root / "rig.yaml")
-        rows = [
-            f"{START_S + n / 5},{49 + 5e-6 * n},{8.4 + 3e-7 * n * n},115,0.05,0.05,0.1"
-            for n in range(-4, frames // 2 + 4)
-        ]
-        (root / "poses.csv").write_text("\n".join(["time,lat,lon,h_ell,sigma_e,sigma_n,sigma_u", *rows]) + "\n")
-        (root / "times.txt").write_text("".join(f"{START_S + t / 1e9:.3f}\n" for t in times_ns))
-        (root / "drive.yaml").write_text(settings.format(suffix))
-        return root
-
-    return write
+@prepared
+def write_video(folder: Path, suffix: str, rig: Rig, frames: int, settings: str = SETTINGS) -> Path:
+    root = folder / "run"
+    root.mkdir()
+    images = shaken(frames, rig.left.width_px, rig.left.height_px)
+    times_ns = [n * 10**9 // RATE_HZ for n in range(frames)]
+    codec, options = CODECS[suffix]
+    for side in ("left", "right"):
+        write_frames(root / f"{side}.{suffix}", images, times_ns, codec, options)
+    write_rig_yaml(rig, root / "rig.yaml")
+    rows = [
+        f"{START_S + n / 5},{49 + 5e-6 * n},{8.4 + 3e-7 * n * n},115,0.05,0.05,0.1" for n in range(-4, frames // 2 + 4)
+    ]
+    (root / "poses.csv").write_text("\n".join(["time,lat,lon,h_ell,sigma_e,sigma_n,sigma_u", *rows]) + "\n")
+    (root / "times.txt").write_text("".join(f"{START_S + t / 1e9:.3f}\n" for t in times_ns))
+    (root / "drive.yaml").write_text(settings.format(suffix))
+    return root
 
 
 def read_video_drive(path: Path, _: Path) -> object:

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.prepared import prepared
+
 Image = NDArray[np.uint8]
 ImageMutant = Callable[[Image], Image]
 PairMutant = Callable[[Image, Image], tuple[Image, Image]]
@@ -22,18 +24,15 @@ def copy_drive(source: Path, folder: Path) -> Path:
     return Path(shutil.copytree(source, folder, ignore=shutil.ignore_patterns("velodyne_points")))
 
 
-def changed(mutant: PairMutant, first: float = 0.0) -> FolderMutant:
+@prepared
+def changed(folder: Path, mutant: PairMutant, first: float = 0.0) -> None:
     """All pairs after this share of the drive, read, changed and written under their names."""
-
-    def change(folder: Path) -> None:
-        lefts = sorted((folder / CAMERAS[0] / "data").iterdir())
-        for path in lefts[int(first * len(lefts)) :]:
-            files = (path, folder / CAMERAS[1] / "data" / path.name)
-            left, right = (np.asarray(cv2.imread(str(file)), np.uint8) for file in files)
-            for file, image in zip(files, mutant(left, right), strict=True):
-                cv2.imwrite(str(file), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
-
-    return change
+    lefts = sorted((folder / CAMERAS[0] / "data").iterdir())
+    for path in lefts[int(first * len(lefts)) :]:
+        files = (path, folder / CAMERAS[1] / "data" / path.name)
+        left, right = (np.asarray(cv2.imread(str(file)), np.uint8) for file in files)
+        for file, image in zip(files, mutant(left, right), strict=True):
+            cv2.imwrite(str(file), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
 
 
 def both(change: ImageMutant) -> PairMutant:
@@ -64,40 +63,32 @@ def blurred(sigma_px: float) -> ImageMutant:
     return lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.uint8)
 
 
-def smeared(sigma_px: float, top: float = 0.55, left: float = 0.0) -> ImageMutant:
+@prepared
+def smeared(image: Image, sigma_px: float, top: float = 0.55, left: float = 0.0) -> Image:
     """Blurred below and to the right of these shares of height and width."""
-
-    def change(image: Image) -> Image:
-        part = image.copy()
-        rows, columns = int(top * image.shape[0]), int(left * image.shape[1])
-        part[rows:, columns:] = cv2.GaussianBlur(image, (0, 0), sigma_px)[rows:, columns:]
-        return part
-
-    return change
+    part = image.copy()
+    rows, columns = int(top * image.shape[0]), int(left * image.shape[1])
+    part[rows:, columns:] = cv2.GaussianBlur(image, (0, 0), sigma_px)[rows:, columns:]
+    return part
 
 
 def overexposed(gain: float) -> ImageMutant:
     return lambda image: np.asarray(np.clip(image * gain, 0, 255), np.uint8)
 
 
-def glare(sigma: float) -> ImageMutant:
+@prepared
+def glare(image: Image, sigma: float) -> Image:
     """A low sun in the middle; sigma: of its glow, as a share of the image's width."""
-
-    def change(image: Image) -> Image:
-        rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
-        off2 = (rows - image.shape[0] / 2) ** 2 + (columns - image.shape[1] / 2) ** 2
-        glow = 400.0 * np.exp(-off2 / (2 * (sigma * image.shape[1]) ** 2))
-        return np.asarray(np.clip(image + glow[..., None], 0, 255), np.uint8)
-
-    return change
+    rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
+    off2 = (rows - image.shape[0] / 2) ** 2 + (columns - image.shape[1] / 2) ** 2
+    glow = 400.0 * np.exp(-off2 / (2 * (sigma * image.shape[1]) ** 2))
+    return np.asarray(np.clip(image + glow[..., None], 0, 255), np.uint8)
 
 
-def compressed(quality: int) -> ImageMutant:
-    def change(image: Image) -> Image:
-        data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-        return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
-
-    return change
+@prepared
+def compressed(image: Image, quality: int) -> Image:
+    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
 
 
 def salted(share: float) -> ImageMutant:
@@ -111,27 +102,21 @@ def salted(share: float) -> ImageMutant:
     return change
 
 
-def shifted(rows: int, columns: int) -> ImageMutant:
+@prepared
+def shifted(image: Image, rows: int, columns: int) -> Image:
     """The scene lies so many rows lower and columns farther right; the edges are repeated."""
-
-    def change(image: Image) -> Image:
-        height, width = image.shape[:2]
-        at_rows = np.clip(np.arange(height) - rows, 0, height - 1)
-        return image[at_rows][:, np.clip(np.arange(width) - columns, 0, width - 1)]
-
-    return change
+    height, width = image.shape[:2]
+    at_rows = np.clip(np.arange(height) - rows, 0, height - 1)
+    return image[at_rows][:, np.clip(np.arange(width) - columns, 0, width - 1)]
 
 
-def covered(top: float = 0.0, bottom: float = 1.0, left: float = 0.0, right: float = 1.0) -> ImageMutant:
+@prepared
+def covered(image: Image, top: float = 0.0, bottom: float = 1.0, left: float = 0.0, right: float = 1.0) -> Image:
     """Black between shares of height and width."""
-
-    def change(image: Image) -> Image:
-        height, width = image.shape[:2]
-        dark = image.copy()
-        dark[int(top * height) : int(bottom * height), int(left * width) : int(right * width)] = 0
-        return dark
-
-    return change
+    height, width = image.shape[:2]
+    dark = image.copy()
+    dark[int(top * height) : int(bottom * height), int(left * width) : int(right * width)] = 0
+    return dark
 
 
 def mirrored(image: Image) -> Image:
@@ -142,25 +127,19 @@ def upside_down(image: Image) -> Image:
     return np.ascontiguousarray(image[::-1, ::-1])
 
 
-def frozen(*cameras: str, first: float = 0.0) -> FolderMutant:
+@prepared
+def frozen(folder: Path, *cameras: str, first: float = 0.0) -> None:
     """The cameras repeat the image at this share of the drive from there on."""
-
-    def change(folder: Path) -> None:
-        for camera in cameras:
-            files = sorted((folder / camera / "data").iterdir())
-            start = int(first * len(files))
-            for path in files[start + 1 :]:
-                shutil.copy(files[start], path)
-
-    return change
+    for camera in cameras:
+        files = sorted((folder / camera / "data").iterdir())
+        start = int(first * len(files))
+        for path in files[start + 1 :]:
+            shutil.copy(files[start], path)
 
 
-def log(change: Callable[[Sequence[float]], Sequence[float]]) -> FolderMutant:
+@prepared
+def log(folder: Path, change: Callable[[Sequence[float]], Sequence[float]]) -> None:
     """Other latitude, longitude and height (degrees, m) in every record of the GNSS/INS log."""
-
-    def rewrite(folder: Path) -> None:
-        for path in (folder / "oxts" / "data").iterdir():
-            fields = path.read_text().split()
-            path.write_text(" ".join([*(f"{value:.12f}" for value in change([*map(float, fields[:3])])), *fields[3:]]))
-
-    return rewrite
+    for path in (folder / "oxts" / "data").iterdir():
+        fields = path.read_text().split()
+        path.write_text(" ".join([*(f"{value:.12f}" for value in change([*map(float, fields[:3])])), *fields[3:]]))

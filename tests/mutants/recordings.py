@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,50 +14,44 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import vec3
-from conetl.model.records import Drive, Pose
+from conetl.model.records import SIDES, Drive, FramePair, Pose
 from conetl.readers.drives import read_drive
+from tests.prepared import prepared
 
 Mutant = Callable[[Drive], Drive]
 
 
 def in_turn(*mutants: Mutant) -> Mutant:
-    def mutant(drive: Drive) -> Drive:
-        for change in mutants:
-            drive = change(drive)
-        return drive
-
-    return mutant
+    return lambda drive: reduce(lambda changed, change: change(changed), mutants, drive)
 
 
-def with_poses(drive: Drive, pose_of: Callable[[int], Pose]) -> Drive:
-    pairs = tuple(pair.model_copy(update={"pose": pose_of(k)}) for k, pair in enumerate(drive.frame_pairs))
-    return drive.model_copy(update={"frame_pairs": pairs})
+def with_pairs(drive: Drive, pairs: Iterable[FramePair]) -> Drive:
+    return drive.model_copy(update={"frame_pairs": tuple(pairs)})
 
 
-def displaced(shift_m: Callable[[int, int], NDArray[np.float64] | tuple[float, float, float]]) -> Mutant:
+def with_poses(drive: Drive, change: Callable[[int, Pose], Any]) -> Drive:
+    """change: other fields of pose k, or another pose."""
+    poses = [pair.pose.model_copy(update=dict(change(k, pair.pose))) for k, pair in enumerate(drive.frame_pairs)]
+    return with_pairs(
+        drive, (pair.model_copy(update={"pose": p}) for pair, p in zip(drive.frame_pairs, poses, strict=True))
+    )
+
+
+@prepared
+def displaced(drive: Drive, shift_m: Callable[[int, int], NDArray[np.float64] | tuple[float, float, float]]) -> Drive:
     """shift_m: of pose k of n."""
-
-    def mutant(drive: Drive) -> Drive:
-        count = len(drive.frame_pairs)
-
-        def pose_of(k: int) -> Pose:
-            pose = drive.frame_pairs[k].pose
-            return pose.model_copy(update={"map_t_body_m": vec3(np.array(pose.map_t_body_m) + shift_m(k, count))})
-
-        return with_poses(drive, pose_of)
-
-    return mutant
+    count = len(drive.frame_pairs)
+    return with_poses(drive, lambda k, pose: {"map_t_body_m": vec3(np.array(pose.map_t_body_m) + shift_m(k, count))})
 
 
 def jump(metres: float, first: int = 20, last: int = 10**6) -> Mutant:
     return displaced(lambda k, _: (metres * (first <= k < last), 0.0, 0.0))
 
 
-def without(first: int, last: int) -> Mutant:
+@prepared
+def without(drive: Drive, first: int, last: int) -> Drive:
     """Frame pairs first..last - 1 are lost."""
-    return lambda drive: drive.model_copy(
-        update={"frame_pairs": (*drive.frame_pairs[:first], *drive.frame_pairs[last:])}
-    )
+    return with_pairs(drive, drive.frame_pairs[:first] + drive.frame_pairs[last:])
 
 
 def raised(metres: float, first: int = 0) -> Mutant:
@@ -84,74 +80,60 @@ def noise(metres: float, smoothed: float = 0.0) -> Mutant:
     return displaced(lambda k, _: shifts[k])
 
 
-def aside(metres: float) -> Mutant:
+@prepared
+def aside(drive: Drive, metres: float) -> Drive:
     """The whole drive, to the left of its path."""
-
-    def mutant(drive: Drive) -> Drive:
-        ends = [np.array(drive.frame_pairs[k].pose.map_t_body_m) for k in (0, -1)]
-        along = (ends[1] - ends[0])[:2] / np.linalg.norm((ends[1] - ends[0])[:2])
-        return displaced(lambda _, __: (-metres * along[1], metres * along[0], 0.0))(drive)
-
-    return mutant
+    ends = [np.array(drive.frame_pairs[k].pose.map_t_body_m) for k in (0, -1)]
+    along = (ends[1] - ends[0])[:2] / np.linalg.norm((ends[1] - ends[0])[:2])
+    return displaced(lambda _, __: (-metres * along[1], metres * along[0], 0.0))(drive)
 
 
-def turned_about_start(degrees: float) -> Mutant:
+@prepared
+def turned_about_start(drive: Drive, degrees: float) -> Drive:
     """The whole drive about the vertical through its first pose."""
     turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    start = np.array(drive.frame_pairs[0].pose.map_t_body_m)
 
-    def mutant(drive: Drive) -> Drive:
-        start = np.array(drive.frame_pairs[0].pose.map_t_body_m)
+    def moved(_: int, pose: Pose) -> dict[str, Any]:
+        position = start + turn @ (np.array(pose.map_t_body_m) - start)
+        return {"map_t_body_m": vec3(position), "map_R_body": se3.to_matrix3(turn @ np.array(pose.map_R_body))}
 
-        def pose_of(k: int) -> Pose:
-            pose = drive.frame_pairs[k].pose
-            position = start + turn @ (np.array(pose.map_t_body_m) - start)
-            rotation = se3.to_matrix3(turn @ np.array(pose.map_R_body))
-            return pose.model_copy(update={"map_t_body_m": vec3(position), "map_R_body": rotation})
-
-        return with_poses(drive, pose_of)
-
-    return mutant
+    return with_poses(drive, moved)
 
 
-def lever_arm(x_m: float, y_m: float, z_m: float) -> Mutant:
+@prepared
+def lever_arm(drive: Drive, x_m: float, y_m: float, z_m: float) -> Drive:
     """Cameras that are mounted so far from where the calibration has them."""
-
-    def mutant(drive: Drive) -> Drive:
-        sides = {}
-        for name in ("body_SE3_left", "body_SE3_right"):
-            matrix = np.array(getattr(drive.rig, name))
-            matrix[:3, 3] += (x_m, y_m, z_m)
-            sides[name] = se3.to_matrix4(matrix)
-        return drive.model_copy(update={"rig": drive.rig.model_copy(update=sides)})
-
-    return mutant
+    sides = {}
+    for name in ("body_SE3_left", "body_SE3_right"):
+        matrix = np.array(getattr(drive.rig, name))
+        matrix[:3, 3] += (x_m, y_m, z_m)
+        sides[name] = se3.to_matrix4(matrix)
+    return drive.model_copy(update={"rig": drive.rig.model_copy(update=sides)})
 
 
-def stating(sigma_m: float) -> Mutant:
+@prepared
+def stating(drive: Drive, sigma_m: float) -> Drive:
     """Poses with this stated sigma of each coordinate."""
-
-    def mutant(drive: Drive) -> Drive:
-        sigma = {"sigma_enu_m": (sigma_m,) * 3}
-        return with_poses(drive, lambda k: drive.frame_pairs[k].pose.model_copy(update=sigma))
-
-    return mutant
+    return with_poses(drive, lambda _, __: {"sigma_enu_m": (sigma_m,) * 3})
 
 
-def late(records: int) -> Mutant:
+@prepared
+def late(drive: Drive, records: int) -> Drive:
     """Poses that come so many records late."""
-    return lambda drive: with_poses(drive, lambda k: drive.frame_pairs[max(k - records, 0)].pose)
+    return with_poses(drive, lambda k, _: drive.frame_pairs[max(k - records, 0)].pose)
 
 
-def clock(milliseconds: float) -> Mutant:
+@prepared
+def clock(drive: Drive, milliseconds: float) -> Drive:
     """Poses of another instant than the images."""
-    return lambda drive: with_poses(
-        drive, lambda k: pose_at(drive, drive.frame_pairs[k].captured_at_ns + milliseconds * 1e6)
-    )
+    return with_poses(drive, lambda k, _: pose_at(drive, drive.frame_pairs[k].captured_at_ns + milliseconds * 1e6))
 
 
-def clock_known_to(seconds: float) -> Mutant:
+@prepared
+def clock_known_to(drive: Drive, seconds: float) -> Drive:
     """A recording whose reader estimated the beginning of its images, with this sigma."""
-    return lambda drive: drive.model_copy(update={"clock_sigma_s": seconds})
+    return drive.model_copy(update={"clock_sigma_s": seconds})
 
 
 def pose_at(drive: Drive, at_ns: float) -> Pose:
@@ -169,105 +151,79 @@ def pose_at(drive: Drive, at_ns: float) -> Pose:
 
 
 def reversed_poses(drive: Drive) -> Drive:
-    return with_poses(drive, lambda k: drive.frame_pairs[len(drive.frame_pairs) - 1 - k].pose)
+    return with_poses(drive, lambda k, _: drive.frame_pairs[len(drive.frame_pairs) - 1 - k].pose)
 
 
-def frozen_place(first: float = 0.0) -> Mutant:
+@prepared
+def frozen_place(drive: Drive, first: float = 0.0) -> Drive:
     """Positions, but not attitudes, stay what they are at this share of the drive."""
-
-    def mutant(drive: Drive) -> Drive:
-        poses = [pair.pose for pair in drive.frame_pairs]
-        start = int(first * len(poses))
-
-        def pose_of(k: int) -> Pose:
-            return poses[k].model_copy(update={"map_t_body_m": poses[min(k, start)].map_t_body_m})
-
-        return with_poses(drive, pose_of)
-
-    return mutant
+    places = [pair.pose.map_t_body_m for pair in drive.frame_pairs]
+    return with_poses(drive, lambda k, _: {"map_t_body_m": places[min(k, int(first * len(places)))]})
 
 
-def turned(roll_deg: float, pitch_deg: float, yaw_deg: float, first: int = 0) -> Mutant:
+@prepared
+def turned(drive: Drive, roll_deg: float, pitch_deg: float, yaw_deg: float, first: int = 0) -> Drive:
     """From pose `first` on."""
     turn = Rotation.from_euler("xyz", (roll_deg, pitch_deg, yaw_deg), degrees=True).as_matrix()
-
-    def pose_of(pose: Pose) -> Pose:
-        return pose.model_copy(update={"map_R_body": se3.to_matrix3(np.array(pose.map_R_body) @ turn)})
-
-    return lambda drive: with_poses(
-        drive, lambda k: pose_of(drive.frame_pairs[k].pose) if k >= first else drive.frame_pairs[k].pose
+    return with_poses(
+        drive, lambda k, pose: {"map_R_body": se3.to_matrix3(np.array(pose.map_R_body) @ turn)} if k >= first else {}
     )
 
 
-def right_late(frames: int, first: int = 0) -> Mutant:
+@prepared
+def right_late(drive: Drive, frames: int, first: int = 0) -> Drive:
     """Right images of so many frames before, from this pair on: the left camera lost frames, or the right one repeated some."""
-
-    def mutant(drive: Drive) -> Drive:
-        pairs = drive.frame_pairs
-        moved = tuple(
-            pair.model_copy(update={"right_path": old.right_path, "right_sha256": old.right_sha256})
-            for pair, old in zip(pairs[first + frames :], pairs[first:], strict=False)
-        )
-        return drive.model_copy(update={"frame_pairs": pairs[:first] + moved})
-
-    return mutant
+    pairs = drive.frame_pairs
+    moved = (
+        pair.model_copy(update=images_in(old, "right"))
+        for pair, old in zip(pairs[first + frames :], pairs[first:], strict=False)
+    )
+    return with_pairs(drive, (*pairs[:first], *moved))
 
 
-def images_shifted(frames: int, first: int) -> Mutant:
+@prepared
+def images_shifted(drive: Drive, frames: int, first: int) -> Drive:
     """Both images are those of so many frames later from this pair on (earlier, if negative): cameras lost or repeated some."""
-
-    def mutant(drive: Drive) -> Drive:
-        pairs = drive.frame_pairs
-        names = ("left_path", "right_path", "left_sha256", "right_sha256")
-        moved = tuple(
-            pairs[k].model_copy(update={name: getattr(pairs[k + frames], name) for name in names})
-            for k in range(first, len(pairs) - max(frames, 0))
-        )
-        return drive.model_copy(update={"frame_pairs": pairs[: first + min(frames, 0)] + moved})
-
-    return mutant
+    pairs = drive.frame_pairs
+    moved = (
+        pairs[k].model_copy(update=images_in(pairs[k + frames])) for k in range(first, len(pairs) - max(frames, 0))
+    )
+    return with_pairs(drive, (*pairs[: first + min(frames, 0)], *moved))
 
 
-def images_of(folder: Path, first: int, last: int) -> Mutant:
+@prepared
+def images_of(drive: Drive, folder: Path, first: int, last: int) -> Drive:
     """Both images of these pairs are those of another recording, whose vehicle moved alike."""
-
-    def mutant(drive: Drive) -> Drive:
-        names = ("left_path", "right_path", "left_sha256", "right_sha256")
-        other = read_drive(folder)[0].frame_pairs
-        pairs = tuple(
-            pair.model_copy(update={name: getattr(other[k], name) for name in names}) if first <= k < last else pair
-            for k, pair in enumerate(drive.frame_pairs)
-        )
-        return drive.model_copy(update={"frame_pairs": pairs})
-
-    return mutant
+    other = read_drive(folder)[0].frame_pairs
+    moved = (
+        pair.model_copy(update=images_in(other[k])) for k, pair in enumerate(drive.frame_pairs[:last]) if k >= first
+    )
+    return with_pairs(drive, (*drive.frame_pairs[:first], *moved, *drive.frame_pairs[last:]))
 
 
-def baseline(factor: float) -> Mutant:
+def images_in(pair: FramePair, *sides: str) -> dict[str, Any]:
+    """Paths and hashes of both images, or of one side."""
+    return {name: getattr(pair, name) for side in sides or SIDES for name in (f"{side}_path", f"{side}_sha256")}
+
+
+@prepared
+def baseline(drive: Drive, factor: float) -> Drive:
     """A calibration whose baseline is so many times the true one."""
-
-    def mutant(drive: Drive) -> Drive:
-        left, right = np.array(drive.rig.body_SE3_left), np.array(drive.rig.body_SE3_right)
-        right[:3, 3] = left[:3, 3] + factor * (right[:3, 3] - left[:3, 3])
-        rig = drive.rig.model_copy(update={"body_SE3_right": se3.to_matrix4(right)})
-        return drive.model_copy(update={"rig": rig})
-
-    return mutant
+    left, right = np.array(drive.rig.body_SE3_left), np.array(drive.rig.body_SE3_right)
+    right[:3, 3] = left[:3, 3] + factor * (right[:3, 3] - left[:3, 3])
+    return drive.model_copy(update={"rig": drive.rig.model_copy(update={"body_SE3_right": se3.to_matrix4(right)})})
 
 
-def lenses(focal: float = 1.0, right_column_px: float = 0.0, columns_px: float = 0.0, rows_px: float = 0.0) -> Mutant:
+@prepared
+def lenses(
+    drive: Drive, focal: float = 1.0, right_column_px: float = 0.0, columns_px: float = 0.0, rows_px: float = 0.0
+) -> Drive:
     """A calibration with so many times the focal length and other principal points: of the right camera, and of both."""
-
-    def mutant(drive: Drive) -> Drive:
-        sides = {}
-        for name, own_px in (("left", 0.0), ("right", right_column_px)):
-            camera = getattr(drive.rig, name)
-            sides[name] = camera.model_copy(
-                update={
-                    "fx_px": focal * camera.fx_px, "fy_px": focal * camera.fy_px,
-                    "cx_px": camera.cx_px + columns_px + own_px, "cy_px": camera.cy_px + rows_px,
-                }
-            )  # fmt: skip
-        return drive.model_copy(update={"rig": drive.rig.model_copy(update=sides)})
-
-    return mutant
+    sides = {}
+    for name, own_px in (("left", 0.0), ("right", right_column_px)):
+        camera = getattr(drive.rig, name)
+        sides[name] = camera.model_copy(update={
+            "fx_px": focal * camera.fx_px, "fy_px": focal * camera.fy_px,
+            "cx_px": camera.cx_px + columns_px + own_px, "cy_px": camera.cy_px + rows_px,
+        })  # fmt: skip
+    return drive.model_copy(update={"rig": drive.rig.model_copy(update=sides)})

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-
+from conetl.model.arrays import Floats
 
 #: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y, class
 COLUMNS = 10

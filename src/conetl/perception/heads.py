@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, model_validator
 
+from conetl.model.arrays import Floats
 from conetl.model.errors import ModelFileError
 
-Floats = NDArray[np.float64]
 Output = NDArray[Any]
 """One output of a network, of any floating type."""
 Shape = Sequence[int | str | None]

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats
 from conetl.perception.decoding import NetworkBoxes, intersection_over_union, without_parts
 from conetl.perception.model_card import ReScoringPass, SmallObjectPass
 
-Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: Columns of a candidate that hold x and y in turn; column 4 is the score, column CLASS the class.

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import cv2
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.rig import right_camera_turned
+from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.records import MIN_DETAIL, SIDES, Drive, FramePair, Side, UnclearSquares
@@ -31,7 +32,6 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.video import frame_of
 
-Floats = NDArray[np.float64]
 _PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
 _SHRINK, _MAX_HAMMING = 2, 50
 #: Share of the matches from which the sides are wrong, and below which the right images of other frames are tried.
@@ -107,31 +107,23 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
         return drive, checks
     checks.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
     off_px, sigma_px = float(rows.mean()), float(np.hypot(rows.std() / np.sqrt(len(rows)), _FLOOR_PX))
-    figures = {
-        "name": "rows of the right images",
-        "value": off_px,
-        "sigma": sigma_px,
-        "limit": _FINE_ROWS_PX,
-        "unit": "px",
-    }
+    judged = partial(
+        HealthCheck, name="rows of the right images", value=off_px, sigma=sigma_px, limit=_FINE_ROWS_PX, unit="px"
+    )
     if abs(off_px) > _CORRECTED_ROWS_PX:
         detail = (
             f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones, too far to be corrected. See "
             "whether they were cropped, or calibrate the rig anew (conetl calibrate)."
         )
-        return drive, [*checks, HealthCheck(**figures, verdict=Verdict.HOLD, detail=detail)]
+        return drive, [*checks, judged(verdict=Verdict.HOLD, detail=detail)]
     if abs(off_px) <= _FINE_ROWS_PX:
-        return drive, [
-            *checks,
-            HealthCheck(**figures, verdict=Verdict.PASS, detail="Both images have the same rows."),
-        ]
+        return drive, [*checks, judged(verdict=Verdict.PASS, detail="Both images have the same rows.")]
     detail = (
         f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones: the right camera was turned by that. "
         "Calibrate the rig anew (conetl calibrate), or see whether the images were cropped."
     )
     turned = right_camera_turned(drive.rig, np.array([off_px / drive.rig.right.fy_px, 0.0, 0.0]))
-    corrected = HealthCheck(**figures, verdict=Verdict.CORRECTED, detail=detail)
-    return drive.model_copy(update={"rig": turned}), [*checks, corrected]
+    return drive.model_copy(update={"rig": turned}), [*checks, judged(verdict=Verdict.CORRECTED, detail=detail)]
 
 
 def in_one_file(pair: FramePair) -> bool:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from conetl.geometry.motion.stereo_motion import MotionStatus, RelativeMotion, estimate_motion
 from conetl.geometry.motion.stereo_tracks import cameras_of, relative_motion
 from conetl.geometry.pose import to_matrix3
+from conetl.model.arrays import Floats
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Pose, Rig, Side
 from conetl.perception.visual_odometry import follow_spans
 
-Floats = NDArray[np.float64]
 #: Images are followed at this width (px), so many per second, and for so many intervals (2.5 minutes).
 _WIDTH_PX, _RATE_HZ, _MOST_INTERVALS = 640, 10.0, 1500
 #: Speeds that are tried where no motion is known (m/s).

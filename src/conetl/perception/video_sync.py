@@ -11,13 +11,12 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from conetl.model.arrays import Floats
 from conetl.perception.video import VideoIndex
 from conetl.perception.video_frames import frames_between
 
-Floats = NDArray[np.float64]
 #: Windows along the recording, and by how much the files may be shifted.
 _WINDOWS, _WINDOW_S, SEARCH_S = 6, 7.5, 5.0
 #: Width of the small images, and over how many of them the slow part of the motion is taken away: it is alike at many shifts.

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from conetl.geometry.motion.stereo_motion import StereoCameras, project, triangulate
 from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions
+from conetl.model.arrays import Floats
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSize, read_working_images, working_size
 
-Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Points = NDArray[np.float32]
 _Found = tuple[Floats, Floats, float, NoMeasurement | None]

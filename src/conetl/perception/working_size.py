@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
 from conetl.geometry.rig import camera_of, infinity_shift_px
+from conetl.model.arrays import Floats
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.images import ImageFileError
 
-Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 #: Reads one rectified image of a frame pair, grey or in blue, green, red order; raises ImageFileError.
 ImageReader = Callable[[FramePair, Side], Bytes]

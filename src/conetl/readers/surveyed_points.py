@@ -37,9 +37,7 @@ def read_surveyed_points(
     if source is None:
         raise InputError(f"{path}: states no coordinate reference system; give its crs (--crs), like EPSG:25832")
     xyz = _with_heights(table)
-    if not np.isfinite(xyz).all():
-        row = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0]) + 1
-        raise InputError(f"{path}, row {row}: a point needs east, north and a height ({', '.join(_HEIGHTS)})")
+    _require_finite(path, xyz, f"a point needs east, north and a height ({', '.join(_HEIGHTS)})")
     settings = TrajectoryFile(crs=source, heights=heights)
     with named(f"{path}: crs"):
         geographic = parse_crs(source).is_geographic
@@ -50,15 +48,18 @@ def read_surveyed_points(
         reading = Reading(iter([records]), axes="geodetic" if geographic else "projected")
         lat, lon, height = np.vstack([piece.positions for piece in in_wgs84(reading, settings, path)]).T
         xyz = geodesy.to_map(srid, lat, lon, height)
-    if not np.isfinite(xyz).all():
-        row = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0]) + 1
-        raise InputError(f"{path}, row {row}: the point is outside the area of {shown(source)} or of EPSG:{srid}")
+    _require_finite(path, xyz, f"the point is outside the area of {shown(source)} or of EPSG:{srid}")
     sigmas = _sigmas(table, sigma_m, path)
     names = next((table.columns[name] for name in _NAMES if name in table.columns), None) or range(1, count + 1)
     return [
         SurveyedPoint(name=printable(str(name))[:60], xyz_m=vec3(p), sigma_m=vec3(s))
         for name, p, s in zip(names, xyz, sigmas, strict=True)
     ]
+
+
+def _require_finite(path: Path, xyz: Floats, problem: str) -> None:
+    for row in np.flatnonzero(~np.isfinite(xyz).all(axis=1))[:1]:
+        raise InputError(f"{path}, row {row + 1}: {problem}")
 
 
 def _with_heights(table: MapTable) -> Floats:

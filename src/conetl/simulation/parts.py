@@ -24,12 +24,7 @@ _WHITE = (0.92, 0.92, 0.90)
 #: Height of a plate as a share of its width, 1 unless given.
 _BOARD_SHARE = {"arrow_board": 0.5, "rectangle": 1.25}
 #: Classes of kinds that stand on the road, and of plates.
-_STANDING = {
-    "drum": "drum",
-    "tubular_marker": "tubular_marker",
-    "vertical_panel": "vertical_panel",
-    "type_3": "barricade",
-}
+_STANDING = {"type_3": "barricade"} | {kind: kind for kind in ("drum", "tubular_marker", "vertical_panel")}
 _PLATES = {
     "diamond": "work_zone_sign", "work_triangle": "work_zone_sign", "arrow_board": "arrow_board", "speed_disc": "traffic_sign",
     "mandatory_disc": "traffic_sign", "warning_triangle": "traffic_sign", "rectangle": "traffic_sign",
@@ -105,10 +100,7 @@ def _bollard(item: RoadObject, seed: int) -> list[Part]:
     h = item.height_m
     body = meshes.lathe([0.055, 0.055, 0.0], [0.0, h, h + 0.01], 24)
     foot = meshes.lathe([0.17, 0.14, 0.0], [0.0, 0.05, 0.06], 24)
-    return [
-        _part(item, body, textures.striped((red, white, red, white, red), seed)),
-        _part(item, foot, (0.1, 0.1, 0.1)),
-    ]
+    return [_part(item, body, textures.striped((red, white, red, white, red), seed)), _part(item, foot, _RUBBER)]
 
 
 def _barrier_post(item: RoadObject, seed: int) -> list[Part]:
@@ -125,11 +117,10 @@ def _barrier_post(item: RoadObject, seed: int) -> list[Part]:
 def _drum(item: RoadObject, seed: int) -> list[Part]:
     """A plastic channelising drum with reflective bands on a rubber ring, as beside American road works."""
     h = item.height_m
-    white = (0.92, 0.92, 0.9)
     body = meshes.lathe([0.29 * h, 0.24 * h, 0.22 * h, 0.08 * h, 0.0], [0.04, 0.85 * h, 0.97 * h, h, h], 28)
     ring = meshes.lathe([0.38 * h, 0.36 * h, 0.0], [0.0, 0.06, 0.07], 24)
-    bands = (item.colour, white, item.colour, white, item.colour)
-    return [_part(item, body, textures.striped(bands, seed)), _part(item, ring, (0.1, 0.1, 0.1))]
+    bands = (item.colour, _WHITE, item.colour, _WHITE, item.colour)
+    return [_part(item, body, textures.striped(bands, seed)), _part(item, ring, _RUBBER)]
 
 
 def _post(item: RoadObject, seed: int) -> list[Part]:
@@ -154,11 +145,8 @@ def _triangle_sign(item: RoadObject, seed: int) -> list[Part]:
 def _bin(item: RoadObject, seed: int) -> list[Part]:
     body = meshes.box([0.5, 0.52, item.height_m - 0.12], 0.06)
     lid = meshes.box([0.56, 0.58, 0.07], item.height_m - 0.07)
-    dark = tuple(0.7 * c for c in item.colour)
-    return [
-        _part(item, body, textures.mottled(seed, item.colour, 0.1, size=128)),
-        _part(item, lid, (dark[0], dark[1], dark[2])),
-    ]
+    r, g, b = (0.7 * c for c in item.colour)
+    return [_part(item, body, textures.mottled(seed, item.colour, 0.1, size=128)), _part(item, lid, (r, g, b))]
 
 
 def _hydrant(item: RoadObject, seed: int) -> list[Part]:

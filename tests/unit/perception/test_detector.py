@@ -120,10 +120,8 @@ def draw_cone(image: np.ndarray, x: float, foot: float, height: float) -> None:
 
     def slab(low: float, high: float, colour: tuple[int, int, int]) -> None:
         corners = [
-            (x - half * (1 - 0.85 * low), foot - low * height),
-            (x + half * (1 - 0.85 * low), foot - low * height),
-            (x + half * (1 - 0.85 * high), foot - high * height),
-            (x - half * (1 - 0.85 * high), foot - high * height),
+            (x + side * half * (1 - 0.85 * share), foot - share * height)
+            for side, share in ((-1, low), (1, low), (1, high), (-1, high))
         ]
         cv2.fillPoly(big, [np.round(np.array(corners) * 4).astype(np.int32)], colour)
 
@@ -185,11 +183,8 @@ def test_a_part_of_a_tall_image_still_shows_what_fills_it(detector: Detector) ->
 
 def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:
     large = np.array([[0.0, 0.0, 100.0, 200.0, 0.8]])
-    inside, better, beside = (
-        [10.0, 50.0, 90.0, 110.0, 0.5],
-        [10.0, 50.0, 90.0, 110.0, 0.9],
-        [90.0, 50.0, 170.0, 110.0, 0.5],
-    )
+    inside, beside = [10.0, 50.0, 90.0, 110.0, 0.5], [90.0, 50.0, 170.0, 110.0, 0.5]
+    better = [*inside[:4], 0.9]
     np.testing.assert_array_equal(without_parts(np.array([inside, better, beside]), large), [better, beside])
     assert len(without_parts(np.zeros((0, 5)), large)) == 0
 
@@ -389,9 +384,7 @@ def test_a_faint_cone_keeps_its_box_among_many_clear_ones(detector: Detector) ->
 
 
 def test_an_empty_road_holds_no_cone(detector: Detector) -> None:
-    image = street(240, 400, 100)
-    found = detect_image(detector, image, score_threshold=0.3)
-    assert found.shape == (0, 10)
+    assert detect_image(detector, street(240, 400, 100), score_threshold=0.3).shape == (0, 10)
 
 
 def test_padding_and_scale_do_not_move_a_cone(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -445,12 +438,6 @@ def test_drums_are_told_from_cones(detector: Detector) -> None:
     assert len(drums) == 3
     cones = detect_image(detector, image, score_threshold=0.3, single_image=True)
     assert (cones[:, 9] == names.index("traffic_cone")).all()
-    for box in drums:
-        assert (
-            intersection_over_union(np.concatenate((box[:2], box[:2] + box[2:4])), corners_of(cones)).max(initial=0)
-            < 0.3
-        )
-
-
-def corners_of(boxes: np.ndarray) -> np.ndarray:
-    return np.concatenate((boxes[:, :2], boxes[:, :2] + boxes[:, 2:4]), axis=1)
+    corners_of_drums, corners_of_cones = (np.hstack((b[:, :2], b[:, :2] + b[:, 2:4])) for b in (drums, cones))
+    for box in corners_of_drums:
+        assert intersection_over_union(box, corners_of_cones).max(initial=0) < 0.3

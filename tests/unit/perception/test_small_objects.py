@@ -36,9 +36,21 @@ DRIVES = Path(__file__).resolve().parents[3] / "data" / "drives"
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-boxes_in_a_image = st.lists(
+IMAGE = np.zeros((200, 400, 3), np.uint8)
+
+boxes_in_an_image = st.lists(
     st.tuples(st.floats(0, 380), st.floats(0, 180), st.floats(2, 30), st.floats(2, 40)), min_size=0, max_size=12
-)
+).map(lambda boxes: np.array([(x, y, x + w, y + h) for x, y, w, h in boxes]).reshape(-1, 4))
+
+
+def blind(shown: list[tuple[int, ...]], omitted: float = 0.0) -> Callable[[Image], NetworkBoxes]:
+    """A network that finds nothing; `shown` gets the shapes of what it was shown."""
+
+    def run(part: Image) -> NetworkBoxes:
+        shown.append(part.shape)
+        return np.zeros((0, 10)), omitted
+
+    return run
 
 
 def showing(boxes: list[Floats], row: Floats) -> Callable[[Image], NetworkBoxes]:
@@ -55,20 +67,14 @@ def showing(boxes: list[Floats], row: Floats) -> Callable[[Image], NetworkBoxes]
     return run
 
 
-@given(boxes_in_a_image)
-def test_each_box_lies_in_one_part_with_its_surroundings_and_parts_do_not_touch(
-    given_boxes: list[tuple[float, float, float, float]],
-) -> None:
-    boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in given_boxes]).reshape(-1, 4)
+@given(boxes_in_an_image)
+def test_each_box_lies_in_one_part_with_its_surroundings_and_parts_do_not_touch(boxes: Floats) -> None:
     parts = parts_around(boxes, 24.0, 403, 211)
     size = np.array([403, 211, 403, 211])
     for surroundings in np.clip(boxes + np.array((-24, -24, 24, 24)), 0, size):
-        inside = (
-            [np.array(p)[:2] <= surroundings[:2] for p in parts],
-            [np.array(p)[2:] >= surroundings[2:] for p in parts],
-        )
-        holding = [k for k in range(len(parts)) if inside[0][k].all() and inside[1][k].all()]
-        assert len(holding) == 1
+        corners = np.array(parts)
+        inside = (corners[:, :2] <= surroundings[:2]) & (corners[:, 2:] >= surroundings[2:])
+        assert inside.all(axis=1).sum() == 1
     for k, one in enumerate(parts):
         assert 0 <= one[0] < one[2] <= 403 and 0 <= one[1] < one[3] <= 211
         for other in parts[k + 1 :]:
@@ -77,11 +83,8 @@ def test_each_box_lies_in_one_part_with_its_surroundings_and_parts_do_not_touch(
             assert max(beside, below) >= CELL_PX
 
 
-@given(boxes_in_a_image, st.floats(1.1, 4.0))
-def test_all_parts_enlarged_are_no_larger_than_the_image(
-    given_boxes: list[tuple[float, float, float, float]], wanted: float
-) -> None:
-    boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in given_boxes]).reshape(-1, 4)
+@given(boxes_in_an_image, st.floats(1.1, 4.0))
+def test_all_parts_enlarged_are_no_larger_than_the_image(boxes: Floats, wanted: float) -> None:
     parts = parts_around(boxes, 24.0, 400, 200)
     scale = enlargement(parts, wanted, 400 * 200)
     assert scale <= wanted
@@ -89,18 +92,11 @@ def test_all_parts_enlarged_are_no_larger_than_the_image(
 
 
 def test_what_is_tall_or_faint_calls_for_nothing() -> None:
-    rows = np.stack([candidate(100, 50, 140, 110, 0.9), candidate(200, 50, 215, 70, 0.2)])
-
-    def run(part: Image) -> NetworkBoxes:
-        raise AssertionError("nothing was to be looked at")
-
-    np.testing.assert_array_equal(
-        detect_small_objects(run, np.zeros((200, 400, 3), np.uint8), rows, SETTINGS, 1.0), rows
-    )
-    empty = np.zeros((0, 10))
-    np.testing.assert_array_equal(
-        detect_small_objects(run, np.zeros((200, 400, 3), np.uint8), empty, SETTINGS, 1.0), empty
-    )
+    shown: list[tuple[int, ...]] = []
+    tall_and_faint = np.stack([candidate(100, 50, 140, 110, 0.9), candidate(200, 50, 215, 70, 0.2)])
+    for rows in (tall_and_faint, np.zeros((0, 10))):
+        np.testing.assert_array_equal(detect_small_objects(blind(shown), IMAGE, rows, SETTINGS, 1.0), rows)
+    assert shown == [], "nothing was to be looked at"
 
 
 def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_image() -> None:
@@ -122,27 +118,20 @@ def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_image()
 
 
 def test_in_a_image_that_is_scaled_down_the_part_keeps_more_of_its_own_pixels() -> None:
-    image = np.zeros((1200, 3200, 3), np.uint8)
     row = candidate(1000, 600, 1040, 660, 0.6)  # 30 px of the network's input
     x0, y0, x1, y1 = parts_around(row[None], 48.0, 3200, 1200)[0]
     shown: list[tuple[int, ...]] = []
-
-    def run(part: Image) -> NetworkBoxes:
-        shown.append(part.shape)
-        return np.zeros((0, 10)), 0.0
-
-    detect_small_objects(run, image, row[None], SETTINGS, 2.0)
+    detect_small_objects(blind(shown), np.zeros((1200, 3200, 3), np.uint8), row[None], SETTINGS, 2.0)
     assert shown == [(y1 - y0, x1 - x0, 3)]
 
 
 def test_what_only_the_enlarged_look_sees_is_a_candidate_unless_it_is_cut_tall_or_part_of_a_cone() -> None:
-    image = np.zeros((200, 400, 3), np.uint8)
     rows = np.stack([candidate(100, 80, 116, 104, 0.6), candidate(125, 60, 165, 125, 0.9)])  # the second is tall
     x0, y0, *_ = parts_around(rows[:1], 24.0, 400, 200)[0]
     far, band = candidate(84, 80, 91, 90, 0.9), candidate(127, 90, 139, 100, 0.5)
     cut, tall = candidate(x0 + 1, 80, 90, 100, 0.9), candidate(80, y0 + 4, 92, y0 + 60, 0.9)
 
-    found = detect_small_objects(showing([far, band, cut, tall], rows[0]), image, rows, SETTINGS, 1.0)
+    found = detect_small_objects(showing([far, band, cut, tall], rows[0]), IMAGE, rows, SETTINGS, 1.0)
     assert len(found) == 3
     assert found[0, 4] == pytest.approx(pooled_score(0.6, 0.0, 0.65)) and found[0, 4] < 0.2  # not seen again
     np.testing.assert_array_equal(found[1], rows[1])  # tall: not judged
@@ -151,9 +140,8 @@ def test_what_only_the_enlarged_look_sees_is_a_candidate_unless_it_is_cut_tall_o
 
 
 def test_two_candidates_do_not_share_one_box_of_the_enlarged_look() -> None:
-    image = np.zeros((200, 400, 3), np.uint8)
     rows = np.stack([candidate(100, 80, 116, 104, 0.5), candidate(103, 80, 119, 104, 0.6)])
-    found = detect_small_objects(showing([candidate(102, 80, 118, 104, 0.9)], rows[0]), image, rows, SETTINGS, 1.0)
+    found = detect_small_objects(showing([candidate(102, 80, 118, 104, 0.9)], rows[0]), IMAGE, rows, SETTINGS, 1.0)
     assert found[1, 4] == pytest.approx(pooled_score(0.6, 0.9, 0.65))  # the surer one has it
     assert found[0, 4] == pytest.approx(pooled_score(0.5, 0.0, 0.65))
 
@@ -161,41 +149,29 @@ def test_two_candidates_do_not_share_one_box_of_the_enlarged_look() -> None:
 @pytest.mark.parametrize(("omitted", "counts_as"), [(0.0, 0.0), (0.04, 0.0), (0.5, 0.5), (0.8, 0.6)])
 def test_what_a_crowd_may_keep_from_being_told_is_not_taken_for_unseen(omitted: float, counts_as: float) -> None:
     row = candidate(100, 80, 116, 104, 0.6)
-
-    def run(part: Image) -> NetworkBoxes:
-        return np.zeros((0, 10)), omitted
-
-    (found,) = detect_small_objects(run, np.zeros((200, 400, 3), np.uint8), row[None], SETTINGS, 1.0)
+    (found,) = detect_small_objects(blind([], omitted), IMAGE, row[None], SETTINGS, 1.0)
     assert found[4] == pytest.approx(pooled_score(0.6, counts_as, 0.65))
 
 
 def test_a_cone_just_too_tall_to_be_judged_takes_what_is_seen_of_it() -> None:
-    image = np.zeros((200, 400, 3), np.uint8)
     rows = np.stack([candidate(100, 80, 130, 124, 0.9), candidate(140, 80, 156, 104, 0.6)])
     x0, *_ = parts_around(rows[1:], 24.0, 400, 200)[0]
     counterpart = candidate(max(102, x0 + 4), 88, 130, 120, 0.95)
-    found = detect_small_objects(showing([counterpart], rows[1]), image, rows, SETTINGS, 1.0)
+    found = detect_small_objects(showing([counterpart], rows[1]), IMAGE, rows, SETTINGS, 1.0)
     assert len(found) == 2
     np.testing.assert_array_equal(found[0], rows[0])
 
 
 def test_only_wanted_candidates_call_and_boxes_beyond_all_bounds_harm_nothing() -> None:
-    image = np.zeros((200, 400, 3), np.uint8)
-    rows = np.stack(
-        [candidate(100, 80, 116, 104, 0.6), candidate(300, 80, 316, 104, 0.6), candidate(-1e30, 5, 1e30, 9, 0.6)]
-    )
+    sides = ((100, 80, 116, 104), (300, 80, 316, 104), (-1e30, 5, 1e30, 9))
+    rows = np.stack([candidate(*four, 0.6) for four in sides])
     shown: list[tuple[int, ...]] = []
-
-    def run(part: Image) -> NetworkBoxes:
-        shown.append(part.shape)
-        return np.zeros((0, 10)), 0.0
-
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = detect_small_objects(run, image, rows, SETTINGS, 1.0, np.array([True, False, False]))
+        found = detect_small_objects(blind(shown), IMAGE, rows, SETTINGS, 1.0, np.array([True, False, False]))
         assert len(shown) == 1
         np.testing.assert_array_equal(found[1:], rows[1:])
-        detect_small_objects(run, image, rows, SETTINGS, 1.0)
+        detect_small_objects(blind(shown), IMAGE, rows, SETTINGS, 1.0)
 
 
 @pytest.mark.parametrize(

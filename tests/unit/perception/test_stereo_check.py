@@ -30,10 +30,8 @@ def test_clean_lenses_are_sharp_in_all_parts(folder: Path) -> None:
 def test_a_part_of_one_lens_that_is_smeared_is_found(tmp_path: Path) -> None:
     unclear = wrong(only_right(smeared(5.0, top=0.4, left=0.5)), tmp_path).unclear
     assert unclear is not None and unclear.side_px == 64 and not unclear.left
-    rows, columns = (
-        read_drive(SAMPLES[0])[0].rig.right.height_px // 64,
-        read_drive(SAMPLES[0])[0].rig.right.width_px // 64,
-    )
+    camera = read_drive(SAMPLES[0])[0].rig.right
+    rows, columns = camera.height_px // 64, camera.width_px // 64
     truth = {
         (row, column)
         for row in range(rows)

@@ -21,6 +21,7 @@ from conetl.readers.drives import oxts, read_drive
 from conetl.readers.drives.drive_yaml import Sigmas
 from conetl.readers.trajectories.oxts import OxtsRecord
 from conetl.readers.trajectories.times import misplaced, out_of_order, parse_timestamp, parse_timestamps
+from tests.prepared import prepared
 
 FRAMES = 6
 WIDTH, HEIGHT = 96, 32
@@ -157,24 +158,20 @@ def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-100])
 
 
-def change_oxts(number: int, field: int, value: str) -> Callable[[Path], None]:
-    def change(drive: Path) -> None:
-        path = drive / "oxts" / "data" / f"{number:010d}.txt"
-        words = path.read_text().split()
-        words[field] = value
-        path.write_text(" ".join(words))
-
-    return change
+@prepared
+def change_oxts(drive: Path, number: int, field: int, value: str) -> None:
+    path = drive / "oxts" / "data" / f"{number:010d}.txt"
+    words = path.read_text().split()
+    words[field] = value
+    path.write_text(" ".join(words))
 
 
-def change_line(number: int, text: str, camera: str = "image_02") -> Callable[[Path], None]:
-    def change(drive: Path) -> None:
-        path = drive / camera / "timestamps.txt"
-        lines = path.read_text().splitlines()
-        lines[number] = text
-        path.write_text("\n".join(lines) + "\n")
-
-    return change
+@prepared
+def change_line(drive: Path, number: int, text: str, camera: str = "image_02") -> None:
+    path = drive / camera / "timestamps.txt"
+    lines = path.read_text().splitlines()
+    lines[number] = text
+    path.write_text("\n".join(lines) + "\n")
 
 
 R = RejectionReason

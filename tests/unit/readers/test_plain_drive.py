@@ -15,6 +15,7 @@ from conetl.geometry import geodesy
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.rejections import RejectionReason as R
 from conetl.readers.drives import read_drive
+from tests.prepared import prepared
 
 STEMS = ("a10", "a20", "b05", "b06")
 CAMERA = "{width_px: 96, height_px: 32, fx_px: 60, fy_px: 60, cx_px: 47.5, cy_px: 15.5}"
@@ -42,13 +43,11 @@ def drive(tmp_path: Path) -> Path:
     return root
 
 
-def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
-    def change(drive: Path) -> None:
-        text = (drive / name).read_text()
-        assert old in text
-        (drive / name).write_text(text.replace(old, new, 1))
-
-    return change
+@prepared
+def edit(drive: Path, name: str, old: str, new: str) -> None:
+    text = (drive / name).read_text()
+    assert old in text
+    (drive / name).write_text(text.replace(old, new, 1))
 
 
 def test_a_whole_plain_drive(drive: Path) -> None:

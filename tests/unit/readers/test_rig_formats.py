@@ -25,6 +25,7 @@ from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Lens, Rig
 from conetl.readers.rigs import WRITERS, read_rig, read_rig_and_format
+from tests.prepared import prepared
 
 SIZE = (1280, 720)
 K1 = np.array([[902.5, 0, 641.3], [0, 898.1, 355.2], [0, 0, 1.0]])
@@ -284,19 +285,16 @@ def test_any_raw_rig_survives(tmp_path: Path, turn: tuple[float, ...], y: float,
 # --------------------------------------------------------------------------- bad files
 
 
-def change(keys: str, value: Any) -> Callable[[dict[str, Any]], None]:
+@prepared
+def change(content: dict[str, Any], keys: str, value: Any) -> None:
     """An edit of nested content; value None removes the key."""
-
-    def edit(content: dict[str, Any]) -> None:
-        *way, last = keys.split("/")
-        for key in way:
-            content = content[key]
-        if value is None:
-            del content[last]
-        else:
-            content[last] = value
-
-    return edit
+    *way, last = keys.split("/")
+    for key in way:
+        content = content[key]
+    if value is None:
+        del content[last]
+    else:
+        content[last] = value
 
 
 BAD_KALIBR = {

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.camera import project, project_with_jacobian
+from conetl.geometry.camera import intrinsics, project, project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix, stepped
 from conetl.model.arrays import Bools, Floats
 from conetl.model.records import INTERIOR, LENS_COEFFICIENTS, RELATIVE, SIDES, Camera, Lens, LensModel, Side
@@ -59,15 +59,7 @@ def shape_basis(points_m: ArrayLike) -> Floats:
     """
     p = np.asarray(points_m, dtype=np.float64)
     centred = p - p.mean(axis=0)
-    x, y, z = centred.T
-    zero = np.zeros_like(x)
-    motions = [
-        *(np.tile(axis, (len(p), 1)) for axis in np.eye(3)),
-        np.stack([zero, -z, y], axis=1),
-        np.stack([z, zero, -x], axis=1),
-        np.stack([-y, x, zero], axis=1),
-        centred,
-    ]
+    motions = [*(np.tile(axis, (len(p), 1)) for axis in np.eye(3)), *cross_matrix(centred).swapaxes(0, 1), centred]
     datum = np.stack([m.ravel() for m in motions], axis=1)
     q, _ = np.linalg.qr(datum, mode="complete")
     return np.ascontiguousarray(q[:, 7:])
@@ -278,8 +270,8 @@ def moved(bundle: Bundle, step: Floats, pose_steps: dict[int, Floats]) -> Bundle
 
 
 def _moved_camera(camera: Camera, step: Floats) -> Camera:
-    fx, fy, cx, cy = (float(v) for v in np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]) + step[:4])
-    coefficients = tuple(float(v) for v in np.array(camera.lens.coefficients) + step[4:])
+    fx, fy, cx, cy = (intrinsics(camera) + step[:4]).tolist()
+    coefficients = tuple((np.array(camera.lens.coefficients) + step[4:]).tolist())
     lens = Lens.model_construct(model=camera.lens.model, coefficients=coefficients)
     # unchecked: a trial step may be invalid; its cost is infinite then and the step is rejected
     return camera.model_copy(update={"fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy, "lens": lens})

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import RigCovariance, rig_covariance
+from conetl.geometry.calibration.covariance import RigCovariance, as_rows, rig_covariance
 from conetl.geometry.calibration.stereo_bundle import (
     BoardView,
     Bundle,
@@ -124,8 +124,7 @@ def calibrate_stereo(
     shape = richest
     tried: dict[tuple[LensModel, BoardShape], tuple[Candidate, Bundle | None]] = {}
     if len(board_shapes) > 1:
-        for option in board_shapes:
-            tried[first, option] = _tried(bundle, kept, first, option, scale, factor)
+        tried = {(first, option): _tried(bundle, kept, first, option, scale, factor) for option in board_shapes}
         shape = min(board_shapes, key=lambda option: _bic_or_inf(tried[first, option][0]))
     for model in models:
         if (model, shape) not in tried:
@@ -157,9 +156,7 @@ def rig_of(calibration: StereoCalibration, rig_id: str, *, scale_sigma_relative:
         right=Camera.model_validate(bundle.right.model_dump()),
         body_SE3_left=se3.to_matrix4(np.eye(4)),
         body_SE3_right=se3.to_matrix4(bundle.left_SE3_right),
-        calibration_covariance=CalibrationCovariance(
-            names=parameter_names(bundle.lens_model), matrix=tuple(tuple(float(v) for v in row) for row in matrix)
-        ),
+        calibration_covariance=CalibrationCovariance(names=parameter_names(bundle.lens_model), matrix=as_rows(matrix)),
     )
 
 
@@ -179,15 +176,8 @@ def _assembled(
         )
     relatives = {p: se3.compose(start.left_SE3_board[p], se3.invert(start.right_SE3_board[p])) for p in both}
     relative = _central(np.array([relatives[p] for p in both]))
-    bundle = Bundle(
-        start.left,
-        start.right,
-        relative,
-        dict(start.left_SE3_board),
-        points_m,
-        np.zeros((points_m.size, 0)),
-        np.zeros(0),
-    )
+    as_drawn = np.zeros((points_m.size, 0))
+    bundle = Bundle(start.left, start.right, relative, dict(start.left_SE3_board), points_m, as_drawn, np.zeros(0))
     rejected: list[ViewRejection] = []
     for p in both:
         seen = by_key[p, "right"]

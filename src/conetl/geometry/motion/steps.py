@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from conetl.model.arrays import Floats
+
 #: So many steps before and after one say how fast the vehicle was.
 _NEIGHBOURS = 4
 #: m/s^2: what a vehicle may gain or lose in speed at once, by how much its horizontal acceleration departs from an even one

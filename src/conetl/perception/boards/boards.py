@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.stereo_calibration import MIN_CORNERS
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Grey = NDArray[np.uint8]
 
@@ -53,7 +53,7 @@ class Board:
     spacing: float = 0.0
     dictionary: str = "4X4_50"
 
-    def points_m(self) -> Array:
+    def points_m(self) -> Floats:
         """(n, 3) corners in the order of their numbers."""
         if self.kind == "aprilgrid":
             tag = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * self.size_m
@@ -71,7 +71,7 @@ class Found:
     """Corners in one image: point_ids (n,), uv_px (n, 2)."""
 
     point_ids: Ints
-    uv_px: Array
+    uv_px: Floats
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def matched_orientation(left: Found, right: Found, board: Board) -> Found:
     return Found(right.point_ids, right.uv_px[orders[int(np.argmin(misses))]])
 
 
-def edge_width_px(image: Grey, uv_px: Array) -> float:
+def edge_width_px(image: Grey, uv_px: Floats) -> float:
     """Median over corners of contrast divided by steepest slope around them: how many pixels an edge takes."""
     widths = []
     for u, v in uv_px:
@@ -173,7 +173,7 @@ def edge_width_px(image: Grey, uv_px: Array) -> float:
 # --------------------------------------------------------------------------- chessboard
 
 
-def _find_chessboard(image: Grey, size: tuple[int, int]) -> Array | None:
+def _find_chessboard(image: Grey, size: tuple[int, int]) -> Floats | None:
     """(cols rows, 2) corners row by row, or None: found with ever more effort, then measured in an enlarged copy."""
     accurate = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     attempts: tuple[tuple[int, int], ...] = (
@@ -201,7 +201,7 @@ def _find_chessboard(image: Grey, size: tuple[int, int]) -> Array | None:
     return _right_handed(np.asarray(fine + top), size)
 
 
-def _sectors(image: Grey, size: tuple[int, int], flags: int, scale: int) -> Array | None:
+def _sectors(image: Grey, size: tuple[int, int], flags: int, scale: int) -> Floats | None:
     enlarged = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     found, corners = cv2.findChessboardCornersSB(enlarged, size, flags=flags)
     if not found:
@@ -209,12 +209,12 @@ def _sectors(image: Grey, size: tuple[int, int], flags: int, scale: int) -> Arra
     return np.asarray((corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5)
 
 
-def _same_way(corners: Array, like: Array) -> Array:
+def _same_way(corners: Floats, like: Floats) -> Floats:
     """Corners in the order, forwards or backwards, that is nearer to `like`."""
     return min((corners, corners[::-1]), key=lambda c: float(((c - like) ** 2).sum()))
 
 
-def _right_handed(corners: Array, size: tuple[int, int]) -> Array:
+def _right_handed(corners: Floats, size: tuple[int, int]) -> Floats:
     """Corners with columns to the right of rows going down, as a board seen from its front has them."""
     grid = corners.reshape(size[1], size[0], 2)
     along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
@@ -244,7 +244,7 @@ def _why_no_chessboard(image: Grey, board: Board) -> NotFound:
 # --------------------------------------------------------------------------- small help
 
 
-def _lattice(cols: int, rows: int) -> Array:
+def _lattice(cols: int, rows: int) -> Floats:
     """(cols rows, 2) whole numbers x, y, row by row."""
     x, y = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
     return np.stack([x.ravel(), y.ravel()], axis=1)
@@ -260,13 +260,13 @@ def _length_m(text: str, spec: str) -> float:
 # --------------------------------------------------------------------------- boards with markers
 
 
-def _find_charuco(image: Grey, board: Board) -> tuple[Ints, Array]:
+def _find_charuco(image: Grey, board: Board) -> tuple[Ints, Floats]:
     """Numbers (n,) and places (n, 2) px of the inner corners of a ChArUco board.
 
     Boards made before OpenCV 4.6 begin with another colour in their first corner; both kinds are tried.
     """
     words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
-    best: tuple[Ints, Array] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    best: tuple[Ints, Floats] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     for legacy in (False, True):
         pattern = cv2.aruco.CharucoBoard((board.cols, board.rows), board.size_m, board.marker_m, words)
         pattern.setLegacyPattern(legacy)
@@ -276,7 +276,7 @@ def _find_charuco(image: Grey, board: Board) -> tuple[Ints, Array]:
     return best
 
 
-def _find_april_grid(image: Grey, board: Board) -> tuple[Ints, Array]:
+def _find_april_grid(image: Grey, board: Board) -> tuple[Ints, Floats]:
     """Numbers (n,) and places (n, 2) px of the tag corners of an AprilGrid (tag36h11, Kalibr's layout).
 
     Tags are numbered row by row from the lower left; corner 4 t + k is the lower left, lower right, upper right, upper left one
@@ -285,7 +285,7 @@ def _find_april_grid(image: Grey, board: Board) -> tuple[Ints, Array]:
     words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     # By outline, not by OpenCV's AprilTag detector: that one loses tags whose corners touch the black squares between them.
     quads, ids, _ = cv2.aruco.ArucoDetector(words, cv2.aruco.DetectorParameters()).detectMarkers(image)
-    none: tuple[Ints, Array] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    none: tuple[Ints, Floats] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     if ids is None:
         return none
     tags = ids.ravel().astype(np.int64)

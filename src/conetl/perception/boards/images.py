@@ -12,12 +12,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.stereo_bundle import BoardView
 from conetl.geometry.calibration.stereo_calibration import MIN_PAIRS, Start
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, InputError
 from conetl.model.records import SIDES, Camera, Lens, Side
 from conetl.model.rejections import Rejection, RejectionReason
@@ -27,7 +27,6 @@ from conetl.perception.video import frame_of
 from conetl.perception.video_frames import read_frame
 
 Size = tuple[int, int]
-Array = NDArray[np.float64]
 _FLAGS = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
 #: OpenCV's time grows fast with the number of images; a start needs no more than this.
 _MAX_VIEWS = 40
@@ -176,13 +175,13 @@ def _joined(folder: Path, left: dict[str, Path], right: dict[str, Path]) -> list
     return [ImagePair(name, left.get(name), right.get(name)) for name in sorted(set(left) | set(right))]
 
 
-def start_values(points_m: Array, views: Sequence[BoardView], sizes: Mapping[Side, tuple[int, int]]) -> Start:
+def start_values(points_m: Floats, views: Sequence[BoardView], sizes: Mapping[Side, tuple[int, int]]) -> Start:
     """Cameras with radial distortion and the board's pose in each view. points_m: (n, 3) board; sizes: width, height by side.
 
     Raises CalibrationError where a camera has too few views or OpenCV finds no solution.
     """
     cameras: dict[Side, Camera] = {}
-    poses: dict[Side, dict[int, Array]] = {}
+    poses: dict[Side, dict[int, Floats]] = {}
     for side in SIDES:
         own = [view for view in views if view.side == side]
         if len(own) < MIN_PAIRS:
@@ -194,8 +193,8 @@ def start_values(points_m: Array, views: Sequence[BoardView], sizes: Mapping[Sid
 
 
 def _one_camera(
-    points_m: Array, views: Sequence[BoardView], size: tuple[int, int], side: Side
-) -> tuple[Camera, dict[int, Array]]:
+    points_m: Floats, views: Sequence[BoardView], size: tuple[int, int], side: Side
+) -> tuple[Camera, dict[int, Floats]]:
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, _MAX_VIEWS).round().astype(int))]
     try:
         for _ in range(3):
@@ -223,7 +222,7 @@ def _one_camera(
     return camera, poses
 
 
-def _pose(points_m: Array, view: BoardView, k: Array, lens: Array) -> Array:
+def _pose(points_m: Floats, view: BoardView, k: Floats, lens: Floats) -> Floats:
     """(4, 4) camera_SE3_board; of the two that a plane allows the one of the smaller residuals."""
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         points_m[view.point_ids], view.uv_px[:, None], k, lens, flags=cv2.SOLVEPNP_IPPE

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, InputError
 from conetl.model.records import SIDES, Side
 from conetl.perception.boards.images import ImagePair
@@ -22,7 +23,6 @@ from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, Frame, Layout, Vide
 from conetl.perception.video_frames import frames_between
 from conetl.perception.video_sync import SEARCH_S, correlation_peak
 
-Array = NDArray[np.float64]
 #: More pairs make a calibration slower, not better.
 MAX_PAIRS = 60
 #: Seconds between the frames that are compared, longest recording, width of the small images.
@@ -142,7 +142,7 @@ def _small_images(video: VideoIndex, numbers: Sequence[int], count: Callable[[in
     return np.array([found.get(video.pts[number], blank) for number in numbers])
 
 
-def _motion(small: NDArray[np.uint8]) -> Array:
+def _motion(small: NDArray[np.uint8]) -> Floats:
     """(N,) how much each image differs from the one before it and the one after it, the larger; infinite at both ends."""
     steps = np.array([_difference(a, b) for a, b in pairwise(small)])
     motion = np.full(len(small), np.inf)
@@ -150,7 +150,7 @@ def _motion(small: NDArray[np.uint8]) -> Array:
     return motion
 
 
-def _at(motion: Array, positions: Array) -> Array:
+def _at(motion: Floats, positions: Floats) -> Floats:
     """Motion between two instants, the larger of both; infinite beyond the ends."""
     found = np.full(len(positions), np.inf)
     below, above = np.floor(positions).astype(int), np.ceil(positions).astype(int)
@@ -159,7 +159,7 @@ def _at(motion: Array, positions: Array) -> Array:
     return found
 
 
-def _offset_s(videos: Videos, left: Array, right: Array) -> float:
+def _offset_s(videos: Videos, left: Floats, right: Floats) -> float:
     """The shift at which both videos move and rest together. Raises CalibrationError."""
     ours, theirs = (np.log(np.maximum(motion[1:-1], _STILL)) for motion in (left, right))
     most = round(SEARCH_S / _STEP_S)
@@ -179,7 +179,7 @@ def _offset_s(videos: Videos, left: Array, right: Array) -> float:
     return peak * _STEP_S
 
 
-def _still_and_distinct(small: NDArray[np.uint8], motion: Array) -> list[int]:
+def _still_and_distinct(small: NDArray[np.uint8], motion: Floats) -> list[int]:
     """Numbers of the still images, one of each window, the stillest first as long as they differ; in order."""
     finite = motion[np.isfinite(motion)]
     quietest = float(np.percentile(finite, 10)) if finite.size else 0.0

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats
 from conetl.model.params import MarkingParams
 from conetl.model.records import Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
 from conetl.perception.markings.road_plane import RoadPlane, find_road, right_from_parallel
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Grid = NDArray[np.float32]
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from conetl.geometry.motion.stereo_tracks import PackedPoints
+from conetl.model.arrays import Floats
 from conetl.model.records import Record
 
-Floats = NDArray[np.float64]
 _NONE: Final = b""
 
 

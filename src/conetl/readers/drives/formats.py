@@ -159,6 +159,14 @@ def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Floats] | None:
     return rig, rigs.body_SE3_camera(rig, "left")
 
 
+def no_rig(folder: Path) -> CalibrationError:
+    """The error of a drive whose format has no calibration but a rig.yaml."""
+    return CalibrationError(
+        f"{folder}: {RIG_YAML} is missing: 'conetl init {folder}' makes it from the calibration of another program, "
+        "'conetl calibrate' from images of a board"
+    )
+
+
 def add_settings(content: ContentHash, source: Path, names: tuple[str, ...] = (RIG_YAML, DRIVE_YAML)) -> None:
     """Add the small files of a drive to its content hash, under their usual names."""
     for name in names:

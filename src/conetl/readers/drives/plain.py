@@ -25,11 +25,11 @@ from pydantic import Field, ValidationError
 from conetl.files.documents import MAX_SHOWN, first_message, named, shown
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import DriveFolderError
 from conetl.model.records import Drive, Height, Latitude, Longitude, Pose, Record, Rig
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, names_images
-from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, overrides, own_rig
+from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, no_rig, overrides, own_rig
 from conetl.readers.drives.pairs import (
     ContentHash,
     PairError,
@@ -184,10 +184,7 @@ def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig
     """
     found = own_rig(root / RIG_YAML, settings.pair)
     if found is None:
-        raise CalibrationError(
-            f"{root}: {RIG_YAML} is missing: 'conetl init {root}' makes it from the calibration of another program, "
-            "'conetl calibrate' from images of a board"
-        )
+        raise no_rig(root)
     add_settings(content, root)
     return rectified_rig(found[0].model_copy(update=overrides(settings)), root / RIG_YAML)
 

@@ -27,7 +27,7 @@ from conetl.model.records import SIDES, Drive, Rig
 from conetl.model.rejections import Rejection
 from conetl.perception.video import VIDEO_SUFFIXES, Frame, VideoIndex, frame_of, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
-from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, rig_on_body
+from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, no_rig, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, Source, check_images, drive_of_couples, time_of
 from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
@@ -126,10 +126,7 @@ def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None 
     path = root / RIG_YAML
     if rig is None:
         if not path.is_file():
-            raise CalibrationError(
-                f"{root}: {RIG_YAML} is missing: 'conetl init {root}' makes it from the calibration of another program, "
-                "'conetl calibrate' from images of a board"
-            )
+            raise no_rig(root)
         rig = read_rig_yaml(path, pair=settings.pair)
     add_settings(content, root)
     if settings.mount is not None:

@@ -48,7 +48,6 @@ _MOST_PARTS = 4
 _STATED_SIGMA_S = 0.01
 #: Offsets of two methods that differ by more sigmas contradict each other.
 _CONTRADICTS = 4.0
-_STATE_START = f"State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'"
 _log = logging.getLogger(__name__)
 
 
@@ -99,12 +98,11 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
         if search_s is not None and search_s > MAX_SEARCH_S:
-            raise UnknownTimeError(
-                "start",
+            raise _unknown_start(
                 root,
+                left,
                 f"{track.name} is too long ({search_s / 1800:.0f} hours with the video) to search in it when {left.name} "
-                f"was recorded{_stated_creation(left)}",
-                _STATE_START,
+                "was recorded",
             )
         if search_s is not None:
             clock = Clock(search_s=search_s)
@@ -126,24 +124,26 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
     except DriveFolderError as error:
         if search_s is None:
             raise
-        raise UnknownTimeError(
-            "start",
+        raise _unknown_start(
             root,
+            left,
             f"the images do not show when {left.name} was recorded: the drive has too few turns and changes of speed, or "
-            f"{track.name} is of another time{_stated_creation(left)}",
-            _STATE_START,
+            f"{track.name} is of another time",
         ) from error
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
     return Timing(moved, None if start_ns is None else start_ns + offset_ns, shift_s, found)
 
 
-def _stated_creation(left: CameraImages) -> str:
-    """What the container says, as the end of a sentence: a person knows whether its clock was set."""
-    if left.video is None or left.video.created_at is None:
-        return ""
-    stated = f"{left.video.created_at:%Y-%m-%d %H:%M:%S}"
-    return f". {left.name} states {stated} UTC as its time of creation, which may be that of its end, or in local time"
+def _unknown_start(root: Path, left: CameraImages, cause: str) -> UnknownTimeError:
+    """With what the container says: a person knows whether its clock was set."""
+    if left.video is not None and left.video.created_at is not None:
+        stated = f"{left.video.created_at:%Y-%m-%d %H:%M:%S}"
+        cause += (
+            f". {left.name} states {stated} UTC as its time of creation, which may be that of its end, or in local time"
+        )
+    remedy = f"State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'"
+    return UnknownTimeError("start", root, cause, remedy)
 
 
 def _later(image: Image | None, offset_ns: int) -> Image | None:

@@ -37,14 +37,11 @@ _WGS84 = CRS("OGC:CRS84")
 _ENOUGH_DECIMALS, _LEAST_ROUNDED, _METRES_PER_DEGREE = 7, 3, 111_195.0
 
 
-def _is_letter(character: str) -> bool:
-    # Many scripts write vowels as marks beside letters.
-    return character.isalnum() or character in " _.-" or unicodedata.category(character).startswith("M")
-
-
 def _checked_category(text: str) -> str:
     """Other first characters could be formulas for programs that open a map's CSV."""
-    if not (text[:1].isalnum() and len(text) <= 64 and all(map(_is_letter, text))):
+    # Many scripts write vowels as marks beside letters.
+    letters = all(c.isalnum() or c in " _.-" or unicodedata.category(c).startswith("M") for c in text)
+    if not (text[:1].isalnum() and len(text) <= 64 and letters):
         raise ValueError("expected at most 64 letters, digits, spaces, _ . or -, a letter or digit first")
     return text
 
