@@ -13,6 +13,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.records import Camera, Lens, Pose, Rig
+from conetl.readers.rigs.common import rig_of
 
 CAMERA = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=720.0, cx_px=609.6, cy_px=172.9)
 #: A camera that looks along the body's x axis.
@@ -21,11 +22,8 @@ BODY_R_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 def make_rig(pitch_down_rad: float = 0.0) -> Rig:
     tilt = se3.rotation_from_rpy(0, pitch_down_rad, 0) @ BODY_R_CAM
-    left = se3.se3(tilt, [1.0, 0.25, 0.7])
-    return Rig(
-        rig_id="test", left=CAMERA, right=CAMERA, body_SE3_left=se3.to_matrix4(left),
-        body_SE3_right=se3.to_matrix4(se3.compose(left, se3.se3(np.eye(3), [0.5, 0, 0]))),
-    )  # fmt: skip
+    beside = se3.se3(np.eye(3), [0.5, 0, 0])
+    return rig_of("test", CAMERA, CAMERA, beside, body_SE3_left=se3.se3(tilt, [1.0, 0.25, 0.7]))
 
 
 def make_pose(yaw_rad: float = 0.0) -> Pose:

@@ -17,27 +17,23 @@ def random_normal(seed: int, count: int, size: int, shared: int) -> tuple[ChainN
     rows = []
     for k in range(count):
         design = np.zeros((2 * size + shared, total))
-        design[:, k * size : min(k + 2, count) * size] = rng.normal(
-            size=(2 * size + shared, size * (min(k + 2, count) - k))
-        )
+        end = min(k + 2, count)
+        design[:, k * size : end * size] = rng.normal(size=(2 * size + shared, size * (end - k)))
         design[:, count * size :] = rng.normal(size=(2 * size + shared, shared))
         rows.append(design)
     design = np.vstack(rows)
     dense, right = design.T @ design, design.T @ rng.normal(size=len(design))
     blocks = dense[: count * size, : count * size].reshape(count, size, count, size)
     index = np.arange(count)
-    return (
-        ChainNormal(
-            blocks[index, :, index].copy(),
-            blocks[index[:-1], :, index[1:]].copy(),
-            dense[: count * size, count * size :].reshape(count, size, shared).copy(),
-            dense[count * size :, count * size :].copy(),
-            right[: count * size].reshape(count, size).copy(),
-            right[count * size :].copy(),
-        ),
-        dense,
-        right,
+    normal = ChainNormal(
+        blocks[index, :, index].copy(),
+        blocks[index[:-1], :, index[1:]].copy(),
+        dense[: count * size, count * size :].reshape(count, size, shared).copy(),
+        dense[count * size :, count * size :].copy(),
+        right[: count * size].reshape(count, size).copy(),
+        right[count * size :].copy(),
     )
+    return normal, dense, right
 
 
 @settings(max_examples=25, deadline=None)
@@ -60,13 +56,8 @@ def test_equals_the_dense_solution(seed: int, count: int, size: int, shared: int
 @pytest.mark.parametrize("count", [16, 17, 33, 600])
 def test_far_states_are_reached_in_strides(count: int) -> None:
     result = covariance(random_normal(count, count, 2, 1)[0])
-    for first, second in (
-        (0, count - 1),
-        (0, count // 2),
-        (3, count - 2),
-        (count // 3, count - 1),
-        (count - 1, count - 1),
-    ):
+    ends = (0, count - 1), (0, count // 2), (3, count - 2), (count // 3, count - 1), (count - 1, count - 1)
+    for first, second in ends:
         step_by_step = result.chain[second]
         for k in range(second - 1, first - 1, -1):
             step_by_step = result.gain[k] @ step_by_step

@@ -21,6 +21,7 @@ from conetl.geometry.rectification import (
     stored_camera,
 )
 from conetl.model.records import Camera, Lens, Rig
+from conetl.readers.rigs.common import rig_of
 
 BARREL = Lens(model="brown", coefficients=(-0.3691481, 0.1968681, 1.353473e-3, 5.677587e-4, -0.0677))
 FISHEYE = Lens(model="fisheye", coefficients=(0.02, -0.01, 0.004, -0.0008))
@@ -33,11 +34,9 @@ def camera(lens: Lens = BARREL, f: float = 960.0, **changes: float) -> Camera:
 
 
 def rig(turn: tuple[float, ...] = (0.01, -0.03, 0.008), t: tuple[float, ...] = (0.5, 0.01, -0.02), **kw: Camera) -> Rig:
+    left, right = kw.get("left", camera()), kw.get("right", camera(f=905.0, cx_px=700.0))
     relative = se3.se3(Rotation.from_rotvec(turn).as_matrix(), t)
-    return Rig(
-        rig_id="raw", left=kw.get("left", camera()), right=kw.get("right", camera(f=905.0, cx_px=700.0)), sigma_px=0.3,
-        body_SE3_left=se3.to_matrix4(BODY_SE3_LEFT), body_SE3_right=se3.to_matrix4(se3.compose(BODY_SE3_LEFT, relative)),
-    )  # fmt: skip
+    return rig_of("raw", left, right, relative, sigma_px=0.3, body_SE3_left=BODY_SE3_LEFT)
 
 
 def body_points(count: int = 60) -> np.ndarray:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import (
+    as_rows,
     calibration_id,
     calibration_jacobian,
     jacobian_of,
@@ -27,8 +28,7 @@ SIGMAS = np.array([1.5, 0.0, 0.8, 8e-4, 2e-3])
 
 def covariance(correlation: float = 0.6) -> CalibrationCovariance:
     correlations = np.full((5, 5), correlation) + (1 - correlation) * np.eye(5)
-    matrix = correlations * np.outer(SIGMAS, SIGMAS)
-    return CalibrationCovariance(names=NAMES, matrix=tuple(tuple(row) for row in matrix.tolist()))
+    return CalibrationCovariance(names=NAMES, matrix=as_rows(correlations * np.outer(SIGMAS, SIGMAS)))
 
 
 RIG = with_covariance(make_rig(), covariance())
@@ -36,14 +36,9 @@ RIG = with_covariance(make_rig(), covariance())
 
 def turned(rig: Rig) -> Rig:
     """The same pair of cameras, bolted to the car another way."""
-    mount = np.eye(4)
-    mount[:3, :3], mount[:3, 3] = Rotation.from_rotvec([0.01, -0.3, 0.2]).as_matrix(), [1.0, 0.2, -0.4]
-    return rig.model_copy(
-        update={
-            side: se3.to_matrix4(se3.compose(mount, np.array(getattr(rig, side))))
-            for side in ("body_SE3_left", "body_SE3_right")
-        }
-    )
+    mount = se3.se3(Rotation.from_rotvec([0.01, -0.3, 0.2]).as_matrix(), [1.0, 0.2, -0.4])
+    left, right = (se3.to_matrix4(se3.compose(mount, pose)) for pose in (rig.body_SE3_left, rig.body_SE3_right))
+    return rig.model_copy(update={"body_SE3_left": left, "body_SE3_right": right})
 
 
 def test_a_calibration_is_the_same_whatever_the_rig_is_called_and_wherever_it_is_mounted() -> None:

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from conetl.model.params import DetectionParams
 from conetl.model.rejections import RejectionReason
 from conetl.perception.detections import check_boxes
+
+LEFT: dict[str, Any] = {"frame_index": 0, "side": "left", "params": DetectionParams()}
 
 
 def test_boxes_become_detections_by_falling_score() -> None:
@@ -16,43 +20,38 @@ def test_boxes_become_detections_by_falling_score() -> None:
 
 
 def test_no_box_is_no_error() -> None:
-    assert check_boxes(np.zeros((0, 5)), frame_index=0, side="left", params=DetectionParams()) == ([], [])
+    assert check_boxes(np.zeros((0, 5)), **LEFT) == ([], [])
 
 
 def test_a_box_that_is_no_box_is_rejected_and_the_others_stay() -> None:
     boxes = np.array([[np.nan, 10.0, 8.0, 20.0, 0.9], [30.0, 10.0, -8.0, 20.0, 0.8], [1.0, 1.0, 8.0, 20.0, 0.7]])
-    found, rejections = check_boxes(boxes, frame_index=0, side="left", params=DetectionParams())
+    found, rejections = check_boxes(boxes, **LEFT)
     assert len(found) == 1
     assert [r.reason for r in rejections] == [RejectionReason.DETECTION_INVALID] * 2
 
 
 def test_foot_and_tip_are_kept_where_the_network_tells_them() -> None:
     nan = np.nan
-    boxes = np.array(
-        [
-            [10.0, 10.0, 8.0, 20.0, 0.9, 14.0, 28.5, 14.1, 10.2],
-            [30.0, 10.0, 8.0, 20.0, 0.8, nan, nan, 34.0, 10.0],
-            [50.0, 10.0, 8.0, 20.0, 0.7, 54.0, np.inf, nan, 10.0],
-        ]
-    )
-    found, rejections = check_boxes(boxes, frame_index=0, side="left", params=DetectionParams())
+    boxes = [
+        [10.0, 10.0, 8.0, 20.0, 0.9, 14.0, 28.5, 14.1, 10.2],
+        [30.0, 10.0, 8.0, 20.0, 0.8, nan, nan, 34.0, 10.0],
+        [50.0, 10.0, 8.0, 20.0, 0.7, 54.0, np.inf, nan, 10.0],
+    ]
+    found, rejections = check_boxes(np.array(boxes), **LEFT)
     assert [d.foot_px for d in found] == [(14.0, 28.5), None, None]
     assert [d.tip_px for d in found] == [(14.1, 10.2), (34.0, 10.0), None]
     assert not rejections
 
 
 def test_boxes_alone_have_neither_foot_nor_tip() -> None:
-    (found,), _ = check_boxes(
-        np.array([[1.0, 1.0, 8.0, 20.0, 0.7]]), frame_index=0, side="left", params=DetectionParams()
-    )
-    assert found.foot_px is None
-    assert found.tip_px is None
+    (found,), _ = check_boxes(np.array([[1.0, 1.0, 8.0, 20.0, 0.7]]), **LEFT)
+    assert (found.foot_px, found.tip_px) == (None, None)
 
 
 def test_signs_and_boards_have_no_foot() -> None:
     boxes = np.array([[10.0 + 30 * k, 10.0, 8.0, 20.0, 0.9 - 0.1 * k, 14.0, 28.5, 14.1, 10.2, k] for k in range(3)])
     categories = ("drum", "work_zone_sign", "arrow_board")
-    found, _ = check_boxes(boxes, frame_index=0, side="left", params=DetectionParams(), categories=categories)
+    found, _ = check_boxes(boxes, **LEFT, categories=categories)
     assert [(d.category, d.foot_px is None, d.tip_px is None) for d in found] == [
         ("drum", False, False), ("work_zone_sign", True, True), ("arrow_board", True, True)
     ]  # fmt: skip

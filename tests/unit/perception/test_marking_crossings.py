@@ -15,13 +15,11 @@ from conetl.model.params import MarkingParams
 from conetl.model.records import Camera, Rig
 from conetl.perception.markings.crossings import find_points
 from conetl.perception.markings.points import PointColumns
+from conetl.readers.rigs.common import rig_of
 
 Floats = NDArray[np.float64]
 CAMERA = Camera(width_px=640, height_px=240, fx_px=430.0, fy_px=430.0, cx_px=315.2, cy_px=84.6)
-RIG = Rig(
-    rig_id="test", left=CAMERA, right=CAMERA, body_SE3_left=se3.to_matrix4(np.eye(4)),
-    body_SE3_right=se3.to_matrix4(se3.se3(np.eye(3), [0.54, 0.0, 0.0])),
-)  # fmt: skip
+RIG = rig_of("test", CAMERA, CAMERA, se3.se3(np.eye(3), [0.54, 0.0, 0.0]))
 HEIGHT_M = 1.6
 #: Middles of paint, to the right of the camera; the yellow line leans by 0.02 to the right.
 WHITE_M, YELLOW_M, LEAN, WIDTH_M = -1.4, 1.6, 0.02, 0.15

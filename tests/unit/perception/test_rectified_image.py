@@ -16,17 +16,15 @@ from conetl.geometry.rectification import rectify
 from conetl.model.records import Camera, Lens, Rig
 from conetl.perception.images import ImageFileError, read_image
 from conetl.perception.rectified_image import read_rig_image
+from conetl.readers.rigs.common import rig_of
 
 BARREL = Lens(model="brown", coefficients=(-0.3, 0.1, 1e-3, -8e-4, -0.02))
 RAW = Camera(width_px=640, height_px=400, fx_px=500, fy_px=498, cx_px=322, cy_px=196, lens=BARREL)
 
 
 def raw_rig() -> Rig:
-    relative = se3.se3(Rotation.from_rotvec([0.01, -0.03, 0.008]).as_matrix(), [0.3, 0.004, -0.006])
-    return Rig(
-        rig_id="raw", left=RAW, right=RAW, body_SE3_left=se3.to_matrix4(np.eye(4)),
-        body_SE3_right=se3.to_matrix4(relative),
-    )  # fmt: skip
+    turn = Rotation.from_rotvec([0.01, -0.03, 0.008]).as_matrix()
+    return rig_of("raw", RAW, RAW, se3.se3(turn, [0.3, 0.004, -0.006]))
 
 
 def world_image(rig: Rig, side: str) -> np.ndarray:
@@ -60,10 +58,7 @@ def test_every_pixel_shows_its_own_direction(side: str, tmp_path: Path) -> None:
 
 def test_a_rectified_rig_reads_the_file_as_it_is(tmp_path: Path) -> None:
     plain = RAW.model_copy(update={"lens": Lens()})
-    rig = Rig(
-        rig_id="flat", left=plain, right=plain, body_SE3_left=se3.to_matrix4(np.eye(4)),
-        body_SE3_right=se3.to_matrix4(se3.se3(np.eye(3), [0.3, 0, 0])),
-    )  # fmt: skip
+    rig = rig_of("flat", plain, plain, se3.se3(np.eye(3), [0.3, 0, 0]))
     path = tmp_path / "0.png"
     image = np.random.default_rng(1).integers(0, 255, (400, 640, 3), dtype=np.uint8)
     cv2.imwrite(str(path), image)

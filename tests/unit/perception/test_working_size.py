@@ -92,14 +92,12 @@ def test_a_shift_that_is_only_rounding_is_none() -> None:
     assert (working_size(rig, 1280).infinity_shift(np.random.default_rng(0).uniform(0, 300, (90, 2))) == 0.0).all()
 
 
-def test_images_of_another_size_than_the_rigs_are_not_used() -> None:
-    rig = rig_of((352, 104), (352, 104))
-    found = read_working_images(PAIR, lambda *_: noise(350, 104), working_size(rig, 1280))
-    assert found is NoMeasurement.IMAGE_UNREADABLE
-
-
-def test_images_that_cannot_be_worked_on_say_so() -> None:
-    """Two channels are neither grey nor a colour."""
-    rig = rig_of((352, 104), (352, 104))
-    found = read_working_images(PAIR, lambda *_: np.zeros((104, 352, 2), np.uint8), working_size(rig, 1280))
-    assert found is NoMeasurement.IMAGE_UNFIT
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (noise(350, 104), NoMeasurement.IMAGE_UNREADABLE),  # of another size than the rig's
+        (np.zeros((104, 352, 2), np.uint8), NoMeasurement.IMAGE_UNFIT),  # neither grey nor a colour
+    ],
+)
+def test_images_that_cannot_be_used_say_so(image: NDArray[np.uint8], reason: NoMeasurement) -> None:
+    assert read_working_images(PAIR, lambda *_: image, working_size(rig_of((352, 104), (352, 104)), 1280)) is reason

@@ -281,6 +281,11 @@ def remove(drive: Path, *names: str) -> None:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
+@prepared
+def settings(drive: Path, text: str) -> None:
+    (drive / "drive.yaml").write_text(text)
+
+
 FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "no calibration": (lambda d: remove(d.parent, *CALIBRATION), CalibrationError, "neither in the drive folder"),
     "no chain to the IMU": (lambda d: remove(d.parent, "calib_imu_to_velo.txt"), CalibrationError, "imu_to_velo.txt missing"),
@@ -295,23 +300,14 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "all images bad": (
         lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "not one of 6 frame pairs can be used",
     ),
-    "drive.yaml with an unknown key": (
-        lambda d: (d / "drive.yaml").write_text("drive: x"), DriveFolderError, "drive: unknown key",
-    ),
-    "drive.yaml that is no mapping": (lambda d: (d / "drive.yaml").write_text("- x"), DriveFolderError, "expected keys"),
-    "unknown time zone": (
-        lambda d: (d / "drive.yaml").write_text("timestamps_timezone: Mars/Olympus"), DriveFolderError, "not a time zone",
-    ),
-    "map CRS in degrees": (lambda d: (d / "drive.yaml").write_text("map_srid: 4326"), DriveFolderError, "not a projected CRS"),
-    "Web Mercator": (lambda d: (d / "drive.yaml").write_text("map_srid: 3857"), DriveFolderError, "stretches lengths"),
-    "negative sigma": (lambda d: (d / "drive.yaml").write_text("sigmas: {yaw_deg: -1}"), DriveFolderError, "sigmas.yaw_deg: "),
-    "calibration outside by ..": (
-        lambda d: (d / "drive.yaml").write_text("calibration: ../calib_cam_to_cam.txt"), DriveFolderError, "is outside",
-    ),
-    "camera folder by ..": (
-        lambda d: (d / "drive.yaml").write_text("cameras: {left: ../x/image_02, right: image_03}"),
-        DriveFolderError, "cameras.left",
-    ),
+    "drive.yaml with an unknown key": (settings("drive: x"), DriveFolderError, "drive: unknown key"),
+    "drive.yaml that is no mapping": (settings("- x"), DriveFolderError, "expected keys"),
+    "unknown time zone": (settings("timestamps_timezone: Mars/Olympus"), DriveFolderError, "not a time zone"),
+    "map CRS in degrees": (settings("map_srid: 4326"), DriveFolderError, "not a projected CRS"),
+    "Web Mercator": (settings("map_srid: 3857"), DriveFolderError, "stretches lengths"),
+    "negative sigma": (settings("sigmas: {yaw_deg: -1}"), DriveFolderError, "sigmas.yaw_deg: "),
+    "calibration outside by ..": (settings("calibration: ../calib_cam_to_cam.txt"), DriveFolderError, "is outside"),
+    "camera folder by ..": (settings("cameras: {left: ../x/image_02, right: image_03}"), DriveFolderError, "cameras.left"),
 }  # fmt: skip
 
 
@@ -385,17 +381,16 @@ def test_the_content_hash_depends_on_bytes_and_not_on_the_path(drive: Path, tmp_
     shutil.copytree(drive.parent, copy.parent)
     assert read_drive(copy)[0].content_sha256 == first
     seen = {first}
+    other_calibration = CALIBRATION["calib_imu_to_velo.txt"].replace("-0.81", "-0.812")
     for change in (
-        lambda: change_oxts(2, 3, "0.011")(copy),
-        lambda: change_line(5, stamp(1.51))(copy),
-        lambda: shutil.copy(copy / "image_02/data/0000000001.jpg", copy / "image_02/data/0000000002.jpg"),
-        lambda: cut(copy / "image_03/data/0000000004.jpg"),
-        lambda: (copy / "drive.yaml").write_text("drive_id: drive_0001"),
-        lambda: (copy.parent / "calib_imu_to_velo.txt").write_text(
-            CALIBRATION["calib_imu_to_velo.txt"].replace("-0.81", "-0.812")
-        ),
+        change_oxts(2, 3, "0.011"),
+        change_line(5, stamp(1.51)),
+        lambda d: shutil.copy(d / "image_02/data/0000000001.jpg", d / "image_02/data/0000000002.jpg"),
+        lambda d: cut(d / "image_03/data/0000000004.jpg"),
+        settings("drive_id: drive_0001"),
+        lambda d: (d.parent / "calib_imu_to_velo.txt").write_text(other_calibration),
     ):
-        change()
+        change(copy)
         seen.add(read_drive(copy)[0].content_sha256)
     assert len(seen) == 7
 

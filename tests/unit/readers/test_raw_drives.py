@@ -42,6 +42,7 @@ R_RECT_03 = (9.998321e-01, -7.193136e-03, 1.685599e-02, 7.232804e-03, 9.999712e-
 SAMPLE = Path(__file__).parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
 PIXELS = "width_px: 96, height_px: 32, fx_px: 70, fy_px: 70, cx_px: 47.5, cy_px: 15.5"
 BODY = "body_SE3_left: {R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}"
+BOTH = f"left: {{{PIXELS}}}\nright: {{{PIXELS}}}\n"
 
 
 @pytest.fixture
@@ -60,9 +61,8 @@ def put_images(root: Path, width: int, height: int) -> None:
         (root / camera / "data").mkdir(parents=True)
         shutil.copy(SAMPLE / camera / "timestamps.txt", root / camera)
         for frame in range(3):
-            cv2.imwrite(
-                str(root / camera / "data" / f"{frame:010d}.jpg"), np.full((height, width, 3), 90 + frame, np.uint8)
-            )
+            image = np.full((height, width, 3), 90 + frame, np.uint8)
+            cv2.imwrite(str(root / camera / "data" / f"{frame:010d}.jpg"), image)
 
 
 def test_kittis_raw_cameras_see_what_its_rectified_ones_see(kitti: Path) -> None:
@@ -72,18 +72,14 @@ def test_kittis_raw_cameras_see_what_its_rectified_ones_see(kitti: Path) -> None
     own = read_kitti_rig(path, body_required=True)
     assert raw.left.lens.model == "brown" and raw.baseline_m == pytest.approx(own.baseline_m, abs=1e-4)
     point = np.array([9.0, 1.0, -0.8])
-    numbers = {
-        line.split(": ")[0]: np.array(line.split(": ")[1].split(), dtype=float) for line in CAM_TO_CAM.splitlines()
-    }
-    numbers |= {"R_rect_02": np.array(R_RECT_02), "R_rect_03": np.array(R_RECT_03)}
-    for side in ("left", "right"):
+    for side, r_rect in (("left", R_RECT_02), ("right", R_RECT_03)):
         centre = [rigs.body_SE3_camera(r, side)[:3, 3] for r in (raw, own)]  # type: ignore[arg-type]
         np.testing.assert_allclose(centre[0], centre[1], atol=2e-3)
         in_raw = se3.apply(se3.invert(rigs.body_SE3_camera(raw, side)), point)  # type: ignore[arg-type]
         uv = cam.project(rigs.camera_of(raw, side), in_raw)  # type: ignore[arg-type]
         # The other way round: through KITTI's rectified camera, back by its R_rect_0i into the raw one.
         in_own = se3.apply(se3.invert(rigs.body_SE3_camera(own, side)), point)  # type: ignore[arg-type]
-        back = numbers["R_rect_02" if side == "left" else "R_rect_03"].reshape(3, 3).T @ in_own
+        back = np.reshape(r_rect, (3, 3)).T @ in_own
         np.testing.assert_allclose(cam.project(rigs.camera_of(raw, side), back), uv, atol=0.25)  # type: ignore[arg-type]
     flat = rectify(raw)
     assert is_rectified(flat) and flat.left.fx_px == pytest.approx(959.791)
@@ -132,14 +128,14 @@ def test_a_plain_drive_with_lenses_is_rectified(tmp_path: Path) -> None:
 
 def test_a_plain_drive_with_a_turned_camera_is_rectified(tmp_path: Path) -> None:
     turn = se3.rotation_from_rpy(0.0, 0.02, 0.0).tolist()
-    text = f"left: {{{PIXELS}}}\nright: {{{PIXELS}}}\nleft_SE3_right: {{R: {turn}, t_m: [0.3, 0, 0]}}\n{BODY}\n"
+    text = f"{BOTH}left_SE3_right: {{R: {turn}, t_m: [0.3, 0, 0]}}\n{BODY}\n"
     assert read_drive(plain(tmp_path / "d", text))[0].rig.rectified_from is not None
-    text = f"left: {{{PIXELS}}}\nright: {{{PIXELS}}}\nbaseline_m: 0.3\n{BODY}\n"
+    text = f"{BOTH}baseline_m: 0.3\n{BODY}\n"
     assert read_drive(plain(tmp_path / "e", text))[0].rig.rectified_from is None
 
 
 def test_a_plain_drive_whose_cameras_share_no_image_is_refused(tmp_path: Path) -> None:
     turn = se3.rotation_from_rpy(0.0, 2.6, 0.0).tolist()
-    text = f"left: {{{PIXELS}}}\nright: {{{PIXELS}}}\nleft_SE3_right: {{R: {turn}, t_m: [0.3, 0, 0]}}\n{BODY}\n"
+    text = f"{BOTH}left_SE3_right: {{R: {turn}, t_m: [0.3, 0, 0]}}\n{BODY}\n"
     with pytest.raises(CalibrationError, match=r"rig\.yaml: the cameras look"):
         read_drive(plain(tmp_path / "d", text))

@@ -25,6 +25,7 @@ from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Camera, Lens, Rig
 from conetl.readers.rigs import WRITERS, read_rig, read_rig_and_format
+from conetl.readers.rigs.common import rig_of
 from tests.prepared import prepared
 
 SIZE = (1280, 720)
@@ -51,11 +52,7 @@ def make_rig(
 ) -> Rig:
     left = Camera(width_px=1280, height_px=720, fx_px=902.5, fy_px=898.1, cx_px=641.3, cy_px=355.2, lens=lens)
     right = left.model_copy(update={"fx_px": 911.0, "fy_px": 907.7, "cx_px": 633.8, "cy_px": 362.9})
-    relative = se3.se3(Rotation.from_rotvec(turn).as_matrix(), t)
-    return Rig(
-        rig_id="made", left=left, right=right, body_SE3_left=se3.to_matrix4(np.eye(4)),
-        body_SE3_right=se3.to_matrix4(relative),
-    )  # fmt: skip
+    return rig_of("made", left, right, se3.se3(Rotation.from_rotvec(turn).as_matrix(), t), rig_id="made")
 
 
 def same_geometry(a: Rig, b: Rig) -> None:
