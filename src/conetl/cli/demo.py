@@ -96,8 +96,6 @@ def demo(
     )
     out.print("\n[bold]Results[/]")
     say(f"  {export}: the map (open it in QGIS)")
-    for report in reports:
-        say(f"  {settings.drive_image_path(report.drive_id)}: plan view of drive {report.drive_id}")
-    say(f"  {settings.reports_folder}: a report of each drive as HTML, with images of its changes")
+    say(f"  {settings.reports_folder}: plan view and report of each drive, with images of its changes")
     out.print("\n[bold]Next steps[/]")
     say(_NEXT_STEPS)

@@ -190,8 +190,7 @@ def read_params(path: Path | None, categories: Sequence[str] | None, settings: S
 
 def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool) -> IngestParams:
     """The parameters, with refinement or self-calibration switched off as chosen."""
-    chosen = {"refine": refine, "self_calibrate": self_calibrate}
-    off = {name: False for name, wanted in chosen.items() if not wanted}
+    off = {name: False for name, wanted in (("refine", refine), ("self_calibrate", self_calibrate)) if not wanted}
     return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=off)}) if off else params
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, complain, print_json, say, spinner
+from conetl.cli.console import JsonOption, answer, complain, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import validated
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
@@ -238,8 +238,7 @@ def _settled(
 
 def _time_question(error: UnknownTimeError, root: Path, images: Mapping[str, Any]) -> Question:
     """What a person is asked where the images do not show it; files of equally many frames most likely have one trigger."""
-    asks_shift = error.key == "right-offset"
-    equal = asks_shift and len({video_facts(root / images[side]).frames for side in SIDES}) == 1
+    equal = error.key == "right-offset" and len({video_facts(root / images[side]).frames for side in SIDES}) == 1
     return Question(error.key, _TIME_QUESTIONS[error.key], "0" if equal else None, error.cause)
 
 
@@ -313,8 +312,7 @@ def _add_timing(settings: dict[str, Any], timing: Timing) -> None:
 
 
 def _stated(time_ns: int) -> str:
-    seconds, rest = divmod(time_ns, 10**9)
-    return f"{utc_from_ns(seconds * 10**9):%Y-%m-%d %H:%M:%S}.{rest:09d}Z"
+    return f"{utc_from_ns(time_ns):%Y-%m-%d %H:%M:%S}.{time_ns % 10**9:09d}Z"
 
 
 def _write(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> None:
@@ -337,9 +335,5 @@ def _write(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> None:
 def _finish(folder: Path, text: str, settings: dict[str, Any], as_json: bool) -> None:
     named = quote(str(folder))
     commands = [f"conetl inspect {named} --page inspection.html", f"conetl ingest {named}"]
-    if as_json:
-        print_json({"settings": settings, "next": commands})
-        return
-    say(text)
-    say(f"To look at it first: {commands[0]}")
-    say(f"Next: {commands[1]}")
+    text += f"\nTo look at it first: {commands[0]}\nNext: {commands[1]}"
+    answer(as_json, {"settings": settings, "next": commands}, text)

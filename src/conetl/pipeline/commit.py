@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from math import sqrt
 from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4, uuid5
@@ -227,7 +226,7 @@ def _line(delta: Delta) -> ChangeLine:
         xyz_m=feature.xyz_m,
         cone_height_m=feature.cone_height_m,
         sigma_horizontal_m=horizontal_sigma_m(feature.cov_m2),
-        sigma_height_m=sqrt(feature.cov_m2[5]),
+        sigma_height_m=feature.cov_m2[5] ** 0.5,
         existence_probability=delta.evidence.existence_probability if delta.evidence else feature.existence_probability,
         observation_count=feature.observation_count,
         shift_m=delta.shift_m,

@@ -22,8 +22,7 @@ from conetl.model.map_records import MAP_NAME
 
 #: Variables that are no settings: of compose.yaml, of conetl's services, of tests, and those that Kubernetes sets for a service.
 _NO_SETTING = re.compile(
-    "CONETL_(VERSION|HOST|DRIVES|THREADS|SERVICE_TOKEN|SHARED_DATA|SCREENSHOTS|STREAMS|RENEW_MESSAGES"
-    "|(.*_)?(SERVICE_HOST|SERVICE_PORT(_.*)?|PORT(_.*)?))"
+    "CONETL_(VERSION|HOST|DRIVES|THREADS|SERVICE_TOKEN|SHARED_DATA|SCREENSHOTS|STREAMS|RENEW_MESSAGES|(.*_)?(SERVICE_HOST|PORT)(_.*)?)"
 )
 _MAP_NAME_WORDS = "1 to 40 characters of a-z, 0-9, _ and -, the first not -, for example night_survey"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ import numpy as np
 from conetl.files.documents import named, shown, validated
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
-from conetl.model.records import Camera, Rig, Side
+from conetl.model.records import Camera, Rig, Side, utc_from_ns
 from conetl.perception.video import VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
@@ -215,9 +216,8 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
         settings["columns"] = _columns(answers["columns"])
     proposal.settings["trajectory"] = settings
     path = root / settings["file"]
-    checked = validated(settings, TrajectoryFile, "options of the trajectory")
     try:
-        recorded = _recorded(path, checked.model_dump_json())
+        recorded = _recorded(path, json.dumps(settings))
     except DriveFolderError as error:
         asked = next((key for key in _UNSTATED if key not in answers and f"{{{key}: " in str(error)), None)
         if asked is None:
@@ -227,8 +227,7 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
     kind = trajectory_format(path) or "table"
     proposal.found.append(_described(recorded, kind))
     if kind == "table":
-        taken = [text for key, text in _TAKEN.items() if key not in settings]
-        proposal.found.extend(f"{recorded.name}: {text}" for text in taken)
+        proposal.found.extend(f"{recorded.name}: {text}" for key, text in _TAKEN.items() if key not in settings)
     if "sigma" in answers:
         proposal.settings["sigmas"] = {"horizontal_m": _numbers("sigma", answers["sigma"], 1, 1)[0]}
     elif not np.isfinite(recorded.sigma[:, :2]).any():
@@ -242,14 +241,11 @@ def outside_log(root: Path, settings: Mapping[str, Any]) -> str | None:
     path = root / images["left"]
     if "start" not in images or "clock" in settings or path.is_dir():
         return None
-    options = validated(log, TrajectoryFile, "answers").model_dump_json()
-    times_ns = _recorded(root / log["file"], options).times_ns
+    times_ns = _recorded(root / log["file"], json.dumps(log)).times_ns
     start_ns = parse_timestamp(images["start"])
     if start_ns <= times_ns[-1] and start_ns + 1e9 * video_facts(path).duration_s >= times_ns[0]:
         return None
-    first, last = (
-        str(np.datetime64(int(t), "ns").astype("datetime64[s]")).replace("T", " ") for t in times_ns[[0, -1]]
-    )
+    first, last = (f"{utc_from_ns(int(t)):%Y-%m-%d %H:%M:%S}" for t in times_ns[[0, -1]])
     return (
         f"--start {images['start']}: {log['file']} is of {first} to {last} UTC, the video of another time; state --start with "
         "its offset from UTC, like 2026-03-02 11:00:00.250+01:00, or the time zone of the log with --time"
@@ -269,14 +265,14 @@ def _columns(text: str) -> dict[str, str | int]:
 
 @lru_cache(maxsize=1)
 def _recorded(path: Path, settings: str) -> RecordedTrajectory:
-    """The trajectory, read once for all answers. settings: `TrajectoryFile` as JSON."""
-    return read_trajectory(path, TrajectoryFile.model_validate_json(settings))
+    """The trajectory, read once for all answers. settings: of `TrajectoryFile`, as JSON. Raises InputError."""
+    return read_trajectory(path, validated(json.loads(settings), TrajectoryFile, "options of the trajectory"))
 
 
 def _described(recorded: RecordedTrajectory, kind: str) -> str:
     times_s = (recorded.times_ns - recorded.times_ns[0]) * 1e-9
     rate = f"{1 / np.median(np.diff(times_s)):.3g} Hz" if len(times_s) > 1 else "one record"
-    first = str(np.datetime64(int(recorded.times_ns[0]), "ns").astype("datetime64[ms]")).replace("T", " ")
+    first = f"{utc_from_ns(int(recorded.times_ns[0])):%Y-%m-%d %H:%M:%S.%f}"[:-3]
     attitude = "with attitude" if recorded.rotations is not None else "positions only"
     known = recorded.sigma[np.isfinite(recorded.sigma[:, :2]).all(axis=1), :2]
     sigma = f"sigma {np.median(known):.3g} m" if len(known) else "no sigmas"
@@ -340,11 +336,10 @@ def _fitting_rigs(
 
     With them: which files cannot be read as one, and why.
     """
-    own = [RIG_YAML] if (root / RIG_YAML).is_file() else []
     unread: list[str] = []
-    others = [name for name in names_in(root, _RIG_SUFFIXES) if name not in (DRIVE_YAML, RIG_YAML)]
+    names = sorted(set(names_in(root, _RIG_SUFFIXES)) - {DRIVE_YAML}, key=lambda name: (name != RIG_YAML, name))
     found: list[tuple[Path, Rig, Any]] = []
-    for path in (root / name for name in (*own, *others)):
+    for path in (root / name for name in names):
         if (found and found[0][0].name == RIG_YAML) or path.stat().st_size > _LARGEST_RIG_BYTES:
             continue
         try:
@@ -370,14 +365,11 @@ def _read_rig(path: Path, size: tuple[int, int] | None) -> tuple[Rig, Any]:
     try:
         return read_rig_and_format(path)
     except CalibrationError:
-        if size is None:
-            raise
-        try:
+        rig = None
+        with suppress(CalibrationError):
             rig, kind = read_rig_and_format(path, image_size=size)
-        except CalibrationError:
-            rig = None
         # Of another size the principal point would not be near the centre.
-        if rig is None or not all(_is_centred(camera, size) for camera in (rig.left, rig.right)):
+        if rig is None or size is None or not all(_is_centred(camera, size) for camera in (rig.left, rig.right)):
             raise
         return rig, kind
 
