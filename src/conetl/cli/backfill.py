@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -167,7 +166,7 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     )
     columns: ui.Columns = {
         "drive": lambda line: line.header.drive_id[:60],
-        "recorded (UTC)": lambda line: _minute(line.header.captured_from),
+        "recorded (UTC)": lambda line: f"{at:%Y-%m-%d %H:%M}" if (at := line.header.captured_from) else "?",
         "plan": lambda line: _ACTIONS[line.action],
         "why": lambda line: line.why[:110],
         "pairs": lambda line: line.header.frame_pairs,
@@ -175,10 +174,6 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     ui.print_records("", columns, plan.lines[:_SHOWN], numbers_from=4)
     if len(plan.lines) > _SHOWN:
         ui.say(f"... and {len(plan.lines) - _SHOWN} more; --dry-run --json lists all.")
-
-
-def _minute(time: datetime | None) -> str:
-    return f"{time:%Y-%m-%d %H:%M}" if time else "?"
 
 
 def _print_receipt(receipt: Receipt) -> None:

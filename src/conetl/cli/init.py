@@ -17,6 +17,7 @@ from conetl.files.atomic import atomic_files
 from conetl.files.documents import validated
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
 from conetl.model.records import SIDES, Rig, utc_from_ns
+from conetl.perception.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import video_facts
 from conetl.readers.drives import find_format, plain
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
@@ -144,6 +145,8 @@ def init(
     _write(root, settings, new_rig)
     text = f"{folder / DRIVE_YAML}: {_counted(found)}"
     start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s
+    if start_ns is not None and not answers.keys() & {"right-offset", "layout"}:
+        text += f"\nBy its images the right file begins {found.timing.right_offset_s:g} s after the left one."
     if start_ns is not None and sigma_s and "start" not in answers:
         text += (
             f"\nBy its images the first left frame is of {_stated(start_ns)}, +-{1000 * sigma_s:.0f} ms. "
@@ -220,7 +223,7 @@ def _settled(
             try:
                 return settings, _previewed(root, settings, proposal.rig), proposal.rig
             except UnknownTimeError as error:
-                questions = [_time_question(error, root, settings["images"])]
+                questions = [Question(error.key, _TIME_QUESTIONS[error.key], cause=error.cause)]
             except ConetlError as error:
                 _write(root, settings, proposal.rig)
                 complain(
@@ -236,12 +239,6 @@ def _settled(
         answers[asked.key] = _answer(asked)
 
 
-def _time_question(error: UnknownTimeError, root: Path, images: Mapping[str, Any]) -> Question:
-    """What a person is asked where the images do not show it; files of equally many frames most likely have one trigger."""
-    equal = error.key == "right-offset" and len({video_facts(root / images[side]).frames for side in SIDES}) == 1
-    return Question(error.key, _TIME_QUESTIONS[error.key], "0" if equal else None, error.cause)
-
-
 def _with(kept: Mapping[str, Any], proposal: Proposal) -> dict[str, Any]:
     """Settings of drive.yaml: those that were kept, and those of a proposal."""
     settings = dict(kept)
@@ -251,9 +248,22 @@ def _with(kept: Mapping[str, Any], proposal: Proposal) -> dict[str, Any]:
 
 
 def _previewed(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> Preview:
-    """The drive of settings that are not written yet. Raises ConetlError."""
+    """The drive of settings that are not written yet. Raises ConetlError.
+
+    On a smooth road a right file with as many frames as the left one is not shifted if its images fit so better than otherwise.
+    """
     with spinner("finding when the images were taken"):
-        return preview(root, validated(settings, DriveYaml, "answers"), rig)
+        try:
+            return preview(root, validated(settings, DriveYaml, "answers"), rig)
+        except UnknownTimeError as error:
+            images = settings["images"]
+            if error.key != "right-offset" or len({video_facts(root / images[side]).frames for side in SIDES}) > 1:
+                raise
+            together = {**settings, "images": {**images, "right_offset_s": 0.0}}
+            found = preview(root, validated(together, DriveYaml, "answers"), rig)
+            if any(check.value != 0 for check in check_stereo(found.drive)[1] if check.name == TRIGGER):
+                raise
+            return found
 
 
 def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], questions: Sequence[Question]) -> str:
@@ -275,7 +285,7 @@ def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], qu
                 try:
                     _previewed(root, settings, proposal.rig)
                 except UnknownTimeError as error:
-                    questions = [_time_question(error, root, settings["images"])]
+                    questions = [Question(error.key, _TIME_QUESTIONS[error.key], cause=error.cause)]
     lines = "\n".join(f"  --{key}: {text}" for key, text in texts.items())
     return f"{root}: something is missing; answer it with these options:\n{lines}"
 

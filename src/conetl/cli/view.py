@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 import uvicorn
@@ -22,9 +22,6 @@ from conetl.services.http_protocol import BoundedProtocol
 from conetl.web.app import STATIC, create_app
 from conetl.web.basemap import base_map
 from conetl.web.decisions import Writer
-
-if TYPE_CHECKING:
-    from conetl.readers.maps.gazetteer import Gazetteer
 
 #: Requests served at the same time; further ones are answered 503.
 _MAX_CONNECTIONS = 256
@@ -73,7 +70,11 @@ def view(
     tiles = base_map(basemap, basemap_attribution, basemap_zoom) if basemap else None
     if not (STATIC / "index.html").is_file():
         raise InputError(f"the front end is missing in {STATIC}: build it with `make web`, or install conetl again")
-    places = _read_places(gazetteer)
+    places = None
+    if gazetteer is not None:
+        from conetl.readers.maps.gazetteer import read_gazetteer  # GDAL takes seconds to load
+
+        places = read_gazetteer(gazetteer)
     url = database_url(settings)
     with closing(connect(url)) as conn:
         migrate_once(conn)
@@ -97,14 +98,6 @@ def view(
         facts = {"url": address, "map": settings.map_name, "decisions": writer is not None}
         answer(as_json, facts, f"Map: {address} (this machine only; press Ctrl-C to stop)")
         server.run(sockets=[listener])
-
-
-def _read_places(path: Path | None) -> Gazetteer | None:
-    if path is None:
-        return None
-    from conetl.readers.maps.gazetteer import read_gazetteer  # GDAL takes seconds to load
-
-    return read_gazetteer(path)
 
 
 def decision_writer(settings: Settings, url: str, *, on_request: bool, token_file: Path | None) -> Writer | None:

@@ -32,6 +32,7 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.video import frame_of
 
+TRIGGER = "trigger of both cameras"
 _PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
 _SHRINK, _MAX_HAMMING = 2, 50
 #: Share of the matches from which the sides are wrong, and below which the right images of other frames are tried.
@@ -237,7 +238,7 @@ def _check_trigger(
             )
             break
     return HealthCheck(
-        name="trigger of both cameras", verdict=Verdict.HOLD if lag else Verdict.PASS, limit=0.0,
+        name=TRIGGER, verdict=Verdict.HOLD if lag else Verdict.PASS, limit=0.0,
         value=float(lag) if lag or fitting >= _MIN_MATCHES else None,
         unit="frames", detail=detail,
     )  # fmt: skip

@@ -318,9 +318,10 @@ def test_frames_are_found_for_people_inside_the_drive_only(folder: Path) -> None
 
 def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: Drive) -> None:
     copy = copied(folder, tmp_path)
-    known = ("--right-offset", "0", "--start", start_of(sample))
+    known = ("--start", start_of(sample))
     made = init(copy, *known)
     assert made.exit_code == 0, made.output
+    assert "By its images the right file begins 0 s after the left one." in made.output
     assert "16 frame pairs" in made.output and f"conetl ingest {copy}" in made.output
     assert len(read_drive(copy)[0].frame_pairs) == COUNT
     again = init(copy, *known)
@@ -467,6 +468,18 @@ def test_init_finds_files_that_are_named_from_the_current_folder(
     assert (copy / "rig.yaml").is_file()
 
 
+def test_init_takes_no_shift_that_the_images_contradict(folder: Path, tmp_path: Path, whole: Drive) -> None:
+    """Files of equally many frames, the right one a frame late, on a road that shows no pitching."""
+    copy = copied(folder, tmp_path)
+    (copy / "right.mp4").unlink()
+    late = whole.frame_pairs[1 : COUNT + 1]
+    images, times_ns = [read_pair_image(pair, "right", whole.rig) for pair in late], [p.captured_at_ns for p in late]
+    write_frames(copy / "right.mp4", images, times_ns, "libx264", {"crf": "18"})
+    made = init(copy, "--start", start_of(whole))
+    assert "--right-offset: Seconds by which the right file begins" in str(made.exception), made.output
+    assert not (copy / "drive.yaml").exists()
+
+
 def test_init_names_all_that_is_missing_at_once(folder: Path, tmp_path: Path, sample: Drive) -> None:
     """Where the mount is missing, too, which the search for the start needs."""
     copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
@@ -474,7 +487,7 @@ def test_init_names_all_that_is_missing_at_once(folder: Path, tmp_path: Path, sa
     LOGS["GPX"].write(copy, known_of(sample))
     made = init(copy)
     missing = [line.split(":")[0] for line in str(made.exception).splitlines()[1:]]
-    assert missing == ["  --sigma", "  --mount", "  --right-offset", "  --start"], made.exception
+    assert missing == ["  --sigma", "  --mount", "  --start"], made.exception
 
 
 def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(
@@ -623,14 +636,14 @@ def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tm
     """On a terminal, where an end of input stands for Ctrl-C."""
     copy = copied(folder, tmp_path)
     terminal, stdin = os.openpty()
-    os.write(terminal, b"\n\x04")
+    os.write(terminal, b"\x04")
     program = "from conetl.cli import main; main()"
     command = [sys.executable, "-c", program, "init", str(copy), "--trajectory", "drive.csv"]
     made = subprocess.run(command, stdin=stdin, capture_output=True, text=True, timeout=120, check=False)
     os.close(terminal)
     os.close(stdin)
     assert made.returncode != 0
-    assert "(0: both begin with one trigger) [0]: " in made.stdout and "Time of the first left frame" in made.stdout
+    assert "begin with one trigger" not in made.stdout and "Time of the first left frame" in made.stdout
     assert made.stdout.count("trajectory drive.csv") == 1 and "images: {start" not in made.stdout
     assert re.search(r"\d\d:\d\d:\d\d\.\d{3} UTC for", made.stdout), "precise enough to answer"
     assert not (copy / "drive.yaml").exists()

@@ -127,8 +127,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         raise _unknown_start(
             root,
             left,
-            f"the images do not show when {left.name} was recorded: the drive has too few turns and changes of speed, or "
-            f"{track.name} is of another time",
+            f"the images do not show when {left.name} was recorded: too few turns and changes of speed, or {track.name} is of "
+            "another time",
         ) from error
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
