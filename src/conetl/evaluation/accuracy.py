@@ -120,6 +120,7 @@ def track_errors(
         shares = _track_shares([by_member[member] for member in track.members], poses, drive.rig, motion)
         jacobians.append(np.einsum("fij,fjk->ik", shares, jacobian)[None])
         variances.append(np.mean(sigmas**2, axis=0))
+    of_poses = np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6))
     by_class = _moved_by_classes([track for _, track in found])
     return PointErrors(
         cone_ids=tuple(line.truth.cone_id for line, _ in found),
@@ -130,11 +131,7 @@ def track_errors(
         range_m=np.linalg.norm(level, axis=1),
         sight=_unit(level),
         common_jacobian=np.concatenate([np.concatenate(jacobians), by_class], axis=2),
-        common_cov=block_diag(
-            np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)),
-            calibration_of(drive.rig),
-            np.eye(by_class.shape[2]),
-        ),
+        common_cov=block_diag(of_poses, calibration_of(drive.rig), np.eye(by_class.shape[2])),
     )
 
 
@@ -171,7 +168,6 @@ def position_errors(
     names = tuple(cone.cone_id for cone in cones)
     outline, own_cov = _outline_parts(names, chosen, drive.rig, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
     constant, change = pose_parts(jacobian[:, :, :6], [p.frame_index for p in chosen], sigmas**2, poses)
-    common = block_diag(constant, calibration_of(drive.rig))
     return PointErrors(
         cone_ids=names,
         truth_m=truth,
@@ -181,7 +177,7 @@ def position_errors(
         range_m=np.array([p.range_m for p in chosen]),
         sight=_unit(xyz[:, :2] - left[:, :2, 3]),
         common_jacobian=np.concatenate([jacobian, outline], axis=2),
-        common_cov=block_diag(common, np.eye(outline.shape[2])),
+        common_cov=block_diag(constant, calibration_of(drive.rig), np.eye(outline.shape[2])),
     )
 
 
@@ -267,23 +263,13 @@ def _moved(jacobian: Floats, cov: Floats) -> Floats:
 
 def _moved_by_classes(tracks: Sequence[Track]) -> Floats:
     """(N, 3, 3C) Jacobian of N tracks by the errors common to each of their C classes, in sigmas (`class_error_id`)."""
-    parts = []
-    for n, track in enumerate(tracks):
-        shared, own = track.shared_jacobian, class_error_id(track.category)
-        if shared is not None and own in shared.calibrations:
-            [moved] = unpack_all(shared.calibrations, [shared])
-            parts.append((n, track.category, moved[shared.calibrations.index(own), :, :3]))
-    return _columns(len(tracks), parts)
-
-
-def _columns(count: int, parts: Sequence[tuple[int, str, Floats]]) -> Floats:
-    """(N, 3, 3C) Jacobian of N points by C named errors, from (3, 3) of some points by some errors."""
-    order = sorted({name for _, name, _ in parts})
-    jacobian = np.zeros((count, 3, 3 * len(order)))
-    for n, name, moved in parts:
-        k = 3 * order.index(name)
-        jacobian[n, :, k : k + 3] = moved
-    return jacobian
+    stated = {n: track.shared_jacobian for n, track in enumerate(tracks) if track.shared_jacobian is not None}
+    ids = tuple(sorted({key for one in stated.values() for key in one.calibrations}))
+    classes = [ids.index(key) for key in {class_error_id(track.category) for track in tracks} if key in ids]
+    moved = np.zeros((len(tracks), 3, len(classes), 3))
+    for n, one in stated.items():
+        moved[n] = unpack_all(ids, [one])[0, classes, :, :3].swapaxes(0, 1)
+    return moved.reshape(len(tracks), 3, 3 * len(classes))
 
 
 def _sight_axes(sight: Floats) -> Floats:
@@ -333,13 +319,16 @@ def _outline_parts(
 
     turn (N, 3, 3): map_R_left of each position. cov_m2 (N, 3, 3): of image points and outline together, in the map.
     """
-    parts, own = [], cov_m2.copy()
+    order = sorted({name for name, p in zip(cone_ids, positions, strict=True) if p.sigma_outline_m > 0})
+    jacobian = np.zeros((len(positions), 3, 3 * len(order)))
+    own = cov_m2.copy()
     for n, (name, position) in enumerate(zip(cone_ids, positions, strict=True)):
         if position.sigma_outline_m > 0:
             moved = turn[n] @ outline_errors(position, rig)
-            parts.append((n, name, moved))
+            k = 3 * order.index(name)
+            jacobian[n, :, k : k + 3] = moved
             own[n] -= moved @ moved.T
-    return _columns(len(positions), parts), own
+    return jacobian, own
 
 
 def _track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:

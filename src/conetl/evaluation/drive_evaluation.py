@@ -243,10 +243,7 @@ def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
             *("" if part is None else f"{part['per_dof']:.2f}" for part in (nees["relative"], nees["common"], absolute)),
             "" if absolute is None else f"{absolute['low'] / absolute['dof']:.2f} to {absolute['high'] / absolute['dof']:.2f}",
         ))  # fmt: skip
-    note = (
-        "Metres; NEES of tracks per degree of freedom, given what the drive's other classes show of its common errors. Relative: "
-        "scatter within the class. Common: errors that its objects share. Absolute: both, and its band."
-    )
+    note = "Metres; NEES of tracks per degree of freedom given the other classes: scatter, common error, both and their band."
     return [Section("By class", note, _CLASSES, rows)] if len(rows) > 1 else []
 
 

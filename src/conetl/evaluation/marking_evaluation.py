@@ -11,7 +11,6 @@ from scipy.linalg import block_diag
 from conetl.evaluation.accuracy import calibration_of, pose_and_calibration, pose_parts
 from conetl.evaluation.markings import (
     NEES_PARTS,
-    CommonErrors,
     MarkingErrors,
     MarkingFigures,
     TruthMarking,
@@ -24,6 +23,7 @@ from conetl.evaluation.nees_table import NEES_COLUMNS, NEES_TEXT, nees_as_dict, 
 from conetl.geometry.consistency import Consistency, pooled
 from conetl.geometry.packing import cov_matrices, on_diagonal
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.arrays import Floats
 from conetl.model.markings import MarkingTrack
 from conetl.model.records import Drive
 from conetl.reports.html import Section
@@ -80,9 +80,9 @@ def evaluate_markings(
     truth: Sequence[TruthMarking], tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov
 ) -> MarkingEvaluation:
     """Compare the markings of a drive (refined poses) with those that were there. poses: covariance of the drive's poses."""
-    common = _common(tracks, drive, poses)
-    errors = compare_markings(truth, [track.marking for track in tracks], visible_to(drive), common)
-    return MarkingEvaluation(truth, errors, marking_figures([errors]), marking_consistency(errors))
+    errors = compare_markings(truth, [track.marking for track in tracks], visible_to(drive))
+    nees = marking_consistency(errors, *_covariances(tracks, drive, poses))
+    return MarkingEvaluation(truth, errors, marking_figures([errors]), nees)
 
 
 def pooled_markings(drives: Mapping[str, MarkingEvaluation]) -> list[Section]:
@@ -115,8 +115,9 @@ def _pooled_nees(drives: Mapping[str, MarkingEvaluation]) -> dict[str, Consisten
     return {name: pooled(drive.nees[name] for drive in drives.values()) for name in NEES_PARTS}
 
 
-def _common(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -> CommonErrors:
-    """The errors of poses and calibration, correlated between the vertices of a drive, and those of the images.
+def _covariances(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -> tuple[Floats, Floats, Floats]:
+    """Of all vertices of a drive, as `marking_consistency` takes them: their own errors, which poses that change within the drive
+    correlate, and those common to the drive.
 
     The pose is that from which a vertex was about 8 m ahead, where markings are measured well.
     """
@@ -126,11 +127,8 @@ def _common(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -> Com
     chosen = [drive.frame_pairs[f] for f in np.abs(ahead - _TYPICAL_RANGE_M).argmin(axis=1)]
     jacobian, sigmas = pose_and_calibration(vertices, [pair.pose for pair in chosen], drive.rig)
     constant, change = pose_parts(jacobian[:, :, :6], [pair.frame_index for pair in chosen], sigmas**2, poses)
-    return CommonErrors(
-        jacobian,
-        block_diag(constant, calibration_of(drive.rig)),
-        on_diagonal(cov_matrices([cov for track in tracks for cov in track.image_cov_m2])) + change,
-    )
+    own = on_diagonal(cov_matrices([cov for track in tracks for cov in track.image_cov_m2]))
+    return own + change, jacobian, block_diag(constant, calibration_of(drive.rig))
 
 
 def _row(name: str, figures: MarkingFigures) -> tuple[object, ...]:

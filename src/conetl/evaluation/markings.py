@@ -11,7 +11,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ from conetl.geometry.camera import project as image_points
 from conetl.geometry.consistency import Consistency, consistency
 from conetl.geometry.geodesy import to_map
 from conetl.geometry.linear_reference import directions_at, project, resampled, stations
-from conetl.geometry.packing import cov_matrices, on_diagonal
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.model.arrays import Bools, Floats
 from conetl.model.errors import InputError
@@ -76,17 +74,6 @@ def read_truth_markings(path: Path, map_srid: int) -> list[TruthMarking]:
     return markings
 
 
-class CommonErrors(NamedTuple):
-    """How K errors that all V vertices of a drive share move them; map frame, metres."""
-
-    jacobian: Floats
-    """(V, 3, K)"""
-    cov: Floats
-    """(K, K)"""
-    own_cov_m2: Floats
-    """(3V, 3V) of the vertices without them; pose errors that change within the drive correlate them"""
-
-
 @dataclass(frozen=True)
 class MarkingErrors:
     """Found markings compared with the truth, by samples 0.1 m apart: T of the truth, S of what was found.
@@ -108,12 +95,10 @@ class MarkingErrors:
     or 0."""
     vertex_m: Floats
     """(V, 2)"""
-    vertex_cov_m2: Floats
-    """(V, 2, V, 2) without the common errors"""
-    common_jacobian: Floats
-    """(V, 2, K)"""
-    common_cov: Floats
-    """(K, K)"""
+    vertex_axes: Floats
+    """(V, 2, 3) unit vectors of these in the map"""
+    vertex_kept: Bools
+    """Which of all vertices these are."""
 
     def of_truth(self, index: int) -> MarkingErrors:
         """The samples of one marking of the truth."""
@@ -171,12 +156,9 @@ def visible_to(drive: Drive) -> Callable[[Floats], Bools]:
 
 
 def compare_markings(
-    truth: Sequence[TruthMarking],
-    found: Sequence[Marking],
-    visible: Callable[[Floats], Bools],
-    common: CommonErrors | None = None,
+    truth: Sequence[TruthMarking], found: Sequence[Marking], visible: Callable[[Floats], Bools]
 ) -> MarkingErrors:
-    """Errors of markings of a drive, or of stretches on the map. common: of all their vertices, in order; None: unknown.
+    """Errors of markings of a drive, or of stretches on the map.
 
     Every found metre counts for correctness, also where the truth is not visible.
     """
@@ -205,10 +187,6 @@ def compare_markings(
     vertices = np.concatenate([np.zeros((0, 3)), *(np.array(one.vertices_m) for one in found)])
     of, across, up, axes = _nearest(vertices, lines)
     keep = of >= 0
-    axes = axes[keep]
-    if common is None:
-        own = on_diagonal(cov_matrices([cov for one in found for cov in one.cov_m2]))
-        common = CommonErrors(np.zeros((len(vertices), 3, 0)), np.zeros((0, 0)), own)
     return MarkingErrors(
         truth_index=truth_index,
         truth_visible=visible(points),
@@ -224,9 +202,8 @@ def compare_markings(
             "colour_right": per_sample([a.colour == b.colour for a, b in pairs]),
         },
         vertex_m=np.column_stack([across, up])[keep],
-        vertex_cov_m2=_joint_cov(common, keep, axes),
-        common_jacobian=axes @ common.jacobian[keep],
-        common_cov=common.cov,
+        vertex_axes=axes[keep],
+        vertex_kept=keep,
     )
 
 
@@ -253,25 +230,25 @@ def marking_figures(drives: Sequence[MarkingErrors]) -> MarkingFigures:
     )
 
 
-def marking_consistency(errors: MarkingErrors) -> dict[str, Consistency | None]:
+def marking_consistency(
+    errors: MarkingErrors, own_cov_m2: Floats, common_jacobian: Floats, common_cov: Floats
+) -> dict[str, Consistency | None]:
     """NEES of the vertices: across the marking, in height, and of both together; None without vertices.
 
-    Vertices farther than the buffer from every marking are not among them. Where the common errors are not known, neighbours are
-    assumed to be independent: then only the mean is meaningful, not the band.
+    Vertices farther than the buffer from every marking are not among them. own_cov_m2 (3A, 3A): of all A vertices in the map,
+    without the K errors that the whole drive has in common; common_jacobian (A, 3, K), common_cov (K, K): of these.
     """
     results: dict[str, Consistency | None] = dict.fromkeys(NEES_PARTS)
     if len(errors.vertex_m):
+        axes, keep = errors.vertex_axes, errors.vertex_kept
+        joint = own_cov_m2.reshape(len(keep), 3, len(keep), 3)[keep][:, :, keep]
+        joint = np.einsum("nij,njmk,mlk->niml", axes, joint, axes, optimize=True)
+        moved = axes @ common_jacobian[keep]
         for name, part in NEES_PARTS.items():
-            error_m, jacobian = errors.vertex_m[:, part], errors.common_jacobian[:, part]
-            own = errors.vertex_cov_m2[:, part, :, part].reshape(error_m.size, -1)
-            results[name] = consistency(error_m, own, jacobian, errors.common_cov)
+            error_m = errors.vertex_m[:, part]
+            own = joint[:, part, :, part].reshape(error_m.size, -1)
+            results[name] = consistency(error_m, own, moved[:, part], common_cov)
     return results
-
-
-def _joint_cov(common: CommonErrors, keep: Bools, axes: Floats) -> Floats:
-    """(V, 2, V, 2) of the kept vertices, in their axes (V, 2, 3), without the common errors."""
-    own = common.own_cov_m2.reshape(len(keep), 3, len(keep), 3)[keep][:, :, keep]
-    return np.asarray(np.einsum("nij,njmk,mlk->niml", axes, own, axes, optimize=True))
 
 
 def _distances(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats, Floats]:

@@ -97,8 +97,8 @@ def consistency(
 ) -> Consistency:
     """Split the NEES of N points with D components (3, or fewer) into relative and common part.
 
-    difference_m (N, D): estimate minus truth. own_cov_m2: of each point's own errors, (N, D, D), or (DN, DN) where they are
-    correlated (poses that drift within a drive), in time O(N^3).
+    difference_m (N, D): estimate minus truth. own_cov_m2 (DN, DN): of the points' own errors, correlated where poses drift within
+    a drive.
     common_jacobian (N, D, K), common_cov (K, K): how K common errors move each point, and their covariance (positive
     semi-definite). With e = G x + n whitened by the points' own covariance and G L = U S V' (L L' the common covariance), the
     whitened error has covariance I + U S^2 U': inside the columns of U is the common part, outside it the relative one.
@@ -108,11 +108,7 @@ def consistency(
     if e.ndim != 2 or g.ndim != 3 or g.shape[:2] != e.shape:
         raise ValueError(f"expected differences (N, D) and a Jacobian (N, D, K), found {e.shape} and {g.shape}")
     lower = np.linalg.cholesky(np.asarray(own_cov_m2, dtype=np.float64))
-    both = np.concatenate([e[..., None], g], axis=2)
-    if lower.ndim == 2:
-        white: Floats = solve_triangular(lower, both.reshape(e.size, -1), lower=True)
-    else:
-        white = np.linalg.solve(lower, both).reshape(e.size, -1)
+    white = solve_triangular(lower, np.concatenate([e[..., None], g], axis=2).reshape(e.size, -1), lower=True)
     white_e, white_g = white[:, 0], white[:, 1:]
     values, vectors = np.linalg.eigh(np.asarray(common_cov, dtype=np.float64))
     if values.min(initial=0.0) < -1e-9 * max(values.max(initial=0.0), 1e-30):

@@ -66,8 +66,7 @@ FEATURE_CLASSES = {
     ),
     "drum": FeatureClass(
         (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, letter="D", rim_share=0.5,
-        network_share=0.0, body=(0.33, 0.39), axis_from_outline=True,
-        outline_share=0.003, outline_common=0.75,
+        network_share=0.0, body=(0.33, 0.39), axis_from_outline=True, outline_share=0.003, outline_common=0.75,
     ),
     "vertical_panel": FeatureClass(
         (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_share=0.5,

@@ -99,7 +99,10 @@ def refine_with_control(
         refined = refine_with_cones(pairs, rig, motions, matches, params, control)
         if refined.outcome is RefinementOutcome.REFINED:
             return replace(refined, control=check)
-        return replace(plain, control=_held(f"The poses cannot be adjusted to the control points: {refined.detail}."))
+        return replace(
+            plain,
+            control=_unused(f"The poses cannot be adjusted to the control points: {refined.detail}.", Verdict.HOLD),
+        )
 
     found = adjusted(frame_pairs, plain, as_stated=True)
     if found.control is not None and found.control.verdict is not Verdict.PASS:
@@ -275,9 +278,10 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> He
         return _none_near(len(points))
     if (wrong and (used < 2 or used <= wrong)) or (not as_stated and used < _LEAST_AGREEING):
         agreeing = f" {', '.join(points[k].name for k in tie.cone_of)} alone fit." if used else ""
-        return _held(
+        return _unused(
             f"The control points contradict each other or GNSS/INS: {named}.{agreeing} Check the points, their datum and that of "
-            f"GNSS/INS, or survey more: {_LEAST_AGREEING} that agree are believed."
+            f"GNSS/INS, or survey more: {_LEAST_AGREEING} that agree are believed.",
+            Verdict.HOLD,
         )
     if tie.ambiguous:
         twins = [
@@ -299,12 +303,8 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> He
     return HealthCheck(name=NAME, verdict=verdict, value=float(used), detail=detail)
 
 
-def _held(detail: str) -> HealthCheck:
-    return HealthCheck(name=NAME, verdict=Verdict.HOLD, value=0.0, detail=detail)
-
-
-def _unused(detail: str) -> HealthCheck:
-    return HealthCheck(name=NAME, verdict=Verdict.WARN, value=0.0, detail=detail)
+def _unused(detail: str, verdict: Verdict = Verdict.WARN) -> HealthCheck:
+    return HealthCheck(name=NAME, verdict=verdict, value=0.0, detail=detail)
 
 
 def _none_near(count: int) -> HealthCheck:

@@ -55,17 +55,16 @@ def pose_cov(trajectory: RefinedTrajectory, params: TrajectoryParams) -> PoseCov
     return of_frames
 
 
-def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats | None:
-    """(6, 6) covariance of the left camera's motion between two frame pairs, None unless the trajectory was refined.
+def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats:
+    """(6, 6) covariance of the left camera's motion between two frame pairs of a refined trajectory.
 
     start, end: positions in `frame_pairs` (not frame indices), in any order. Error (rotation rad, translation m) of
     end_SE3_start, in the left camera's frame at `end`.
     """
-    if trajectory.covariance is None:
-        return None
     if start == end:
         return np.zeros((6, 6))
     joint = trajectory.covariance
+    assert joint is not None  # the trajectory was refined
     first, second = min(start, end), max(start, end)
     cross = cross_covariance(joint, first, second)[:POSE, :POSE]
     cross = cross if start <= end else cross.T
@@ -92,7 +91,6 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
 
     def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:
         cov = relative(rank[start], rank[end])
-        assert cov is not None  # the trajectory was refined
         first, second = trajectory.map_SE3_left[rank[start]], trajectory.map_SE3_left[rank[end]]
         turned = second[:3, :3].T @ first[:3, :3] @ point_m
         by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])

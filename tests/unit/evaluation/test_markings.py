@@ -10,7 +10,6 @@ import pytest
 from conetl.evaluation.marking_evaluation import evaluate_markings, pooled_markings
 from conetl.evaluation.markings import (
     TRUTH_FILE,
-    CommonErrors,
     TruthMarking,
     compare_markings,
     marking_consistency,
@@ -104,15 +103,14 @@ def test_nees_of_drawn_noise_is_in_its_band_and_that_of_too_small_sigmas_is_not(
         noise = rng.multivariate_normal(np.zeros(3), own, len(vertices))
         seen.append(found(vertices + noise + shift, own + shared))
         count += len(vertices)
-    common = CommonErrors(np.tile(np.eye(3), (count, 1, 1)), shared, np.kron(np.eye(count), own))
-    results = marking_consistency(compare_markings(known, seen, everywhere, common))
+    every, common = np.kron(np.eye(count), own), (np.tile(np.eye(3), (count, 1, 1)), shared)
+    results = marking_consistency(compare_markings(known, seen, everywhere), every, *common)
     for name, dof in (("lateral", count), ("height", count), ("together", 2 * count)):
         one = results[name]
         assert one is not None and one.absolute.dof == dof and one.relative.holds(0.999) and one.common.holds(0.999)
-    half = CommonErrors(common.jacobian, shared, common.own_cov_m2 / 4)
-    small = marking_consistency(compare_markings(known, seen, everywhere, half))["together"]
+    small = marking_consistency(compare_markings(known, seen, everywhere), every / 4, *common)["together"]
     assert small is not None and small.relative.per_dof == pytest.approx(4.0, rel=0.2)
-    assert marking_consistency(compare_markings(known, [], everywhere))["lateral"] is None
+    assert marking_consistency(compare_markings(known, [], everywhere), every[:0, :0], *common)["lateral"] is None
 
 
 def test_pose_errors_that_drift_along_a_drive_are_in_the_band_as_correlated_errors_alone() -> None:
@@ -125,8 +123,8 @@ def test_pose_errors_that_drift_along_a_drive_are_in_the_band_as_correlated_erro
                     rng.multivariate_normal(np.zeros(3), own, len(vertices)))  # fmt: skip
     seen, none = [found(vertices + noise + drift, own)], (np.zeros((len(vertices), 3, 0)), np.zeros((0, 0)))
     for added, holds in ((change, True), (0.0, False)):
-        common = CommonErrors(*none, np.kron(np.eye(len(vertices)), own) + added)
-        results = marking_consistency(compare_markings(known, seen, everywhere, common))
+        every = np.kron(np.eye(len(vertices)), own) + added
+        results = marking_consistency(compare_markings(known, seen, everywhere), every, *none)
         assert [one is not None and one.absolute.holds(0.999) for one in results.values()] == [holds] * 3
 
 

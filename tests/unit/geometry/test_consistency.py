@@ -36,12 +36,9 @@ def whole(own: np.ndarray) -> np.ndarray:
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
 def test_own_errors_may_hang_together(seed: int) -> None:
-    """As one matrix of all points: without correlations the same parts, with them the sum is that of the full matrix."""
+    """The sum is that of the full matrix."""
     rng, own, jacobian, cov = random_drive(seed)
     error = draw(rng, own, jacobian, cov)
-    alone, together = consistency(error, own, jacobian, cov), consistency(error, whole(own), jacobian, cov)
-    for part in ("absolute", "relative", "common"):
-        assert getattr(together, part).value == pytest.approx(getattr(alone, part).value, rel=1e-6)
     slide = rng.normal(0, 0.05, (error.size, 5))
     correlated = whole(own) + slide @ slide.T
     g = jacobian.reshape(error.size, -1)
@@ -55,7 +52,7 @@ def test_a_common_error_is_no_relative_error() -> None:
     rng, own, jacobian, cov = random_drive(3)
     error = draw(rng, own, jacobian, cov)
     shifted = error + jacobian @ np.array([5.0, -3.0, 2.0, 1.0])
-    a, b = (consistency(e, own, jacobian, cov) for e in (error, shifted))
+    a, b = (consistency(e, whole(own), jacobian, cov) for e in (error, shifted))
     assert b.relative.value == pytest.approx(a.relative.value, rel=1e-6)
     assert not b.common.holds(0.999)
 
@@ -66,7 +63,7 @@ def test_wrong_sigmas_leave_the_band(scale: float) -> None:
     parts = {"absolute": Nees(0.0, 0), "relative": Nees(0.0, 0), "common": Nees(0.0, 0)}
     for seed in range(200):
         rng, own, jacobian, cov = random_drive(seed)
-        result = consistency(draw(rng, own, jacobian, cov), scale**2 * own, jacobian, scale**2 * cov)
+        result = consistency(draw(rng, own, jacobian, cov), scale**2 * whole(own), jacobian, scale**2 * cov)
         parts = {name: nees + getattr(result, name) for name, nees in parts.items()}
     assert [nees.holds() for nees in parts.values()] == [scale == 1.0] * 3
 
@@ -74,7 +71,7 @@ def test_wrong_sigmas_leave_the_band(scale: float) -> None:
 def test_no_common_error_leaves_every_degree_of_freedom_to_the_points() -> None:
     rng, own, jacobian, _ = random_drive(5)
     error = draw(rng, own, jacobian, np.zeros((4, 4)))
-    result = consistency(error, own, jacobian, np.zeros((4, 4)))
+    result = consistency(error, whole(own), jacobian, np.zeros((4, 4)))
     assert result.common.dof == 0
     assert result.relative.value == pytest.approx(point_nees(error, own).sum())
     with pytest.raises(ValueError, match="degrees of freedom"):
@@ -103,4 +100,4 @@ def test_the_band_is_the_chi_square_interval() -> None:
     low, high = Nees(0.0, 3).band()
     assert (low, high) == (pytest.approx(0.2158, abs=1e-4), pytest.approx(9.3484, abs=1e-4))
     with pytest.raises(ValueError, match="Jacobian"):
-        consistency(np.zeros((2, 3)), np.zeros((2, 3, 3)), np.zeros((1, 3, 2)), np.eye(2))
+        consistency(np.zeros((2, 3)), np.eye(6), np.zeros((1, 3, 2)), np.eye(2))

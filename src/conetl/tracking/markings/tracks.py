@@ -248,7 +248,7 @@ def _covariances(
             target[k] = moved_cov(moved, rank, part).reshape(len(rank), 3, len(rank), 3).sum(axis=(0, 2))
         by_calibration = left[:, :3, :3] @ calibration_jacobian(seen, rig)
         calibrated.append(np.einsum("f,fij->ij", shares, by_calibration))
-    return own, (_symmetric(whole), _symmetric(change)), np.stack(calibrated)
+    return own, (whole, change), np.stack(calibrated)
 
 
 def _image_errors(
@@ -263,10 +263,6 @@ def _image_errors(
     total = moved.sum(axis=0)
     found = _FRAME_SIGMA_PX**2 * np.einsum("fik,fjk->ij", moved, moved) + _COMMON_SIGMA_PX**2 * total @ total.T
     return np.asarray(found)
-
-
-def _symmetric(matrices: Floats) -> Floats:
-    return np.asarray((matrices + np.swapaxes(matrices, 1, 2)) / 2)
 
 
 def _colour(points: LocatedPoints) -> MarkingColour:
