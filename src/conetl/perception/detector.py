@@ -17,15 +17,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError, ModelFileError
-from conetl.perception.decoding import (
-    COLUMNS,
-    NetworkBoxes,
-    boxes_in_image,
-    decode_cells,
-    omitted_below,
-    suppress_overlaps,
-    without_parts,
-)
+from conetl.perception import decoding
 from conetl.perception.heads import EndToEndHead, SideDistributionHead, check_outputs, decode_head
 from conetl.perception.model_card import ModelCard, read_model_card, shipped_model_path
 from conetl.perception.second_passes import MIN_SCORE, detect_small_objects, rescore
@@ -215,14 +207,14 @@ def detect_image(
     first_row = min(max(first_row, 0), max(whole.shape[0] - MIN_ROWS_PX, 0))
     road = whole[first_row:]
     if min(road.shape[:2]) < MIN_SIDE_PX:
-        return np.zeros((0, COLUMNS))
+        return np.zeros((0, decoding.COLUMNS))
     if within is not None:
         within = (within[0], within[1] - first_row, within[2], within[3] - first_row)
     rescoring, small_objects = detector.card.closer_look, detector.card.enlarged_look
     names = detector.card.class_names
     wanted_classes = None if categories is None else [k for k, name in enumerate(names) if name in categories]
     if wanted_classes == []:
-        return np.zeros((0, COLUMNS))
+        return np.zeros((0, decoding.COLUMNS))
     # Candidates of a second pass must be found first, whatever the caller's threshold.
     candidate_score = score_threshold if rescoring is None else min(score_threshold, rescoring.scores[0])
     candidate_score = candidate_score if small_objects is None else min(candidate_score, MIN_SCORE)
@@ -244,18 +236,18 @@ def detect_image(
         for smaller_px in (side_px // 2, side_px // 4):
             again = run_on_part(smaller_px)
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
-            boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
+            boxes = decoding.suppress_overlaps(np.concatenate((decoding.without_parts(boxes, large), large)), nms_iou)
     boxes[:, [0, 2, 5, 7]] += columns.start
     boxes[:, [1, 3, 6, 8]] += rows.start
     if small_objects is not None:
 
-        def run_on_enlarged(image: NDArray[np.uint8]) -> NetworkBoxes:
+        def run_on_enlarged(image: NDArray[np.uint8]) -> decoding.NetworkBoxes:
             return run_network(detector, [image], max(image.shape[:2]), MIN_SCORE, nms_iou, wanted_classes)[0]
 
         # Candidates outside `within` do not start the pass, but take its results.
         wanted = None if within is None else _has_centre_in(boxes, within)
         found = detect_small_objects(run_on_enlarged, road, boxes, small_objects, longest / side_px, wanted)
-        boxes = suppress_overlaps(found, SAME_BOX_IOU)
+        boxes = decoding.suppress_overlaps(found, SAME_BOX_IOU)
     if within is not None:
         boxes = boxes[_has_centre_in(boxes, within)]
     boxes[:, [1, 3, 6, 8]] += first_row
@@ -265,9 +257,9 @@ def detect_image(
             found = run_network(detector, windows, rescoring.window_px, min_score, nms_iou, wanted_classes)
             return [boxes for boxes, _ in found]
 
-        boxes = suppress_overlaps(rescore(run_on_windows, whole, boxes, rescoring), SAME_BOX_IOU)
+        boxes = decoding.suppress_overlaps(rescore(run_on_windows, whole, boxes, rescoring), SAME_BOX_IOU)
     boxes = boxes[boxes[:, 4] >= score_threshold]  # second passes need candidates below it
-    return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
+    return decoding.boxes_in_image(boxes, whole.shape[1], whole.shape[0])
 
 
 def _part(
@@ -306,7 +298,7 @@ def run_network(
     score_threshold: float,
     nms_iou: float,
     classes: Sequence[int] | None = None,
-) -> list[NetworkBoxes]:
+) -> list[decoding.NetworkBoxes]:
     """Candidates (N, 10) of each of several images of one size, in pixels of the image and not clipped to it.
 
     At most MAX_BATCH images per run, one where the network takes single images. classes: indices of those to return (None: all);
@@ -333,20 +325,20 @@ def run_network(
     rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
     head, omitted = card.head, 0.0
     if isinstance(head, SideDistributionHead):
-        omitted = omitted_below(outputs, (len(images_bgr), rows, columns), head.strides_px, head.class_count)
-        boxes, images = decode_cells(
+        omitted = decoding.omitted_below(outputs, (len(images_bgr), rows, columns), head.strides_px, head.class_count)
+        boxes, images = decoding.decode_cells(
             outputs, (rows, columns), head.strides_px, head.side_bins, score_threshold,
             foot_and_tip=head.foot_and_tip, class_count=head.class_count,
         )  # fmt: skip
-        seen = [suppress_overlaps(boxes[images == number], nms_iou) for number in range(len(images_bgr))]
+        seen = [decoding.suppress_overlaps(boxes[images == number], nms_iou) for number in range(len(images_bgr))]
     else:
         found = decode_head(head, outputs, rows, columns, score_threshold)
-        no_ends = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
+        no_ends = np.full((len(found), decoding.COLUMNS - found.shape[1]), np.nan)
         boxes = np.concatenate((found[:, :5], no_ends, found[:, 5:]), axis=1)
         if isinstance(head, EndToEndHead):  # the network has suppressed overlaps already
             seen = [boxes[np.argsort(-boxes[:, 4], kind="stable")]]
         else:
-            seen = [suppress_overlaps(boxes, nms_iou)]
+            seen = [decoding.suppress_overlaps(boxes, nms_iou)]
     if classes is not None:
         seen = [each[np.isin(each[:, -1], classes)] for each in seen]
     scales = np.array((scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y, 1.0))

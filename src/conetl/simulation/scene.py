@@ -16,17 +16,8 @@ from numpy.typing import NDArray
 
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-from conetl.simulation import meshes, textures
+from conetl.simulation import meshes, scenario, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
-from conetl.simulation.scenario import (
-    KERB_HEIGHT_M,
-    KERB_WIDTH_M,
-    PAINT_HEIGHT_M,
-    PAVEMENT_HEIGHT_M,
-    VERGE_HEIGHT_M,
-    World,
-    painted_lines,
-)
 
 FULL_WELL_ELECTRONS = 9000.0
 READ_NOISE_ELECTRONS = 6.0
@@ -57,7 +48,7 @@ def load_mitsuba() -> Any:
     return mi
 
 
-def build_scene(world: World) -> Any:
+def build_scene(world: scenario.World) -> Any:
     """The Mitsuba scene of a world, without cameras. Equal worlds give equal scenes."""
     mi = load_mitsuba()
     scene: dict[str, Any] = {"type": "scene", "sky": _sky(world)}
@@ -113,7 +104,7 @@ def sensor(camera: PinholeCamera, road_SE3_camera: Floats, samples_per_pixel: in
     )  # fmt: skip
 
 
-def _sky(world: World) -> dict[str, Any]:
+def _sky(world: scenario.World) -> dict[str, Any]:
     elevation, azimuth = math.radians(world.sun_elevation_deg), math.radians(world.sun_azimuth_deg)
     direction = [
         math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)
@@ -127,7 +118,7 @@ def _sky(world: World) -> dict[str, Any]:
     }
 
 
-def _world_parts(world: World) -> list[Part]:
+def _world_parts(world: scenario.World) -> list[Part]:
     found: list[Part] = []
     for number, cone in enumerate(world.cones):
         found += cone_parts(cone, 1000 * world.texture_seed + number)
@@ -145,7 +136,7 @@ def _flat(x0: float, x1: float, y0: float, y1: float, z: float, tile_m: float) -
     )  # fmt: skip
 
 
-def _ground(world: World) -> list[Part]:
+def _ground(world: scenario.World) -> list[Part]:
     """Asphalt, markings, kerbs, pavement on the right, grass on both sides."""
     road, seed = world.road, world.texture_seed
     x0, x1 = road.start_m, road.end_m
@@ -154,19 +145,21 @@ def _ground(world: World) -> list[Part]:
     ground = [Part(_flat(x0, x1, road.right_m, road.left_m, 0.0, 12.0), textures.asphalt(seed, road.asphalt))]
     for marking in road.markings:
         paint = textures.paint(seed + 1, marking, road.asphalt)
-        for line in painted_lines(marking):
-            ground.append(Part(meshes.ribbon(line, marking.width_m, PAINT_HEIGHT_M, 2.0), paint))
+        for line in scenario.painted_lines(marking):
+            ground.append(Part(meshes.ribbon(line, marking.width_m, scenario.PAINT_HEIGHT_M, 2.0), paint))
     for y, outwards in ((road.right_m, -1.0), (road.left_m, 1.0)):
-        kerb = meshes.box([x1 - x0, KERB_WIDTH_M, KERB_HEIGHT_M])
+        kerb = meshes.box([x1 - x0, scenario.KERB_WIDTH_M, scenario.KERB_HEIGHT_M])
         kerb = kerb._replace(uv=kerb.uv * [(x1 - x0) / 1.0, 0.3])
-        ground.append(Part(meshes.placed(kerb, motion((x0 + x1) / 2, y + outwards * KERB_WIDTH_M / 2)), stone))
+        ground.append(Part(meshes.placed(kerb, motion((x0 + x1) / 2, y + outwards * scenario.KERB_WIDTH_M / 2)), stone))
     ground.append(Part(_flat(-900.0, 900.0, -900.0, 900.0, -0.05, 25.0), grass))  # up to the horizon
-    edge, left = road.pavement_edge_m, road.left_m + KERB_WIDTH_M
+    edge, left = road.pavement_edge_m, road.left_m + scenario.KERB_WIDTH_M
     if road.pavement_width_m > 0:
         slabs = textures.slabs(seed + 4, (0.60, 0.59, 0.56))
-        ground.append(Part(_flat(x0, x1, edge, road.right_m - KERB_WIDTH_M, PAVEMENT_HEIGHT_M, 1.8), slabs))
-    ground.append(Part(_flat(x0, x1, edge - 90.0, edge, VERGE_HEIGHT_M, 7.0), grass))
-    ground.append(Part(_flat(x0, x1, left, road.left_m + 90.0, VERGE_HEIGHT_M, 7.0), grass))
+        ground.append(
+            Part(_flat(x0, x1, edge, road.right_m - scenario.KERB_WIDTH_M, scenario.PAVEMENT_HEIGHT_M, 1.8), slabs)
+        )
+    ground.append(Part(_flat(x0, x1, edge - 90.0, edge, scenario.VERGE_HEIGHT_M, 7.0), grass))
+    ground.append(Part(_flat(x0, x1, left, road.left_m + 90.0, scenario.VERGE_HEIGHT_M, 7.0), grass))
     return ground
 
 

@@ -11,15 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
+from conetl.geometry import rectification
 from conetl.geometry import rig as rigs
-from conetl.geometry.rectification import (
-    common_rotation,
-    is_rectified,
-    raw_from_rectified,
-    rectified_from_raw,
-    rectify,
-    stored_camera,
-)
 from conetl.model.records import Camera, Lens, Rig
 from conetl.readers.rigs.common import rig_of
 
@@ -57,9 +50,9 @@ angle = st.floats(-0.08, 0.08)
 @given(turn=st.tuples(angle, angle, st.floats(-0.03, 0.03)), ty=st.floats(-0.05, 0.05), tz=st.floats(-0.05, 0.05))
 def test_every_rig_ends_with_equal_rows_and_the_same_points(turn: tuple[float, ...], ty: float, tz: float) -> None:
     raw = rig(turn, (0.5, ty, tz))
-    assume(not is_rectified(raw))
-    flat = rectify(raw)
-    assert flat.rectified_from == raw and is_rectified(flat)
+    assume(not rectification.is_rectified(raw))
+    flat = rectification.rectify(raw)
+    assert flat.rectified_from == raw and rectification.is_rectified(flat)
     assert flat.baseline_m == pytest.approx(raw.baseline_m)
     np.testing.assert_allclose(rigs.left_SE3_right(flat)[1:3, 3], 0, atol=1e-12)
     points = body_points()
@@ -71,21 +64,21 @@ def test_every_rig_ends_with_equal_rows_and_the_same_points(turn: tuple[float, .
         shown = ((uv[side] >= 0) & (uv[side] <= size - 1)).all(axis=1)
         assert shown.sum() > 15
         # The same object point in the raw image, by the raw camera alone.
-        direct = cam.project(stored_camera(flat, side), in_camera(points[shown], raw, side))
-        np.testing.assert_allclose(raw_from_rectified(flat, side, uv[side][shown]), direct, atol=1e-6)
-        np.testing.assert_allclose(rectified_from_raw(flat, side, direct), uv[side][shown], atol=1e-6)
+        direct = cam.project(rectification.stored_camera(flat, side), in_camera(points[shown], raw, side))
+        np.testing.assert_allclose(rectification.raw_from_rectified(flat, side, uv[side][shown]), direct, atol=1e-6)
+        np.testing.assert_allclose(rectification.rectified_from_raw(flat, side, direct), uv[side][shown], atol=1e-6)
 
 
 @pytest.mark.parametrize("lens", [Lens(), BARREL, Lens(model="radial", coefficients=(0.1, 0.02)), FISHEYE])
 def test_every_rectified_pixel_was_seen_and_no_detail_is_lost(lens: Lens) -> None:
     raw = rig(left=camera(lens), right=camera(lens, f=930.0))
-    flat = rectify(raw)
+    flat = rectification.rectify(raw)
     for side in ("left", "right"):
         own = rigs.camera_of(flat, side)
         assert own.fx_px == own.fy_px == 960.0
         grid = np.stack(np.meshgrid(np.arange(own.width_px), np.arange(own.height_px)), -1)
-        assert np.isfinite(raw_from_rectified(flat, side, grid)).all()
-        outside = raw_from_rectified(flat, side, [[-3 * own.width_px, 10.0], [4 * own.width_px, 10.0]])
+        assert np.isfinite(rectification.raw_from_rectified(flat, side, grid)).all()
+        outside = rectification.raw_from_rectified(flat, side, [[-3 * own.width_px, 10.0], [4 * own.width_px, 10.0]])
         assert np.isnan(outside).all()
     assert flat.left.height_px == flat.right.height_px and flat.left.cy_px == flat.right.cy_px
     # A barrel's borders move outwards when it is straightened: the image must not shrink much by the rotations.
@@ -94,7 +87,7 @@ def test_every_rectified_pixel_was_seen_and_no_detail_is_lost(lens: Lens) -> Non
 
 def test_a_half_sphere_lens_ends_at_60_degrees() -> None:
     wide = camera(FISHEYE, f=420.0, height_px=1392, cy_px=696.0)
-    flat = rectify(rig(left=wide, right=wide))
+    flat = rectification.rectify(rig(left=wide, right=wide))
     half = np.arctan(flat.left.cx_px / flat.left.fx_px)
     assert np.radians(50) < half <= np.radians(60) + 1e-9
 
@@ -103,7 +96,7 @@ def test_the_rotation_is_that_of_opencv() -> None:
     raw = rig((0.01, -0.03, 0.008), (0.5, 0.01, -0.02))
     left_SE3_right = rigs.left_SE3_right(raw)
     right_SE3_left = se3.invert(left_SE3_right)
-    ours = common_rotation(left_SE3_right)
+    ours = rectification.common_rotation(left_SE3_right)
     theirs = cv2.stereoRectify(
         cam.matrix_k(raw.left), None, cam.matrix_k(raw.right), None, (1392, 512),
         right_SE3_left[:3, :3].copy(), right_SE3_left[:3, 3:].copy(),
@@ -115,22 +108,24 @@ def test_the_rotation_is_that_of_opencv() -> None:
 def test_what_is_rectified_stays_as_it_is() -> None:
     plain = camera(Lens())
     parallel = rig((0, 0, 0), (0.5, 0.002, 0.001), left=plain, right=plain)
-    assert rectify(parallel) is parallel
-    assert stored_camera(parallel, "left") is parallel.left
-    np.testing.assert_array_equal(raw_from_rectified(parallel, "left", [1.0, 2.0]), [1.0, 2.0])
+    assert rectification.rectify(parallel) is parallel
+    assert rectification.stored_camera(parallel, "left") is parallel.left
+    np.testing.assert_array_equal(rectification.raw_from_rectified(parallel, "left", [1.0, 2.0]), [1.0, 2.0])
     for changed in (
         rig((0, 0.001, 0), (0.5, 0, 0), left=plain, right=plain),
         rig((0, 0, 0), (0.5, 0.02, 0), left=plain, right=plain),
         rig((0, 0, 0), (0.5, 0, 0), left=plain, right=camera(Lens(), f=950.0)),
         rig((0, 0, 0), (0.5, 0, 0), left=plain, right=camera()),
     ):
-        assert not is_rectified(changed)
-        assert is_rectified(rectify(changed))
+        assert not rectification.is_rectified(changed)
+        assert rectification.is_rectified(rectification.rectify(changed))
 
 
 def test_another_row_of_the_axis_is_only_another_row() -> None:
     """Rows may begin elsewhere in the right image: the matcher knows the offset of the principal points."""
-    assert is_rectified(rig((0, 0, 0), (0.5, 0, 0), left=camera(Lens()), right=camera(Lens(), cy_px=220.0)))
+    assert rectification.is_rectified(
+        rig((0, 0, 0), (0.5, 0, 0), left=camera(Lens()), right=camera(Lens(), cy_px=220.0))
+    )
 
 
 @pytest.mark.parametrize(
@@ -144,4 +139,4 @@ def test_cameras_without_a_common_image_are_refused(
     turn: tuple[float, ...], t: tuple[float, ...], message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        rectify(rig(turn, t))
+        rectification.rectify(rig(turn, t))

@@ -17,14 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conetl.model.errors import InputError, ModelFileError
-from conetl.perception.decoding import (
-    boxes_in_image,
-    decode_cells,
-    intersection_over_union,
-    omitted_below,
-    suppress_overlaps,
-    without_parts,
-)
+from conetl.perception import decoding
 from conetl.perception.detector import (
     Detector,
     detect_image,
@@ -51,7 +44,7 @@ def test_decode_reads_one_cell_exactly() -> None:
     for side, distance in enumerate((1, 2, 3, 0)):  # left, top, right, bottom in strides
         values[0, side * 4 + distance] = 60.0
     second_row_third_of_five = np.array([1 * 5 + 2])
-    found, _ = decode_cells([values, second_row_third_of_five], (24, 40), (8,), 4, 0.5)
+    found, _ = decoding.decode_cells([values, second_row_third_of_five], (24, 40), (8,), 4, 0.5)
     # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
     np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
     assert np.isnan(found[:, 5:9]).all() and (found[:, 9] == 0).all()
@@ -63,45 +56,47 @@ def test_decode_reads_foot_and_tip() -> None:
     for side in range(4):
         values[0, side * 4 + 2] = 60.0  # two strides to each side: the box is 16 px wide around (6, 2) at stride 4
     values[0, 16:20] = (0.25, 0.125, -0.25, 0.0625)
-    ((found,), _) = decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.5, foot_and_tip=True)
+    ((found,), _) = decoding.decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.5, foot_and_tip=True)
     # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
     np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
     np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
     np.testing.assert_allclose(found[5:9], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
-    assert len(decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.74, foot_and_tip=True)[0]) == 0
+    assert len(decoding.decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.74, foot_and_tip=True)[0]) == 0
 
 
 def test_decode_gives_a_cell_the_class_of_its_best_score() -> None:
     values = np.zeros((2, 4 * 4 + 3), np.float32)
     values[:, -3:] = ((-2.0, 1.0, 0.5), (2.0, -1.0, 0.0))
-    found, _ = decode_cells([values, np.array([0, 3])], (8, 8), (4,), 4, 0.5, class_count=3)
+    found, _ = decoding.decode_cells([values, np.array([0, 3])], (8, 8), (4,), 4, 0.5, class_count=3)
     np.testing.assert_allclose(found[:, 4], 1 / (1 + np.exp([-1.0, -2.0])), atol=1e-6)
     np.testing.assert_array_equal(found[:, 9], [1, 0])
-    assert omitted_below([values, np.array([0, 3])], (1, 8, 8), (4,), 3) == pytest.approx(1 / (1 + np.exp(-1.0)))
+    assert decoding.omitted_below([values, np.array([0, 3])], (1, 8, 8), (4,), 3) == pytest.approx(
+        1 / (1 + np.exp(-1.0))
+    )
 
 
 def test_decode_takes_the_mean_between_two_bins() -> None:
     values = np.full((1, 17), -60.0, np.float32)
     values[0, -1] = 3.0
     values[0, [1, 2, 4 + 1, 8 + 1, 12 + 1]] = 0.0  # left: halfway between 1 and 2 strides; other sides: 1
-    found, _ = decode_cells([values, np.array([0])], (4, 4), (4,), 4, 0.5)
+    found, _ = decoding.decode_cells([values, np.array([0])], (4, 4), (4,), 4, 0.5)
     np.testing.assert_allclose(found[0, :4], [2 - 6, 2 - 4, 2 + 4, 2 + 4], atol=1e-6)
 
 
 def test_decode_drops_scores_below_the_threshold_and_keeps_the_order_of_cells() -> None:
     values = np.zeros((3, 17), np.float32)
     values[:, -1] = (2.0, -1.0, 1.0)
-    found, _ = decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 0.5)
+    found, _ = decoding.decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 0.5)
     np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
     np.testing.assert_allclose(found[:, :2].mean(axis=0), [4 - 6, 4 - 6], atol=1e-6)  # sides of 1.5 strides each
-    assert decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 1.0)[0].shape == (0, 10)
+    assert decoding.decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 1.0)[0].shape == (0, 10)
 
 
 def test_decode_tells_images_and_strides_apart() -> None:
     values = np.zeros((2, 17), np.float32)
     values[:, -1] = (2.0, 1.0)
     fine, coarse = [values, np.array([9, 3])], [values[:1], np.array([2])]  # images of 2 x 4 and of 1 x 2 cells
-    found, images = decode_cells([*fine, *coarse], (8, 16), (4, 8), 4, 0.5)
+    found, images = decoding.decode_cells([*fine, *coarse], (8, 16), (4, 8), 4, 0.5)
     np.testing.assert_array_equal(images, [1, 0, 1])
     np.testing.assert_allclose((found[:, :2] + found[:, 2:4]) / 2, [[6, 2], [14, 2], [4, 4]], atol=1e-6)
     np.testing.assert_allclose(found[:, 2] - found[:, 0], [12, 12, 24], atol=1e-6)  # 1.5 strides to each side
@@ -110,7 +105,7 @@ def test_decode_tells_images_and_strides_apart() -> None:
 @pytest.mark.parametrize(("values", "cells"), [((6, 2), 6), ((3, 17), 2)])
 def test_decode_refuses_cells_of_another_head(values: tuple[int, int], cells: int) -> None:
     with pytest.raises(ValueError, match="expected"):
-        decode_cells([np.zeros(values, np.float32), np.zeros(cells, np.int64)], (32, 32), (8,), 4, 0.5)
+        decoding.decode_cells([np.zeros(values, np.float32), np.zeros(cells, np.int64)], (32, 32), (8,), 4, 0.5)
 
 
 def draw_cone(image: np.ndarray, x: float, foot: float, height: float) -> None:
@@ -185,8 +180,8 @@ def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:
     large = np.array([[0.0, 0.0, 100.0, 200.0, 0.8]])
     inside, beside = [10.0, 50.0, 90.0, 110.0, 0.5], [90.0, 50.0, 170.0, 110.0, 0.5]
     better = [*inside[:4], 0.9]
-    np.testing.assert_array_equal(without_parts(np.array([inside, better, beside]), large), [better, beside])
-    assert len(without_parts(np.zeros((0, 5)), large)) == 0
+    np.testing.assert_array_equal(decoding.without_parts(np.array([inside, better, beside]), large), [better, beside])
+    assert len(decoding.without_parts(np.zeros((0, 5)), large)) == 0
 
 
 #: Of the overlaps that suppression computes.
@@ -199,16 +194,16 @@ candidate = st.tuples(coordinate, coordinate, st.floats(0.5, 90.0), st.floats(0.
 def test_suppression_laws(rows: list[tuple[float, ...]], nms_iou: float) -> None:
     values = np.array(rows, float).reshape(-1, 5)
     candidates = np.column_stack((values[:, :2], values[:, :2] + values[:, 2:4], values[:, 4]))
-    kept = suppress_overlaps(candidates, nms_iou)
+    kept = decoding.suppress_overlaps(candidates, nms_iou)
     assert {tuple(row) for row in kept} <= {tuple(row) for row in candidates}
     assert np.all(np.diff(kept[:, 4]) <= 0)
     for index, box in enumerate(kept):  # survivors do not overlap
-        assert np.all(intersection_over_union(box[:4], kept[index + 1 :, :4]) <= nms_iou + SINGLE_PRECISION)
+        assert np.all(decoding.intersection_over_union(box[:4], kept[index + 1 :, :4]) <= nms_iou + SINGLE_PRECISION)
     for box in candidates:  # whatever went, went for a survivor at least as good
         rivals = kept[kept[:, 4] >= box[4]]
         same = (kept == box).all(axis=1).any()
-        assert same or np.any(intersection_over_union(box[:4], rivals[:, :4]) > nms_iou - SINGLE_PRECISION)
-    np.testing.assert_array_equal(suppress_overlaps(kept, nms_iou), kept)
+        assert same or np.any(decoding.intersection_over_union(box[:4], rivals[:, :4]) > nms_iou - SINGLE_PRECISION)
+    np.testing.assert_array_equal(decoding.suppress_overlaps(kept, nms_iou), kept)
 
 
 @given(st.integers(8, 300), st.integers(8, 300), st.integers(40, 200))
@@ -228,7 +223,7 @@ def test_boxes_map_back_through_padding_and_scaling(width: int, height: int, max
 
 def test_boxes_in_the_padding_are_dropped_and_others_are_cut() -> None:
     boxes = np.array([[90.0, 10.0, 130.0, 40.0, 0.9], [105.0, 10.0, 120.0, 40.0, 0.8]])
-    np.testing.assert_allclose(boxes_in_image(boxes, 100, 50), [[90.0, 10.0, 10.0, 30.0, 0.9]])
+    np.testing.assert_allclose(decoding.boxes_in_image(boxes, 100, 50), [[90.0, 10.0, 10.0, 30.0, 0.9]])
 
 
 def copy_model(folder: Path) -> Path:
@@ -440,4 +435,4 @@ def test_drums_are_told_from_cones(detector: Detector) -> None:
     assert (cones[:, 9] == names.index("traffic_cone")).all()
     corners_of_drums, corners_of_cones = (np.hstack((b[:, :2], b[:, :2] + b[:, 2:4])) for b in (drums, cones))
     for box in corners_of_drums:
-        assert intersection_over_union(box, corners_of_cones).max(initial=0) < 0.3
+        assert decoding.intersection_over_union(box, corners_of_cones).max(initial=0) < 0.3

@@ -31,18 +31,9 @@ from conetl.readers.drives.pairs import Image, pair_by_stamp
 from conetl.readers.rigs import WRITERS, read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
 from conetl.reports.inspection_images import _middle_pair
+from tests import video_drives
 from tests.unit.readers.drive_formats import SAMPLE, write_ros1_bag
 from tests.unit.readers.trajectory_files import write_csv
-from tests.video_drives import (
-    LOGS,
-    frames_of,
-    known_of,
-    same_image,
-    with_log,
-    write_frames,
-    write_svo2,
-    write_video_drive,
-)
 
 VIDEOS = {
     "two files": {},
@@ -82,7 +73,7 @@ def largest_m(drive: Drive, cones: np.ndarray, home: Path) -> float:
 
 @pytest.fixture(scope="module")
 def folder(sample: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_video_drive(tmp_path_factory.mktemp("video") / "run", sample)
+    return video_drives.write_video_drive(tmp_path_factory.mktemp("video") / "run", sample)
 
 
 def copied(folder: Path, tmp_path: Path, *left_out: str, settings: str | None = None) -> Path:
@@ -107,7 +98,7 @@ def start_of(drive: Drive) -> str:
 
 @pytest.mark.parametrize("name", VIDEOS)
 def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) -> None:
-    root = write_video_drive(tmp_path / "run", sample, **VIDEOS[name])
+    root = video_drives.write_video_drive(tmp_path / "run", sample, **VIDEOS[name])
     assert drive_format(root) == "video"
     drive, rejections = read_drive(root)
     assert rejections == []
@@ -121,7 +112,7 @@ def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) ->
     for side in ("left", "right"):
         for n in (0, 7, 15):
             found, true = (read_pair_image(d.frame_pairs[n], side, d.rig) for d in (drive, sample))
-            assert same_image(found, true)
+            assert video_drives.same_image(found, true)
     header = read_header(root)
     assert (header.problem, header.frame_pairs) == (None, COUNT)
     assert header.captured_from_ns == drive.frame_pairs[0].captured_at_ns
@@ -130,7 +121,7 @@ def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) ->
 
 
 def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
-    folder = write_video_drive(tmp_path / "run", whole)
+    folder = video_drives.write_video_drive(tmp_path / "run", whole)
     # On a smooth road what passes by must not be taken for a shift of the files.
     lag = find_video_lag(*(index_video(folder / f"{side}.mp4") for side in ("left", "right")))
     assert lag is None or abs(lag.offset_s) < 0.025
@@ -138,15 +129,17 @@ def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray
 
 
 def test_cones_of_a_bag_are_those_of_the_images(whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
-    root = write_ros1_bag(tmp_path / "run", frames_of(whole), whole.rig)
+    root = write_ros1_bag(tmp_path / "run", video_drives.frames_of(whole), whole.rig)
     assert largest_m(read_drive(root, images_folder=tmp_path / "images")[0], cones, tmp_path) < 0.002
 
 
-@pytest.mark.parametrize("name", LOGS)
+@pytest.mark.parametrize("name", video_drives.LOGS)
 def test_every_log_gives_the_poses_of_the_drive(name: str, folder: Path, tmp_path: Path, sample: Drive) -> None:
     """Positions alone show neither attitude nor, by their heading, how far the camera is from the antenna."""
     videos = copied(folder, tmp_path, "drive.csv", settings=(folder / "drive.yaml").read_text())
-    drive, _ = read_drive(with_log(videos, tmp_path / "run", LOGS[name], known_of(sample)))
+    drive, _ = read_drive(
+        video_drives.with_log(videos, tmp_path / "run", video_drives.LOGS[name], video_drives.known_of(sample))
+    )
     assert len(drive.frame_pairs) >= COUNT - 2
     true = {pair.captured_at_ns // 10**6: pair.pose for pair in sample.frame_pairs}
     attitude = name not in ("RTKLIB .pos", "NMEA, positions", "GPX")
@@ -177,7 +170,7 @@ def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive, folders: 
         for n, pair in enumerate(sample.frame_pairs):
             (root / folder / f"{pair.captured_at_ns}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
     write_rig_yaml(sample.rig, root / "rig.yaml")
-    write_csv(root, known_of(sample))
+    write_csv(root, video_drives.known_of(sample))
     if left == "left":
         made = init(root)
         assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
@@ -213,7 +206,7 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
         for n in range(COUNT):
             (root / side / f"{n:04d}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
     write_rig_yaml(sample.rig, root / "rig.yaml")
-    write_csv(root, known_of(sample))
+    write_csv(root, video_drives.known_of(sample))
     (root / "times.txt").write_text("\n".join(f"{p.captured_at_ns}" for p in sample.frame_pairs))
     made = init(root, "--start", "2026-03-02 09:41:07Z")
     said = str(made.exception)
@@ -254,7 +247,7 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
             read_drive(copy)
     still = copied(folder, tmp_path / "still", "right.mp4", settings="images: {start: '2026-03-02 09:41:07'}")
     image, times = np.full((320, 960, 3), 90, np.uint8), [pair.captured_at_ns for pair in sample.frame_pairs]
-    write_frames(still / "right.mp4", [image] * COUNT, times, "libx264", {})
+    video_drives.write_frames(still / "right.mp4", [image] * COUNT, times, "libx264", {})
     with pytest.raises(DriveFolderError, match=r"do not show how right\.mp4 and left\.mp4 are shifted in time"):
         read_drive(still)
 
@@ -344,7 +337,7 @@ def test_init_makes_a_drive_of_a_zed_recording(codec: str, folder: Path, tmp_pat
     both = [np.hstack([read_pair_image(p, s, sample.rig) for s in ("left", "right")]) for p in sample.frame_pairs]
     times_ns = [pair.captured_at_ns for pair in sample.frame_pairs]
     options = {"crf": "18", "g": "5"} | ({} if codec == "libx264" else {"x265-params": "log-level=none"})
-    path = write_svo2(copy / "road.svo2", both, times_ns, codec, options)
+    path = video_drives.write_svo2(copy / "road.svo2", both, times_ns, codec, options)
     with pytest.raises(DriveFolderError, match=f"conetl init {copy}"):
         read_drive(copy)
     made = init(copy)
@@ -355,7 +348,7 @@ def test_init_makes_a_drive_of_a_zed_recording(codec: str, folder: Path, tmp_pat
     assert max(abs(p.captured_at_ns - t) for p, t in zip(drive.frame_pairs, times_ns, strict=True)) <= 1_000
     for n, side in ((0, "left"), (7, "right"), (15, "left"), (3, "right")):
         found, true = (read_pair_image(d.frame_pairs[n], side, d.rig) for d in (drive, sample))
-        assert same_image(found, true)
+        assert video_drives.same_image(found, true)
     again = init(copy, "--force")
     assert again.exit_code == 0, again.output
     path.write_bytes(path.read_bytes()[:-2000])
@@ -367,9 +360,9 @@ def test_zed_recordings_of_other_layouts_name_the_tool_that_exports_them(tmp_pat
     said = [str(init(tmp_path).exception)]
     (tmp_path / "a.svo").unlink()
     images = [np.zeros((64, 128, 3), np.uint8)] * 2
-    write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "mjpeg", {"strict": "-1"})
+    video_drives.write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "mjpeg", {"strict": "-1"})
     said.append(str(init(tmp_path).exception))
-    write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "libx264", {})
+    video_drives.write_svo2(tmp_path / "a.svo2", images, [10**18, 10**18 + 10**8], "libx264", {})
     whole = (tmp_path / "a.svo2").read_bytes()
     (tmp_path / "a.svo2").write_bytes(whole.replace(b"\0\0\x01\x67", b"\0\0\x01\x0c"))  # without the size of its images
     said.append(str(init(tmp_path).exception))
@@ -484,7 +477,7 @@ def test_init_names_all_that_is_missing_at_once(folder: Path, tmp_path: Path, sa
     """Where the mount is missing, too, which the search for the start needs."""
     copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
     WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), copy / "stereo.yml")
-    LOGS["GPX"].write(copy, known_of(sample))
+    video_drives.LOGS["GPX"].write(copy, video_drives.known_of(sample))
     made = init(copy)
     missing = [line.split(":")[0] for line in str(made.exception).splitlines()[1:]]
     assert missing == ["  --sigma", "  --mount", "  --start"], made.exception

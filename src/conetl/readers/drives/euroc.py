@@ -26,18 +26,9 @@ from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Camera, Drive, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
+from conetl.readers.drives import pairs
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
-from conetl.readers.drives.pairs import (
-    ContentHash,
-    Image,
-    ImageFile,
-    PairError,
-    Source,
-    check_images,
-    drive_of_couples,
-    pair_by_stamp,
-)
 from conetl.readers.drives.poses import Samples, at, placed, to_pose
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import Node, calibration_errors, pinhole_camera, stereo_rig
@@ -59,7 +50,7 @@ def matches(path: Path) -> bool:
     return (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
 
 
-def read(source: Source) -> tuple[Drive, list[Rejection]]:
+def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
     path, root, settings, content = source[:4]
     add_settings(content, root)
@@ -67,15 +58,15 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     left, right = (_images(root, name, content) for name in names.values())
     rig, sensor_R_body = _read_rig(root, settings, content)
     srid, track = _trajectory(source, sensor_R_body)
-    couples = pair_by_stamp(left, right, settings.pair_tolerance_ns)
+    couples = pairs.pair_by_stamp(left, right, settings.pair_tolerance_ns)
     if not couples:
         raise DriveFolderError(f"{path}: there are no images in {names['left']}/data.csv")
 
-    def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
+    def images_of(left: pairs.Image, right: pairs.Image) -> tuple[pairs.ImageFile, pairs.ImageFile]:
         files = [[image.path] if image.path.is_file() else [] for image in (left, right)]
-        return check_images(files[0], files[1], rig, content, root)
+        return pairs.check_images(files[0], files[1], rig, content, root)
 
-    return drive_of_couples(
+    return pairs.drive_of_couples(
         couples, names, source, rig, srid, images_of, lambda time_ns: to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
     )  # fmt: skip
 
@@ -97,7 +88,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
         header.add_file(path, f"{name}/{SENSOR_YAML}")
     left, _ = ([*_rows(camera / "data.csv", root, header.content)] for camera in cameras)
     header.set_times([_stamp(words[0], "") for _, words in left], path / cameras[0].relative_to(root) / "data.csv")
-    _read_rig(path, settings, ContentHash())
+    _read_rig(path, settings, pairs.ContentHash())
     _trajectory_path(root, settings)
 
 
@@ -111,22 +102,22 @@ def _stream_folder(root: Path, name: str) -> Path:
     return inside(root, name, DRIVE_YAML, "mav0" if (root / "mav0").is_dir() else ".")
 
 
-def _images(root: Path, name: str, content: ContentHash) -> list[Image]:
+def _images(root: Path, name: str, content: pairs.ContentHash) -> list[pairs.Image]:
     """Images of one camera in the order of its data.csv."""
     path = _stream_folder(root, name) / "data.csv"
-    found: list[Image] = []
+    found: list[pairs.Image] = []
     for line, words in _rows(path, root, content):
         stamp = _stamp(words[0], f"{name}/data.csv, line {line}")
         file = words[1].strip() if len(words) > 1 else ""
-        image = Image(stamp, path.parent / "data" / file)
+        image = pairs.Image(stamp, path.parent / "data" / file)
         if not 0 < len(file.encode()) <= _LONGEST_NAME or "\0" in file or not image.path.resolve().is_relative_to(root):
             detail = f"{name}/data.csv, line {line}: {shown(file)} is not a file name inside the drive folder"
-            image = Image(stamp, path, PairError(RejectionReason.IMAGE_MISSING, detail))
+            image = pairs.Image(stamp, path, pairs.PairError(RejectionReason.IMAGE_MISSING, detail))
         found.append(image)
     return found
 
 
-def _rows(path: Path, root: Path, content: ContentHash) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, root: Path, content: pairs.ContentHash) -> Iterator[tuple[int, list[str]]]:
     """Line numbers and rows of a csv file, without empty ones and comments. Raises DriveFolderError."""
     if not path.is_file():
         raise DriveFolderError(f"{root}: {path.relative_to(root).as_posix()} is missing")
@@ -150,7 +141,7 @@ def _stamp(text: str, where: str) -> int | str:
 
 
 @calibration_errors()
-def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Floats]:
+def _read_rig(root: Path, settings: DriveYaml, content: pairs.ContentHash) -> tuple[Rig, Floats]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
     given = own_rig(root / RIG_YAML, settings.pair)
     if given is not None:
@@ -184,7 +175,7 @@ def _trajectory_path(root: Path, settings: DriveYaml) -> Path:
     return path
 
 
-def _trajectory(source: Source, sensor_R_body: Floats) -> tuple[int, Samples]:
+def _trajectory(source: pairs.Source, sensor_R_body: Floats) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
     root, settings, content = source[1:4]
     path = _trajectory_path(root, settings)

@@ -30,17 +30,7 @@ from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import MAX_LEVER_ARM_M, Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection
-from conetl.readers.drives import poses
-from conetl.readers.drives.bag_messages import (
-    METADATA,
-    Bag,
-    Message,
-    bag_files,
-    check_image,
-    image_bytes,
-    open_bag,
-    unpack,
-)
+from conetl.readers.drives import bag_messages, pairs, poses
 from conetl.readers.drives.bag_rig import (
     TF_STATIC,
     TRANSFORMS,
@@ -52,15 +42,6 @@ from conetl.readers.drives.bag_rig import (
 )
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, small_file
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
-from conetl.readers.drives.pairs import (
-    ContentHash,
-    Image,
-    ImageFile,
-    PairError,
-    Source,
-    drive_of_couples,
-    pair_by_stamp,
-)
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.trajectories.recorded import MAX_LOCAL_M, check_fix
 from conetl.readers.trajectories.times import clock_problem
@@ -88,13 +69,13 @@ class _Recorded(NamedTuple):
 
 def matches(path: Path) -> bool:
     """True for a bag's folder and for a bare .mcap file. (A KITTI drive may hold a bag with other data.)"""
-    return bag_files(path) is not None and not (path / "image_02").is_dir()
+    return bag_messages.bag_files(path) is not None and not (path / "image_02").is_dir()
 
 
-def read(source: Source) -> tuple[Drive, list[Rejection]]:
+def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections. Images are unpacked into `images_folder`; with headers_only only the first of each camera."""
     path, root, settings, content = source[:4]
-    file = bag_files(root)
+    file = bag_messages.bag_files(root)
     if file is None:
         raise DriveFolderError(
             f"{path}: this is not a bag: neither a .mcap or .bag file nor a folder with metadata.yaml"
@@ -102,37 +83,37 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     if source.images_folder is None:
         raise DriveFolderError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
     add_settings(content, root)
-    with open_bag(file) as bag:
+    with bag_messages.open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         recorded = _read_small(bag, topics, settings, content)
         rig, sensor_R_body = _rig(small_file(root, RIG_YAML), topics, recorded, settings, path)
         srid, pose_at = _trajectory(topics, recorded, source, sensor_R_body)
         images = _read_images(bag, topics, rig, content, source.images_folder, root)
-    couples = pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
+    couples = pairs.pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
     if not couples:
         raise DriveFolderError(f"{path}: there are no images on {topics.left} and {topics.right}")
 
-    def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
+    def images_of(left: pairs.Image, right: pairs.Image) -> tuple[pairs.ImageFile, pairs.ImageFile]:
         # An unpacked image is named by its hash.
         hashes = ("", "") if content.headers_only else (left.path.stem, right.path.stem)
-        return ImageFile(left.path, hashes[0]), ImageFile(right.path, hashes[1])
+        return pairs.ImageFile(left.path, hashes[0]), pairs.ImageFile(right.path, hashes[1])
 
-    return drive_of_couples(
+    return pairs.drive_of_couples(
         couples, {"left": topics.left, "right": topics.right}, source, rig, srid, images_of, pose_at
     )  # fmt: skip
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     """The bag's index, its number of left images, first and last message by the recorder's clock; rig.yaml, no messages."""
-    file = bag_files(path.resolve())  # a linked file by its own name, which is the drive's id
+    file = bag_messages.bag_files(path.resolve())  # a linked file by its own name, which is the drive's id
     if file is None:
         raise DriveFolderError(f"{path}: this is not a bag")
     header.streams = ("the left", "the right camera's topic")
-    header.add_file(path, METADATA)
+    header.add_file(path, bag_messages.METADATA)
     add_settings(header.content, path, (RIG_YAML,))
     for part in [file] if file.is_file() else sorted(path.glob("*.mcap")) + sorted(path.glob("*.db3")):
         header.content.add(part.name, str(part.stat().st_size).encode())
-    with open_bag(file) as bag:
+    with bag_messages.open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         header.content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
         header.frame_pairs = bag.counts[topics.left]
@@ -142,7 +123,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
             header.first_ns, header.last_ns = set_ns[0], set_ns[-1]
 
 
-def _stamp_ns(message: Message) -> int | str:
+def _stamp_ns(message: bag_messages.Message) -> int | str:
     """Header stamp in UTC nanoseconds, or what is wrong."""
     if message.content is None:
         return f"{message.topic}: the message recorded at {message.recorded_at_ns} ns does not have the content of its type"
@@ -151,7 +132,7 @@ def _stamp_ns(message: Message) -> int | str:
     return time_ns if time_ns > 0 else f"{message.topic}: the header stamp is zero: the driver did not set it"
 
 
-def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentHash) -> _Recorded:
+def _read_small(bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash) -> _Recorded:
     """All messages of the drive except its images."""
     readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
@@ -247,7 +228,7 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
 
 
 def _trajectory(
-    topics: Topics, found: _Recorded, source: Source, sensor_R_body: Floats
+    topics: Topics, found: _Recorded, source: pairs.Source, sensor_R_body: Floats
 ) -> tuple[int, Callable[[int], Pose]]:
     """EPSG code of the map, and the body's pose at a time. Raises DriveFolderError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
@@ -307,28 +288,28 @@ def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path
 
 
 def _read_images(
-    bag: Bag, topics: Topics, rig: Rig, content: ContentHash, folder: Path, source: Path
-) -> dict[str, list[Image]]:
+    bag: bag_messages.Bag, topics: Topics, rig: Rig, content: pairs.ContentHash, folder: Path, source: Path
+) -> dict[str, list[pairs.Image]]:
     """Images of both cameras by topic, in the order of recording; one is in memory at a time."""
     sides: dict[str, Side] = {topics.left: "left", topics.right: "right"}
-    found: dict[str, list[Image]] = {topic: [] for topic in sides}
+    found: dict[str, list[pairs.Image]] = {topic: [] for topic in sides}
     for message in bag.messages(list(sides)):
         topic = message.topic
         stamp = _stamp_ns(message)
         name = f"{topic}, image of {stamp} ns" if isinstance(stamp, int) else topic
         path = Path(f"{source}#{topic}@{stamp}")
-        problem: PairError | None = None
+        problem: pairs.PairError | None = None
         if message.content is not None:
             camera = stored_camera(rig, sides[topic])
             try:
                 if not content.headers_only:
                     content.add(f"{sides[topic]}/{len(found[topic])}", bytes(message.content.data))
                     content.add(f"{sides[topic]}/{len(found[topic])}/stamp", str(stamp).encode())
-                data = image_bytes(message.content, name)
-                suffix = check_image(data, name, (camera.width_px, camera.height_px))
+                data = bag_messages.image_bytes(message.content, name)
+                suffix = bag_messages.check_image(data, name, (camera.width_px, camera.height_px))
                 if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
-                    path = unpack(data, suffix, folder)
-            except PairError as error:
+                    path = bag_messages.unpack(data, suffix, folder)
+            except pairs.PairError as error:
                 problem = error
-        found[topic].append(Image(stamp, path, problem))
+        found[topic].append(pairs.Image(stamp, path, problem))
     return found
