@@ -95,9 +95,10 @@ def test_images_alone_show_covered_lenses_and_shifted_columns(tmp_path: Path, re
 
 
 @pytest.mark.parametrize("folder", SAMPLES, ids=lambda folder: folder.name)
-def test_good_recordings_pass(sample_settings: Settings, folder: Path) -> None:
-    checks = analyse(read_drive(folder)[0], settings=sample_settings).health
-    assert checks
+def test_good_recordings_pass_and_are_sharp_in_all_parts(sample_settings: Settings, folder: Path) -> None:
+    found = analyse(read_drive(folder)[0], settings=sample_settings)
+    checks = found.health
+    assert checks and found.records.drive.unclear is None
     assert {check.verdict for check in checks} == {Verdict.PASS}, [c for c in checks if c.verdict is not Verdict.PASS]
 
 

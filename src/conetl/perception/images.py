@@ -321,25 +321,20 @@ def _asking(path: Path) -> Iterator[None]:
         yield
     except FileNotFoundError as error:  # an object; or a file that vanished this moment
         raise _missing(str(path)) from error
-    except PermissionError as error:
-        if _is_closed_by_mode(path):
-            raise ImageFileError(
-                RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {error.strerror or error}; make it readable"
-            ) from error
-        raise _not_given(path, error) from error
     except OSError as error:
-        raise _not_given(path, error) from error
+        reason = error.strerror or error
+        if isinstance(error, PermissionError) and _is_closed_by_mode(path):
+            raise ImageFileError(
+                RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {reason}; make it readable"
+            ) from error
+        raise StorageError(
+            f"{path}: the storage does not give this image ({reason}). Look at the disk, the network file system or its tickets, "
+            "and run the same command again. Nothing was written."
+        ) from error
 
 
 def _missing(name: str) -> ImageFileError:
     return ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: there is no such file")
-
-
-def _not_given(path: Path, error: OSError) -> StorageError:
-    return StorageError(
-        f"{path}: the storage does not give this image ({error.strerror or error}). Look at the disk, the network file system "
-        "or its tickets, and run the same command again. Nothing was written."
-    )
 
 
 def _is_closed_by_mode(path: Path) -> bool:

@@ -109,21 +109,13 @@ class ModelCard(BaseModel):
         return hashlib.sha256(self.model_dump_json(include=used, exclude=unused).encode()).hexdigest()
 
     @model_validator(mode="after")
-    def _every_class_has_a_name(self) -> Self:
+    def _fits_together(self) -> Self:
         if len(self.class_names) != self.head.class_count:
             raise ValueError(
                 f"head.class_count is {self.head.class_count}, class_names has {len(self.class_names)} names"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _window_fits_the_network(self) -> Self:
         if self.closer_look is not None and self.closer_look.window_px % self.pad_multiple_px:
             raise ValueError(f"closer_look.window_px must be a multiple of pad_multiple_px, {self.pad_multiple_px}")
-        return self
-
-    @model_validator(mode="after")
-    def _measured_on_this_file(self) -> Self:
         if self.evidence is not None and self.evidence.model_sha256 != self.sha256:
             raise ValueError(
                 f"evidence was measured on a model file with SHA-256 {self.evidence.model_sha256[:12]}..., this one has "

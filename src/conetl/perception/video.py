@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
@@ -109,7 +107,7 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
     hashed: with the hash of every packet. Raises InputError where the file is no video, is cut off before its index, or has no
     usable time stamps.
     """
-    with _opened(path) as container:
+    with open_video(path) as container:
         stream = video_stream(container)
         found: dict[int, bytes] = {}
         try:
@@ -146,24 +144,15 @@ class VideoFacts(NamedTuple):
 
 def video_facts(path: Path) -> VideoFacts:
     """Number of frames, duration and size by the header alone. Raises InputError."""
-    with _opened(path) as container:
+    with open_video(path) as container:
         stream = video_stream(container)
         duration_s = max(float((container.duration or 0) / av.time_base), 0.0)
         frames = stream.frames or round(duration_s * float(stream.average_rate or 0))
         return VideoFacts(int(frames), duration_s, *_size(stream))
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[InputContainer]:
-    container = open_video(path)
-    try:
-        yield container
-    finally:
-        container.close()
-
-
 def open_video(path: Path) -> InputContainer:
-    """An open video file. Raises InputError."""
+    """An open video file, to be closed. Raises InputError."""
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: this is no file")  # a pipe would wait for its other end
     try:
