@@ -467,7 +467,7 @@ def test_init_takes_no_shift_that_the_images_contradict(folder: Path, tmp_path: 
     (copy / "right.mp4").unlink()
     late = whole.frame_pairs[1 : COUNT + 1]
     images, times_ns = [read_pair_image(pair, "right", whole.rig) for pair in late], [p.captured_at_ns for p in late]
-    write_frames(copy / "right.mp4", images, times_ns, "libx264", {"crf": "18"})
+    video_drives.write_frames(copy / "right.mp4", images, times_ns, "libx264", {"crf": "18"})
     made = init(copy, "--start", start_of(whole))
     assert "--right-offset: Seconds by which the right file begins" in str(made.exception), made.output
     assert not (copy / "drive.yaml").exists()
