@@ -15,7 +15,6 @@ import argparse
 import hashlib
 import json
 import os
-import shutil
 import subprocess
 import time
 from contextlib import closing
@@ -35,13 +34,10 @@ from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.records import DriveRecords
+from tests.chromium import CHROMIUM, FLAGS
 
 #: Name of the map with the long list.
 MANY = "many"
-FLAGS = [
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-]  # fmt: skip
 #: Run in the page before its own script: when each part was there, in milliseconds since the request.
 WATCH = """
 window.marks = {};
@@ -91,13 +87,8 @@ def two_days(conn: Any, count: int, map_name: str = MAP_NAME) -> None:
             changed_at_ns = track.first_seen_ns + (day - 1) * DAY_NS // 100
             if day == 1:
                 shared = {name: getattr(track, name) for name in MapFeature.model_fields if hasattr(track, name)}
-                before, after, kind, shift_m = (
-                    None,
-                    MapFeature(feature_id=uuid4(), version=1, **shared),
-                    DeltaKind.ADDED,
-                    None,
-                )
-                old.append(after)
+                old.append(MapFeature(feature_id=uuid4(), version=1, **shared))
+                before, after, kind, shift_m = None, old[-1], DeltaKind.ADDED, None
             elif k % 20 == 19:
                 before, after, kind, shift_m = old[k], None, DeltaKind.REMOVED, None
             else:
@@ -153,7 +144,7 @@ def make_layers(folder: Path, points: int, lines: int, cones: int) -> list[Path]
 
 def first_image(playwright: Any, address: str) -> tuple[dict[str, float], float, Any]:
     """When each part was drawn (ms), Chromium's processor time (s), and the page, in a new browser."""
-    browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     tab.add_init_script(WATCH)
     tab.goto("about:blank")
@@ -235,7 +226,7 @@ def use(tab: Any, folder: Path | None) -> dict[str, float]:
 
 def scroll(playwright: Any, address: str, folder: Path | None) -> dict[str, float]:
     """Time to the list of a large map, and frames per second while it scrolls."""
-    browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     started = time.monotonic()
     tab.goto(address)
@@ -257,13 +248,9 @@ def scroll(playwright: Any, address: str, folder: Path | None) -> dict[str, floa
         tab.screenshot(path=folder / "list.png")
     browser.close()
     return {
-        "list_rows": rows,
-        "list_s": there_s,
-        "list_frames_per_s": per_s,
-        "list_frame_cpu_ms": used_ms,
-        "list_one_cell_frames_per_s": found["cellPerS"],
-        "list_gaps": found["gaps"],
-    }
+        "list_rows": rows, "list_s": there_s, "list_frames_per_s": per_s, "list_frame_cpu_ms": used_ms,
+        "list_one_cell_frames_per_s": found["cellPerS"], "list_gaps": found["gaps"],
+    }  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -11,13 +11,7 @@ from uuid import UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
-from prefect.artifacts import (
-    create_image_artifact,
-    create_link_artifact,
-    create_progress_artifact,
-    create_table_artifact,
-    update_progress_artifact,
-)
+from prefect import artifacts
 from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
@@ -54,13 +48,13 @@ def progress_artifact(drive_id: str, progress: Progress | None = None) -> Progre
             progress(done, total)
         now = time.monotonic()
         if shown is None:
-            made = create_progress_artifact(
+            made = artifacts.create_progress_artifact(
                 0.0, key="progress", description=f"Images and motions of drive {as_markdown(drive_id)}"
             )
             assert isinstance(made, UUID)  # a coroutine only where an event loop runs
             shown, shown_at = made, now
         elif now - shown_at >= _SHOWN_EVERY_S or done == total:
-            update_progress_artifact(shown, 100.0 * done / total)
+            artifacts.update_progress_artifact(shown, 100.0 * done / total)
             shown_at = now
 
     return show
@@ -77,19 +71,19 @@ def publish_drive(
     files, report = publish(committed, settings, database, times), committed.report
     drive = as_markdown(report.drive_id)
     _show_files(committed, files, settings)
-    create_table_artifact(summary_rows(report), key="summary", description=f"Drive {drive}: {report.status}")
+    artifacts.create_table_artifact(summary_rows(report), key="summary", description=f"Drive {drive}: {report.status}")
     if report.changes:
         rows = [_change_row(line) for line in report.changes]
-        create_table_artifact(rows, key="changes", description=f"Changes by drive {drive}")
+        artifacts.create_table_artifact(rows, key="changes", description=f"Changes by drive {drive}")
     if report.health:
         checks = [check.model_dump(mode="json") for check in report.health]
-        create_table_artifact(checks, key="health", description=f"Health checks of drive {drive}")
+        artifacts.create_table_artifact(checks, key="health", description=f"Health checks of drive {drive}")
     if report.rejections:
         reasons = [
             {"reason": str(reason).replace("_", " "), "records": count} for reason, count in report.rejections.items()
         ]
         total = sum(report.rejections.values())
-        create_table_artifact(
+        artifacts.create_table_artifact(
             reasons, key="rejections", description=f"{total} records of drive {drive} are in quarantine"
         )
     _show_worst_frames(analysed.records, whole=settings.images == "full")
@@ -141,17 +135,17 @@ def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Sett
     """The plan view; links to the QA report and the map, in the web view if there is one: browsers open no file from a page."""
     drive, changeset_no = as_markdown(committed.changeset.drive_id), committed.changeset.changeset_no
     encoded = base64.b64encode(files.plan_view.read_bytes()).decode()
-    create_image_artifact(
+    artifacts.create_image_artifact(
         f"data:image/png;base64,{encoded}", key="plan-view", description=f"Plan view of drive {drive}"
     )
     view = (settings.view_url or "").rstrip("/")
     served = f"{view}/api/maps/{settings.map_name}/changesets/{changeset_no}/report"
-    create_link_artifact(
+    artifacts.create_link_artifact(
         served if view else files.page.as_uri(),
         link_text=f"QA report of drive {drive}", key="qa-report", description=f"The file: {as_markdown(files.page)}",
     )  # fmt: skip
     if view:
-        create_link_artifact(
+        artifacts.create_link_artifact(
             f"{view}/#map={settings.map_name}&changeset={changeset_no}",
             link_text=f"Drive {drive} on the map", key="map", description="The web view",
         )  # fmt: skip
@@ -188,7 +182,7 @@ def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
         rows.append((drawn[0], drawn[1], f"frame pair {index}: {worst[index]:.2f} px residual, {count} cones matched"))
     if rows:
         encoded = base64.b64encode(pairs_jpeg(rows)).decode()
-        create_image_artifact(
+        artifacts.create_image_artifact(
             f"data:image/jpeg;base64,{encoded}", key="worst-frames",
             description=f"Drive {as_markdown(records.drive.drive_id)}: the pairs whose rays fit worst, left and right",
         )  # fmt: skip

@@ -7,12 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 from uuid import UUID
 
-from prefect.artifacts import (
-    create_markdown_artifact,
-    create_progress_artifact,
-    create_table_artifact,
-    update_progress_artifact,
-)
+from prefect import artifacts
 
 from conetl.files.names import as_markdown, minutes
 from conetl.model.health import what_to_do
@@ -36,13 +31,13 @@ class BatchBoard:
 
 def open_board(standing: Standing) -> BatchBoard:
     """The progress bar of a batch that begins."""
-    progress = create_progress_artifact(0.0, key="batch-progress", description=sentence(standing))
+    progress = artifacts.create_progress_artifact(0.0, key="batch-progress", description=sentence(standing))
     return BatchBoard(cast(UUID, progress))
 
 
 def show_progress(standing: Standing, board: BatchBoard) -> None:
     """Move the bar; from time to time write the table."""
-    update_progress_artifact(board.progress_id, percent(standing), description=sentence(standing))
+    artifacts.update_progress_artifact(board.progress_id, percent(standing), description=sentence(standing))
     if time.monotonic() - board.table_at > _TABLE_EVERY_S:
         _write_table(standing)
         board.table_at = time.monotonic()
@@ -71,7 +66,7 @@ def show_summary(standing: Standing) -> None:
             for r in standing.failed[:_SHOWN_ROWS]
         ]
         lines += ["", "Run the same backfill again to try the failed drives again; what is on the map is left alone."]
-    create_markdown_artifact(
+    artifacts.create_markdown_artifact(
         "\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives"
     )
 
@@ -130,7 +125,7 @@ def _write_table(standing: Standing) -> None:
     order = ("failed", "crashed", "held", "in work", "waiting", "committed", "known", "nothing to do")
     rows.sort(key=lambda row: order.index(row["state"]))
     note = f"; the first {_SHOWN_ROWS} are shown" if len(rows) > _SHOWN_ROWS else ""
-    create_table_artifact(rows[:_SHOWN_ROWS], key="batch-drives", description=f"{len(rows)} drives{note}")
+    artifacts.create_table_artifact(rows[:_SHOWN_ROWS], key="batch-drives", description=f"{len(rows)} drives{note}")
 
 
 def percent(standing: Standing) -> float:

@@ -1,4 +1,4 @@
-"""The command `conetl` as users run it: in a process of its own."""
+"""The command `conetl` as users run it: in a process of its own; and waiting for what such a process does."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import os
 import socket
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
+T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -16,6 +20,15 @@ def free_port(host: str = "127.0.0.1") -> int:
     with socket.socket() as probe:
         probe.bind((host, 0))
         return int(probe.getsockname()[1])
+
+
+def until(condition: Callable[[], T], what: str, patience_s: float = 120, every_s: float = 0.02) -> T:
+    """What the condition gives once that is something. Fails after a while."""
+    deadline = time.monotonic() + patience_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"timed out: {what}"
+        time.sleep(every_s)
+    return found
 
 
 def environment_of(**variables: object) -> dict[str, str]:

@@ -166,9 +166,17 @@ def conn(database_url: str) -> Iterator[Any]:
     """Open connection to `database_url`."""
     from conetl.db.connection import connect
 
-    connection = connect(database_url)
-    yield connection
-    connection.close()
+    with closing(connect(database_url)) as connection:
+        yield connection
+
+
+@pytest.fixture(scope="module")
+def module_conn(module_database_url: str) -> Iterator[Any]:
+    """Open connection to `module_database_url`."""
+    from conetl.db.connection import connect
+
+    with closing(connect(module_database_url)) as connection:
+        yield connection
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 from distributed import Client
 
 from flows.tasks import DASK_CONFIG
+from tests.command import until
 
 #: As docs/how-to/deploy.md sets them.
 ENVIRONMENT = {
@@ -35,10 +35,7 @@ def dask_workers(folder: Path, count: int) -> Iterator[tuple[str, dict[str, subp
             whole = [*command, "--scheduler-file", str(file)]
             processes[name] = stack.enter_context(subprocess.Popen(whole, env={**os.environ, **ENVIRONMENT}))
             stack.callback(processes[name].kill)
-        deadline = time.monotonic() + 120
-        while not file.exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        until(file.exists, "the scheduler's file")
         with Client(scheduler_file=str(file)) as client:
             client.wait_for_workers(count, timeout=120)
             address = client.scheduler.address

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
@@ -15,39 +15,42 @@ from typing import Any
 import cv2
 import numpy as np
 import uvicorn
+from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
-from conetl.model.records import DriveRecords, utc_from_ns
+from conetl.model.records import Detection, Drive, DriveRecords, utc_from_ns
 from conetl.readers.maps.gazetteer import Gazetteer
 from conetl.web.app import create_app
 from conetl.web.basemap import BaseMap
 from conetl.web.decisions import Writer
 
-#: Box of samples.detections() in both images.
-BOX = (600, 180, 20, 30)
+OWN = "http://127.0.0.1"
 
 
-def write_images(folder: Path, drive: Any) -> None:
-    """One grey PNG a path, with an orange block where the detections' box is."""
+def with_images(drive: Drive, detections: Sequence[Detection], folder: Path) -> Drive:
+    """The drive with grey images on disk, and an orange block in each detection."""
+    camera = drive.rig.left
     for pair in drive.frame_pairs:
-        for name in (pair.left_path, pair.right_path):
-            image = np.full((375, 1242, 3), 128, np.uint8)
-            x, y, w, h = BOX
-            image[y : y + h, x : x + w] = (0, 128, 255)
+        for side, name in (("left", pair.left_path), ("right", pair.right_path)):
+            image = np.full((camera.height_px, camera.width_px, 3), 128, np.uint8)
+            for d in detections:
+                if (d.frame_index, d.side) == (pair.frame_index, side):
+                    x0, y0, x1, y1 = (round(v) for v in (d.x_px, d.y_px, d.x_px + d.w_px, d.y_px + d.h_px))
+                    image[max(y0, 0) : y1, max(x0, 0) : x1] = (0, 128, 255)
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             assert cv2.imwrite(str(path), image)
+    return drive.model_copy(update={"source_path": str(folder)})
 
 
 def commit(conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int, *deltas: Delta) -> Any:
     """Commit a drive of day `day` (from 0) with images under `folder`; system time is noon of that day."""
     start_ns = samples.START_NS + day * samples.DAY_NS
-    source = folder / f"drive_{key}"
-    drive = samples.drive(f"drive_{key}", start_ns=start_ns).model_copy(update={"source_path": str(source)})
-    write_images(source, drive)
+    made = samples.drive(f"drive_{key}", start_ns=start_ns)
+    drive = with_images(made, samples.detections(), folder / made.drive_id)
     with map_transaction(conn):
         return commit_changeset(
             conn,
@@ -89,6 +92,11 @@ def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int 
         kind=DeltaKind.MISSED, feature_id=feature.feature_id, old=feature, new=feature,
         track_index=None, changed_at_ns=at_ns, shift_m=None, evidence=evidence,
     )  # fmt: skip
+
+
+def view_of(database_url: str, **options: Any) -> TestClient:
+    """A client of the web view of the map `default`, to be entered by `with`."""
+    return TestClient(create_app(database_url, "default", **options), base_url=OWN)
 
 
 @contextmanager

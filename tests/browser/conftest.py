@@ -8,16 +8,13 @@ from typing import Any
 
 import pytest
 
-from conetl.db.connection import connect
 from tests.chromium import chromium
-from tests.view_map import two_drives
+from tests.view_map import serving, two_drives
 
 
 @pytest.fixture(scope="module")
-def conn(module_database_url: str) -> Iterator[Any]:
-    connection = connect(module_database_url)
-    yield connection
-    connection.close()
+def conn(module_conn: Any) -> Any:
+    return module_conn
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +25,13 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def features(conn: Any, samples: Any, images: Path) -> dict[str, str]:
     return {name: str(f.feature_id) for name, f in two_drives(conn, samples, images).items()}
+
+
+@pytest.fixture(scope="module")
+def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]:
+    """The application in this process; `test_view.py` starts the command itself."""
+    with serving(module_database_url, "default") as port:
+        yield f"http://127.0.0.1:{port}/"
 
 
 @pytest.fixture(scope="module")

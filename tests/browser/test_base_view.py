@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import laspy
@@ -15,7 +14,6 @@ from typer.testing import CliRunner
 from conetl.cli.app import app
 from tests.browser.test_view import click_cone, open_view, pixels_of, screenshot, settle
 from tests.unit.readers.test_base_layers import geojson, line
-from tests.view_map import serving
 
 #: The darkest points and the painted lines, as in web/src/base.ts.
 LINE = (0x8A, 0x74, 0x43)
@@ -51,13 +49,6 @@ def base_layers(module_database_url: str, features: dict[str, str], tmp_path_fac
     environment = {"CONETL_DATABASE_URL": module_database_url, "CONETL_HOME": str(folder / "home")}
     result = CliRunner().invoke(app, ["base", "import", str(folder / "street.laz"), str(lanes)], env=environment)
     assert result.exit_code == 0, result.output
-
-
-@pytest.fixture(scope="module")
-def address(module_database_url: str, base_layers: None) -> Iterator[str]:
-    """The application in this process; tests/browser/test_view.py starts the command itself."""
-    with serving(module_database_url, "default") as port:
-        yield f"http://127.0.0.1:{port}/"
 
 
 def all_drawn(tab: Any) -> None:

@@ -212,10 +212,7 @@ def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: P
     }""")
 
     def came(name: str, committed: float) -> None:
-        deadline = time.monotonic() + 60
-        while not (at := page.evaluate("(name) => window.seen[name]?.at", name)):
-            assert time.monotonic() < deadline, f"{name} did not come: {page.evaluate('Object.keys(window.seen)')}"
-            page.wait_for_timeout(20)
+        at = page.wait_for_function("(name) => window.seen[name]?.at", arg=name, timeout=60_000).json_value()
         print(f"from commit to view, {name}: {at / 1000 - committed:.2f} s")
 
     second = survey(1)

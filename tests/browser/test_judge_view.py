@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pytest
 from pydantic import SecretStr
 
@@ -19,27 +17,21 @@ from conetl.db.map.map_store import list_changesets
 from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import write_drive_page
 from conetl.web.decisions import Writer
-from tests.integration.drives_of_days import Survey, merge, survey
-from tests.view_map import serving
+from tests.integration.drives_of_days import merge, survey
+from tests.view_map import serving, with_images
 
 TOKEN = "a-token-that-nobody-guesses"
 HOLD = "GNSS/INS jumps by 5.0 m."
 
 
-def with_images(found: Survey, folder: Path) -> Survey:
-    """The survey with grey images on disk, and an orange block in each detection."""
-    camera = found.drive.rig.left
-    for pair in found.drive.frame_pairs:
-        for side, name in (("left", pair.left_path), ("right", pair.right_path)):
-            image = np.full((camera.height_px, camera.width_px, 3), 128, np.uint8)
-            for d in found.detections:
-                if d.frame_index == pair.frame_index and d.side == side:
-                    x0, y0, x1, y1 = (round(v) for v in (d.x_px, d.y_px, d.x_px + d.w_px, d.y_px + d.h_px))
-                    image[max(y0, 0) : y1, max(x0, 0) : x1] = (0, 128, 255)
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            assert cv2.imwrite(str(path), image)
-    return replace(found, drive=found.drive.model_copy(update={"source_path": str(folder)}))
+def merge_days(conn: Any, images: Path, map_name: str = "default") -> None:
+    """Two days of a road with images on disk, and a drive on hold without."""
+    for day in (0, 1):
+        found = survey(day)
+        drive = with_images(found.drive, found.detections, images / f"day_{day}")
+        merge(conn, replace(found, drive=drive), map_name=map_name)
+    merge(conn, survey(2), map_name=map_name, hold=HOLD)
+    conn.commit()
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +41,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
 
 @pytest.fixture(scope="module")
 def address(module_database_url: str, conn: Any, images: Path, settings: Settings) -> Iterator[str]:
-    """Two days of a road with images on disk, and a drive on hold without."""
-    for day in (0, 1):
-        merge(conn, with_images(survey(day), images / f"day_{day}"))
-    merge(conn, survey(2), hold=HOLD)
-    conn.commit()
+    merge_days(conn, images)
     writer = Writer(SecretStr(TOKEN), module_database_url, settings)
     with serving(module_database_url, "default", writer=writer) as port:
         yield f"http://127.0.0.1:{port}/"

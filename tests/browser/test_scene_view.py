@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import threading
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -29,12 +28,6 @@ COV = np.diag([0.02**2, 0.03**2])
 
 def tile_png(colour: tuple[int, int, int]) -> bytes:
     return cv2.imencode(".png", np.full((256, 256, 3), colour[::-1], np.uint8))[1].tobytes()
-
-
-@pytest.fixture(scope="module")
-def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]:
-    with serving(module_database_url, "default") as port:
-        yield f"http://127.0.0.1:{port}/"
 
 
 def at_cone(page: Any, feature_id: str) -> tuple[float, float]:

@@ -17,8 +17,7 @@ from pydantic import SecretStr
 from conetl.db.map.map_store import list_changesets
 from conetl.pipeline.settings import Settings
 from conetl.web.decisions import Writer
-from tests.browser.test_judge_view import HOLD, TOKEN, with_images
-from tests.integration.drives_of_days import merge, survey
+from tests.browser.test_judge_view import TOKEN, merge_days
 from tests.view_map import serving
 
 MOST = 4
@@ -32,11 +31,8 @@ def size(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def address(module_database_url: str, conn: Any, images: Path, tmp_path_factory: Any, size: str) -> Iterator[str]:
-    """A map of its own for each size: two days of a road, and a drive on hold."""
-    for day in (0, 1):
-        merge(conn, with_images(survey(day), images / f"day_{day}"), map_name=size)
-    merge(conn, survey(2), map_name=size, hold=HOLD)
-    conn.commit()
+    """A map of its own for each size."""
+    merge_days(conn, images, size)
     writer = Writer(SecretStr(TOKEN), module_database_url, Settings(home=tmp_path_factory.mktemp("home")))
     with serving(module_database_url, size, writer=writer) as port:
         yield f"http://127.0.0.1:{port}/"

@@ -10,6 +10,7 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import pytest
 
 from conetl.db.map.map_store import read_current_features
 from conetl.model.records import utc_from_ns
-from tests.command import free_port
+from tests.command import free_port, until
 from tests.view_map import commit, cone, missed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,15 +28,12 @@ ROOT = Path(__file__).resolve().parents[2]
 ADDED, MOVED, MISSED = (0x00, 0x2E, 0x9A), (0x82, 0x17, 0x73), (0x8A, 0x54, 0xE4)
 
 
-def _wait_until_up(url: str, server: subprocess.Popen[bytes]) -> None:
-    for _ in range(900):  # a busy machine imports slowly
-        assert server.poll() is None, "conetl view stopped"
-        try:
-            urllib.request.urlopen(url, timeout=1).close()
-            return
-        except OSError:
-            time.sleep(0.2)
-    raise AssertionError("conetl view did not come up within 180 s")
+def _is_up(url: str, server: subprocess.Popen[bytes]) -> bool:
+    assert server.poll() is None, "conetl view stopped"
+    with suppress(OSError):
+        urllib.request.urlopen(url, timeout=1).close()
+        return True
+    return False
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +44,7 @@ def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]
     with subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.DEVNULL) as server:
         try:
             url = f"http://127.0.0.1:{port}/"
-            _wait_until_up(url, server)
+            until(lambda: _is_up(url, server), "conetl view", 180, 0.2)  # a busy machine imports slowly
             yield url
         finally:
             server.send_signal(signal.SIGINT)

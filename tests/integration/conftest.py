@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
@@ -17,6 +18,7 @@ from conetl.model.errors import ConetlError
 from conetl.pipeline.settings import prefect_login
 from tests import command
 from tests.integration.drives_of_days import failed_audits
+from tests.view_map import view_of
 
 #: Prefect tells nobody that it runs.
 QUIET = {"PREFECT_SERVER_ANALYTICS_ENABLED": "false", "DO_NOT_TRACK": "1"}
@@ -77,6 +79,13 @@ def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
 def conetl(database_url: str, tmp_path: Path) -> Callable[..., str]:
     """The command line on the test's own database."""
     return command_line(tmp_path / "home", database_url)
+
+
+@pytest.fixture
+def own_view(database_url: str) -> Iterator[TestClient]:
+    """The web view on the test's own database."""
+    with view_of(database_url) as client:
+        yield client
 
 
 @pytest.fixture

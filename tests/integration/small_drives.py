@@ -28,6 +28,14 @@ def cut_drive(sample: Path, folder: Path, day: str, *, poisoned: bool = False) -
     return folder
 
 
+def shift_poses(drive: Path, *, lat_deg: float = 0.0, height_m: float = 0.0, first: int = 0) -> None:
+    """Move the logged positions from one record on, as another datum, post-processing or a jump does."""
+    for record in sorted((drive / "oxts" / "data").iterdir())[first:]:
+        lat, lon, height, *others = record.read_text().split()
+        moved = f"{float(lat) + lat_deg:.12f}", lon, f"{float(height) + height_m:.4f}"
+        record.write_text(" ".join([*moved, *others]))
+
+
 def processes_with(variable: str, value: object) -> set[int]:
     """Living processes with this variable in their environment; children inherit it."""
     mark = f"{variable}={value}".encode()

@@ -66,18 +66,28 @@ def settings(database_url: str, sample_settings: Settings) -> Settings:
     return sample_settings.model_copy(update={"database_url": SecretStr(database_url)})
 
 
-def held(settings: Settings) -> set[str]:
+def in_database(settings: Settings, of: Any) -> Any:
+    """What a function says of the map."""
     assert settings.database_url is not None
     with closing(connect(settings.database_url.get_secret_value())) as conn:
-        found = held_drives(conn, map_name="default")
-        assert {check.name for drive in found for check in drive.checks} <= {ADJOINING}
-        return {drive.drive_id for drive in found}
+        found = of(conn)
+        conn.rollback()
+        assert failed_audits(conn) == []
+        return found
+
+
+def held(settings: Settings) -> set[str]:
+    found = in_database(settings, partial(held_drives, map_name="default"))
+    assert {check.name for drive in found for check in drive.checks} <= {ADJOINING}
+    return {drive.drive_id for drive in found}
 
 
 def cones(settings: Settings) -> int:
-    assert settings.database_url is not None
-    with closing(connect(settings.database_url.get_secret_value())) as conn:
-        return len(read_current_features(conn))
+    return len(in_database(settings, read_current_features))
+
+
+def accept(settings: Settings, drive_id: str) -> Any:
+    return in_database(settings, partial(accept_drive, drive=drive_id, map_name="default"))
 
 
 def test_parts_of_one_recording_that_fit_count(settings: Settings, parts: dict[str, AnalysedDrive]) -> None:
@@ -102,9 +112,7 @@ def test_parts_on_both_sides_of_a_jump_are_held(
 def test_the_part_that_a_person_accepts_counts(settings: Settings, parts: dict[str, AnalysedDrive]) -> None:
     for name in ("wrong_0", "wrong_1"):
         commit(parts[name], settings)
-    assert settings.database_url is not None
-    with closing(connect(settings.database_url.get_secret_value())) as conn:
-        accept_drive(conn, "wrong_0", map_name="default")
+    accept(settings, "wrong_0")
     assert held(settings) == {"wrong_1"} and cones(settings) > 0
     commit(parts["wrong_2"], settings)
     assert held(settings) == {"wrong_1", "wrong_2"}
@@ -114,20 +122,6 @@ def test_the_part_that_the_map_confirms_counts(settings: Settings, parts: dict[s
     for name in ("day_before", "wrong_0", "wrong_1"):
         commit(parts[name], settings)
     assert held(settings) == {"wrong_1"} and cones(settings) == 9
-
-
-def in_database(settings: Settings, of: Any) -> Any:
-    """What a function says of the map."""
-    assert settings.database_url is not None
-    with closing(connect(settings.database_url.get_secret_value())) as conn:
-        found = of(conn)
-        conn.rollback()
-        assert failed_audits(conn) == []
-        return found
-
-
-def accept(settings: Settings, drive_id: str) -> Any:
-    return in_database(settings, partial(accept_drive, drive=drive_id, map_name="default"))
 
 
 def number_of(settings: Settings, drive_id: str) -> str:

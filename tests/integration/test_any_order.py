@@ -21,23 +21,13 @@ from conetl.model.params import IngestParams, ReconcileParams
 from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
 from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
-from tests.integration.drives_of_days import (
-    AGAIN,
-    CALIBRATED,
-    DAYS,
-    RIGS,
-    failed_audits,
-    known_maps,
-    merge,
-    survey,
-    valid_time_map,
-)
+from tests.integration import drives_of_days as world
 from tests.synthetic.painted_road import Paint, markings_of
 from tests.synthetic.world import ORIGIN_M
 
 
-def of_day(day, rigs=RIGS):
-    return survey(day, rig=rigs[day])
+def of_day(day, rigs=world.RIGS):
+    return world.survey(day, rig=rigs[day])
 
 
 def jacobian_of(conn):
@@ -48,7 +38,7 @@ def jacobian_of(conn):
 def in_order(cluster_url, template_database):
     """The map of the first three days, ingested in order: each drive extends the fold by one, nothing is replayed."""
     with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as conn:
-        merged = [merge(conn, of_day(day)) for day in range(3)]
+        merged = [world.merge(conn, of_day(day)) for day in range(3)]
         assert [m.replayed for m in merged] == [0, 0, 0]
         kinds = [sorted({delta.kind for delta in m.changeset.deltas}) for m in merged]
         assert kinds == [
@@ -56,27 +46,27 @@ def in_order(cluster_url, template_database):
             [DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED],
             [DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED],
         ]
-        assert failed_audits(conn) == []
+        assert world.failed_audits(conn) == []
         found = jacobian_of(conn)
-        assert len(found) == len(DAYS[2])
-        both = {calibration_id(CALIBRATED), calibration_id(AGAIN)}
+        assert len(found) == len(world.DAYS[2])
+        both = {calibration_id(world.CALIBRATED), calibration_id(world.AGAIN)}
         assert both in [set(one.calibrations) for one in found if one], "some cones know both calibrations"
         conn.rollback()
-        yield valid_time_map(conn)
+        yield world.valid_time_map(conn)
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3))), ids=lambda order: "".join(map(str, order)))
 def test_all_orders_of_three_drives_give_the_same_map(conn, in_order, order):
     believed = {}
     for day in order:
-        assert merge(conn, of_day(day)) is not None
-        assert failed_audits(conn) == []
+        assert world.merge(conn, of_day(day)) is not None
+        assert world.failed_audits(conn) == []
         for earlier in order[: order.index(day) + 1]:  # again: nothing happens
-            assert merge(conn, of_day(earlier)) is None
-        now = known_maps(conn)
+            assert world.merge(conn, of_day(earlier)) is None
+        now = world.known_maps(conn)
         assert {moment: now[moment] for moment in believed} == believed, "an earlier belief was changed"
         believed = now
-    assert valid_time_map(conn) == in_order
+    assert world.valid_time_map(conn) == in_order
     assert len(list_changesets(conn)) == 3
 
 
@@ -97,7 +87,7 @@ def painted(day):
 
 
 def test_people_decide_about_stretches_as_about_cones(conn):
-    merge(conn, painted(0))
+    world.merge(conn, painted(0))
     before = {f.feature_id: f for f in read_current_features(conn, lines=True) if f.marking}
     cones = read_current_features(conn)
     gone, kept = sorted(f.feature_id for f in before.values() if abs(f.xyz_m[1] - ORIGIN_M[1] - 1.5) < 0.4)[:2]
@@ -105,20 +95,20 @@ def test_people_decide_about_stretches_as_about_cones(conn):
     suppressed = decide_place(conn, "suppress", str(gone), map_name="default", radius_m=1.0)
     assert {f.feature_id for f in read_current_features(conn, lines=True) if f.marking} == before.keys() - {gone}
     assert read_current_features(conn) == cones
-    merge(conn, painted(1))  # which does not show this marking any more
+    world.merge(conn, painted(1))  # which does not show this marking any more
     left = {f.feature_id for f in read_current_features(conn, lines=True) if f.marking}
     assert [key for key in left if abs(before[key].xyz_m[1] - ORIGIN_M[1] - 1.5) < 0.4] == [kept]
-    assert failed_audits(conn) == []
+    assert world.failed_audits(conn) == []
     revert(conn, "2", map_name="default")
     revert(conn, str(suppressed.decision_id), map_name="default")
     assert {f.feature_id: f for f in read_current_features(conn, lines=True) if f.marking} == before
-    assert failed_audits(conn) == []
+    assert world.failed_audits(conn) == []
 
 
 def test_a_drive_that_was_on_hold_states_what_it_did_to_lane_markings(conn):
     for map_name, hold in (("default", None), ("other", "GNSS/INS jumps.")):
-        merge(conn, painted(0), map_name=map_name)
-        merge(conn, painted(1), map_name=map_name, hold=hold)
+        world.merge(conn, painted(0), map_name=map_name)
+        world.merge(conn, painted(1), map_name=map_name, hold=hold)
     [at_once, _] = list_changesets(conn)
     assert list_changesets(conn, map_name="other")[0].line_counts == {}
     conn.commit()
@@ -134,35 +124,35 @@ def test_a_drive_that_contradicts_the_map_is_on_hold_in_every_order(conn, order)
     good = of_day(2)
     drives = [of_day(0), of_day(1), lowered(good)]
     for count, day in enumerate(order, start=1):
-        merge(conn, drives[day])
+        world.merge(conn, drives[day])
         states = {known.drive_id: known for known in list_changesets(conn)}
         wrong = states.get(good.drive.drive_id)
         held = wrong is not None and count > 1
         assert wrong is None or (wrong.counts, bool(wrong.hold)) == (not held, held)
-        assert failed_audits(conn) == []
+        assert world.failed_audits(conn) == []
     assert "48.0 m lower" in wrong.hold
     heights = [feature.xyz_m[2] for feature in read_current_features(conn)]
     assert np.ptp(heights) < 5.0
     conn.commit()
     decided = accept_drive(conn, good.drive.drive_id, map_name="default")
     assert decided.versions_written and not any(known.hold for known in list_changesets(conn))
-    accepted = valid_time_map(conn)
-    assert failed_audits(conn) == []
+    accepted = world.valid_time_map(conn)
+    assert world.failed_audits(conn) == []
     conn.commit()
     revert(conn, str(decided.decision_id), map_name="default")
     assert [bool(known.hold) for known in list_changesets(conn)].count(True) == 1
     assert [feature.xyz_m[2] for feature in read_current_features(conn)] == heights
-    assert failed_audits(conn) == []
+    assert world.failed_audits(conn) == []
     conn.commit()
     accept_drive(conn, good.drive.drive_id, map_name="default")
-    assert valid_time_map(conn) == accepted
+    assert world.valid_time_map(conn) == accepted
 
 
 def test_what_others_do_to_drives_on_hold_is_said_and_kept_in_order(conn):
     """A drive goes on hold because an earlier one arrives, is accepted, put on hold again, and released by a revert."""
     good, lower = of_day(0), lowered(of_day(2))
-    merge(conn, lower)
-    assert [(c.drive_id, c.state) for c in merge(conn, good).hold_changes] == [(lower.drive.drive_id, "on hold")]
+    world.merge(conn, lower)
+    assert [(c.drive_id, c.state) for c in world.merge(conn, good).hold_changes] == [(lower.drive.drive_id, "on hold")]
     [held] = held_drives(conn, map_name="default")
     [check] = held.checks
     assert check.name == "agreement with the map: heights" and check.value == pytest.approx(-48.0, abs=0.1)
@@ -182,20 +172,20 @@ def test_what_others_do_to_drives_on_hold_is_said_and_kept_in_order(conn):
     assert events[1].sentence == "accepted by Ada: known" and "heights -48" in events[0].sentence
     assert hold_events(conn, map_name="default", since=events[1].at, until=events[2].at) == events[1:2]
     conn.commit()
-    assert failed_audits(conn) == []
+    assert world.failed_audits(conn) == []
 
 
 def test_of_two_deliveries_only_the_later_one_counts_whatever_releases_them(conn):
-    merge(conn, of_day(0))
+    world.merge(conn, of_day(0))
     first = of_day(2)
     corrected = replace(first, drive=first.drive.model_copy(update={"content_sha256": "ab" * 32}))
-    merge(conn, lowered(first))  # changeset 2, on hold against the map
-    [change] = merge(conn, corrected).hold_changes
+    world.merge(conn, lowered(first))  # changeset 2, on hold against the map
+    [change] = world.merge(conn, corrected).hold_changes
     assert (change.changeset_no, change.state) == (2, "replaced")
     conn.commit()
     with pytest.raises(ConflictError, match="conetl map revert 3"):
         accept_drive(conn, "2", map_name="default")
-    before = valid_time_map(conn)
+    before = world.valid_time_map(conn)
     revert(conn, "1", map_name="default")  # nothing is left that the first delivery contradicts
     assert counting(conn) == [3]
     conn.commit()
@@ -212,8 +202,8 @@ def test_of_two_deliveries_only_the_later_one_counts_whatever_releases_them(conn
     conn.commit()
     [first_revert] = [d for d in list_decisions(conn) if d.kind == "revert"]
     revert(conn, str(first_revert.decision_id), map_name="default")
-    assert counting(conn) == [1, 3] and valid_time_map(conn) == before
-    assert failed_audits(conn) == []
+    assert counting(conn) == [1, 3] and world.valid_time_map(conn) == before
+    assert world.failed_audits(conn) == []
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -237,7 +227,7 @@ def test_random_decisions_and_deliveries_leave_one_delivery_of_each_and_nothing_
                     counts = other_deliveries(conn, drive.drive_id, span, drive.content_sha256, map_name="default")
                     conn.rollback()
                     if not counts:
-                        merge(conn, one, hold="GNSS/INS jumps." if rng.random() < 0.3 else None)
+                        world.merge(conn, one, hold="GNSS/INS jumps." if rng.random() < 0.3 else None)
                 case 2:
                     accept_drive(conn, str(held[0].changeset_no) if held else "1", map_name="default")
                 case 3:
@@ -246,7 +236,7 @@ def test_random_decisions_and_deliveries_leave_one_delivery_of_each_and_nothing_
             conn.rollback()
     names = [one.drive_id for one in list_changesets(conn) if one.counts]
     assert len(names) == len(set(names))
-    assert failed_audits(conn) == []
+    assert world.failed_audits(conn) == []
     assert_nothing_to_replay(conn)
 
 
@@ -255,7 +245,7 @@ def test_a_map_that_was_set_aside_twice_keeps_its_history(conn):
     one, other = of_day(0), of_day(1)
     other = replace(other, drive=other.drive.model_copy(update={"map_srid": 32633}))
     for drive in (one, other, one, other):
-        merge(conn, drive, hold="GNSS/INS jumps.")
+        world.merge(conn, drive, hold="GNSS/INS jumps.")
     maps = execute(conn, "select map_name, srid from conetl.map order by map_id")
     assert [row["srid"] for row in maps] == [32632, 32633, 32632, 32633] and maps[-1]["map_name"] == "default"
     conn.commit()
@@ -265,7 +255,7 @@ def test_a_map_that_was_set_aside_twice_keeps_its_history(conn):
         assert accept_drive(conn, held.drive_id, map_name=row["map_name"]).versions_written
         assert read_current_features(conn, map_name=row["map_name"])
         conn.commit()
-    assert failed_audits(conn) == []
+    assert world.failed_audits(conn) == []
 
 
 def lowered(one):
@@ -299,8 +289,8 @@ def assert_nothing_to_replay(conn, drives_expected=None):
 
 def test_playing_everything_again_writes_nothing(conn):
     for day in (1, 3, 0, 2):
-        merge(conn, of_day(day))
-    assert failed_audits(conn) == []
+        world.merge(conn, of_day(day))
+    assert world.failed_audits(conn) == []
     assert_nothing_to_replay(conn, 4)
 
 
@@ -308,22 +298,22 @@ def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis
     """One recording is one piece of evidence: it is not counted twice because it was analysed twice."""
     strict = IngestParams(reconcile=ReconcileParams(removal_min_frames=30))
     for day in range(3):
-        merge(conn, survey(day))
-    again = merge(conn, survey(1), params=strict)
+        world.merge(conn, world.survey(day))
+    again = world.merge(conn, world.survey(1), params=strict)
     assert again.replayed == 1
-    assert failed_audits(conn) == []
+    assert world.failed_audits(conn) == []
     with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as other:
         for day in (1, 2, 0):
-            merge(other, survey(day), params=strict if day == 1 else None)
-        assert valid_time_map(other) == valid_time_map(conn)
-    assert merge(conn, survey(1)) is None  # the first analysis is known, and superseded
+            world.merge(other, world.survey(day), params=strict if day == 1 else None)
+        assert world.valid_time_map(other) == world.valid_time_map(conn)
+    assert world.merge(conn, world.survey(1)) is None  # the first analysis is known, and superseded
 
 
 def test_a_late_drive_replays_what_it_touches_directly_or_through_others_and_nothing_else(conn):
     """Areas reach some 68 m beyond the path: drives 120 m apart meet, drives 240 m apart do not."""
     for day, start_m in ((1, 120.0), (2, 240.0), (3, 900.0)):
-        assert merge(conn, survey(day, frames=10, start_m=start_m)).replayed == 0
-    assert merge(conn, survey(0, frames=10, start_m=0.0)).replayed == 2  # the second through the first
+        assert world.merge(conn, world.survey(day, frames=10, start_m=start_m)).replayed == 0
+    assert world.merge(conn, world.survey(0, frames=10, start_m=0.0)).replayed == 2  # the second through the first
     # Influence goes forwards in time only: what the drive of day 1 at 120 m left does not reach one recorded before it.
-    assert merge(conn, survey(1, frames=10, start_m=360.0, after_ns=-3_600_000_000_000)).replayed == 1
-    assert failed_audits(conn) == []
+    assert world.merge(conn, world.survey(1, frames=10, start_m=360.0, after_ns=-3_600_000_000_000)).replayed == 1
+    assert world.failed_audits(conn) == []

@@ -9,24 +9,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.readers.base_layers.point_tiles import decode_points
-from conetl.web.app import create_app
 from tests.unit.readers.test_base_layers import CENTRE, LAT, LON, OSM, geojson, line, write_las
-from tests.view_map import two_drives
+from tests.view_map import two_drives, view_of
 
 
 @pytest.fixture(scope="module")
-def conn(module_database_url, samples, tmp_path_factory):
+def conn(module_conn, samples, tmp_path_factory):
     """A map with two drives, which no test changes."""
-    conn = connect(module_database_url)
-    two_drives(conn, samples, tmp_path_factory.mktemp("images"))
-    yield conn
-    conn.close()
+    two_drives(module_conn, samples, tmp_path_factory.mktemp("images"))
+    return module_conn
 
 
 @pytest.fixture
@@ -113,7 +109,7 @@ def test_the_server_returns_tiles_lines_and_not_modified(world):
     world.run("import", write_las(world.folder / "street.laz", 3_000))
     lane = line([LON, LAT, 115.0], [LON, LAT + 1e-4, 115.0], kind="line_thin", subtype="dashed")
     world.run("import", geojson(world.folder / "lanes.geojson", lane))
-    with TestClient(create_app(world.url, "default"), base_url="http://127.0.0.1") as client:
+    with view_of(world.url) as client:
         first = client.get("/api/maps/default/base")
         base = first.json()
         assert [(x["layer_name"], x["kind"], x["files"], x["count"]) for x in base["layers"]] == [

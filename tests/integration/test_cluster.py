@@ -26,6 +26,7 @@ from conetl.db.cluster.postgres_install import find_installs
 from conetl.db.connection import connect, execute
 from conetl.model.errors import DatabaseError, ServiceError
 from conetl.services.processes import Service, read_services, write_services
+from tests.command import until
 
 AS_ROOT = os.geteuid() == 0
 #: What a container is to a process id: a PID namespace with a /proc of its own, and shared memory of its own.
@@ -226,9 +227,7 @@ def test_a_server_that_cannot_start_says_why(used_home):
 def test_an_interrupted_first_start_is_made_good(home):
     place_directory = home / "postgres"
     child = subprocess.Popen([sys.executable, "-c", UP, str(home)])
-    deadline = time.monotonic() + 30
-    while not list(place_directory.glob("data.new.*/base/1")) and time.monotonic() < deadline:
-        time.sleep(0.01)
+    until(lambda: list(place_directory.glob("data.new.*/base/1")), "the first files", 30, 0.01)
     child.kill()
     child.wait()
     assert cluster_status(home).state == "absent"

@@ -13,7 +13,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from contextlib import closing, contextmanager
 from functools import cache, partial
 from pathlib import Path
@@ -33,17 +32,11 @@ from conetl.files.home import make_secret
 from conetl.files.parquet_store import save_result
 from conetl.model.errors import EXIT_SERVICE_MISSING, DatabaseError, StorageError
 from conetl.model.records import Detection
+from tests.command import until
 from tests.integration.drives_of_days import failed_audits, merge, survey, survey_of, valid_time_map
 from tests.integration.test_ingest import FINAL_TABLES
 from tests.synthetic.road import HOUR_NS, random_world
 from tests.synthetic.world import START_NS, Cone
-
-
-def wait_until(reached, *, seconds=30):
-    deadline = time.monotonic() + seconds
-    while not reached():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def test_a_connection_lost_in_the_middle_of_the_commit_writes_nothing(conn, database_url):
@@ -70,7 +63,7 @@ def test_a_connection_lost_in_the_middle_of_the_commit_writes_nothing(conn, data
         conn.rollback()
         return bool(rows)
 
-    wait_until(waits)
+    until(waits, "the commit")
     execute(conn, "select pg_terminate_backend(%(pid)s)", {"pid": victim_pid})
     conn.commit()
     thread.join(timeout=30)

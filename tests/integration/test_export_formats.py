@@ -53,14 +53,19 @@ def conn(another_database):
         yield connection
 
 
-@pytest.fixture(scope="module")
-def files(conn, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("files")
-    manifests = {
+def export_all(conn, folder):
+    """Manifests of exports of everything in every format."""
+    return {
         (what, name): export_map(conn, folder / f"{what}{FORMATS[name].suffix}", name, request)
         for what, request in WHATS.items()
         for name in FORMATS
     }
+
+
+@pytest.fixture(scope="module")
+def files(conn, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    manifests = export_all(conn, folder)
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
     return folder, manifests
 
@@ -336,12 +341,7 @@ def lined(another_database, samples, tmp_path_factory):
         samples.commit(conn, *first, key="1", start_ns=START_NS, markings=shapes)
         later = [samples.changed("moved", solid, day, **changes), samples.removed(dashed, day)]
         samples.commit(conn, *later, key="2", start_ns=day, markings=shapes)
-        requests = WHATS | {What.CHANGES: ExportRequest(what=What.CHANGES, since=NOON[0], until=NOON[2])}
-        manifests = {
-            (what, name): export_map(conn, folder / f"{what}{FORMATS[name].suffix}", name, request)
-            for what, request in requests.items()
-            for name in FORMATS
-        }
+        manifests = export_all(conn, folder)
         only = ExportRequest(category="lane_marking", crs=(32633, None))
         assert export_map(conn, folder / "only.parquet", "geoparquet", only)["rows"] == 1
         assert export_map(conn, folder / "cones.gpkg", "gpkg", ExportRequest(category="traffic_cone"))["rows"] == 1

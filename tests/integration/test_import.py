@@ -464,22 +464,10 @@ BAD = {
     "no sigma": (OTHER, SEEN | {"sigma_u_m": 0.0}, r"row 2: sigma_u_m is 0"),
     "no time": (OTHER, SEEN | {"first_seen_at": "yesterday"}, r"row 2: first_seen_at is 'yesterday'"),
     "times crossed": (OTHER, SEEN | {"first_seen_at": "2026-03-02T08:00:00Z"}, "row 2: first_seen_at, last_seen_at"),
-    "before 2000": (
-        OTHER,
-        SEEN | {"first_seen_at": "1980-01-06T00:00:00Z"},
-        "row 2: first_seen_at, '1980.*before 2000",
-    ),
+    "before 2000": (OTHER, SEEN | {"first_seen_at": "1980-01-06"}, "row 2: first_seen_at, '1980.*before 2000"),
     "in the future": (OTHER, SEEN | {"last_seen_at": "2199-01-01T00:00:00Z"}, "row 2: last_seen_at, '2199.*future"),
-    "valid before 2000": (
-        OTHER,
-        SEEN | {"valid_from": "0001-01-01"},
-        "row 2: valid_from, '0001-01-01', is before 2000",
-    ),
-    "microseconds": (
-        OTHER,
-        SEEN | {"last_seen_at_us": 10**12},
-        "row 2: last_seen_at_us, 1000000000000, is before 2000",
-    ),
+    "valid before 2000": (OTHER, SEEN | {"valid_from": "0001-01-01"}, "row 2: valid_from, '0001-01-01', is before"),
+    "microseconds": (OTHER, SEEN | {"last_seen_at_us": 10**12}, "row 2: last_seen_at_us, 10{12}, is before 2000"),
     "same place": (GOOD[0], SEEN, "row 2: the same position as row 1"),
     "a formula": (OTHER, SEEN | {"category": "=1+1"}, r"row 2: category is '=1\+1', expected .*letters, digits"),
     "a formula of names": (OTHER, SEEN | {"category": "-A1"}, r"row 2: category is '-A1'"),
@@ -664,23 +652,18 @@ def test_a_new_map_wants_its_crs_stated(tmp_path):
         read_map_file(path, PARAMS)
 
 
-def test_the_browser_shows_a_map_that_began_with_an_import(conn, database_url, surveyed):
-    from fastapi.testclient import TestClient
-
-    from conetl.web.app import create_app
-
+def test_the_browser_shows_a_map_that_began_with_an_import(conn, own_view, surveyed):
     folder, features = surveyed
     take(conn, folder / "map.parquet")
     [changeset] = list_changesets(conn)
     conn.rollback()
-    with TestClient(create_app(database_url, "default"), base_url="http://127.0.0.1") as client:
-        timeline = client.get("/api/maps/default/timeline").json()
-        assert [item["drive_id"] for item in timeline["changesets"]] == ["map.parquet"]
-        way = client.get(f"/api/maps/default/drives/{changeset.drive_uuid}/trajectory").json()
-        assert way["frame_index"] == []
-        answer = client.get("/api/maps/default/features", params={"valid_at": "infinity"})
-        answer = answer if answer.status_code == 200 else client.get("/api/maps/default/features")
-        assert len(answer.json()["features"]) == len(features)
+    timeline = own_view.get("/api/maps/default/timeline").json()
+    assert [item["drive_id"] for item in timeline["changesets"]] == ["map.parquet"]
+    way = own_view.get(f"/api/maps/default/drives/{changeset.drive_uuid}/trajectory").json()
+    assert way["frame_index"] == []
+    answer = own_view.get("/api/maps/default/features", params={"valid_at": "infinity"})
+    answer = answer if answer.status_code == 200 else own_view.get("/api/maps/default/features")
+    assert len(answer.json()["features"]) == len(features)
 
 
 def test_an_own_export_adds_no_evidence(conn, surveyed, tmp_path):

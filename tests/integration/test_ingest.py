@@ -13,7 +13,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -39,8 +38,9 @@ from conetl.pipeline.commit import CommittedDrive
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import drive_page
+from tests.command import conetl, until
 from tests.integration.conftest import QUIET, command_line
-from tests.integration.small_drives import spoil_huffman_table
+from tests.integration.small_drives import shift_poses, spoil_huffman_table
 
 ROOT = Path(__file__).resolve().parents[2]
 DRIVES = sorted((ROOT / "data" / "drives").iterdir())
@@ -85,15 +85,7 @@ class Desk:
         return [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments)]
 
     def run(self, *arguments: object) -> Result:
-        done = subprocess.run(
-            self.command(*arguments),
-            env=self.environment,
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-        )
+        done = conetl(*arguments, **self.environment)
         return Result(done.returncode, done.stdout, done.stderr)
 
     def ask(self, *arguments: object, code: int = 0) -> str:
@@ -291,9 +283,7 @@ def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path,
 def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, small_drive: Path) -> None:
     """Poses from post-processing: one recording must not count as two surveys."""
     desk.ingest(small_drive)
-    for path in (small_drive / "oxts" / "data").iterdir():
-        lat_deg, *others = path.read_text().split()
-        path.write_text(" ".join([f"{float(lat_deg) + 4.5e-6:.12f}", *others]))  # half a metre
+    shift_poses(small_drive, lat_deg=4.5e-6)  # half a metre
     before = desk.final_tables()
     with pytest.raises(InputError, match=r"other content \(changeset 1\).*conetl map revert 1"):
         desk.ingest(small_drive)
@@ -346,9 +336,7 @@ def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(
 def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     """Of the drive itself, and of another one that goes on hold because of it."""
     lower = part_of(DRIVES[1], tmp_path / "lower", 16, skip=4)
-    for path in (lower / "oxts" / "data").iterdir():
-        lat_deg, lon_deg, height_m, *others = path.read_text().split()
-        path.write_text(" ".join([lat_deg, lon_deg, f"{float(height_m) - 0.6:.4f}", *others]))
+    shift_poses(lower, height_m=-0.6)
     assert desk.run("ingest", lower).code == 0
     done = desk.run("ingest", small_drive)
     assert done.code == 1
@@ -358,9 +346,7 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     )
 
     jumping = part_of(DRIVES[2], tmp_path / "jumping", 16, skip=4)
-    for path in sorted((jumping / "oxts" / "data").iterdir())[8:]:
-        lat_deg, *others = path.read_text().split()
-        path.write_text(" ".join([f"{float(lat_deg) + 4e-5:.12f}", *others]))
+    shift_poses(jumping, lat_deg=4e-5, first=8)
     done = desk.run("ingest", jumping)
     assert done.code == 1
     assert "jumping (2026-03-04 15:22 UTC): on hold (jumps of the poses), the map is as it was." in done.out
@@ -370,21 +356,11 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     assert last.endswith("conetl drive accept jumping --note REASON")
 
 
-def remove_key(drive: Path) -> None:
-    file = drive / "calib_cam_to_cam.txt"
-    lines = [line for line in file.read_text().splitlines() if not line.startswith("P_rect_03")]
-    file.write_text("\n".join(lines) + "\n")
-
-
-def empty(drive: Path) -> None:
-    shutil.rmtree(drive)
-    drive.mkdir()
-
-
 def test_bad_input_is_named_and_writes_nothing(desk: Desk, tmp_path: Path) -> None:
-    keyless, hollow = (part_of(DRIVES[0], tmp_path / name, 2) for name in ("keyless", "hollow"))
-    remove_key(keyless)
-    empty(hollow)
+    keyless, hollow = part_of(DRIVES[0], tmp_path / "keyless", 2), tmp_path / "hollow"
+    hollow.mkdir()
+    file = keyless / "calib_cam_to_cam.txt"
+    file.write_text("".join(x for x in file.read_text().splitlines(True) if not x.startswith("P_rect_03")))
     result = desk.run("ingest", keyless, hollow)
     assert result.code == 2
     assert "P_rect_03" in result.err and "hollow" in result.err
@@ -460,39 +436,34 @@ def test_what_a_run_that_was_killed_after_its_commit_left_pending_is_published_b
         with subprocess.Popen(
             desk.command("ingest", drive), env=desk.environment, cwd=ROOT, stderr=subprocess.DEVNULL
         ) as process:
-            deadline = time.monotonic() + 120
-            committed: list[dict[str, Any]] = []
-            while not committed:
+
+            def changesets() -> list[dict[str, Any]]:
                 assert process.poll() is None, "the ingest ended before its events"
-                assert time.monotonic() < deadline, "the ingest never came to its commit"
-                committed = execute(watcher, "select changeset_id::text as id from conetl.changeset")
+                found = execute(watcher, "select changeset_id::text as id from conetl.changeset")
                 watcher.rollback()
-                time.sleep(0.01)
+                return found
+
+            committed = until(changesets, "the commit", every_s=0.01)
             process.send_signal(signal.SIGKILL)
         assert process.returncode == -signal.SIGKILL
     changeset = committed[0]["id"]
     for _ in range(2):
         assert desk.run("ingest", drive, "--json").json[0]["status"] == "no changes"
-        while not (found := events_of(desk, changeset)):
-            assert time.monotonic() < deadline + 120, "the changeset was never told"
-            time.sleep(0.2)
-        assert found == ["conetl.changeset.committed"]
+        told = until(lambda: events_of(desk, changeset), "the events of the changeset", every_s=0.2)
+        assert told == ["conetl.changeset.committed"]
     with closing(connect(url)) as conn:
         assert execute(conn, "select changeset_id::text as id from conetl.changeset_published") == committed
 
 
 def wait_for(point: str, home: Path, database_url: str, process: subprocess.Popen[bytes]) -> None:
     """Return as soon as the ingest has come to `point`; for the merge, hold the map's lock so that it stays there."""
-    deadline = time.monotonic() + 120
 
-    def until(reached: Callable[[], bool]) -> None:
-        while not reached():
-            assert process.poll() is None, f"the ingest ended before {point}"
-            assert time.monotonic() < deadline, f"the ingest never came to {point}"
-            time.sleep(0.01)
+    def come_to(reached: Callable[[], bool]) -> None:
+        until(lambda: process.poll() is not None or reached(), point, every_s=0.01)
+        assert process.poll() is None, f"the ingest ended before {point}"
 
     if point == "matching":  # what was written before it lies there, and what others write now may be half done
-        until(lambda: len(list((home / "results").glob("*.parquet"))) >= 2)
+        come_to(lambda: len(list((home / "results").glob("*.parquet"))) >= 2)
     else:
         with closing(connect(database_url)) as holder, closing(connect(database_url)) as watcher:
             from conetl.db.map.map_store import map_lock
@@ -504,7 +475,7 @@ def wait_for(point: str, home: Path, database_url: str, process: subprocess.Pope
                 watcher.rollback()
                 return bool(rows)
 
-            until(waiting)
+            come_to(waiting)
             process.send_signal(signal.SIGKILL)
             process.wait()
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-from contextlib import closing
 
 import pytest
-from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from conetl.db.connection import connect
 from conetl.db.map.map_store import list_changesets
 from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import write_drive_page
-from conetl.web.app import create_app
 from conetl.web.decisions import Writer
 from tests.integration.conftest import command_line
 from tests.integration.drives_of_days import failed_audits, merge, survey
+from tests.view_map import OWN, view_of
 
 TOKEN = "a-token-that-nobody-guesses"
 MAP = "/api/maps/default"
@@ -29,18 +26,15 @@ def home(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def client(module_database_url, home):
+def client(module_conn, module_database_url, home):
     """Two days of a road, and a drive on hold."""
-    with closing(connect(module_database_url)) as conn:
-        for day in (0, 1):
-            merge(conn, survey(day))
-        merge(conn, survey(2), hold="GNSS/INS jumps by 5.0 m.")
+    for day in (0, 1):
+        merge(module_conn, survey(day))
+    merge(module_conn, survey(2), hold="GNSS/INS jumps by 5.0 m.")
     writer = Writer(SecretStr(TOKEN), module_database_url, Settings(home=home))
-    app = create_app(module_database_url, "default", writer=writer)
-    with TestClient(app, base_url="http://127.0.0.1") as test_client:
+    with view_of(module_database_url, writer=writer) as test_client:
         yield test_client
-    with closing(connect(module_database_url)) as conn:
-        assert failed_audits(conn) == []
+    assert failed_audits(module_conn) == []
 
 
 def get(client, path):
@@ -50,7 +44,7 @@ def get(client, path):
 
 
 def decide(client, request):
-    headers = {"Authorization": f"Bearer {TOKEN}", "Origin": "http://127.0.0.1"}
+    headers = {"Authorization": f"Bearer {TOKEN}", "Origin": OWN}
     answer = client.post(f"{MAP}/decisions", json=request | BY, headers=headers)
     assert answer.status_code == 201, answer.text
     return answer.json()
@@ -116,7 +110,7 @@ def test_a_frame_projects_onto_its_boxes(client):
     assert client.get(f"{MAP}/{path}").status_code == client.get(f"{MAP}/{path}/left.jpg").status_code == 404
 
 
-def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_database_url, home):
+def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_conn, home):
     """Last in this file: it decides. An accepted drive's report on disk is written again."""
     whole = get(client, "review?limit=100")
     kinds = [item["kind"] for item in whole["items"]]
@@ -132,9 +126,9 @@ def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_databas
 
     settings = Settings(home=home)
     report = settings.drive_report_path(held["drive_id"], held["changeset_no"])
-    with closing(connect(module_database_url)) as conn:
-        known = {c.changeset_no: c for c in list_changesets(conn)}
-        write_drive_page(conn, known[held["changeset_no"]], report, map_name="default")
+    known = {c.changeset_no: c for c in list_changesets(module_conn)}
+    write_drive_page(module_conn, known[held["changeset_no"]], report, map_name="default")
+    module_conn.rollback()
     assert "is on hold" in report.read_text()
     done = decide(client, {"kind": "accept", "changeset_id": held["changeset_id"]})
     assert done["report_problem"] is None and f"Released: drive {held['drive_id']}" in done["hold_changes"][0]

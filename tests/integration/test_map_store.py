@@ -11,19 +11,10 @@ import numpy as np
 import pytest
 
 from conetl.db.connection import connect, execute
+from conetl.db.map import map_store as store
 from conetl.db.map.commit import commit_changeset, path_wkt
 from conetl.db.map.decision_store import find_decisions
 from conetl.db.map.drive_store import drives_at_the_same_time, load_stored_drive
-from conetl.db.map.map_store import (
-    feature_log,
-    find_changeset,
-    find_map,
-    list_changesets,
-    map_summary,
-    map_transaction,
-    read_current_features,
-    read_features_as_of,
-)
 from conetl.db.map.replay_store import read_open_version, read_versions
 from conetl.db.map.results import RunInfo
 from conetl.model.errors import DatabaseError, MapMismatchError
@@ -39,24 +30,24 @@ pytestmark = pytest.mark.usefixtures("audited")
 
 
 def standing(conn, **options):
-    return [(v.feature.version, v.valid_from, v.valid_to) for v in read_features_as_of(conn, **options)]
+    return [(v.feature.version, v.valid_from, v.valid_to) for v in store.read_features_as_of(conn, **options)]
 
 
 def test_first_drive_makes_the_map(conn, samples):
-    assert find_map(conn) is None
-    assert map_summary(conn) is None
-    assert read_current_features(conn) == []
+    assert store.find_map(conn) is None
+    assert store.map_summary(conn) is None
+    assert store.read_current_features(conn) == []
     feature = samples.feature()
     result = samples.commit(conn, samples.added(feature), key="1")
     assert result.committed
     assert result.versions_written == 1
     assert (result.changeset.added_count, result.changeset.position_count) == (1, 3)
-    assert read_current_features(conn) == [feature]
-    summary = map_summary(conn)
+    assert store.read_current_features(conn) == [feature]
+    summary = store.map_summary(conn)
     assert (summary["srid"], summary["feature_count"], summary["changeset_count"]) == (samples.SRID, 1, 1)
-    assert find_changeset(conn, "1" * 64) == result.changeset
-    assert list_changesets(conn) == [result.changeset]
-    [entry] = feature_log(conn, feature.feature_id)
+    assert store.find_changeset(conn, "1" * 64) == result.changeset
+    assert store.list_changesets(conn) == [result.changeset]
+    [entry] = store.feature_log(conn, feature.feature_id)
     assert (entry["kind"], entry["new_version"], entry["height_m"]) == ("added", 1, 114.5)
 
 
@@ -94,7 +85,9 @@ def test_lane_markings_come_back_to_the_last_bit(conn, samples):
     result = samples.commit(conn, samples.added(line), samples.added(cone), key="1", markings=[track])
     assert result.changeset.marking_count == 1
     assert load_stored_drive(conn, result.changeset.drive_uuid).markings == [track]
-    assert {f.feature_id: f for f in read_current_features(conn, lines=True)} == {f.feature_id: f for f in (line, cone)}
+    assert {f.feature_id: f for f in store.read_current_features(conn, lines=True)} == {
+        f.feature_id: f for f in (line, cone)
+    }
 
     wider = samples.changed(
         "confirmed", line, samples.START_NS + samples.DAY_NS, marking=dashed.model_copy(update={"width_m": 0.15})
@@ -105,10 +98,10 @@ def test_lane_markings_come_back_to_the_last_bit(conn, samples):
     samples.commit(conn, gone, key="3", start_ns=samples.START_NS + 2 * samples.DAY_NS)
     [before] = [
         v.feature
-        for v in read_features_as_of(conn, utc_from_ns(gone.changed_at_ns) - DAY / 2, lines=True)
+        for v in store.read_features_as_of(conn, utc_from_ns(gone.changed_at_ns) - DAY / 2, lines=True)
         if v.feature.marking
     ]
-    assert before == wider.new and read_current_features(conn) == [cone]
+    assert before == wider.new and store.read_current_features(conn) == [cone]
     versions = read_versions(conn, [result.changeset.drive_uuid])
     assert [v.version.feature for v in versions if v.version.feature.marking] == [
         line, wider.new, wider.new.model_copy(update={"version": 3}),
@@ -120,8 +113,8 @@ def test_a_confirmation_that_changes_nothing_makes_no_version(conn, samples):
     samples.commit(conn, samples.added(feature), key="1")
     result = samples.commit(conn, samples.changed("confirmed", feature, samples.START_NS + samples.DAY_NS), key="2")
     assert (result.versions_written, result.changeset.confirmed_count) == (0, 1)
-    assert read_current_features(conn) == [feature]
-    assert [(e["kind"], e["new_version"]) for e in feature_log(conn, feature.feature_id)] == [
+    assert store.read_current_features(conn) == [feature]
+    assert [(e["kind"], e["new_version"]) for e in store.feature_log(conn, feature.feature_id)] == [
         ("added", 1),
         ("confirmed", 1),
     ]
@@ -134,7 +127,7 @@ def test_a_cone_that_comes_back_goes_on_counting(conn, samples):
     samples.commit(conn, samples.removed(feature, samples.START_NS + day), key="2")
     back = samples.feature(seen_ns=samples.START_NS + 2 * day)
     samples.commit(conn, samples.added(back), key="3")
-    assert read_current_features(conn) == [back.model_copy(update={"version": 3})]
+    assert store.read_current_features(conn) == [back.model_copy(update={"version": 3})]
     assert [len(standing(conn, valid_at=utc_from_ns(samples.START_NS) + n * DAY)) for n in (0, 1, 2)] == [1, 0, 1]
 
 
@@ -167,25 +160,25 @@ def test_features_within_a_box(conn, samples):
     places = {"a": (0.0, 0.0, 1.0), "b": (10.0, 0.0, 1.0), "c": (0.0, 10.0, 1.0)}
     deltas = [samples.added(samples.feature(name, xyz_m=xyz)) for name, xyz in places.items()]
     samples.commit(conn, *deltas, key="1")
-    found = read_features_as_of(conn, within=(-1, -1, 1, 20))
+    found = store.read_features_as_of(conn, within=(-1, -1, 1, 20))
     assert {v.feature.xyz_m for v in found} == {places["a"], places["c"]}
-    assert len(list(read_features_as_of(conn, within=(-1, -1, 1, 1)))) == 1
+    assert len(list(store.read_features_as_of(conn, within=(-1, -1, 1, 1)))) == 1
 
 
 def test_maps_do_not_see_each_other(conn, samples):
     samples.commit(conn, samples.added(samples.feature("a")), key="1")
     drive = samples.drive("elsewhere", srid=32633)
     changeset = samples.changeset(samples.added(samples.feature("b")), drive_id="elsewhere", key="2")
-    with map_transaction(conn, "berlin"):
+    with store.map_transaction(conn, "berlin"):
         commit_changeset(
             conn,
             DriveRecords(drive, samples.detections(), [], samples.positions(), [samples.track()]),
             changeset,
             map_name="berlin",
         )
-    assert len(read_current_features(conn)) == len(read_current_features(conn, map_name="berlin")) == 1
-    assert (find_map(conn).srid, find_map(conn, "berlin").srid) == (32632, 32633)
-    assert find_changeset(conn, "1" * 64, map_name="berlin") is None
+    assert len(store.read_current_features(conn)) == len(store.read_current_features(conn, map_name="berlin")) == 1
+    assert (store.find_map(conn).srid, store.find_map(conn, "berlin").srid) == (32632, 32633)
+    assert store.find_changeset(conn, "1" * 64, map_name="berlin") is None
     # a feature of one map cannot be changed through another
     with pytest.raises(MapMismatchError):
         samples.commit(conn, samples.removed(samples.feature("b"), samples.START_NS + 1), key="3")
@@ -204,7 +197,7 @@ def test_drives_along_one_street_at_another_speed_are_no_candidates(conn, sample
     before = samples.drive("before").model_copy(
         update={"frame_pairs": tuple(make_path(90)[25 : 25 + stored]), "expected_frame_count": stored}
     )
-    with map_transaction(conn):
+    with store.map_transaction(conn):
         commit_changeset(conn, DriveRecords(before), samples.changeset(drive_id="before", key="1"))
     pairs = tuple(
         pair.model_copy(update={"captured_at_ns": pair.captured_at_ns + days_ns})
@@ -218,9 +211,9 @@ def test_drives_along_one_street_at_another_speed_are_no_candidates(conn, sample
 
 def test_another_crs_is_refused(conn, samples):
     samples.commit(conn, samples.added(samples.feature()), key="1")
-    with pytest.raises(MapMismatchError, match=r"EPSG:32633.*EPSG:32632.*drive\.yaml"), map_transaction(conn):
+    with pytest.raises(MapMismatchError, match=r"EPSG:32633.*EPSG:32632.*drive\.yaml"), store.map_transaction(conn):
         commit_changeset(conn, DriveRecords(samples.drive("b", srid=32633)), samples.changeset(drive_id="b", key="2"))
-    assert len(list_changesets(conn)) == 1
+    assert len(store.list_changesets(conn)) == 1
 
 
 def test_a_stale_reading_of_the_map_is_refused(conn, samples):
@@ -235,8 +228,8 @@ def test_a_stale_reading_of_the_map_is_refused(conn, samples):
     ):
         with pytest.raises(MapMismatchError, match="Nothing was written"):
             samples.commit(conn, *deltas, key="3")
-    assert read_current_features(conn) == [newer.new]
-    assert len(list_changesets(conn)) == 2
+    assert store.read_current_features(conn) == [newer.new]
+    assert len(store.list_changesets(conn)) == 2
 
 
 @pytest.mark.parametrize(
@@ -261,9 +254,9 @@ def test_records_that_do_not_fit_together_are_refused(conn, samples, changes, wo
         "changeset": samples.changeset(samples.added(samples.feature())),
     }
     values |= {name: make(samples) for name, make in changes.items()}
-    with pytest.raises(MapMismatchError, match=words), map_transaction(conn):
+    with pytest.raises(MapMismatchError, match=words), store.map_transaction(conn):
         commit_changeset(conn, changeset=values.pop("changeset"), records=DriveRecords(**values))
-    assert find_map(conn) is None
+    assert store.find_map(conn) is None
 
 
 def test_rejections_come_back_whatever_they_hold(conn, samples):
@@ -282,7 +275,7 @@ def test_rejections_come_back_whatever_they_hold(conn, samples):
         Rejection(step="tracks", reason=RejectionReason.NOT_ON_GROUND, record="track 1", detail="d", payload={"n": 1}),
     ]
     changeset = samples.changeset()
-    with map_transaction(conn):
+    with store.map_transaction(conn):
         commit_changeset(conn, DriveRecords(samples.drive(), rejections=rejections), changeset)
     sql = "select * from quarantine where changeset_id = %(changeset_id)s"
     rows = execute(conn, sql, {"changeset_id": changeset.changeset_id})
@@ -310,17 +303,17 @@ def test_the_run_is_kept_with_its_parameters(conn, samples):
 
 def test_a_map_that_stays_locked_is_reported(conn, database_url):
     second = connect(database_url)
-    with map_transaction(conn):
-        with pytest.raises(DatabaseError, match="not free in time"), map_transaction(second, lock_timeout_s=0.2):
+    with store.map_transaction(conn):
+        with pytest.raises(DatabaseError, match="not free in time"), store.map_transaction(second, lock_timeout_s=0.2):
             pass
-        with map_transaction(second, "another_map", lock_timeout_s=0.2):
+        with store.map_transaction(second, "another_map", lock_timeout_s=0.2):
             pass
     second.close()
 
 
 def test_an_instant_without_a_zone_is_refused(conn):
     with pytest.raises(ValueError, match="no time zone"):
-        list(read_features_as_of(conn, datetime(2026, 1, 1)))
+        list(store.read_features_as_of(conn, datetime(2026, 1, 1)))
 
 
 @pytest.mark.parametrize(
@@ -363,7 +356,7 @@ def numbered(module_database_url, samples):
         ids[name] = UUID(f"{changeset_id}-0000-4000-8000-000000000000")
         drive = samples.drive(f"drive_{key}", content_sha256=f"{key:064x}")
         changeset = samples.changeset(drive_id=drive.drive_id, key=f"{key:x}")
-        with map_transaction(conn, map_name):
+        with store.map_transaction(conn, map_name):
             commit_changeset(
                 conn, DriveRecords(drive, [], [], [], []), changeset.model_copy(update={"changeset_id": ids[name]}),
                 map_name=map_name,

@@ -6,7 +6,6 @@ import asyncio
 import json
 import re
 import subprocess
-from contextlib import closing
 from datetime import datetime, timedelta
 from itertools import product
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.ogc_store import MapDirectory
 from conetl.db.reader_pool import AsyncReaderPool
 from conetl.geometry.geodesy import to_geodetic
@@ -29,26 +28,23 @@ from conetl.web.ogc.collections import Instants, collection_of, warm
 from tests import ogc_schemas as standard
 from tests.integration.drives_of_days import merge, survey
 from tests.integration.test_exports import OFFSCREEN, PYTHON, has_qgis
-from tests.view_map import commit, cone, missed, serving, two_drives
+from tests.view_map import OWN, commit, cone, missed, serving, two_drives, view_of
 
 OGC = "/ogc"
 FEATURES = f"{OGC}/collections/default.features"
 CHANGES = f"{OGC}/collections/default.changes"
 DAY = timedelta(days=1)
 TICK = timedelta(microseconds=1)
-BASE = "http://127.0.0.1"
 
 
 @pytest.fixture(scope="module")
-def features(module_database_url, samples, tmp_path_factory):
-    conn = connect(module_database_url)
-    yield two_drives(conn, samples, tmp_path_factory.mktemp("images"))
-    conn.close()
+def features(module_conn, samples, tmp_path_factory):
+    return two_drives(module_conn, samples, tmp_path_factory.mktemp("images"))
 
 
 @pytest.fixture(scope="module")
 def client(module_database_url, features):
-    with TestClient(create_app(module_database_url, "default"), base_url=BASE) as test_client:
+    with view_of(module_database_url) as test_client:
         yield test_client
 
 
@@ -118,13 +114,13 @@ def links_of(body):
 
 def test_every_link_leads_somewhere(client, features):
     values = {"collectionId": "default.features", "tileMatrixSetId": "WebMercatorQuad", "z": "0", "x": "0", "y": "0"}
-    waiting, seen = [f"{BASE}{OGC}/", f"{BASE}{FEATURES}/items?limit=2", f"{BASE}{CHANGES}/items?at=2026-03-01"], set()
+    waiting, seen = [f"{OWN}{OGC}/", f"{OWN}{FEATURES}/items?limit=2", f"{OWN}{CHANGES}/items?at=2026-03-01"], set()
     waiting += [
-        f"{BASE}{FEATURES}/tiles/WebMercatorQuad/{name}" for name in ("tilejson.json?at=2026-03-01", "style.json")
+        f"{OWN}{FEATURES}/tiles/WebMercatorQuad/{name}" for name in ("tilejson.json?at=2026-03-01", "style.json")
     ]
     while waiting:
         link = re.sub(r"\{(\w+)\}", lambda found: values[found[1]], waiting.pop())
-        if link in seen or not link.startswith(BASE):  # others name standards
+        if link in seen or not link.startswith(OWN):  # others name standards
             assert link in seen or link.startswith(
                 ("https://json-schema.org/", "https://geojson.org/", "http://www.opengis.net/")
             )
@@ -209,9 +205,8 @@ def test_changes_between_two_instants(client, features, start):
     assert "wanders" not in kinds(client, features, datetime=f"{early}/{iso(utc(at) - TICK)}")
 
 
-def test_a_change_has_its_own_instant_whatever_confirmed_the_cone_in_between(database_url, samples, start, tmp_path):
+def test_a_change_has_its_own_instant_whatever_confirmed_the_cone_in_between(conn, own_view, samples, start, tmp_path):
     """Each confirmation makes a version, and none of them is the change. Days 1, 5, 15: seen; 3, 8: added, moved, removed."""
-    conn = connect(database_url)
     old, gone, new = (cone(samples, f"cone {k}", 2.0 * k, day=day) for k, day in enumerate((0, 0, 3)))
     far_m = (old.xyz_m[0] + 1.5, *old.xyz_m[1:])
     moved, seen = (old.model_copy(update={"version": version, "xyz_m": far_m}) for version in (2, 3))
@@ -230,24 +225,21 @@ def test_a_change_has_its_own_instant_whatever_confirmed_the_cone_in_between(dat
     commit(conn, samples, tmp_path, "3", 5, confirmed(moved, 5), confirmed(gone, 5), confirmed(new, 5))
     commit(conn, samples, tmp_path, "4", 8, samples.removed(next_version(gone), at_ns(8)))
     commit(conn, samples, tmp_path, "5", 15, confirmed(seen, 15), confirmed(next_version(new), 15))
-    conn.close()
     days = {old: 3, new: 3, gone: 8}
-    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
-        for begin, end in ((2, 20), (2, 9), (0.5, 9)):
-            asked = {"from": iso(start + begin * DAY), "to": iso(start + end * DAY)}
-            found = {
-                item["id"]: utc(item["properties"]["changed_at"])
-                for item in get(client, f"{CHANGES}/items", schema=standard.ITEMS, **asked)["features"]
-            }
-            assert found == {str(feature.feature_id): utc_from_ns(at_ns(day)) for feature, day in days.items()}
-        seen_last = get(client, f"{CHANGES}/items", **{"from": iso(start + 6 * DAY)}, change="confirmed")["features"]
-        assert {utc(item["properties"]["changed_at"]) for item in seen_last} == {utc_from_ns(at_ns(15))}
-        assert len(seen_last) == 2
+    for begin, end in ((2, 20), (2, 9), (0.5, 9)):
+        asked = {"from": iso(start + begin * DAY), "to": iso(start + end * DAY)}
+        found = {
+            item["id"]: utc(item["properties"]["changed_at"])
+            for item in get(own_view, f"{CHANGES}/items", schema=standard.ITEMS, **asked)["features"]
+        }
+        assert found == {str(feature.feature_id): utc_from_ns(at_ns(day)) for feature, day in days.items()}
+    seen_last = get(own_view, f"{CHANGES}/items", **{"from": iso(start + 6 * DAY)}, change="confirmed")["features"]
+    assert {utc(item["properties"]["changed_at"]) for item in seen_last} == {utc_from_ns(at_ns(15))}
+    assert len(seen_last) == 2
 
 
-def test_values_are_those_of_the_map(client, features, module_database_url, samples, start):
+def test_values_are_those_of_the_map(client, features, module_conn, samples, start):
     page = get(client, f"{FEATURES}/items", at=iso(start + DAY * 2))
-    conn = connect(module_database_url)
     for item in page["features"]:
         feature = next(f for f in features.values() if str(f.feature_id) == item["id"])
         values = item["properties"]
@@ -255,12 +247,11 @@ def test_values_are_those_of_the_map(client, features, module_database_url, samp
         lat, lon, height = to_geodetic(samples.SRID, place)
         assert item["geometry"]["coordinates"] == pytest.approx([lon, lat, height], abs=1e-9)
         [row] = execute(
-            conn, "select * from conetl.feature_evidence(%(id)s::uuid, %(version)s)",
+            module_conn, "select * from conetl.feature_evidence(%(id)s::uuid, %(version)s)",
             {"id": str(feature.feature_id), "version": values["version"]},
         )  # fmt: skip
         assert (values["seen_count"], values["missed_count"]) == (row["seen_count"], row["missed_count"])
         assert values["sigma_e_m"] == pytest.approx(feature.cov_m2[0] ** 0.5)
-    conn.close()
 
 
 def test_a_box_includes_its_edges(client, features):
@@ -283,93 +274,82 @@ def test_a_box_includes_its_edges(client, features):
     assert count([170.0, lats[0], lons[0], lats[-1]]) == 1
 
 
-def test_pages_hold_each_item_once_also_while_a_drive_is_committed(database_url, samples, tmp_path):
-    conn = connect(database_url)
+def test_pages_hold_each_item_once_also_while_a_drive_is_committed(conn, own_view, samples, tmp_path):
     cones = [cone(samples, f"cone {k}", 2.0 * k) for k in range(7)]
     commit(conn, samples, tmp_path, "1", 0, *(samples.added(f) for f in cones))
-    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
-        link, seen, sizes = f"{BASE}{FEATURES}/items?limit=3", [], []
-        while link:
-            page = get(client, link, schema=standard.ITEMS)
-            assert page["numberMatched"] == 7
-            assert page["numberReturned"] == len(page["features"])
-            seen += [item["id"] for item in page["features"]]
-            sizes.append(len(page["features"]))
-            found = [link["href"] for link in page["links"] if link["rel"] == "next"]
-            link = found[0] if found else None
-            if len(sizes) == 1:  # another drive comes
-                late = [cone(samples, f"late {k}", 40.0 + k, day=1) for k in range(5)]
-                commit(conn, samples, tmp_path, "2", 1, *(samples.added(f) for f in late))
-        assert sizes == [3, 3, 1]
-        assert sorted(seen) == sorted(str(f.feature_id) for f in cones)
-        assert get(client, f"{FEATURES}/items", limit=1)["numberMatched"] == 12
-    conn.close()
+    link, seen, sizes = f"{OWN}{FEATURES}/items?limit=3", [], []
+    while link:
+        page = get(own_view, link, schema=standard.ITEMS)
+        assert page["numberMatched"] == 7
+        assert page["numberReturned"] == len(page["features"])
+        seen += [item["id"] for item in page["features"]]
+        sizes.append(len(page["features"]))
+        found = [link["href"] for link in page["links"] if link["rel"] == "next"]
+        link = found[0] if found else None
+        if len(sizes) == 1:  # another drive comes
+            late = [cone(samples, f"late {k}", 40.0 + k, day=1) for k in range(5)]
+            commit(conn, samples, tmp_path, "2", 1, *(samples.added(f) for f in late))
+    assert sizes == [3, 3, 1]
+    assert sorted(seen) == sorted(str(f.feature_id) for f in cones)
+    assert get(own_view, f"{FEATURES}/items", limit=1)["numberMatched"] == 12
 
 
-def test_decisions_are_served_at_once(database_url):
+def test_decisions_are_served_at_once(conn, own_view):
     """Decisions close system periods like drives do, without a changeset."""
-    conn = connect(database_url)
     merge(conn, survey(0))
-    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
-        before = get(client, f"{FEATURES}/items", limit=3, schema=standard.ITEMS)
-        [link] = [link["href"] for link in before["links"] if link["rel"] == "next"]
-        cone_id, (lon, lat, _) = before["features"][0]["id"], before["features"][0]["geometry"]["coordinates"]
-        tile = morecantile.tms.get("WebMercatorQuad").tile(lon, lat, 22)
+    before = get(own_view, f"{FEATURES}/items", limit=3, schema=standard.ITEMS)
+    [link] = [link["href"] for link in before["links"] if link["rel"] == "next"]
+    cone_id, (lon, lat, _) = before["features"][0]["id"], before["features"][0]["geometry"]["coordinates"]
+    tile = morecantile.tms.get("WebMercatorQuad").tile(lon, lat, 22)
 
-        def is_served():
-            everything = (f"{path}/items" for path in (FEATURES, CHANGES))
-            there = {cone_id in [item["id"] for item in get(client, path)["features"]] for path in everything}
-            there.add(client.get(f"{FEATURES}/items/{cone_id}").status_code == 200)
-            path = f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}"
-            there.add(cone_id.encode() in client.get(path).content)
-            [answer] = there
-            return answer
+    def is_served():
+        everything = (f"{path}/items" for path in (FEATURES, CHANGES))
+        there = {cone_id in [item["id"] for item in get(own_view, path)["features"]] for path in everything}
+        there.add(own_view.get(f"{FEATURES}/items/{cone_id}").status_code == 200)
+        path = f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}"
+        there.add(cone_id.encode() in own_view.get(path).content)
+        [answer] = there
+        return answer
 
-        assert is_served()
-        decided = decide_place(conn, SUPPRESS, cone_id, map_name="default")
-        assert not is_served()
-        assert get(client, link)["numberMatched"] == before["numberMatched"], "a page that was begun goes on"
-        taken_back = revert(conn, str(decided.decision_id), map_name="default")
-        assert is_served()
-        page = get(client, f"{FEATURES}/items")
-        [own] = [link["href"] for link in page["links"] if link["rel"] == "self"]
-        assert utc(parse_qs(urlsplit(own).query)["known_at"][0]) == taken_back.decided_at
-    conn.close()
+    assert is_served()
+    decided = decide_place(conn, SUPPRESS, cone_id, map_name="default")
+    assert not is_served()
+    assert get(own_view, link)["numberMatched"] == before["numberMatched"], "a page that was begun goes on"
+    taken_back = revert(conn, str(decided.decision_id), map_name="default")
+    assert is_served()
+    page = get(own_view, f"{FEATURES}/items")
+    [own] = [link["href"] for link in page["links"] if link["rel"] == "self"]
+    assert utc(parse_qs(urlsplit(own).query)["known_at"][0]) == taken_back.decided_at
 
 
 def test_existence_probability_is_that_after_the_last_drive_that_could_see_the_cone(
-    database_url, samples, start, tmp_path
+    conn, own_view, samples, start, tmp_path
 ):
-    conn = connect(database_url)
     there, beside = (cone(samples, name, 2.0 * k) for k, name in enumerate(("there", "beside")))
     commit(conn, samples, tmp_path, "1", 0, samples.added(there), samples.added(beside))
     for day, existence in ((1, 0.6), (2, 0.3)):
         at_ns = samples.START_NS + day * samples.DAY_NS + 7
         commit(conn, samples, tmp_path, f"{day + 1}", day, missed(there, at_ns, existence))
-    conn.close()
-    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
-        for day, existence in ((0, there.existence_probability), (1, 0.6), (2, 0.3)):
-            asked = {"at": iso(start + (day + 0.5) * DAY)}
-            pages = [get(client, f"{FEATURES}/items", schema=standard.ITEMS, **asked)["features"]]
-            lines = client.get(f"{FEATURES}/items", params=asked | {"f": "geojsonseq"}).text.splitlines()
-            pages.append([json.loads(line) for line in lines])
-            for items in pages:
-                found = {item["id"]: item["properties"] for item in items}
-                names = ("existence_probability", "seen_count", "missed_count")
-                assert [found[str(there.feature_id)][name] for name in names] == [existence, 1, day]
-                assert [found[str(beside.feature_id)][name] for name in names] == [beside.existence_probability, 1, 0]
-            low = get(client, f"{FEATURES}/items", limit=1, sortby="existence_probability", **asked)["features"]
-            assert low[0]["properties"]["existence_probability"] == min(existence, beside.existence_probability)
+    for day, existence in ((0, there.existence_probability), (1, 0.6), (2, 0.3)):
+        asked = {"at": iso(start + (day + 0.5) * DAY)}
+        pages = [get(own_view, f"{FEATURES}/items", schema=standard.ITEMS, **asked)["features"]]
+        lines = own_view.get(f"{FEATURES}/items", params=asked | {"f": "geojsonseq"}).text.splitlines()
+        pages.append([json.loads(line) for line in lines])
+        for items in pages:
+            found = {item["id"]: item["properties"] for item in items}
+            names = ("existence_probability", "seen_count", "missed_count")
+            assert [found[str(there.feature_id)][name] for name in names] == [existence, 1, day]
+            assert [found[str(beside.feature_id)][name] for name in names] == [beside.existence_probability, 1, 0]
+        low = get(own_view, f"{FEATURES}/items", limit=1, sortby="existence_probability", **asked)["features"]
+        assert low[0]["properties"]["existence_probability"] == min(existence, beside.existence_probability)
 
 
-def test_a_new_map_appears_without_a_restart(database_url, samples):
-    with TestClient(create_app(database_url, "second"), base_url=BASE) as client:
+def test_a_new_map_appears_without_a_restart(conn, database_url, samples):
+    with TestClient(create_app(database_url, "second"), base_url=OWN) as client:
         assert get(client, f"{OGC}/collections", schema=standard.COLLECTIONS)["collections"] == []
         get(client, f"{OGC}/collections/first.features/items", 404)
-        conn = connect(database_url)
         for key, name in enumerate(("first", "second")):
             samples.commit(conn, samples.added(samples.feature(name)), key=f"{key}", map_name=name)
-        conn.close()
         ids = [c["id"] for c in get(client, f"{OGC}/collections")["collections"]]
         kinds = ("features", "lane_markings", "changes")
         assert ids == [f"{name}.{kind}" for name in ("second", "first") for kind in kinds]
@@ -489,42 +469,40 @@ def test_vector_tiles(client, features):
     get(client, f"{FEATURES}/tiles/NoSuchTiling/0/0/0", 400)
 
 
-def test_lane_markings_are_lines_of_a_collection_of_their_own(database_url, samples, start):
+def test_lane_markings_are_lines_of_a_collection_of_their_own(conn, own_view, samples, start):
     vertices_m = np.add((458_001.0, 5_428_010.0, 114.5), np.linspace((0, 0, 0), (9, 1, 0), 5))
     line = samples.line_feature(samples.marking(vertices_m, pattern="dashed", dash_m=3.0, gap_m=9.0))
     gone_ns = samples.START_NS + samples.DAY_NS
     lines = f"{OGC}/collections/default.lane_markings"
-    with closing(connect(database_url)) as conn:
-        shape = [samples.marking_track(line.marking)]
-        samples.commit(conn, samples.added(line), samples.added(samples.feature()), key="1", markings=shape)
-        samples.commit(conn, samples.removed(line, gone_ns), key="2", start_ns=gone_ns)
-    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
-        cones = get(client, f"{FEATURES}/items", at=start.isoformat())["features"]
-        changed = get(client, f"{CHANGES}/items", to=start.isoformat())["features"]
-        assert [item["id"] for item in cones] == [item["id"] for item in changed] == [str(samples.feature().feature_id)]
-        assert get(client, f"{lines}/items", schema=standard.ITEMS)["features"] == []
-        [item] = get(client, f"{lines}/items", schema=standard.ITEMS, at=start.isoformat())["features"]
-        assert item["id"] == str(line.feature_id) and item["geometry"]["type"] == "LineString"
-        lat_lon = to_geodetic(samples.SRID, vertices_m)
-        assert np.abs(np.array(item["geometry"]["coordinates"]) - lat_lon[:, [1, 0, 2]]).max() < 1e-3
-        known = item["properties"]
-        assert (known["colour"], known["pattern"], known["dash_m"], known["gap_m"]) == ("white", "dashed", 3.0, 9.0)
-        assert (known["width_m"], known["seen_count"], known["missed_count"]) == (0.12, 1, 0)
-        across = np.array([-1, 9]) / np.hypot(1, 9)  # of the equal covariances of all vertices
-        xx, xy, _, yy, *_ = samples.COV_M2
-        assert known["sigma_lateral_m"] == pytest.approx(np.sqrt(across @ [[xx, xy], [xy, yy]] @ across))
-        assert known["length_m"] == pytest.approx(np.hypot(1, 9))
-        # A box that holds no vertex but touches the line.
-        west, south = (lat_lon[0, [1, 0]] + lat_lon[1, [1, 0]]) / 2 - 1e-6
-        box = f"{west},{south},{west + 2e-6},{south + 2e-6}"
-        for query in ({"bbox": box}, {"pattern": "dashed", "sortby": "-seen_count"}):
-            assert get(client, f"{lines}/items", at=start.isoformat(), **query)["numberMatched"] == 1
-        assert get(client, f"{lines}/items", at=start.isoformat(), bbox="0,0,1,1")["numberMatched"] == 0
-        rows = client.get(f"{lines}/items", params={"at": start.isoformat(), "f": "csv"}).text
-        assert "SRID=4326;LINESTRING(" in rows
-        tile = morecantile.tms.get("WebMercatorQuad").tile(west, south, 18)
-        answer = client.get(f"{lines}/tiles/WebMercatorQuad/18/{tile.x}/{tile.y}", params={"at": start.isoformat()})
-        assert item["id"].encode() in answer.content and b"dashed" in answer.content
+    shape = [samples.marking_track(line.marking)]
+    samples.commit(conn, samples.added(line), samples.added(samples.feature()), key="1", markings=shape)
+    samples.commit(conn, samples.removed(line, gone_ns), key="2", start_ns=gone_ns)
+    cones = get(own_view, f"{FEATURES}/items", at=start.isoformat())["features"]
+    changed = get(own_view, f"{CHANGES}/items", to=start.isoformat())["features"]
+    assert [item["id"] for item in cones] == [item["id"] for item in changed] == [str(samples.feature().feature_id)]
+    assert get(own_view, f"{lines}/items", schema=standard.ITEMS)["features"] == []
+    [item] = get(own_view, f"{lines}/items", schema=standard.ITEMS, at=start.isoformat())["features"]
+    assert item["id"] == str(line.feature_id) and item["geometry"]["type"] == "LineString"
+    lat_lon = to_geodetic(samples.SRID, vertices_m)
+    assert np.abs(np.array(item["geometry"]["coordinates"]) - lat_lon[:, [1, 0, 2]]).max() < 1e-3
+    known = item["properties"]
+    assert (known["colour"], known["pattern"], known["dash_m"], known["gap_m"]) == ("white", "dashed", 3.0, 9.0)
+    assert (known["width_m"], known["seen_count"], known["missed_count"]) == (0.12, 1, 0)
+    across = np.array([-1, 9]) / np.hypot(1, 9)  # of the equal covariances of all vertices
+    xx, xy, _, yy, *_ = samples.COV_M2
+    assert known["sigma_lateral_m"] == pytest.approx(np.sqrt(across @ [[xx, xy], [xy, yy]] @ across))
+    assert known["length_m"] == pytest.approx(np.hypot(1, 9))
+    # A box that holds no vertex but touches the line.
+    west, south = (lat_lon[0, [1, 0]] + lat_lon[1, [1, 0]]) / 2 - 1e-6
+    box = f"{west},{south},{west + 2e-6},{south + 2e-6}"
+    for query in ({"bbox": box}, {"pattern": "dashed", "sortby": "-seen_count"}):
+        assert get(own_view, f"{lines}/items", at=start.isoformat(), **query)["numberMatched"] == 1
+    assert get(own_view, f"{lines}/items", at=start.isoformat(), bbox="0,0,1,1")["numberMatched"] == 0
+    rows = own_view.get(f"{lines}/items", params={"at": start.isoformat(), "f": "csv"}).text
+    assert "SRID=4326;LINESTRING(" in rows
+    tile = morecantile.tms.get("WebMercatorQuad").tile(west, south, 18)
+    answer = own_view.get(f"{lines}/tiles/WebMercatorQuad/18/{tile.x}/{tile.y}", params={"at": start.isoformat()})
+    assert item["id"].encode() in answer.content and b"dashed" in answer.content
 
 
 @pytest.mark.parametrize(
@@ -605,8 +583,7 @@ def test_no_page_for_browsers(client):
 
 
 def test_without_a_database_the_answer_is_503(tmp_path):
-    app = create_app(f"postgresql:///nowhere?host={tmp_path}", "default")
-    with TestClient(app, base_url=BASE) as client:
+    with view_of(f"postgresql:///nowhere?host={tmp_path}") as client:
         assert "cannot be reached" in get(client, f"{FEATURES}/items", 503)["detail"]
         get(client, f"{OGC}/", schema=standard.LANDING)
 

@@ -11,10 +11,11 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from conetl.db.connection import connect, execute
 from conetl.exports import FORMATS
 from conetl.files.home import VIEW_TOKEN
 from conetl.services.processes import TOKEN, read_services
+from tests import command
 from tests.chromium import CHROMIUM, HTML_NAME, chromium, nothing_of_html_happens
 from tests.command import conetl, free_port
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
@@ -46,16 +48,9 @@ HOST = "127.0.0.2"
 SMALL = f"_small {HTML_NAME}`](elsewhere)**"
 #: Late, so that it fails once: what failed is tried again when the backfill is taken up.
 POISONED = f"2026-04-04{SMALL}"
-PATIENCE_S = 600
+#: Longer than any drive takes here.
+until = partial(command.until, patience_s=600, every_s=0.5)
 DROP_FOLDER = "ingest-drop-folder/ingest-drop-folder"
-
-
-def until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
-    deadline = time.monotonic() + patience_s
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"timed out: {what}"
-        time.sleep(0.5)
-    return found
 
 
 @dataclass(frozen=True)
@@ -187,10 +182,10 @@ def test_the_schedules_of_prefect_yaml_come_to_pass(desk: Desk) -> None:
         "deployments": {"name": {"any_": ["publish-map"]}},
         "flow_runs": {"state": {"type": {"any_": ["SCHEDULED"]}}},
     }
-    until = time.monotonic() + 180
+    deadline = time.monotonic() + 180
     while not (runs := desk.post("/flow_runs/filter", wanted)):
         log = (desk.home / "logs" / "prefect.log").read_text()
-        assert time.monotonic() < until, f"no run of the schedule was made:\n{log[-3000:]}"
+        assert time.monotonic() < deadline, f"no run of the schedule was made:\n{log[-3000:]}"
         time.sleep(1)
     assert all(run["auto_scheduled"] for run in runs)
 
@@ -325,7 +320,7 @@ def test_every_changeset_is_an_event(desk: Desk) -> None:
         return list(desk.post("/events/filter", events)["events"])
 
     committed = len(desk.rows("select 1 from conetl.changeset"))
-    events = until(lambda: found() if len(found()) >= committed else None, "an event of each changeset", 180)
+    events = until(lambda: found() if len(found()) >= committed else None, "an event of each changeset")
     assert len(events) == committed
     assert {"conetl.added", "conetl.removed", "conetl.map"} <= set(events[0]["resource"])
 

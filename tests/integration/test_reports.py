@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,11 +12,10 @@ from typing import Any
 from uuid import uuid4
 
 import pytest
-from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.receipt_store import Receipt, StepTime, write_receipt, write_run_steps
@@ -30,11 +28,9 @@ from conetl.pipeline.settings import Settings
 from conetl.reports.drive_facts import read_drive_facts
 from conetl.reports.drive_page import alerts, drive_page, images_of, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
-from conetl.web.app import create_app
 from tests.chromium import chromium
-from tests.conftest import cloned_database
 from tests.integration.drives_of_days import merge, survey
-from tests.view_map import two_drives
+from tests.view_map import two_drives, view_of
 
 EVIL = "<img src=x onerror=alert(1)>"
 #: Width of an A4 sheet without the margins of `base.html.j2`, at 96 px per inch.
@@ -42,53 +38,44 @@ A4_PX = 703
 
 
 @pytest.fixture(scope="module")
-def url(
-    cluster_url: str, template_database: str, samples: Any, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[str]:
-    """Two drives with images; the second one with everything that a report may show."""
-    with cloned_database(cluster_url, template_database) as found:
-        with closing(connect(found)) as conn:
-            two_drives(conn, samples, tmp_path_factory.mktemp("images"))
-            latest = list_changesets(conn)[0]
-            run_id = uuid4()
-            execute(
-                conn,
-                "insert into run values (%(id)s, now(), now(), %(params)s, null, %(facts)s)",
-                {
-                    "id": run_id,
-                    "params": IngestParams().model_dump_json(),
-                    "facts": '{"trajectory": "poses moved by up to 0.07 m", "trajectory_outcome": "not_converged", '
-                    '"calibration": "<b>turned</b>", "calibration_outcome": "applied", "code_sha256": "abc", '
-                    '"python": "3.11", "libraries": {"numpy": "2.1"}, "health": [{"name": "blurred parts of the lenses", '
-                    '"verdict": "warn", "value": 0.3, "limit": 0.1, "detail": "Clean <b>the lens</b>."}]}',
-                },
-            )
-            values = {"r": run_id, "c": latest.changeset_id, "name": EVIL, "d": latest.drive_uuid}
-            execute(conn, "update changeset set run_id = %(r)s where changeset_id = %(c)s", values)
-            execute(conn, "update drive set drive_id = %(name)s where drive_uuid = %(d)s", values)
-            for reason in (RejectionReason.NEVER_NEAR, RejectionReason.NEVER_NEAR, RejectionReason.IMAGE_TRUNCATED):
-                execute(
-                    conn,
-                    "insert into quarantine (changeset_id, step, reason, record, detail, payload) "
-                    "values (%(c)s, 'tracks', %(reason)s, 'a record', %(detail)s, '{}')",
-                    {"c": latest.changeset_id, "reason": reason, "detail": EVIL},
-                )
-            conn.commit()
-            steps = [StepTime("detect", 2, 3.0, 0.0, 2.0), StepTime("merge", 1, 0.25, 2.0, 2.25)]
-            for _ in range(2):  # a task that is tried again writes them once
-                write_run_steps(conn, latest.changeset_id, steps)
-        yield found
+def shown(module_conn: Any, samples: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A map of two drives with images; the second one with everything that a report may show."""
+    conn = module_conn
+    two_drives(conn, samples, tmp_path_factory.mktemp("images"))
+    latest = list_changesets(conn)[0]
+    run_id = uuid4()
+    execute(
+        conn,
+        "insert into run values (%(id)s, now(), now(), %(params)s, null, %(facts)s)",
+        {
+            "id": run_id,
+            "params": IngestParams().model_dump_json(),
+            "facts": '{"trajectory": "poses moved by up to 0.07 m", "trajectory_outcome": "not_converged", '
+            '"calibration": "<b>turned</b>", "calibration_outcome": "applied", "code_sha256": "abc", '
+            '"python": "3.11", "libraries": {"numpy": "2.1"}, "health": [{"name": "blurred parts of the lenses", '
+            '"verdict": "warn", "value": 0.3, "limit": 0.1, "detail": "Clean <b>the lens</b>."}]}',
+        },
+    )
+    values = {"r": run_id, "c": latest.changeset_id, "name": EVIL, "d": latest.drive_uuid}
+    execute(conn, "update changeset set run_id = %(r)s where changeset_id = %(c)s", values)
+    execute(conn, "update drive set drive_id = %(name)s where drive_uuid = %(d)s", values)
+    for reason in (RejectionReason.NEVER_NEAR, RejectionReason.NEVER_NEAR, RejectionReason.IMAGE_TRUNCATED):
+        execute(
+            conn,
+            "insert into quarantine (changeset_id, step, reason, record, detail, payload) "
+            "values (%(c)s, 'tracks', %(reason)s, 'a record', %(detail)s, '{}')",
+            {"c": latest.changeset_id, "reason": reason, "detail": EVIL},
+        )
+    conn.commit()
+    steps = [StepTime("detect", 2, 3.0, 0.0, 2.0), StepTime("merge", 1, 0.25, 2.0, 2.25)]
+    for _ in range(2):  # a task that is tried again writes them once
+        write_run_steps(conn, latest.changeset_id, steps)
+    return conn
 
 
 @pytest.fixture
-def conn(url: str) -> Iterator[Any]:
-    with closing(connect(url)) as connection:
-        yield connection
-
-
-@pytest.fixture
-def latest(conn: Any) -> CommittedChangeset:
-    return list_changesets(conn)[0]
+def latest(shown: Any) -> CommittedChangeset:
+    return list_changesets(shown)[0]
 
 
 def assert_loads_nothing(page: str) -> None:
@@ -100,12 +87,12 @@ def assert_loads_nothing(page: str) -> None:
     assert "@import" not in page and "url(" not in page
 
 
-def test_the_report_of_a_drive(conn: Any, latest: CommittedChangeset, samples: Any, tmp_path: Path) -> None:
-    path = write_drive_page(conn, latest, tmp_path / "reports" / "drive.html", map_name="default")
+def test_the_report_of_a_drive(shown: Any, latest: CommittedChangeset, samples: Any, tmp_path: Path) -> None:
+    path = write_drive_page(shown, latest, tmp_path / "reports" / "drive.html", map_name="default")
     page = path.read_text()
     assert_loads_nothing(page)
     assert "&lt;img src=x onerror=alert(1)&gt;" in page
-    facts = read_drive_facts(conn, latest, map_name="default")
+    facts = read_drive_facts(shown, latest, map_name="default")
     assert [c.number for c in facts.changes] == [1, 2, 3, 4]
     kinds = [c.kind for c in facts.changes]
     assert kinds == [DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.ADDED, DeltaKind.CONFIRMED]
@@ -119,22 +106,22 @@ def test_the_report_of_a_drive(conn: Any, latest: CommittedChangeset, samples: A
     assert [(line["reason"], line["count"]) for line in facts.rejections] == [("never_near", 2), ("image_truncated", 1)]
     assert [(s["step"], s["busy_s"]) for s in facts.steps] == [("detect", 3.0), ("merge", 0.25)]
     # moved: before and after; added: this drive; each with a left and a right crop
-    images = images_of(conn, facts, facts.changes)
+    images = images_of(shown, facts, facts.changes)
     assert {facts.changes[n - 1].kind: [len(p.crops) for p in pairs] for n, pairs in images.items()} == {
         DeltaKind.REMOVED: [2, 0], DeltaKind.MOVED: [2, 2], DeltaKind.ADDED: [2],
     }  # fmt: skip
     assert images[1][1].missing  # its place was in no image of the second drive
 
 
-def test_a_missing_image_is_left_out(conn: Any, latest: CommittedChangeset) -> None:
-    facts = read_drive_facts(conn, latest, map_name="default")
+def test_a_missing_image_is_left_out(shown: Any, latest: CommittedChangeset) -> None:
+    facts = read_drive_facts(shown, latest, map_name="default")
     gone = replace(facts, header=facts.header | {"source_path": "/nowhere"})
-    assert "no image" in drive_page(conn, latest, map_name="default")  # of the cone that is gone
-    assert images_of(conn, gone, facts.changes)[2][0].crops  # the drive before still has its own
+    assert "no image" in drive_page(shown, latest, map_name="default")  # of the cone that is gone
+    assert images_of(shown, gone, facts.changes)[2][0].crops  # the drive before still has its own
 
 
-def test_alerts(conn: Any, latest: CommittedChangeset) -> None:
-    facts = read_drive_facts(conn, latest, map_name="default")
+def test_alerts(shown: Any, latest: CommittedChangeset) -> None:
+    facts = read_drive_facts(shown, latest, map_name="default")
     told = " ".join(f.text for f in alerts(facts))
     assert "1 cone is removed from the map: no. 1" in told
     assert "The trajectory is the logged one" in told and "Calibration: <b>turned</b>" in told
@@ -150,9 +137,9 @@ def test_alerts(conn: Any, latest: CommittedChangeset) -> None:
     assert "not in effect" in alerts(reverted)[0].text
 
 
-def test_the_page_of_a_drive_fits_a_sheet(conn: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
+def test_the_page_of_a_drive_fits_a_sheet(shown: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
     path = tmp_path / "drive.html"
-    write_drive_page(conn, latest, path, map_name="default")
+    write_drive_page(shown, latest, path, map_name="default")
     with chromium() as browser:
         tab = browser.new_page(viewport={"width": A4_PX, "height": 1000})
         tab.emulate_media(media="print")
@@ -161,17 +148,17 @@ def test_the_page_of_a_drive_fits_a_sheet(conn: Any, latest: CommittedChangeset,
     assert len(right_px) > 3 and max(right_px) <= A4_PX
 
 
-def test_an_empty_drive_has_a_report(conn: Any, samples: Any) -> None:
+def test_an_empty_drive_has_a_report(shown: Any, samples: Any) -> None:
     """Committed without the flow, without positions and images."""
-    samples.commit(conn, key="abcd", map_name="bare")
-    bare = list_changesets(conn, map_name="bare")[0]
-    page = drive_page(conn, bare, map_name="bare")
+    samples.commit(shown, key="abcd", map_name="bare")
+    bare = list_changesets(shown, map_name="bare")[0]
+    page = drive_page(shown, bare, map_name="bare")
     assert_loads_nothing(page)
     assert "Not stored for this changeset" in page and "This drive did not change the map" in page
-    execute(conn, "update drive set pruned_at = now() where drive_uuid = %(d)s", {"d": bare.drive_uuid})
-    execute(conn, "delete from position where drive_uuid = %(d)s", {"d": bare.drive_uuid})
-    assert "were pruned on" in drive_page(conn, bare, map_name="bare")
-    conn.rollback()
+    execute(shown, "update drive set pruned_at = now() where drive_uuid = %(d)s", {"d": bare.drive_uuid})
+    execute(shown, "delete from position where drive_uuid = %(d)s", {"d": bare.drive_uuid})
+    assert "were pruned on" in drive_page(shown, bare, map_name="bare")
+    shown.rollback()
 
 
 def failed(header: str, state: str, **values: Any) -> Receipt:
@@ -182,16 +169,16 @@ def failed(header: str, state: str, **values: Any) -> Receipt:
     )  # fmt: skip
 
 
-def test_the_report_of_a_night(conn: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
+def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
     for receipt in (
         failed("1", "started"), failed("1", "failed", reason=f"not one usable pose {EVIL}"), failed("2", "started"),
         failed("3", "failed", reason="it will pass"), failed("3", "started"),
         failed("3", "committed", changeset_id=latest.changeset_id, seconds=12.0, content_sha256="0" * 64),
     ):  # fmt: skip
-        write_receipt(conn, receipt, tmp_path)
+        write_receipt(shown, receipt, tmp_path)
     until = datetime.now(UTC) + timedelta(hours=1)
     since = datetime(2000, 1, 1, tzinfo=UTC)
-    facts = write_night_page(conn, tmp_path / "night.html", map_name="default", since=since, until=until)
+    facts = write_night_page(shown, tmp_path / "night.html", map_name="default", since=since, until=until)
     page = (tmp_path / "night.html").read_text()
     assert_loads_nothing(page)
     assert [row["drive_id"] for row in facts.drives][-1] == EVIL
@@ -199,7 +186,7 @@ def test_the_report_of_a_night(conn: Any, latest: CommittedChangeset, tmp_path: 
     assert facts.drives[-1]["seconds"] == 12.0
     assert [row["kind"] for row in facts.vanished] == ["removed"]
     assert {row["reason"]: row["count"] for row in facts.rejections} == {"never_near": 2, "image_truncated": 1}
-    now = execute(conn, "select count(*) as n from current_feature where map_name = 'default'")[0]["n"]
+    now = execute(shown, "select count(*) as n from current_feature where map_name = 'default'")[0]["n"]
     assert [count for _, count in facts.sizes][-1] == facts.size_at(until) == now
     assert facts.size_at(since) == 0
     assert [row["warnings"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
@@ -209,26 +196,26 @@ def test_the_report_of_a_night(conn: Any, latest: CommittedChangeset, tmp_path: 
         assert told in page
 
 
-def test_an_empty_and_an_invalid_night(conn: Any) -> None:
+def test_an_empty_and_an_invalid_night(shown: Any) -> None:
     begin = datetime(2001, 1, 1, tzinfo=UTC)
-    quiet = read_night(conn, map_name="default", since=begin, until=begin + timedelta(days=1))
+    quiet = read_night(shown, map_name="default", since=begin, until=begin + timedelta(days=1))
     assert (quiet.drives, quiet.failures, quiet.vanished) == ([], [], [])
     assert "No drive was added to the map" in night_page(quiet)
     with pytest.raises(InputError, match="before it begins"):
-        read_night(conn, map_name="default", since=begin, until=begin)
+        read_night(shown, map_name="default", since=begin, until=begin)
     with pytest.raises(InputError, match="no map named nowhere"):
-        read_night(conn, map_name="nowhere", since=begin, until=begin + timedelta(days=1))
+        read_night(shown, map_name="nowhere", since=begin, until=begin + timedelta(days=1))
 
 
-def test_the_nightly_publication_holds_its_report(url: str, tmp_path: Path) -> None:
-    settings = Settings(database_url=url, home=tmp_path, map_name="default")  # type: ignore[arg-type]
+def test_the_nightly_publication_holds_its_report(shown: Any, tmp_path: Path) -> None:
+    settings = Settings(database_url=shown.dsn, home=tmp_path, map_name="default")  # type: ignore[arg-type]
     folder, _ = write_publication(settings, ["geojson"], tmp_path / "exports")
     assert_loads_nothing((folder / "report.html").read_text())
     assert '"report": "report.html"' in (folder / "publication.json").read_text()
 
 
-def test_the_web_view_serves_the_report(url: str) -> None:
-    with TestClient(create_app(url, "default"), base_url="http://127.0.0.1") as client:
+def test_the_web_view_serves_the_report(shown: Any) -> None:
+    with view_of(shown.dsn) as client:
         answer = client.get("/api/maps/default/changesets/2/report")
         assert answer.status_code == 200
         assert_loads_nothing(answer.text)
@@ -239,9 +226,9 @@ def test_the_web_view_serves_the_report(url: str) -> None:
         assert client.get("/api/maps/default/changesets/77/report").status_code == 404
 
 
-def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commands(shown: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`conetl report drive` and `night`, in this process."""
-    for name, value in (("DATABASE_URL", url), ("HOME", str(tmp_path)), ("MAP_NAME", "default")):
+    for name, value in (("DATABASE_URL", shown.dsn), ("HOME", str(tmp_path)), ("MAP_NAME", "default")):
         monkeypatch.setenv(f"CONETL_{name}", value)
     runner = CliRunner()
     one = runner.invoke(app, ["report", "drive", "1", "--json"])
@@ -262,13 +249,13 @@ def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
-    conetl: Callable[..., str], conn_of_test: Any, tmp_path: Path
+    conetl: Callable[..., str], conn: Any, tmp_path: Path
 ) -> None:
     """In the report of the night, the log of the map and the drive's own page."""
     first, held = survey(0), survey(1)
-    merge(conn_of_test, first)
-    merge(conn_of_test, held, hold=f"GNSS/INS jumps {EVIL}.")
-    conn_of_test.commit()
+    merge(conn, first)
+    merge(conn, held, hold=f"GNSS/INS jumps {EVIL}.")
+    conn.commit()
     night = json.loads(conetl("report", "night", "--out", tmp_path / "night.html", "--json", code=1))
     assert [(one["drive_id"], one["checks"][0]["value"]) for one in night["held"]] == [(held.drive.drive_id, 5.0)]
     page = (tmp_path / "night.html").read_text()
@@ -285,11 +272,9 @@ def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
     assert "The drive was on hold, and was accepted by Ada: seen" in page and "not in effect" not in page
     assert "Holds and releases" in page
     assert json.loads(conetl("report", "night", "--out", tmp_path / "night.html", "--json"))["held"] == []
-    conn_of_test.rollback()
-    night = read_night(
-        conn_of_test, map_name="default", since=datetime(2000, 1, 1, tzinfo=UTC), until=datetime.now(UTC)
-    )
-    logged = list_changesets(conn_of_test)[0]
+    conn.rollback()
+    night = read_night(conn, map_name="default", since=datetime(2000, 1, 1, tzinfo=UTC), until=datetime.now(UTC))
+    logged = list_changesets(conn)[0]
     assert night.drives[1]["counts"] and logged.confirmed_count
     assert night.drives[1]["confirmed_count"] == logged.confirmed_count
     log = [line.split()[-1] for line in conetl("map", "log").splitlines()[1:]]
@@ -297,9 +282,3 @@ def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
     [decision] = json.loads(conetl("map", "decisions", "--json"))
     assert "On hold now: drive" in conetl("map", "revert", decision["decision_id"])
     assert "the drive is on hold. GNSS/INS jumps" in path.read_text()
-
-
-@pytest.fixture
-def conn_of_test(database_url: str) -> Iterator[Any]:
-    with closing(connect(database_url)) as connection:
-        yield connection

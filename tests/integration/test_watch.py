@@ -28,7 +28,6 @@ from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
 from conetl.pipeline.watch import WatchReport, pause_s, watch_drive
 from conetl.readers.recording import ArrivingPair, ArrivingPlain
-from conetl.web.app import create_app
 from tests.arriving_drives import FRAMES, SAMPLE, append, begin, image, row, write_images
 
 #: A busy machine must not make a test fail: nothing is too old, and what is written late is waited for.
@@ -222,7 +221,7 @@ def test_what_a_dead_watch_left_goes_and_a_living_one_is_left_alone(
             watch(begin(tmp_path / "alive"), settings)
 
 
-def test_the_commit_of_a_drive_removes_what_was_shown_of_it(conn: Any, samples: Any, database_url: str) -> None:
+def test_the_commit_of_a_drive_removes_what_was_shown_of_it(conn: Any, samples: Any, own_view: TestClient) -> None:
     """The same recording, not another one of its name; and a feature of the map is named where one is near."""
     live_row(conn, samples, "drive_1", samples.START_NS)
     live_row(conn, samples, "drive_1", samples.START_NS + samples.DAY_NS)
@@ -233,10 +232,9 @@ def test_the_commit_of_a_drive_removes_what_was_shown_of_it(conn: Any, samples: 
     live_row(conn, samples, "drive_3", samples.START_NS)
     near = {row["drive_id"]: row["near_feature_id"] for row in read_provisional(conn, map_name="default")}
     assert near == {"drive_1": None, "drive_2": None, "drive_3": feature.feature_id}
-    with TestClient(create_app(database_url, "default"), base_url="http://127.0.0.1") as client:
-        told = client.get("/api/maps/default/provisional").json()
-        assert [f["drive_id"] for f in told["features"]] == ["drive_1", "drive_2", "drive_3"]
-        assert told["features"][2]["near_feature_id"] == str(feature.feature_id) and told["features"][2]["is_watched"]
+    told = own_view.get("/api/maps/default/provisional").json()
+    assert [f["drive_id"] for f in told["features"]] == ["drive_1", "drive_2", "drive_3"]
+    assert told["features"][2]["near_feature_id"] == str(feature.feature_id) and told["features"][2]["is_watched"]
     with map_transaction(conn):
         assert drop_watched_recording(conn, samples.drive("drive_3"), map_name="other") == 0
         assert drop_watched_recording(conn, samples.drive("drive_3"), map_name="default") == 1

@@ -23,7 +23,7 @@ from conetl.model.records import utc_from_ns
 from conetl.readers.maps.gazetteer import read_gazetteer
 from conetl.web.app import create_app
 from conetl.web.live import MAX_STREAMS, HeadWatcher
-from tests.view_map import commit, cone, missed, two_drives
+from tests.view_map import commit, cone, missed, two_drives, view_of
 
 DAY = timedelta(days=1)
 MAP = "/api/maps/default"
@@ -36,15 +36,13 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def features(module_database_url, samples, images):
-    conn = connect(module_database_url)
-    yield two_drives(conn, samples, images)
-    conn.close()
+def features(module_conn, samples, images):
+    return two_drives(module_conn, samples, images)
 
 
 @pytest.fixture(scope="module")
 def client(module_database_url, features):
-    with TestClient(create_app(module_database_url, "default"), base_url="http://127.0.0.1") as test_client:
+    with view_of(module_database_url) as test_client:
         yield test_client
 
 
@@ -137,9 +135,8 @@ def test_history_and_sightings(client, features):
     assert (removed["kind"], removed["sighting_count"]) == ("removed", 0)
 
 
-def test_missed_split_and_merged_features_keep_their_kind(database_url, samples, tmp_path):
+def test_missed_split_and_merged_features_keep_their_kind(conn, own_view, samples, tmp_path):
     """Day 2 misses one cone, splits one, merges one into another, and finds another height."""
-    conn = connect(database_url)
     first = {name: cone(samples, name, 3.0 * i) for i, name in enumerate(("doubted", "double", "short", "surplus"))}
     commit(conn, samples, tmp_path, "1", 0, *(samples.added(f) for f in first.values()))
     second = cone(samples, "second half", 3.4, day=2)
@@ -153,27 +150,25 @@ def test_missed_split_and_merged_features_keep_their_kind(database_url, samples,
             update={"kind": DeltaKind.MERGED, "other_feature_id": first["short"].feature_id}
         ),
     )  # fmt: skip
-    conn.close()
     features = {**first, "second half": second}
-    with TestClient(create_app(database_url, "default"), base_url="http://127.0.0.1") as client:
-        newest = get(client, f"{MAP}/timeline")["changesets"][1]
-        assert [newest[f"{kind}_count"] for kind in ("missed", "split", "height_changed", "merged")] == [1, 1, 1, 1]
-        changes = f"{MAP}/changes/{newest['changeset_no']}"
-        assert kinds(client, features, changes) == {
-            "doubted": "missed", "second half": "split", "short": "height_changed", "surplus": "merged",
-        }  # fmt: skip
-        [doubted] = [c for c in get(client, changes)["changes"] if c["kind"] == "missed"]
-        assert doubted["existence_probability"] == 0.8
+    newest = get(own_view, f"{MAP}/timeline")["changesets"][1]
+    assert [newest[f"{kind}_count"] for kind in ("missed", "split", "height_changed", "merged")] == [1, 1, 1, 1]
+    changes = f"{MAP}/changes/{newest['changeset_no']}"
+    assert kinds(own_view, features, changes) == {
+        "doubted": "missed", "second half": "split", "short": "height_changed", "surplus": "merged",
+    }  # fmt: skip
+    [doubted] = [c for c in get(own_view, changes)["changes"] if c["kind"] == "missed"]
+    assert doubted["existence_probability"] == 0.8
 
-        def history(name, *fields):
-            answer = get(client, f"{MAP}/features/{features[name].feature_id}")["history"]
-            return [tuple(h[field] for field in fields) for h in answer]
+    def history(name, *fields):
+        answer = get(own_view, f"{MAP}/features/{features[name].feature_id}")["history"]
+        return [tuple(h[field] for field in fields) for h in answer]
 
-        evidence = ("kind", "version", "existence_probability", "frames_empty", "seen_count", "missed_count")
-        assert history("doubted", *evidence) == [("added", 1, 0.97, None, 1, 0), ("missed", 1, 0.8, 5, 1, 1)]
-        assert history("second half", "kind", "other_feature_id") == [("split", str(first["double"].feature_id))]
-        assert history("surplus", "kind", "other_feature_id")[1] == ("merged", str(first["short"].feature_id))
-        assert history("short", "kind", "cone_height_m") == [("added", 0.7), ("height_changed", 0.5)]
+    evidence = ("kind", "version", "existence_probability", "frames_empty", "seen_count", "missed_count")
+    assert history("doubted", *evidence) == [("added", 1, 0.97, None, 1, 0), ("missed", 1, 0.8, 5, 1, 1)]
+    assert history("second half", "kind", "other_feature_id") == [("split", str(first["double"].feature_id))]
+    assert history("surplus", "kind", "other_feature_id")[1] == ("merged", str(first["short"].feature_id))
+    assert history("short", "kind", "cone_height_m") == [("added", 0.7), ("height_changed", 0.5)]
 
 
 def test_trajectory(client):
@@ -223,16 +218,13 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
     where = (
         "where left_path like '%%' and drive_uuid = (select drive_uuid from conetl.drive where drive_id = 'drive_2')"
     )
-    conn = connect(module_database_url)
-    try:
+    with closing(connect(module_database_url)) as conn:
         [old, *_] = execute(conn, f"select left_path from conetl.frame_pair {where} and frame_index = 0")
         for value in (name, old["left_path"]):
             execute(conn, f"update conetl.frame_pair set left_path = %(p)s {where} and frame_index = 0", {"p": value})
             conn.commit()
             if value == name:
                 assert "inside the folder" in get(client, path, 404)["detail"]
-    finally:
-        conn.close()
     assert client.get(path).status_code == 200
 
 
@@ -351,8 +343,7 @@ def test_the_view_cannot_write(module_database_url):
     conn.close()
 
 
-def test_a_commit_reaches_the_stream(database_url, samples, tmp_path):
-    conn = connect(database_url)
+def test_a_commit_reaches_the_stream(conn, database_url, samples, tmp_path):
     pool = ReaderPool(database_url)
 
     async def listen() -> tuple[list[str], float]:
@@ -371,7 +362,6 @@ def test_a_commit_reaches_the_stream(database_url, samples, tmp_path):
     said, took = asyncio.run(listen())
     pool.close()
     [row] = execute(conn, "select changeset_no from conetl.changeset")
-    conn.close()
     beginning = "event: changeset\ndata: 0\n\nevent: decision\ndata: 0\n\nevent: base\ndata: none\n\n"
     assert said == [beginning, f"event: changeset\ndata: {row['changeset_no']}\n\n"]
     print(f"from commit to event: {took:.2f} s")
@@ -412,8 +402,7 @@ def test_connections_that_the_server_closed_are_replaced(module_database_url):
 
 
 def test_without_a_database_the_answer_is_503(tmp_path):
-    app = create_app(f"postgresql:///nowhere?host={tmp_path}", "default")
-    with TestClient(app, base_url="http://127.0.0.1") as test_client:
+    with view_of(f"postgresql:///nowhere?host={tmp_path}") as test_client:
         answer = test_client.get("/api/maps")
     assert answer.status_code == 503
     assert "cannot be reached" in answer.json()["detail"]

@@ -7,36 +7,29 @@ from pathlib import Path
 from uuid import uuid4
 
 import pytest
-from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
 from conetl.cli.view import decision_writer
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.files.home import read_secret
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings
-from conetl.web.app import create_app
 from conetl.web.decisions import Writer
 from conetl.web.security import MAX_BODY_BYTES
 from tests.integration.drives_of_days import failed_audits, merge, survey
+from tests.view_map import OWN, view_of
 
 TOKEN = "a-token-that-nobody-guesses"
 PATH = "/api/maps/default/decisions"
-OWN = "http://127.0.0.1"
 
 
 @pytest.fixture(scope="module")
-def client(module_database_url):
-    conn = connect(module_database_url)
+def client(module_conn, module_database_url):
     for day in (0, 1):
-        merge(conn, survey(day))
-    conn.close()
-    writer = Writer(SecretStr(TOKEN), module_database_url)
-    with TestClient(create_app(module_database_url, "default", writer=writer), base_url=OWN) as test_client:
+        merge(module_conn, survey(day))
+    with view_of(module_database_url, writer=Writer(SecretStr(TOKEN), module_database_url)) as test_client:
         yield test_client
-    conn = connect(module_database_url)
-    assert failed_audits(conn) == []
-    conn.close()
+    assert failed_audits(module_conn) == []
 
 
 def post(client, request, status=201, token=TOKEN, **headers):
@@ -157,8 +150,8 @@ def test_an_unknown_feature_is_not_found(client):
     assert "There is no feature" in answer["detail"]
 
 
-def test_a_server_without_a_token_writes_nothing(client, module_database_url):
-    with TestClient(create_app(module_database_url, "default"), base_url=OWN) as reading:
+def test_a_server_without_a_token_writes_nothing(client, module_conn, module_database_url):
+    with view_of(module_database_url) as reading:
         assert reading.get(PATH).json()["writable"] is False
         for token in ("", TOKEN, "None"):
             assert "is read-only" in post(reading, request_for(standing(client)[0]), 403, token=token)["detail"]
@@ -167,9 +160,8 @@ def test_a_server_without_a_token_writes_nothing(client, module_database_url):
             (path, method) for path, methods in paths.items() for method in methods if method not in {"get", "head"}
         ]
         assert writing == [("/api/maps/{map_name}/decisions", "post")]
-    conn = connect(module_database_url)
-    assert execute(conn, "select count(*) as n from conetl.active_decision") == [{"n": 0}]
-    conn.close()
+    assert execute(module_conn, "select count(*) as n from conetl.active_decision") == [{"n": 0}]
+    module_conn.rollback()
 
 
 def test_only_a_server_with_a_token_accepts_decisions_and_none_prints_it(tmp_path: Path, capfd):

@@ -17,7 +17,7 @@ from pydantic import SecretStr
 from schemathesis import GenerationMode
 from schemathesis.checks import CHECKS
 
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.web.decisions import Writer
 from conetl.web.live import MAX_STREAMS
 from conetl.web.security import MAX_URL_BYTES
@@ -32,17 +32,15 @@ POLICY = "default-src 'none'"
 
 
 @pytest.fixture(scope="module")
-def server(module_database_url, samples, tmp_path_factory):
+def server(module_conn, module_database_url, samples, tmp_path_factory):
     """Port of a server over a small map; the tests leave the map as it was."""
-    conn = connect(module_database_url)
-    two_drives(conn, samples, tmp_path_factory.mktemp("images"))
+    two_drives(module_conn, samples, tmp_path_factory.mktemp("images"))
     count = "select (select count(*) from conetl.delta) + (select count(*) from conetl.feature_version) as rows"
-    before = execute(conn, count)
-    conn.commit()
+    before = execute(module_conn, count)
+    module_conn.commit()
     with serving(module_database_url, "default") as port:
         yield port
-    assert execute(conn, count) == before
-    conn.close()
+    assert execute(module_conn, count) == before
 
 
 def ask(port, target, method="GET", **headers):

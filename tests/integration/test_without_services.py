@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Callable
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
@@ -32,9 +31,10 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
 from flows import artifacts, ingest_drive
+from tests.command import until
 from tests.integration.conftest import command_line, conetl_process
 from tests.integration.drives_of_days import held_for
-from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
+from tests.integration.small_drives import SAMPLES, cut_drive, processes_with, shift_poses
 
 #: 210 bytes.
 LONG_ID = "漢" * 70
@@ -78,16 +78,10 @@ def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts
     assert [row["drive_id"] for row in changesets] == ["2026-05-02_good"]
     assert cones > 0
     assert states == {name: drive["state"] for name, drive in drives.items()}
-    ends = time.monotonic() + 30
-    while processes_with("CONETL_HOME", tmp_path / "home") and time.monotonic() < ends:
-        time.sleep(0.2)  # the temporary server takes a moment to end
-    assert processes_with("CONETL_HOME", tmp_path / "home") == set()
+    # The temporary server takes a moment to end.
+    until(lambda: not processes_with("CONETL_HOME", tmp_path / "home"), "the end of all processes", 30, 0.2)
 
-    for pose in (
-        tmp_path / "drives" / "2026-05-02_good" / "oxts" / "data"
-    ).iterdir():  # corrected, as post-processing does
-        lat_deg, *others = pose.read_text().split()
-        pose.write_text(" ".join([f"{float(lat_deg) + 4.5e-6:.12f}", *others]))
+    shift_poses(tmp_path / "drives" / "2026-05-02_good", lat_deg=4.5e-6)  # corrected, as post-processing does
     drives = _plan(*where)
     assert {name: drive["action"] for name, drive in drives.items()} == {
         "2026-05-01_poisoned": "ingest", "2026-05-02_good": "ingest",
@@ -102,9 +96,7 @@ def test_a_folder_of_links_to_drives_is_ingested_once(
     here, beside = (
         cut_drive(SAMPLES[0], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)
     )
-    for path in (beside / "oxts" / "data").iterdir():
-        lat, lon, height, *others = path.read_text().split()
-        path.write_text(" ".join([lat, lon, str(float(height) - 48.0), *others]))
+    shift_poses(beside, height_m=-48.0)
     links = tmp_path / "links"
     links.mkdir()
     for calibration in beside.glob("calib*.txt"):

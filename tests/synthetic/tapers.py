@@ -40,7 +40,7 @@ def cone(number: int, xy_m: Floats, sigma_m: float) -> MapFeature:
 
 
 def zone_of(cones: list[MapFeature]) -> ZoneHistory:
-    return ZoneHistory(UUID(int=10**6), cones[0].feature_id, 1, None, None, tuple(cones))
+    return ZoneHistory(UUID(int=10**6), 1, None, None, tuple(cones))
 
 
 def road(rng: np.random.Generator, length_m: float) -> Floats:

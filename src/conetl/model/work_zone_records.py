@@ -39,7 +39,6 @@ class ZoneHistory:
     """One work zone over time, up to an instant."""
 
     zone_id: UUID
-    founding_feature_id: UUID
     start_ns: int
     end_ns: int | None
     """When its last cone was removed; None while one stands."""

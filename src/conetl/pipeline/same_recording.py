@@ -141,14 +141,7 @@ def _left_poses(pairs: Sequence[FramePair], rig: Rig) -> Floats:
     return se3.compose(se3.se3(rotations, positions_m), body_SE3_camera(rig, "left"))
 
 
-def is_same_camera(
-    drive: Drive,
-    rig: Rig,
-    pairs: Sequence[FramePair],
-    *,
-    within_m: float = _SAME_CAMERA_M,
-    within_rad: float = _SAME_CAMERA_RAD,
-) -> bool:
+def is_same_camera(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
     """Whether a drive's left camera was, in most of its frames of that time, where that of other frame pairs was, and looked the
     same way. The tolerances allow for another lever arm, GNSS solution or start of the clock.
 
@@ -165,4 +158,5 @@ def is_same_camera(
     at_ns = at_ns[both]
     apart_m = here[:, :2, 3] - np.column_stack([np.interp(at_ns, times_ns, there[:, axis, 3]) for axis in (0, 1)])
     cosines = (here[:, :3, 2] * there[np.searchsorted(times_ns, at_ns), :3, 2]).sum(axis=1)
-    return bool(np.median(np.linalg.norm(apart_m, axis=1)) < within_m and np.median(cosines) > np.cos(within_rad))
+    near = np.median(np.linalg.norm(apart_m, axis=1)) < _SAME_CAMERA_M
+    return bool(near and np.median(cosines) > np.cos(_SAME_CAMERA_RAD))

@@ -121,9 +121,9 @@ def write_annotated_image(
         raise InputError(f"{path} cannot be written ({error.strerror}): choose another folder.") from error
 
 
-def pairs_jpeg(rows: Sequence[tuple[Image, Image, str]], *, width_px: int = 1400) -> bytes:
+def pairs_jpeg(rows: Sequence[tuple[Image, Image, str]]) -> bytes:
     """JPEG of left and right images (H, W, 3) side by side, one row per pair below its title."""
-    strips = []
+    strips, width_px = [], 1400
     for left, right, title in rows:
         pair = np.hstack([left, right[: left.shape[0]]]) if left.shape[0] == right.shape[0] else left
         height = round(pair.shape[0] * width_px / pair.shape[1])

@@ -151,12 +151,12 @@ def stop_service(service: Service, *, grace_s: float = 15.0) -> bool:
     return True
 
 
-def log_tail(service: Service, lines: int = 15) -> str:
-    """The end of a service's log."""
+def log_tail(service: Service) -> str:
+    """The last 15 lines of a service's log."""
     try:
         with Path(service.log).open("rb") as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - 20_000))
-            return "\n".join(file.read().decode(errors="replace").splitlines()[-lines:])
+            return "\n".join(file.read().decode(errors="replace").splitlines()[-15:])
     except OSError:
         return ""
 

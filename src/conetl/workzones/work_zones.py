@@ -158,14 +158,8 @@ def _zones_of_neighbourhood(
         for number, cluster in enumerate(found):
             if number not in assigned and len(cluster) >= params.min_cones:
                 founder = min(cluster, key=lambda one: (since[one], str(one)))
-                zone = ZoneHistory(
-                    zone_id=uuid5(_NAMESPACE, f"{map_name}/{founder}/{changeset_id}"),
-                    founding_feature_id=founder,
-                    start_ns=since[founder],
-                    end_ns=None,
-                    merged_into=None,
-                    cones=(),
-                )
+                zone_id = uuid5(_NAMESPACE, f"{map_name}/{founder}/{changeset_id}")
+                zone = ZoneHistory(zone_id, start_ns=since[founder], end_ns=None, merged_into=None, cones=())
                 live.append(_Live(zone, set(cluster)))
         for one in live:
             cones = tuple(standing[key] for key in sorted(one.members, key=lambda key: (since[key], str(key))))

@@ -4,14 +4,7 @@ import math
 
 import numpy as np
 
-from conetl.mapping.visibility import (
-    DriveObservations,
-    NotObserved,
-    check_visibility,
-    markings_in_view,
-    observations_of_drive,
-    pairs_in_view,
-)
+from conetl.mapping import visibility
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, DetectorEvidence
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.map_records import MapFeature
@@ -43,16 +36,16 @@ def boxes(cones: list[Cone]) -> list[Detection]:
 
 def in_view(cone: Cone) -> list[int]:
     drive = observed([])
-    rows, heights_px, found = pairs_in_view(ORIGIN_M + np.array(cone.foot_m), cone.height_m, drive, PARAMS)
+    rows, heights_px, found = visibility.pairs_in_view(ORIGIN_M + np.array(cone.foot_m), cone.height_m, drive, PARAMS)
     assert heights_px.shape == (len(rows), 2)
     assert len(found) == len(rows)
     return [drive.frames[row] for row in rows]
 
 
-def absence_with(others: list[Cone]) -> NotObserved | None:
+def absence_with(others: list[Cone]) -> visibility.NotObserved | None:
     """DriveEvidence of absence beside other cones."""
-    seen = observations_of_drive(RIG, PAIRS, boxes(others), [])
-    return check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, seen, PARAMS)
+    seen = visibility.observations_of_drive(RIG, PAIRS, boxes(others), [])
+    return visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, seen, PARAMS)
 
 
 def feature(cone: Cone) -> MapFeature:
@@ -86,10 +79,10 @@ def test_a_nearer_cone_weakens_the_evidence_and_a_farther_one_does_not() -> None
 def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_certain() -> None:
     ratios = []
     for frames in (4, 8, 12, 30):
-        drive = observations_of_drive(
+        drive = visibility.observations_of_drive(
             RIG, PAIRS[:frames], [], [], AbsenceFigures(evidence=shipped(), score_threshold=0.3)
         )
-        found = check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, drive, PARAMS)
+        found = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, drive, PARAMS)
         ratios.append(0.0 if found is None else found.log_likelihood_ratio)
     assert ratios == sorted(ratios, reverse=True)
     # A feature of some drives' standing (odds of 9 at most) is then removed, and is not after the four first and smallest views.
@@ -98,12 +91,12 @@ def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_ce
     assert ratios[-1] > math.log(PARAMS.unseen_occluder_probability)
 
 
-def observed(positions: list[Position]) -> DriveObservations:
-    return observations_of_drive(RIG, PAIRS, [], [(p.frame_index, p.category, p.xyz_m) for p in positions])
+def observed(positions: list[Position]) -> visibility.DriveObservations:
+    return visibility.observations_of_drive(RIG, PAIRS, [], [(p.frame_index, p.category, p.xyz_m) for p in positions])
 
 
 def empty_frames(positions: list[Position], offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> int:
-    found = check_visibility(feature(CONE), np.array(offset_m), NO_OTHERS, observed(positions), PARAMS)
+    found = visibility.check_visibility(feature(CONE), np.array(offset_m), NO_OTHERS, observed(positions), PARAMS)
     return 0 if found is None else found.frames
 
 
@@ -122,8 +115,8 @@ def test_nothing_is_missing_where_a_lens_is_smeared() -> None:
     for side, squares in (("left", everywhere), ("right", everywhere), ("left", left_edge), ("left", ())):
         unclear = UnclearSquares.model_validate({"side_px": 64, side: squares})
         figures = UNMEASURED_ABSENCE.model_copy(update={"unclear": unclear})
-        view = observations_of_drive(RIG, PAIRS, [], [], figures)
-        found = check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, view, PARAMS)
+        view = visibility.observations_of_drive(RIG, PAIRS, [], [], figures)
+        found = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, view, PARAMS)
         frames.append(0 if found is None else found.frames)
     assert frames[:2] == [0, 0] and 0 < frames[2] <= frames[3] == empty_frames([])
 
@@ -133,8 +126,8 @@ def test_no_marking_is_missing_where_a_lens_is_smeared() -> None:
     vertices_m = ORIGIN_M + np.array([[x, 1.0, 0.0] for x in np.arange(10.0, 30.0, 2.0)])
 
     def seen(unclear: UnclearSquares | None) -> int:
-        view = observations_of_drive(RIG, PAIRS, [], [], figures.model_copy(update={"unclear": unclear}))
-        return int(markings_in_view(vertices_m, view, 0.5, PARAMS).in_view.sum())
+        view = visibility.observations_of_drive(RIG, PAIRS, [], [], figures.model_copy(update={"unclear": unclear}))
+        return int(visibility.markings_in_view(vertices_m, view, 0.5, PARAMS).in_view.sum())
 
     last = RIG.right.height_px // 64 - 1
     lower = tuple((row, column) for row in range(last // 2, last + 1) for column in range(RIG.right.width_px // 64))
@@ -149,7 +142,7 @@ def test_the_offset_of_the_drive_is_added() -> None:
 
 
 def test_the_time_is_that_of_the_first_empty_frame() -> None:
-    found = check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, observed([]), PARAMS)
+    found = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, observed([]), PARAMS)
     assert found is not None
     assert found.first_ns == TIMES[in_view(CONE)[0]]
 
@@ -158,7 +151,7 @@ def test_frames_before_the_last_observation_are_ignored() -> None:
     """An overlapping drive observed the cone later."""
     frames = in_view(CONE)
     seen = feature(CONE).model_copy(update={"last_seen_ns": TIMES[frames[3]]})
-    found = check_visibility(seen, np.zeros(3), NO_OTHERS, observed([]), PARAMS)
+    found = visibility.check_visibility(seen, np.zeros(3), NO_OTHERS, observed([]), PARAMS)
     assert found is not None
     assert (found.frames, found.first_ns) == (len(frames) - 4, TIMES[frames[4]])
 
@@ -167,9 +160,9 @@ def test_a_neighbour_is_not_taken_for_a_removed_cone() -> None:
     """Cones 0.5 m apart: the observations are of the other one."""
     neighbour = Cone((25.0, 2.45, 0.0))
     _, _, positions = observe([neighbour], PAIRS, RIG)
-    alone = check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, observed(positions), PARAMS)
+    alone = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, observed(positions), PARAMS)
     assert alone is None
     others = (ORIGIN_M + np.array(neighbour.foot_m))[None]
-    known = check_visibility(feature(CONE), np.zeros(3), others, observed(positions), PARAMS)
+    known = visibility.check_visibility(feature(CONE), np.zeros(3), others, observed(positions), PARAMS)
     assert known is not None
     assert known.occupied == 0

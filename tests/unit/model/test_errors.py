@@ -8,17 +8,7 @@ import httpx
 import pytest
 from prefect.exceptions import ObjectNotFound, PrefectHTTPStatusError
 
-from conetl.model.errors import (
-    CalibrationError,
-    ConetlError,
-    DatabaseError,
-    DriveFolderError,
-    InputError,
-    MapMismatchError,
-    ModelFileError,
-    StorageError,
-    may_pass,
-)
+from conetl.model import errors
 
 
 def caused(error: Exception, cause: Exception) -> Exception:
@@ -29,36 +19,36 @@ def caused(error: Exception, cause: Exception) -> Exception:
 @pytest.mark.parametrize(
     "error",
     [
-        DatabaseError("no server"),
-        StorageError("disk full"),
+        errors.DatabaseError("no server"),
+        errors.StorageError("disk full"),
         OSError(errno.EIO, "of the storage"),
         MemoryError(),
         httpx.ConnectError("Prefect restarts"),
         httpx.ReadTimeout("Prefect is slow"),
         PrefectHTTPStatusError("503", request=httpx.Request("GET", "http://p"), response=httpx.Response(503)),
         ObjectNotFound(Exception()),
-        ModelFileError("the model's file is being replaced"),
-        InputError("the home folder cannot be written to"),
-        caused(CalibrationError("calib.txt: cannot be read: Stale file handle"), OSError(errno.ESTALE, "stale")),
-        caused(DriveFolderError("a image of the bag cannot be unpacked"), OSError(errno.ENOSPC, "full")),
+        errors.ModelFileError("the model's file is being replaced"),
+        errors.InputError("the home folder cannot be written to"),
+        caused(errors.CalibrationError("calib.txt: cannot be read: Stale file handle"), OSError(errno.ESTALE, "stale")),
+        caused(errors.DriveFolderError("a image of the bag cannot be unpacked"), OSError(errno.ENOSPC, "full")),
         KeyError("an internal error"),
     ],
     ids=lambda error: f"{type(error).__name__} {error}"[:40],
 )
 def test_temporary_errors_may_pass(error: Exception) -> None:
-    assert may_pass(error)
+    assert errors.may_pass(error)
 
 
 @pytest.mark.parametrize(
     "error",
     [
-        DriveFolderError("not one usable pose"),
-        CalibrationError("P_rect_03 is missing"),
-        MapMismatchError("another CRS"),
-        caused(CalibrationError("no such file"), FileNotFoundError(errno.ENOENT, "no such file")),
-        caused(DriveFolderError("the bag cannot be read"), OSError("a library's own words")),
+        errors.DriveFolderError("not one usable pose"),
+        errors.CalibrationError("P_rect_03 is missing"),
+        errors.MapMismatchError("another CRS"),
+        caused(errors.CalibrationError("no such file"), FileNotFoundError(errno.ENOENT, "no such file")),
+        caused(errors.DriveFolderError("the bag cannot be read"), OSError("a library's own words")),
     ],
     ids=lambda error: f"{type(error).__name__} {error}"[:40],
 )
-def test_errors_of_the_drive_stay(error: ConetlError) -> None:
-    assert not may_pass(error)
+def test_errors_of_the_drive_stay(error: errors.ConetlError) -> None:
+    assert not errors.may_pass(error)

@@ -16,16 +16,7 @@ import httpx
 import pytest
 from pydantic import SecretStr
 
-from conetl.files.home import (
-    FOLDERS,
-    VIEW_TOKEN,
-    checked_secret,
-    home_access,
-    make_home,
-    make_secret,
-    read_secret,
-    share_home,
-)
+from conetl.files import home as homes
 from conetl.model.errors import DatabaseError, InputError, ServiceError
 from conetl.pipeline.settings import Settings, prefect_login
 from conetl.services.processes import require_access, unavailable
@@ -107,20 +98,20 @@ def test_clients_use_the_password_of_the_own_server(tmp_path: Path, monkeypatch:
 
 
 def test_only_its_owner_reads_a_secret(tmp_path: Path) -> None:
-    path = make_secret(tmp_path / "home" / "writer_token")
+    path = homes.make_secret(tmp_path / "home" / "writer_token")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    token = read_secret(path)
+    token = homes.read_secret(path)
     assert len(token.get_secret_value()) >= 40 and token.get_secret_value() not in repr(token)
-    assert read_secret(make_secret(path)) == token
+    assert homes.read_secret(homes.make_secret(path)) == token
     path.chmod(0o640)
     with pytest.raises(InputError, match="chmod 600") as refused:
-        read_secret(path)
+        homes.read_secret(path)
     assert token.get_secret_value() not in str(refused.value)
     with pytest.raises(InputError, match="cannot be read"):
-        read_secret(tmp_path / "none")
+        homes.read_secret(tmp_path / "none")
     for short in ("short", "with a space in it all", "ümlaut-ümlaut-ümlaut", ""):
         with pytest.raises(InputError, match="at least 16") as refused:
-            checked_secret(SecretStr(short), "CONETL_WRITER_TOKEN")
+            homes.checked_secret(SecretStr(short), "CONETL_WRITER_TOKEN")
         assert not short or short not in str(refused.value)
 
 
@@ -129,19 +120,19 @@ def test_a_home_folder_is_closed_and_shared_only_on_purpose(tmp_path: Path) -> N
     (home / "exports").mkdir(parents=True)
     (home / "exports" / "report.html").write_text("street")
     (home / "exports").chmod(0o755)
-    assert home_access(home) == "everybody"
-    make_home(home)
-    assert home_access(home) == "owner only"
-    assert {stat.S_IMODE((home / name).stat().st_mode) for name in FOLDERS} == {0o700}
-    make_secret(home / VIEW_TOKEN)
+    assert homes.home_access(home) == "everybody"
+    homes.make_home(home)
+    assert homes.home_access(home) == "owner only"
+    assert {stat.S_IMODE((home / name).stat().st_mode) for name in homes.FOLDERS} == {0o700}
+    homes.make_secret(home / homes.VIEW_TOKEN)
     group = grp.getgrgid(os.getegid()).gr_name
-    share_home(home, group)
-    make_home(home)  # as every later command does
-    assert home_access(home) == f"owner and group {group}"
+    homes.share_home(home, group)
+    homes.make_home(home)  # as every later command does
+    assert homes.home_access(home) == f"owner and group {group}"
     assert stat.S_IMODE((home / "exports").stat().st_mode) == 0o2750
-    assert stat.S_IMODE((home / VIEW_TOKEN).stat().st_mode) == 0o600
+    assert stat.S_IMODE((home / homes.VIEW_TOKEN).stat().st_mode) == 0o600
     with pytest.raises(InputError, match="no group"):
-        share_home(home, "no-such-group")
+        homes.share_home(home, "no-such-group")
 
 
 def test_workers_read_drives_below_the_configured_folders_only(tmp_path: Path) -> None:

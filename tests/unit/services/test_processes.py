@@ -15,16 +15,7 @@ from pathlib import Path
 import pytest
 
 from conetl.model.errors import InputError, ServiceError
-from conetl.services.processes import (
-    Service,
-    is_running,
-    read_services,
-    require_free_port,
-    start_service,
-    stop_service,
-    wait_healthy,
-    write_services,
-)
+from conetl.services import processes
 
 #: A parent with a child in a session of its own, as Prefect's workers have them; the child's id goes to the log.
 PARENT = (
@@ -44,11 +35,13 @@ STUBBORN = (
 )
 
 
-def start(home: Path, code: str) -> Service:
-    return start_service("thing", [sys.executable, "-c", code], home=home, environment=dict(os.environ), address=None)
+def start(home: Path, code: str) -> processes.Service:
+    return processes.start_service(
+        "thing", [sys.executable, "-c", code], home=home, environment=dict(os.environ), address=None
+    )
 
 
-def last_line(service: Service, word: str = "") -> str:
+def last_line(service: processes.Service, word: str = "") -> str:
     for _ in range(600):
         lines = Path(service.log).read_text().splitlines()
         if len(lines) > 1 and word in lines[-1]:
@@ -63,39 +56,39 @@ def is_alive(pid: int) -> bool:
 
 
 @pytest.fixture
-def service(tmp_path: Path) -> Iterator[Service]:
+def service(tmp_path: Path) -> Iterator[processes.Service]:
     started = start(tmp_path, PARENT)
     yield started
-    stop_service(started, grace_s=1)
+    processes.stop_service(started, grace_s=1)
 
 
-def test_children_of_a_killed_service_are_stopped(service: Service, tmp_path: Path) -> None:
-    write_services(tmp_path, {"thing": service})
-    assert is_running(read_services(tmp_path)["thing"])
+def test_children_of_a_killed_service_are_stopped(service: processes.Service, tmp_path: Path) -> None:
+    processes.write_services(tmp_path, {"thing": service})
+    assert processes.is_running(processes.read_services(tmp_path)["thing"])
     child = int(last_line(service))
     os.kill(service.pid, signal.SIGKILL)
-    while is_running(service):
+    while processes.is_running(service):
         time.sleep(0.05)
     assert is_alive(child)
-    assert stop_service(service)
+    assert processes.stop_service(service)
     assert not is_alive(child)
-    assert not stop_service(service)
+    assert not processes.stop_service(service)
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path) -> None:
     stubborn = start(tmp_path, STUBBORN)
     pid = int(last_line(stubborn))
-    assert stop_service(stubborn, grace_s=1)
+    assert processes.stop_service(stubborn, grace_s=1)
     assert not is_alive(pid)
 
 
 def test_a_process_with_a_reused_id_is_never_stopped(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(300)"]) as stranger:
         ours = start(tmp_path, "import time; time.sleep(300)")
-        stop_service(ours, grace_s=1)
+        processes.stop_service(ours, grace_s=1)
         reused = replace(ours, pid=stranger.pid)
-        assert not is_running(reused)
-        assert not stop_service(reused)
+        assert not processes.is_running(reused)
+        assert not processes.stop_service(reused)
         assert stranger.poll() is None
         stranger.kill()
 
@@ -103,7 +96,7 @@ def test_a_process_with_a_reused_id_is_never_stopped(tmp_path: Path) -> None:
 def test_an_early_end_is_reported_with_the_log(tmp_path: Path) -> None:
     started = start(tmp_path, "raise SystemExit('the disk is full')")
     with pytest.raises(ServiceError, match="the disk is full"):
-        wait_healthy(started, lambda: False, 60)
+        processes.wait_healthy(started, lambda: False, 60)
 
 
 def test_a_port_in_use_is_reported_with_the_option(tmp_path: Path) -> None:
@@ -111,4 +104,4 @@ def test_a_port_in_use_is_reported_with_the_option(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with pytest.raises(InputError, match="--port"):
-            require_free_port("127.0.0.1", taken.getsockname()[1], "Prefect", "--port")
+            processes.require_free_port("127.0.0.1", taken.getsockname()[1], "Prefect", "--port")

@@ -11,27 +11,19 @@ from hypothesis import strategies as st
 
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, Level, Rule
-from conetl.workzones.layout_check import (
-    FOOT_M,
-    MILE_KM,
-    STANDARDS,
-    allowed_spacing_m,
-    check_layout,
-    layout_rules,
-    read_standard,
-    taper_ratio,
-)
+from conetl.workzones import layout_check
+from conetl.workzones.layout_check import FOOT_M, MILE_KM
 from conetl.workzones.zone_layout import describe, layout_of
 from tests.synthetic.tapers import LANE_M, Closure, closure, cone, zone_of
 
-RULES, PARAMS = layout_rules(), WorkZoneParams()
+RULES, PARAMS = layout_check.layout_rules(), WorkZoneParams()
 FAULTS = ("missing", "spacing", "in lane", "none", "short taper")
 SURE = (Level.VIOLATION, Level.DEVIATION, Level.NOTICE)
 
 
 def findings(made: Closure):
     layout = layout_of(made.zone, made.paths, made.lanes, PARAMS)
-    return layout, check_layout(made.zone, layout, made.speed_kmh, RULES, PARAMS)
+    return layout, layout_check.check_layout(made.zone, layout, made.speed_kmh, RULES, PARAMS)
 
 
 def is_the_fault(finding, made: Closure) -> bool:
@@ -58,14 +50,14 @@ def test_every_fault_of_100_tapers_is_found_without_a_false_alarm():
 
 def test_only_what_a_standard_states_is_a_violation():
     """Every number of a standard has its section or table; a cone in the lane departs from no standard."""
-    for name in STANDARDS:
-        standard = read_standard(name)
+    for name in layout_check.STANDARDS:
+        standard = layout_check.read_standard(name)
         assert all(rule.source and rule.text for rule in standard.rules.values()) and standard.not_covered
         assert standard.rules.keys() <= LayoutParams.model_fields.keys()
-    assert taper_ratio(40 * MILE_KM, RULES) == pytest.approx(40**2 / 60) and taper_ratio(
+    assert layout_check.taper_ratio(40 * MILE_KM, RULES) == pytest.approx(40**2 / 60) and layout_check.taper_ratio(
         45 * MILE_KM, RULES
     ) == pytest.approx(45)
-    assert allowed_spacing_m(30 * MILE_KM, RULES) == pytest.approx((30 * FOOT_M, 60 * FOOT_M))
+    assert layout_check.allowed_spacing_m(30 * MILE_KM, RULES) == pytest.approx((30 * FOOT_M, 60 * FOOT_M))
     for seed, fault in enumerate(FAULTS * 4):
         for finding in findings(closure(seed, fault, sigma_m=0.1))[1]:
             assert finding.level is not Level.VIOLATION or finding.norm.startswith("MUTCD 11 (2023), ")
@@ -73,12 +65,12 @@ def test_only_what_a_standard_states_is_a_violation():
 
 
 def test_a_standard_without_figures_leaves_the_rows_own_spacing():
-    rules = layout_rules("rsa_21")
-    assert allowed_spacing_m(50.0, rules) == (np.inf, np.inf)
+    rules = layout_check.layout_rules("rsa_21")
+    assert layout_check.allowed_spacing_m(50.0, rules) == (np.inf, np.inf)
     found = 0
     for seed in range(12):
         made = closure(seed, "missing", sigma_m=0.05)
-        some = check_layout(
+        some = layout_check.check_layout(
             made.zone, layout_of(made.zone, made.paths, made.lanes, PARAMS), made.speed_kmh, rules, PARAMS
         )
         assert all(
@@ -115,8 +107,8 @@ def test_large_sigmas_make_no_violation_of_what_they_explain():
 )
 def test_taper_lengths_are_those_of_the_published_table(speed_mph, length_ft):
     """Merging tapers for 12 ft of width, as tabulated for use in California (rounded to 5 ft)."""
-    assert 12 * taper_ratio(speed_mph * MILE_KM, RULES) == pytest.approx(length_ft, abs=2.5)
-    taper_m, tangent_m = allowed_spacing_m(speed_mph * MILE_KM, RULES)
+    assert 12 * layout_check.taper_ratio(speed_mph * MILE_KM, RULES) == pytest.approx(length_ft, abs=2.5)
+    taper_m, tangent_m = layout_check.allowed_spacing_m(speed_mph * MILE_KM, RULES)
     assert (taper_m / FOOT_M, tangent_m / FOOT_M) == pytest.approx((speed_mph, 2 * speed_mph))
 
 
@@ -185,7 +177,7 @@ def test_a_shoulder_taper_is_not_asked_to_be_a_merging_one():
     zone = zone_of([cone(k, np.array(xy), 0.02) for k, xy in enumerate(zip(s, o, strict=True))])
     layout = layout_of(zone, path, lanes, PARAMS)
     assert [round(t.shift_m, 1) for t in layout.rows[0].tapers] == [3.0]
-    assert check_layout(zone, layout, 50.0, RULES, PARAMS) == []
+    assert layout_check.check_layout(zone, layout, 50.0, RULES, PARAMS) == []
     found = describe(zone, layout, PARAMS)
     assert (found.impact, found.closed_lane_count, found.closed_side) == ("all-lanes-open", 0, "right")
     assert LANE_M == 3.5
