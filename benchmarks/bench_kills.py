@@ -34,9 +34,10 @@ from conetl.db.schema import run_audits
 from conetl.files.atomic import sweep
 from conetl.pipeline.ingest import ingest as pipeline_ingest
 from conetl.pipeline.settings import Settings, prefect_environment
-from tests.integration.test_ingest import DRIVES, FINAL_TABLES, part_of
+from tests.integration.small_drives import SAMPLES, cut_drive
+from tests.integration.test_ingest import FINAL_TABLES
 
-FRAMES = 4
+FRAMES = range(8, 12)
 EMPTY = (
     "truncate conetl.map, conetl.run, conetl.drive, conetl.frame_pair, conetl.detection, conetl.stereo_match, conetl.position, "
     "conetl.track_member, conetl.feature_version restart identity cascade"
@@ -125,8 +126,7 @@ def main() -> None:
 
 def trials(conn: Connection, home: Path, kills: int, chance: random.Random) -> tuple[Counter[str], list[object]]:
     """Number of trials by outcome, and their faults."""
-    early = part_of(DRIVES[0], home / "early", FRAMES, skip=8)
-    late = part_of(DRIVES[1], home / "later", FRAMES, skip=8)
+    early, late = (cut_drive(SAMPLES[k], home / name, frames=FRAMES) for k, name in enumerate(("early", "later")))
     expected, seconds = {}, {}
     for name, order in (("new drive", [early]), ("late drive", [late, early])):
         execute(conn, EMPTY)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ def merge_days(conn: Any, images: Path, map_name: str = "default") -> None:
     for day in (0, 1):
         found = survey(day)
         drive = with_images(found.drive, found.detections, images / f"day_{day}")
-        merge(conn, replace(found, drive=drive), map_name=map_name)
+        merge(conn, found._replace(drive=drive), map_name=map_name)
     merge(conn, survey(2), map_name=map_name, hold=HOLD)
     conn.commit()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
@@ -19,18 +18,8 @@ from conetl.model.detector_evidence import DetectorEvidence
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.map_records import Changeset
-from conetl.model.markings import MarkingTrack
 from conetl.model.params import DetectionParams, IngestParams
-from conetl.model.records import (
-    CalibrationCovariance,
-    Detection,
-    Drive,
-    DriveRecords,
-    Position,
-    Rig,
-    StereoMatch,
-    Track,
-)
+from conetl.model.records import CalibrationCovariance, Drive, DriveRecords, Rig
 from conetl.pipeline.replay import Merged, merge_drive
 from tests.synthetic.world import START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
 
@@ -66,16 +55,8 @@ DAYS = [
 ]
 
 
-@dataclass(frozen=True)
-class Survey:
-    """One drive and its results."""
-
-    drive: Drive
-    detections: list[Detection]
-    matches: list[StereoMatch]
-    positions: list[Position]
-    tracks: list[Track]
-    markings: tuple[MarkingTrack, ...] = ()
+#: One drive and its results.
+Survey = DriveRecords
 
 
 @cache
@@ -142,13 +123,8 @@ def merge(
         changeset_id=uuid5(NAMESPACE_URL, f"{map_name} {key}"), drive_id=survey.drive.drive_id, idempotency_key=key,
         params_sha256="cd" * 32, model_sha256="ef" * 32, code_version="0", deltas=(),
     )  # fmt: skip
-    records = DriveRecords(
-        survey.drive, survey.detections, survey.matches, survey.positions, survey.tracks, (), survey.markings
-    )
     with drive_transaction(conn, map_name):
-        merged = merge_drive(
-            conn, records, changeset, params, map_name=map_name, evidence=evidence, hold=held_for(hold)
-        )
+        merged = merge_drive(conn, survey, changeset, params, map_name=map_name, evidence=evidence, hold=held_for(hold))
     return merged if merged.result.committed else None
 
 

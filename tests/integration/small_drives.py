@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 SAMPLES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
@@ -10,19 +11,21 @@ SAMPLES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterd
 FRAMES = range(14, 17)
 
 
-def cut_drive(sample: Path, folder: Path, day: str, *, poisoned: bool = False) -> Path:
-    """A few frame pairs of a sample drive, recorded on `day` (2026-04-01); poisoned: without one usable pose."""
-    for side in ("image_02", "image_03"):
-        (folder / side / "data").mkdir(parents=True)
-        for number in FRAMES:
-            shutil.copy(sample / side / "data" / f"{number:010d}.jpg", folder / side / "data")
-    (folder / "oxts" / "data").mkdir(parents=True)
-    for number in FRAMES:
-        text = (sample / "oxts" / "data" / f"{number:010d}.txt").read_text()
-        (folder / "oxts" / "data" / f"{number:010d}.txt").write_text("nan nan" if poisoned else text)
-    for name in ("image_02", "image_03", "oxts"):
+def cut_drive(
+    sample: Path, folder: Path, day: str = "", *, frames: Iterable[int] = FRAMES, poisoned: bool = False
+) -> Path:
+    """Some frame pairs of a sample drive, recorded on `day` (2026-04-01); poisoned: without one usable pose.
+
+    The numbers of the files link them, so they are kept.
+    """
+    for name, suffix in (("image_02", "jpg"), ("image_03", "jpg"), ("oxts", "txt")):
+        (folder / name / "data").mkdir(parents=True)
+        for number in frames:
+            file = shutil.copy(sample / name / "data" / f"{number:010d}.{suffix}", folder / name / "data")
+            if poisoned and name == "oxts":
+                Path(file).write_text("nan nan")
         stamps = (sample / name / "timestamps.txt").read_text()
-        (folder / name / "timestamps.txt").write_text(stamps.replace(stamps[:10], day))
+        (folder / name / "timestamps.txt").write_text(stamps.replace(stamps[:10], day or stamps[:10]))
     for path in sample.glob("calib*.txt"):
         shutil.copy(path, folder)
     return folder

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import closing
-from dataclasses import replace
 from functools import cache
 from itertools import permutations
 
 import numpy as np
 import pytest
 
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.map.decision_store import held_drives, hold_events, list_decisions, read_decisions
 from conetl.db.map.map_store import find_map, list_changesets, map_transaction, read_current_features, system_time
 from conetl.db.map.replay_store import affected_drives, other_deliveries, write_replay
@@ -20,7 +18,6 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
 from conetl.pipeline.replay import replay_of
-from tests.conftest import cloned_database
 from tests.integration import drives_of_days as world
 from tests.synthetic.painted_road import Paint, markings_of
 from tests.synthetic.world import ORIGIN_M
@@ -35,9 +32,9 @@ def jacobian_of(conn):
 
 
 @pytest.fixture(scope="module")
-def in_order(cluster_url, template_database):
+def in_order(another_database):
     """The map of the first three days, ingested in order: each drive extends the fold by one, nothing is replayed."""
-    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as conn:
+    with another_database() as conn:
         merged = [world.merge(conn, of_day(day)) for day in range(3)]
         assert [m.replayed for m in merged] == [0, 0, 0]
         kinds = [sorted({delta.kind for delta in m.changeset.deltas}) for m in merged]
@@ -83,7 +80,7 @@ def painted(day):
         [Paint(aside) for aside in aside_m], rng, (first + 5.0, last + 10.0), offset_m=offset_m, offset_sigma_m=0.3,
         seen_ns=one.drive.frame_pairs[0].captured_at_ns,
     )  # fmt: skip
-    return replace(one, markings=tuple(seen))
+    return one._replace(markings=seen)
 
 
 def test_people_decide_about_stretches_as_about_cones(conn):
@@ -178,7 +175,7 @@ def test_what_others_do_to_drives_on_hold_is_said_and_kept_in_order(conn):
 def test_of_two_deliveries_only_the_later_one_counts_whatever_releases_them(conn):
     world.merge(conn, of_day(0))
     first = of_day(2)
-    corrected = replace(first, drive=first.drive.model_copy(update={"content_sha256": "ab" * 32}))
+    corrected = first._replace(drive=first.drive.model_copy(update={"content_sha256": "ab" * 32}))
     world.merge(conn, lowered(first))  # changeset 2, on hold against the map
     [change] = world.merge(conn, corrected).hold_changes
     assert (change.changeset_no, change.state) == (2, "replaced")
@@ -221,7 +218,7 @@ def test_random_decisions_and_deliveries_leave_one_delivery_of_each_and_nothing_
                     drive = one.drive.model_copy(
                         update={"content_sha256": f"{one.drive.drive_id[4]}{rng.integers(2)}" * 32}
                     )
-                    one = replace(lowered(one) if rng.random() < 0.4 else one, drive=drive)
+                    one = (lowered(one) if rng.random() < 0.4 else one)._replace(drive=drive)
                     instants = [pair.captured_at_ns for pair in drive.frame_pairs]
                     span = min(instants), max(instants)
                     counts = other_deliveries(conn, drive.drive_id, span, drive.content_sha256, map_name="default")
@@ -243,7 +240,7 @@ def test_random_decisions_and_deliveries_leave_one_delivery_of_each_and_nothing_
 def test_a_map_that_was_set_aside_twice_keeps_its_history(conn):
     """Drives on hold in two zones take turns: each starts the map anew, and each is stored once per map."""
     one, other = of_day(0), of_day(1)
-    other = replace(other, drive=other.drive.model_copy(update={"map_srid": 32633}))
+    other = other._replace(drive=other.drive.model_copy(update={"map_srid": 32633}))
     for drive in (one, other, one, other):
         world.merge(conn, drive, hold="GNSS/INS jumps.")
     maps = execute(conn, "select map_name, srid from conetl.map order by map_id")
@@ -261,7 +258,7 @@ def test_a_map_that_was_set_aside_twice_keeps_its_history(conn):
 def lowered(one):
     """Its heights are of another datum."""
     tracks = [t.model_copy(update={"xyz_m": (*t.xyz_m[:2], t.xyz_m[2] - 48.0)}) for t in one.tracks]
-    return replace(one, tracks=tracks)
+    return one._replace(tracks=tracks)
 
 
 def counting(conn):
@@ -294,7 +291,7 @@ def test_playing_everything_again_writes_nothing(conn):
     assert_nothing_to_replay(conn, 4)
 
 
-def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, cluster_url, template_database):
+def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, another_database):
     """One recording is one piece of evidence: it is not counted twice because it was analysed twice."""
     strict = IngestParams(reconcile=ReconcileParams(removal_min_frames=30))
     for day in range(3):
@@ -302,7 +299,7 @@ def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis
     again = world.merge(conn, world.survey(1), params=strict)
     assert again.replayed == 1
     assert world.failed_audits(conn) == []
-    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as other:
+    with another_database() as other:
         for day in (1, 2, 0):
             world.merge(other, world.survey(day), params=strict if day == 1 else None)
         assert world.valid_time_map(other) == world.valid_time_map(conn)

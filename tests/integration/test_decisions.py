@@ -7,7 +7,6 @@ from itertools import permutations
 
 import pytest
 
-from conetl.db.connection import connect
 from conetl.db.map.archive import list_maps
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import (
@@ -23,7 +22,6 @@ from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import CLASSIFY, PIN, SUPPRESS, decide_place, revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.imported_rows import read_map_file
-from tests.conftest import cloned_database
 from tests.integration.drives_of_days import RIGS, failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
 
@@ -154,7 +152,7 @@ def test_a_class_that_a_person_states_holds_for_all_drives_and_is_taken_back(con
 
 
 @pytest.mark.parametrize("day", range(2))
-def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, cluster_url, template_database, day):
+def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, another_database, day):
     """It takes along its calibration, too, which others have in common with it."""
     for one in range(3):
         merge(conn, survey(one, rig=RIGS[one]))
@@ -170,13 +168,10 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, c
         assert conflict.changed_to.changeset_id == target.changeset_id or conflict.kind in ("missed", "confirmed")
         assert (conflict.was is None) == (conflict.kind in ("added", "split"))
         assert conflict.is_now is None or conflict.is_now.changeset_id != target.changeset_id
-    with cloned_database(cluster_url, template_database) as url:
-        other = connect(url)
-        for one in range(3):
-            if one != day:
-                merge(other, survey(one, rig=RIGS[one]))
+    with another_database() as other:
+        for one in {0, 1, 2} - {day}:
+            merge(other, survey(one, rig=RIGS[one]))
         assert valid_time_map(other) == valid_time_map(conn)
-        other.close()
     assert merge(conn, survey(day, rig=RIGS[day])) is None, "ingested again, it stays reverted"
     with pytest.raises(InputError, match="already"):
         revert(conn, str(target.changeset_id), map_name="default")
@@ -187,15 +182,14 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, c
         revert(conn, str(reverted.decision_id), map_name="default")
 
 
-def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_database, conn):
+def test_decisions_and_drives_in_any_order_give_one_map(another_database, conn):
     """Day 0 first, so that there is something to decide about; then two drives and three decisions in any order."""
     merge(conn, survey(0))
     [pinned], [suppressed] = near(conn, 34.0, 2.0), near(conn, 14.0, 3.6)
     expected = None
     orders = list(permutations(("1", "2", "pin", "suppress", "revert")))
     for order in orders[::40]:
-        with cloned_database(cluster_url, template_database) as url:
-            other = connect(url)
+        with another_database() as other:
             merge(other, survey(0))
             merge(other, survey(3))
             for step in order:
@@ -210,7 +204,6 @@ def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_da
             assert failed_audits(other) == []
             expected = expected or found
             assert found == expected
-            other.close()
 
 
 def place_of_first_day(conn, kind, feature, order):

@@ -17,7 +17,7 @@ import pytest
 import shapely
 from pyproj import Transformer
 
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets, read_current_features, read_features_as_of
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
@@ -31,7 +31,6 @@ from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.base_layers.line_files import read_vector_file
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.maps.tables import MAX_TEXT_BYTES
-from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
 
@@ -46,18 +45,15 @@ def take(conn, path, *, params=PARAMS, map_name="default", accept=False, **optio
 
 
 @pytest.fixture(scope="module")
-def surveyed(cluster_url, template_database, tmp_path_factory):
+def surveyed(another_database, tmp_path_factory):
     """Files of a map of two drives, one a format, and its features."""
     folder = tmp_path_factory.mktemp("exports")
-    with cloned_database(cluster_url, template_database) as url:
-        conn = connect(url)
+    with another_database() as conn:
         for day in range(2):
             merge(conn, survey(day))
         for name in IMPORTABLE:
             export_map(conn, folder / f"map{FORMATS[name].suffix}", name, ExportRequest())
-        features = read_current_features(conn)
-        conn.close()
-    return folder, features
+        return folder, read_current_features(conn)
 
 
 @pytest.mark.parametrize("name", IMPORTABLE)
@@ -202,7 +198,7 @@ def cones_csv(path, cones, names=(), values=None):
     return path
 
 
-def test_an_import_has_its_place_in_time_whatever_comes_first(cluster_url, template_database, tmp_path):
+def test_an_import_has_its_place_in_time_whatever_comes_first(another_database, tmp_path):
     """Two drives and an import between them, which comes first, second or last: one map."""
     cones = [*DAYS[0][:5], *DAYS[2][-1:]]
     names = ["feature_id", "sigma_e_m", "sigma_n_m", "sigma_u_m"]
@@ -216,13 +212,11 @@ def test_an_import_has_its_place_in_time_whatever_comes_first(cluster_url, templ
     }
     maps = []
     for order in (("import", "b", "a"), ("b", "import", "a"), ("a", "b", "import")):
-        with cloned_database(cluster_url, template_database) as url:
-            conn = connect(url)
+        with another_database() as conn:
             for name in order:
                 events[name](conn)
             assert failed_audits(conn) == []
             maps.append(valid_time_map(conn))
-            conn.close()
     assert maps[0]["versions"]
     assert all(found == maps[0] for found in maps)
 

@@ -38,12 +38,10 @@ from conetl.pipeline.commit import CommittedDrive
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import drive_page
-from tests.command import conetl, until
+from tests.command import ROOT, conetl, until
 from tests.integration.conftest import QUIET, command_line
-from tests.integration.small_drives import shift_poses, spoil_huffman_table
+from tests.integration.small_drives import SAMPLES, cut_drive, shift_poses, spoil_huffman_table
 
-ROOT = Path(__file__).resolve().parents[2]
-DRIVES = sorted((ROOT / "data" / "drives").iterdir())
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
 KITTI = SHARED / "kitti_2011_09_26_drive_0005_sync"
 
@@ -134,21 +132,9 @@ def desk(office: Desk, database_url: str) -> Desk:
     return office.with_database(database_url)
 
 
-def part_of(drive: Path, folder: Path, frames: int, *, skip: int = 0) -> Path:
-    """A drive of a few frame pairs of another one; the numbers of the files link them, so they are kept."""
-    shutil.copytree(drive, folder, ignore=shutil.ignore_patterns("truth.csv"))
-    for image in sorted(folder.glob("image_0?/data/*.jpg")):
-        if not skip <= int(image.stem) < skip + frames:
-            image.unlink()
-    for oxts in sorted(folder.glob("oxts/data/*.txt")):
-        if not skip <= int(oxts.stem) < skip + frames:
-            oxts.unlink()
-    return folder
-
-
 @pytest.fixture
 def small_drive(tmp_path: Path) -> Path:
-    return part_of(DRIVES[0], tmp_path / "small", 16, skip=4)
+    return cut_drive(SAMPLES[0], tmp_path / "small", frames=range(4, 20))
 
 
 def truth_changes(drive: Path) -> dict[str, int]:
@@ -160,10 +146,10 @@ def truth_changes(drive: Path) -> dict[str, int]:
 
 
 def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
-    result = desk.run("demo", DRIVES[0].parent, "--json")
+    result = desk.run("demo", SAMPLES[0].parent, "--json")
     assert result.code == 0, result.err
     outcome = result.json
-    for drive, report in zip(DRIVES, outcome["reports"], strict=True):
+    for drive, report in zip(SAMPLES, outcome["reports"], strict=True):
         assert report["counts"] == truth_changes(drive), drive.name
         assert report["frame_pairs_rejected"] == 0
     assert outcome["false_features"] == []
@@ -172,7 +158,7 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
 
     before = desk.final_tables()
     desk_demo = Desk({**desk.environment, "CONETL_MAP_NAME": "demo"})
-    assert [desk_demo.ingest(drive).status for drive in DRIVES] == ["no changes"] * 3
+    assert [desk_demo.ingest(drive).status for drive in SAMPLES] == ["no changes"] * 3
     assert desk.final_tables() == before
     desk.ask("db", "audit")
 
@@ -180,14 +166,14 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
     check_the_feeds_of_three_days(desk_demo)
 
     # the first drive again under other parameters: its new analysis takes the place of the old one, and later drives follow
-    assert desk_demo.ingest(DRIVES[0], track={"min_observations": 4}).replayed_drives == len(DRIVES) - 1
+    assert desk_demo.ingest(SAMPLES[0], track={"min_observations": 4}).replayed_drives == len(SAMPLES) - 1
     desk.ask("db", "audit")
 
     export = Path(desk.environment["CONETL_HOME"]) / "map.geojson"
     desk_demo.ask("map", "export", "--out", export)
     collection = json.loads(export.read_text())
     assert len(collection["features"]) == len(outcome["cones"])
-    assert len(desk_demo.features("--as-of", "2026-03-02T23:00")) == truth_changes(DRIVES[0])["added"]
+    assert len(desk_demo.features("--as-of", "2026-03-02T23:00")) == truth_changes(SAMPLES[0])["added"]
 
 
 def check_the_table_of_the_tutorial(changes: list[dict[str, Any]]) -> None:
@@ -209,7 +195,7 @@ def check_the_feeds_of_three_days(desk: Desk) -> None:
     """The sample closure as WZDx: valid, one id, and the first and the last cone of each day."""
     path = Path(desk.environment["CONETL_HOME"]) / "feed.geojson"
     ids = set()
-    for drive in DRIVES:
+    for drive in SAMPLES:
         as_of = f"{drive.name[:10]}T23:00"
         feed = ("--publisher", "City", "--road-name", "L 605", "--as-of", as_of)
         desk.ask("map", "export", "--format", "wzdx", "--out", path, *feed)
@@ -261,10 +247,11 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
 def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     """Only decoding finds that out, after the drive was read: no cone may go for it."""
     assert desk.ingest(small_drive).counts[DeltaKind.ADDED] > 3
-    later, last = (part_of(DRIVES[1], tmp_path / name, 16, skip=4) for name in ("later", "last"))
-    for drive, day, whole in ((later, "2026-03-12", 4), (last, "2026-03-13", 0)):
-        for stamps in drive.glob("*/timestamps.txt"):
-            stamps.write_text(stamps.read_text().replace("2026-03-03", day))
+    later, last = (
+        cut_drive(SAMPLES[1], tmp_path / name, day, frames=range(4, 20))
+        for name, day in (("later", "2026-03-12"), ("last", "2026-03-13"))
+    )
+    for drive, whole in ((later, 4), (last, 0)):
         for image in sorted((drive / "image_02" / "data").iterdir())[whole:]:
             spoil_huffman_table(image)
     with pytest.raises(TooManyRejectionsError, match="12 of 16 frame pairs") as doubted:
@@ -291,16 +278,9 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
     again = rf"this is the recording of drive {small_drive.name} again \(changeset 1\)"
     with pytest.raises(InputError, match=again):
         desk.ingest(other_name)
-    next_day = part_of(DRIVES[0], small_drive.with_name("the next day"), 16, skip=4)
-    for stamps in next_day.glob("*/timestamps.txt"):
-        stamps.write_text(stamps.read_text().replace("2026-03-02", "2026-03-03"))
-    with pytest.raises(InputError, match=again):
-        desk.ingest(next_day)
-    part = part_of(DRIVES[0], small_drive.with_name("a part"), 10, skip=7)
-    for stamps in part.glob("*/timestamps.txt"):
-        stamps.write_text(stamps.read_text().replace("2026-03-02", "2026-03-05"))
-    with pytest.raises(InputError, match=again):
-        desk.ingest(part)
+    for name, day, frames in (("the next day", "2026-03-03", range(4, 20)), ("a part", "2026-03-05", range(7, 17))):
+        with pytest.raises(InputError, match=again):
+            desk.ingest(cut_drive(SAMPLES[0], small_drive.with_name(name), day, frames=frames))
     (small_drive / "drive.yaml").write_text("timestamps_timezone: Europe/Berlin\n")
     with pytest.raises(InputError, match=r"other time stamps \(changeset 1\).*conetl map revert 1"):
         desk.ingest(small_drive)
@@ -335,7 +315,7 @@ def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(
 
 def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     """Of the drive itself, and of another one that goes on hold because of it."""
-    lower = part_of(DRIVES[1], tmp_path / "lower", 16, skip=4)
+    lower = cut_drive(SAMPLES[1], tmp_path / "lower", frames=range(4, 20))
     shift_poses(lower, height_m=-0.6)
     assert desk.run("ingest", lower).code == 0
     done = desk.run("ingest", small_drive)
@@ -345,7 +325,7 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
         "conetl: On hold now: drive lower (changeset 1). Its cones lie 0.6 m lower"
     )
 
-    jumping = part_of(DRIVES[2], tmp_path / "jumping", 16, skip=4)
+    jumping = cut_drive(SAMPLES[2], tmp_path / "jumping", frames=range(4, 20))
     shift_poses(jumping, lat_deg=4e-5, first=8)
     done = desk.run("ingest", jumping)
     assert done.code == 1
@@ -357,7 +337,7 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
 
 
 def test_bad_input_is_named_and_writes_nothing(desk: Desk, tmp_path: Path) -> None:
-    keyless, hollow = part_of(DRIVES[0], tmp_path / "keyless", 2), tmp_path / "hollow"
+    keyless, hollow = cut_drive(SAMPLES[0], tmp_path / "keyless", frames=range(2)), tmp_path / "hollow"
     hollow.mkdir()
     file = keyless / "calib_cam_to_cam.txt"
     file.write_text("".join(x for x in file.read_text().splitlines(True) if not x.startswith("P_rect_03")))
@@ -388,7 +368,7 @@ def clean_tables(
     office: Desk, module_database_url: str, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, list[str]]:
     """What `small_drive` leaves in an empty database, once or twice."""
-    drive = part_of(DRIVES[0], tmp_path_factory.mktemp("clean") / "small", 16, skip=4)
+    drive = cut_drive(SAMPLES[0], tmp_path_factory.mktemp("clean") / "small", frames=range(4, 20))
     clean = office.with_database(module_database_url)
     assert clean.ingest(drive).status == "committed"
     tables = clean.final_tables()
@@ -429,7 +409,7 @@ def events_of(desk: Desk, changeset_id: str) -> list[str]:
 def test_what_a_run_that_was_killed_after_its_commit_left_pending_is_published_by_the_next(
     desk: Desk, tmp_path: Path
 ) -> None:
-    drive = part_of(DRIVES[0], tmp_path / "pending", 8, skip=6)
+    drive = cut_drive(SAMPLES[0], tmp_path / "pending", frames=range(6, 14))
     url = desk.environment["CONETL_DATABASE_URL"]
     with closing(connect(url)) as holder, closing(connect(url)) as watcher:
         execute(holder, "lock table conetl.changeset_published in access exclusive mode")
@@ -493,8 +473,8 @@ def test_without_services_nothing_is_written(office: Desk, small_drive: Path) ->
 
 def test_locate_and_detect_need_no_services(office: Desk, tmp_path: Path) -> None:
     nowhere = office.with_database("postgresql://conetl@127.0.0.1:9/nowhere")
-    pair = [DRIVES[0] / side / "data" / "0000000010.jpg" for side in ("image_02", "image_03")]
-    cones = json.loads(nowhere.ask("locate", *pair, "--calibration", DRIVES[0], "--json"))["cones"]
+    pair = [SAMPLES[0] / side / "data" / "0000000010.jpg" for side in ("image_02", "image_03")]
+    cones = json.loads(nowhere.ask("locate", *pair, "--calibration", SAMPLES[0], "--json"))["cones"]
     assert cones
     assert all(1 < cone["ground_distance_m"] < 40 for cone in cones)
     assert all(0.3 < cone["height_m"] < 1.0 for cone in cones)

@@ -337,10 +337,9 @@ def test_digits_are_a_number_before_they_are_the_beginning_of_an_id(numbered, te
 
 
 @pytest.fixture(scope="module")
-def numbered(module_database_url, samples):
+def numbered(module_conn, samples):
     """Changesets whose ids and numbers look alike, set by hand; 1537 is of another map."""
-    conn = connect(module_database_url)
-    ids = {}
+    conn, ids = module_conn, {}
     for key, (name, changeset_id, number, map_name) in enumerate(
         (
             ("number", "a0000000", 1536, "default"),
@@ -363,5 +362,4 @@ def numbered(module_database_url, samples):
             )  # fmt: skip
             renumber = "update conetl.changeset set changeset_no = %(number)s where changeset_id = %(id)s"
             execute(conn, renumber, {"number": number, "id": ids[name]})
-    yield conn, ids
-    conn.close()
+    return conn, ids

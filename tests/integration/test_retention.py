@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
 import duckdb
 import pyarrow.parquet as pq
 import pytest
 
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune_drives, restore_drives
 from conetl.model.errors import InputError
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_place, revert
-from tests.conftest import cloned_database
 from tests.integration.drives_of_days import failed_audits, merge, survey, valid_time_map
 
 LATER = datetime.now(UTC) + timedelta(days=1)
@@ -146,7 +144,7 @@ def test_archived_records_come_back_to_the_last_bit_when_a_comparison_needs_them
     assert raw_content(conn) == before
 
 
-def test_the_map_does_not_depend_on_what_was_archived(conn, cluster_url, template_database, tmp_path):
+def test_the_map_does_not_depend_on_what_was_archived(conn, another_database, tmp_path):
     def late_and_reverted(own, *, archived):
         for day in (0, 2):
             merge(own, survey(day))
@@ -159,7 +157,7 @@ def test_the_map_does_not_depend_on_what_was_archived(conn, cluster_url, templat
         assert revert(own, str(oldest.changeset_id), map_name="default").replayed == 2
         return valid_time_map(own)
 
-    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as other:
+    with another_database() as other:
         expected = late_and_reverted(other, archived=False)
     assert late_and_reverted(conn, archived=True) == expected
 

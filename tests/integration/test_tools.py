@@ -22,6 +22,7 @@ from conetl.model.errors import CalibrationError, InputError
 from conetl.readers.rigs import read_rig
 from tests.command import ROOT
 from tests.integration.conftest import command_line
+from tests.integration.small_drives import SAMPLES, cut_drive
 
 IMAGE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
 
@@ -74,23 +75,13 @@ def test_nothing_is_written_where_no_image_can_be_read(detect: Callable[..., str
     assert not (tmp_path / "found.json").exists()
 
 
-SAMPLE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
+SAMPLE = SAMPLES[0]
 FRAMES = range(8, 22)
 
 
 def piece(folder: Path, frames: range) -> Path:
     """Some frame pairs of the sample drive, and its truth."""
-    folder.mkdir()
-    for file in (*SAMPLE.glob("*.txt"), SAMPLE / "truth.csv"):
-        shutil.copy(file, folder)
-    for part, suffix in (("image_02", "jpg"), ("image_03", "jpg"), ("oxts", "txt")):
-        (folder / part / "data").mkdir(parents=True)
-        stamps = (SAMPLE / part / "timestamps.txt").read_text().splitlines()
-        (folder / part / "timestamps.txt").write_text("".join(f"{stamps[k]}\n" for k in frames))
-        for new, old in enumerate(frames):
-            shutil.copy(
-                SAMPLE / part / "data" / f"{old:010d}.{suffix}", folder / part / "data" / f"{new:010d}.{suffix}"
-            )
+    shutil.copy(SAMPLE / "truth.csv", cut_drive(SAMPLE, folder, frames=frames))
     return folder
 
 

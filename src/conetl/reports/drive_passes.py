@@ -29,6 +29,16 @@ _WITHIN_M = 60.0
 _NEIGHBOUR_M = 6.0
 #: Sentences that say from which distance the position was visible: of removals, then of the latest misses.
 _MAX_ABSENCES = 40
+#: Facts of a change that are columns of the same name.
+_OF_ROW = (
+    "drive_id",
+    "existence_probability",
+    "frames_empty",
+    "shift_m",
+    "sigma_m",
+    "cone_height_m",
+    "other_feature_id",
+)
 FrameState = Literal["observed", "empty", "occupied", "hidden"]
 
 
@@ -82,17 +92,8 @@ def passes_of(
         kind, frames = observed.get(row["drive_uuid"]) or (None, set[int]())
         in_view = _frames_in_view(conn, row, feature_id, np.array(xyz_m), cone_height_m, category, frames)
         if in_view:
-            found.append(
-                DrivePass(
-                    changeset_no=row["changeset_no"],
-                    drive_id=row["drive_id"],
-                    drive_uuid=row["drive_uuid"],
-                    captured_from_ns=row["captured_from_ns"],
-                    counts=row["counts"],
-                    kind=DeltaKind(kind) if kind else None,
-                    frames=in_view,
-                )
-            )
+            known = {name: row[name] for name in DrivePass._fields if name not in ("kind", "frames")}
+            found.append(DrivePass(**known, kind=DeltaKind(kind) if kind else None, frames=in_view))
     return found
 
 
@@ -168,19 +169,9 @@ def reasons_of(
         if id(row) in with_range:
             range_m = _range_of_absence(conn, map_name, feature_id or row["feature_id"], row)
         facts = ChangeFacts(
-            kind=DeltaKind(row["kind"]),
-            drive_id=row["drive_id"],
-            existence_probability=row["existence_probability"],
-            is_import=row["drive_kind"] == "import",
-            frames_seen=frames or row["frames_seen"],
-            frames_empty=row["frames_empty"],
-            range_m=range_m,
-            shift_m=row["shift_m"],
-            sigma_m=row["sigma_m"],
-            cone_height_m=row["cone_height_m"],
-            other_feature_id=row["other_feature_id"],
-            noun=noun_of(row["category"]),
-        )
+            **{name: row[name] for name in _OF_ROW}, kind=DeltaKind(row["kind"]), is_import=row["drive_kind"] == "import",
+            frames_seen=frames or row["frames_seen"], range_m=range_m, noun=noun_of(row["category"]),
+        )  # fmt: skip
         sentences.append(why(facts))
     return sentences
 
