@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from contextlib import closing
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from conetl.model.params import DetectionParams, IngestParams, TrajectoryParams
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
-from tests.integration.small_drives import SAMPLES
+from tests.integration.small_drives import SAMPLES, cut_drive
 
 FRAMES = range(10, 22)
 #: Bounds of all magenta pixels as the one box of a YOLOv8 export of two classes.
@@ -96,16 +95,11 @@ def write_network(path: Path) -> Path:
 
 def drive_past_a_bollard(folder: Path) -> np.ndarray:
     """Some pairs of a sample drive with a bollard, 0.2 m wide and 0.9 m tall, drawn 9 m ahead of the last; its foot (3,)."""
-    for side in ("image_02", "image_03"):
-        (folder / side / "data").mkdir(parents=True)
-        shutil.copy(SAMPLES[0] / side / "timestamps.txt", folder / side)
-        for number in FRAMES:
-            image = cv2.imread(str(SAMPLES[0] / side / "data" / f"{number:010d}.jpg"))
-            assert image is not None
-            cv2.imwrite(str(folder / side / "data" / f"{number:010d}.png"), image)
-    shutil.copytree(SAMPLES[0] / "oxts", folder / "oxts")
-    for path in SAMPLES[0].glob("calib*.txt"):
-        shutil.copy(path, folder)
+    for photo in cut_drive(SAMPLES[0], folder, frames=FRAMES).glob("image_0?/data/*.jpg"):
+        image = cv2.imread(str(photo))
+        assert image is not None
+        cv2.imwrite(str(photo.with_suffix(".png")), image)
+        photo.unlink()
     drive, _ = read_drive(folder, headers_only=True)
     rig = drive.rig
     map_SE3_last = map_SE3_left(drive.frame_pairs[-1].pose, rig)

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 import conetl
+from tests.command import ROOT, environment_of
 from tests.integration.small_drives import SAMPLES, cut_drive
-
-ROOT = Path(__file__).resolve().parents[2]
 
 _EXAMPLE = """
 import json, runpy, sys
@@ -31,8 +30,7 @@ _NO_DATABASE = "import psycopg2\ndef refuse(*_, **__): raise AssertionError('con
 def python(code: str, *arguments: object, home: Path, errors: bool = False, **environment: str) -> str:
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)], cwd=home, capture_output=True, text=True, timeout=600, check=False,
-        env={k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
-        | {"CONETL_HOME": str(home / "home"), "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}"} | environment,
+        env=environment_of(CONETL_HOME=home / "home", PYTHONPATH=f"{ROOT / 'src'}{os.pathsep}{ROOT}", **environment),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stderr if errors else done.stdout

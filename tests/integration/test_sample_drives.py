@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -28,9 +29,8 @@ from conetl.pipeline.settings import Settings
 from conetl.tracking.matching.epipolar_search import blocks_of
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.variance_components import VarianceFactors, with_variance_factors
-from tests.integration.small_drives import spoil_huffman_table
+from tests.integration.small_drives import SAMPLES, spoil_huffman_table
 
-DRIVES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
 PARAMS = IngestParams()
 
 
@@ -38,7 +38,7 @@ PARAMS = IngestParams()
 def sightings(sample_settings: Settings) -> dict[Path, AnalysedDrive]:
     """What the steps make of each drive."""
     found = {}
-    for drive in DRIVES:
+    for drive in SAMPLES:
         srid = read_truth_cones(drive / "truth.csv")[1]
         found[drive] = analyse_folder(drive, sample_settings, PARAMS, map_srid=srid)
     return found
@@ -69,7 +69,7 @@ def test_sigmas_of_three_drives_together(sightings: dict[Path, AnalysedDrive], f
     assert together.common.holds() is holds
 
 
-DRIVE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
+DRIVE = SAMPLES[0]
 EVERYWHERE = PARAMS.model_copy(update={"detection": DetectionParams(search_right="everywhere")})
 
 
@@ -170,18 +170,9 @@ def _removed_by(drive: Path, sample_settings: Settings, before: AnalysedDrive) -
     assert dark_drive.tracks == []
     evidence = read_model_card(None).evidence
     assert evidence is not None
-    view = observations_of_drive(
-        dark_drive.drive.rig,
-        dark_drive.drive.frame_pairs,
-        dark_drive.records.detections,
-        [],
-        AbsenceFigures(evidence=evidence, score_threshold=params.detection.score_threshold),
-    )
-    deltas = reconcile(
-        [],
-        features,
-        lambda feature, offset_m, others_m: check_visibility(feature, offset_m, others_m, view, params.reconcile),
-        params.reconcile,
-        founding_key="second",
-    )
+    figures = AbsenceFigures(evidence=evidence, score_threshold=params.detection.score_threshold)
+    dark = dark_drive.records
+    view = observations_of_drive(dark.drive.rig, dark.drive.frame_pairs, dark.detections, [], figures)
+    check = partial(check_visibility, drive=view, params=params.reconcile)
+    deltas = reconcile([], features, check, params.reconcile, founding_key="second")
     return sum(delta.kind is DeltaKind.REMOVED for delta in deltas)

@@ -10,7 +10,7 @@ from conetl.geometry.packing import vec3
 from conetl.model.records import FramePair
 from conetl.pipeline.adjoining import _misfit_m, _Part
 from tests.integration.drives_of_days import RIG
-from tests.synthetic.world import make_path
+from tests.synthetic.world import make_path, shifted
 
 Floats = NDArray[np.float64]
 SECONDS = 20.0
@@ -39,16 +39,7 @@ def driven(hz: float, sigma_m: float, noise_m: float = 0.0) -> list[FramePair]:
 
 def largest_m(pairs: list[FramePair], gap: int, jump_m: float = 0.0) -> list[float]:
     """Misfits of the recording cut anywhere, with so many frame pairs lost between the parts."""
-    moved = [
-        pair.model_copy(
-            update={
-                "pose": pair.pose.model_copy(
-                    update={"map_t_body_m": vec3(np.add(pair.pose.map_t_body_m, (0.0, jump_m, 0.0)))}
-                )
-            }
-        )
-        for pair in pairs
-    ]
+    moved = [shifted(pair, (0.0, jump_m, 0.0)) for pair in pairs]
     cuts = range(4, len(pairs) - gap - 4)
     found = [_misfit_m(_Part(RIG, pairs[:cut]), _Part(RIG, moved[cut + gap :])) for cut in cuts]
     return [off_m for off_m in found if off_m is not None]

@@ -54,9 +54,8 @@ def test_only_what_a_standard_states_is_a_violation():
         standard = layout_check.read_standard(name)
         assert all(rule.source and rule.text for rule in standard.rules.values()) and standard.not_covered
         assert standard.rules.keys() <= LayoutParams.model_fields.keys()
-    assert layout_check.taper_ratio(40 * MILE_KM, RULES) == pytest.approx(40**2 / 60) and layout_check.taper_ratio(
-        45 * MILE_KM, RULES
-    ) == pytest.approx(45)
+    ratios = [layout_check.taper_ratio(speed_mph * MILE_KM, RULES) for speed_mph in (40, 45)]
+    assert ratios == pytest.approx([40**2 / 60, 45])
     assert layout_check.allowed_spacing_m(30 * MILE_KM, RULES) == pytest.approx((30 * FOOT_M, 60 * FOOT_M))
     for seed, fault in enumerate(FAULTS * 4):
         for finding in findings(closure(seed, fault, sigma_m=0.1))[1]:
