@@ -20,7 +20,6 @@ from conetl.pipeline.settings import prefect_environment, read_settings
 
 if TYPE_CHECKING:
     from conetl.db.receipt_store import Receipt
-    from conetl.model.health import HeldDrive, HoldEvent
     from conetl.pipeline.backfill_plan import Plan
     from flows.backfill import Standing
 
@@ -63,33 +62,27 @@ def backfill(
         if as_json:
             ui.print_json({"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
         return
-    ended: list[Receipt] = []
-    held: list[HeldDrive] = []
-    events: list[HoldEvent] = []
-    noted: set[str] = set()
     with ExitStack() as running:
         with ui.spinner("Starting Prefect"):
             from flows import backfill as flow
+            from flows.batch_artifacts import percent, sentence
             from flows.server import prefect_server
 
             running.enter_context(prefect_server(settings.home))
         bar = running.enter_context(_bar())
         task = bar.add_task("", total=100.0)
+        standing, printed, noted = flow.Standing(plan, 1, "here", 0.0, [], []), 0, ""
 
-        def show(standing: Standing) -> None:
-            from flows.batch_artifacts import percent, sentence
-
-            bar.update(task, completed=percent(standing), description=sentence(standing))
-            if standing.note and standing.note not in noted:
-                noted.add(standing.note)
-                ui.err.print(f"conetl: {standing.note}", markup=False, soft_wrap=True)
-            held[:], events[:] = standing.held, standing.hold_events
-            for receipt in standing.ended[len(ended) :]:
-                ended.append(receipt)
-                if not as_json:
-                    bar.stop()
-                    _print_receipt(receipt)
-                    bar.start()
+        def show(now: Standing) -> None:
+            nonlocal standing, printed, noted
+            bar.update(task, completed=percent(now), description=sentence(now))
+            if now.note != noted:
+                ui.err.print(f"conetl: {now.note}", markup=False, soft_wrap=True)
+            for receipt in [] if as_json else now.ended[printed:]:
+                bar.stop()
+                _print_receipt(receipt)
+                bar.start()
+            standing, printed, noted = now, len(now.ended), now.note
 
         running.enter_context(flow.watch_batch(show))
         flow.backfill(
@@ -97,28 +90,28 @@ def backfill(
             map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
             where="here" if here else "auto", return_state=True,
         ).result()  # fmt: skip
-    failed = [receipt for receipt in ended if not receipt.done]
     if as_json:
-        drives = [_receipt_as_dict(receipt) for receipt in ended]
         ui.print_json(
-            {"held": held, "hold_events": events, "plan": plan_as_dict(plan, max_parallel or 1), "drives": drives}
-        )
+            {
+                "held": standing.held, "hold_events": standing.hold_events, "plan": plan_as_dict(plan, max_parallel or 1),
+                "drives": [_receipt_as_dict(receipt) for receipt in standing.ended],
+            }
+        )  # fmt: skip
     else:
-        _print_summary(settings.map_name, ended, held, events)
-    raise typer.Exit(_exit_code(ended, failed, held))
+        _print_summary(standing)
+    raise typer.Exit(_exit_code(standing))
 
 
-def _print_summary(map_name: str, ended: list[Receipt], held: list[HeldDrive], events: list[HoldEvent]) -> None:
+def _print_summary(standing: Standing) -> None:
     """What became of the drives of a batch, those on hold first."""
     ui.say()
-    ui.print_held(held)
-    ui.print_hold_events(events)
-    waiting = {drive.changeset_id for drive in held}
-    done = [receipt for receipt in ended if receipt.done and receipt.changeset_id not in waiting]
-    failed = [receipt for receipt in ended if not receipt.done]
+    ui.print_held(standing.held)
+    ui.print_hold_events(standing.hold_events)
+    failed = standing.failed
     may_pass = sum(receipt.may_pass for receipt in failed)
-    on_hold = f"on hold: {len(held)}; " if held else ""
-    ui.say(f"On map {map_name}: {ui.counted(len(done), 'drive')}; {on_hold}failed: {len(failed)}.")
+    on_hold = f"on hold: {len(standing.held)}; " if standing.held else ""
+    done = ui.counted(standing.done, "drive")
+    ui.say(f"On map {standing.plan.map_name}: {done}; {on_hold}failed: {len(failed)}.")
     if may_pass:
         ui.say(f"Run the same command again to retry {ui.counted(may_pass, 'drive')}, whose failure may be temporary.")
     if may_pass < len(failed):
@@ -126,9 +119,9 @@ def _print_summary(map_name: str, ended: list[Receipt], held: list[HeldDrive], e
         ui.say(f"{rest} would fail again: first correct what is said above about each.")
 
 
-def _exit_code(ended: list[Receipt], failed: list[Receipt], held: list[HeldDrive]) -> int:
-    if not failed:  # a committed drive has a reason if too many of its records were rejected
-        return EXIT_NEEDS_ATTENTION if held or any(receipt.reason for receipt in ended) else EXIT_DONE
+def _exit_code(standing: Standing) -> int:
+    if not (failed := standing.failed):  # a committed drive has a reason if too many of its records were rejected
+        return EXIT_NEEDS_ATTENTION if standing.held or any(one.reason for one in standing.ended) else EXIT_DONE
     return EXIT_SERVICE_MISSING if all(receipt.may_pass for receipt in failed) else EXIT_BAD_INPUT
 
 
