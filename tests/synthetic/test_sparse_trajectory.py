@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from conetl.evaluation.drive_evaluation import evaluate_drive, nees_of
+from conetl.evaluation.truth import read_truth_cones
 from conetl.geometry import pose as se3
+from conetl.geometry.motion.chain_solver import cross_covariance
 from conetl.model.health import hold_reason
 from conetl.model.params import IngestParams
+from conetl.pipeline.analysis import analyse
+from conetl.pipeline.settings import Settings
+from conetl.readers.drives import read_drive
+from conetl.readers.drives.poses import Samples
+from conetl.readers.drives.sparse_poses import pose_reader
 from conetl.readers.drives.video_timing import refined_clock
+from conetl.simulation.scenario import scenario_pass
+from conetl.simulation.simulate import simulated_rig
+from conetl.simulation.trajectory import true_poses
 from conetl.tracking.clock_search import find_clock_offset, rates_of
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.health import check_trajectory
 from conetl.tracking.trajectory import RefinementOutcome, log_errors, refine_trajectory
+from tests.integration.small_drives import SAMPLES
 from tests.synthetic.good_drives import PARAMS, RIG
 from tests.synthetic.odometry import motions_of, pose_errors
 from tests.synthetic.sparse_drive import offset_bound_s, record
@@ -34,6 +47,46 @@ def test_refined_poses_of_1_hz_positions_are_honest(sigma_m: float, most_m: floa
     assert chi2.ppf(0.001, 3 * runs) < sum(positions) < chi2.ppf(0.999, 3 * runs)
     assert sum(attitudes) < chi2.ppf(0.999, 3 * runs)
     assert np.median(rms_m) < most_m
+
+
+@pytest.mark.parametrize("rad_per_m", [-5e-5, 5e-5])
+def test_odometry_that_turns_alike_in_all_intervals_is_honest(rad_per_m: float) -> None:
+    """Rendered and real images turn visual odometry about the optical axis by up to 0.006 degrees per metre."""
+    drive = record(3, seconds=20.0)
+    motions = []
+    for motion in drive.motions:
+        pose = np.array(motion.second_SE3_first)
+        turn = rad_per_m * np.linalg.norm(pose[:3, 3]) * np.array([0.0, 0.0, 1.0])
+        pose[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
+        motions.append(motion.model_copy(update={"second_SE3_first": se3.to_matrix4(pose)}))
+    result = refine_trajectory(drive.frame_pairs(0.0), RIG, motions, PARAMS)
+    assert result.covariance is not None
+    error = pose_errors(result.frame_pairs, drive.truth)
+    first, last = 5, len(error) - 6
+    between = cross_covariance(result.covariance, first, last)[3, 3]
+    variance = result.covariance.cov[[first, last], 3, 3].sum() - 2 * between
+    assert (error[last, 3] - error[first, 3]) ** 2 < chi2.ppf(0.95, 1) * variance
+
+
+@pytest.mark.parametrize("scatter_m", [0.0, 0.02])
+def test_a_sample_drive_by_positions_alone_states_true_sigmas(sample_settings: Settings, scatter_m: float) -> None:
+    """One position a second, known to 0.02 m, from before the images to after them."""
+    drive, _ = read_drive(SAMPLES[0])
+    rig, times_s = simulated_rig(), np.arange(-8.6, 12.0)
+    true = true_poses(scenario_pass(1), times_s, float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
+    true[:, :3, 3] += np.random.default_rng(1).normal(0, max(scatter_m, 1e-9), (len(true), 3))
+    captured_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    stamps = (captured_ns[0] + np.round(times_s * 1e9)).astype(np.int64).tolist()
+    sigma = np.tile([0.02, 0.02, 0.03, 0.0, 0.0, 0.0], (len(times_s), 1))
+    pose_at = pose_reader(Samples("gnss", stamps, true, sigma, {}), captured_ns, from_course=True)
+    pairs = tuple(pair.model_copy(update={"pose": pose_at(pair.captured_at_ns)}) for pair in drive.frame_pairs)
+    found = analyse(drive.model_copy(update={"frame_pairs": pairs}), settings=sample_settings)
+    cones, _ = read_truth_cones(SAMPLES[0] / "truth.csv")
+    evaluation = evaluate_drive(
+        cones, found.drive, found.tracks, found.records.positions, found.motion, found.poses, within_m=20.0
+    )
+    nees = nees_of([evaluation])["tracks"]
+    assert nees is not None and nees.common.holds() and nees.relative.value < nees.relative.band()[1]
 
 
 def test_frame_pairs_between_records_are_no_measurements_of_their_own() -> None:

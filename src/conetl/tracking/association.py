@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import count
 from math import dist, inf
@@ -43,8 +43,8 @@ class MotionError:
     camera's frame at the end."""
     most_m2: Callable[[float], float] = lambda _range_m: np.inf
     """Range (m) of a point at both ends -> upper bound of the trace of that covariance."""
-    drift_m: Mapping[int, Floats] = field(default_factory=dict)
-    """Frame index -> (3,): one sigma of a drift of the log that the adjustment cannot exclude, about the middle of the drive."""
+    middle: int | None = None
+    """Frame in the middle of a drive whose poses' errors change by more than cones err; None of others."""
 
     def __call__(self, start: int, end: int, point_m: Floats) -> Floats:
         return self.cov_m2(start, end, point_m)

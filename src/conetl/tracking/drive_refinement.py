@@ -28,6 +28,7 @@ from conetl.tracking.trajectory import (
     ControlCone,
     RefinedTrajectory,
     RefinementOutcome,
+    is_interpolated,
     measured_motions,
     read_log,
     refine_trajectory,
@@ -105,7 +106,7 @@ def _with_common_errors(
     pairs = tuple(
         _with_sigmas(pair, vec3(own[:3]), vec3(own[3:])) for pair, own in zip(refined.frame_pairs, sigma, strict=True)
     )
-    return replace(refined, frame_pairs=pairs, covariance=cov, drift_m=reach[:, :3, 8] if doubtful else None)
+    return replace(refined, frame_pairs=pairs, covariance=cov, changes=doubtful or is_interpolated(refined.logged))
 
 
 def _refine_with_cones(

@@ -104,7 +104,7 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
     return MotionError(
         carried_cov_m2,
         most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2),
-        drift_m={} if trajectory.drift_m is None else dict(zip(rank, trajectory.drift_m, strict=True)),
+        middle=trajectory.frame_pairs[len(rank) // 2].frame_index if trajectory.changes else None,
     )
 
 

@@ -168,14 +168,18 @@ def fuse_group(
     log = data.params.trajectory if data.motion is None else None
     of_drive = common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)
     shared = [(class_error_id(category), of_class)] if of_class.any() else []
-    drift_m = data.motion.drift_m.get(nearest.frame_index, np.zeros(3)) if data.motion else np.zeros(3)
+    changed = np.zeros((3, 3))
+    if data.motion is not None and data.motion.middle is not None:
+        map_R_middle = data.map_SE3_left[data.motion.middle][:3, :3]
+        in_middle = data.motion(nearest.frame_index, data.motion.middle, np.array(nearest.camera_xyz_m))
+        changed = map_R_middle @ in_middle @ map_R_middle.T
     first, last = (data.frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
         category=category,
         xyz_m=vec3(foot.xyz_m),
         cov_m2=cov3(own_cov + of_class @ of_class.T + of_drive),
-        relative_cov_m2=cov3(own_cov + np.outer(drift_m, drift_m)),
+        relative_cov_m2=cov3(own_cov + changed),
         centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,
         cone_height_sigma_m=height_sigma_m,

@@ -37,6 +37,9 @@ from conetl.tracking.clock import ClockOffset
 Floats = NDArray[np.float64]
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
 _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S = 1e-4, 1e-6, 1e-3
+#: Visual odometry turns about the optical axis by so much per metre (one sigma) in all intervals alike: points are followed less
+#: well where the road comes nearer. Recorded attitudes hold it, a course does not show it.
+_TURN_RAD_PER_M = 5e-5
 #: Chi-square of 6 degrees of freedom at 1e-6, beyond which an interval contradicts GNSS/INS.
 _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
@@ -74,8 +77,8 @@ class RefinedTrajectory:
     """By what share the images show longer distances than GNSS/INS, with its sigma; None unless refined."""
     clock: ClockOffset | None = None
     """Between cameras and GNSS/INS; None where the drive does not show it."""
-    drift_m: Floats | None = None
-    """(K, 3) one sigma of a drift of GNSS/INS, about the middle of the drive; None where none is suspected."""
+    changes: bool = False
+    """Whether errors of the poses change within the drive by more than cones err: GNSS/INS may drift, or has few records."""
     logged: tuple[FramePair, ...] = ()
     """Poses as logged, at the instants of the images where the clock was corrected."""
     control: HealthCheck | None = None
@@ -125,7 +128,13 @@ def refine_trajectory(
     kept = MeasuredMotions(measured.start[good], measured.next_SE3_first[good], measured.cov[good])
     sightings = _sightings(frame_pairs, [*(cone.positions for cone in control), *cones])
     priors = [LandmarkPrior(k, cone.xyz_m, np.asarray(np.linalg.inv(cone.cov_m2))) for k, cone in enumerate(control)]
-    solved = adjust(log, kept, sightings, params.robust_sigmas, params.scale_sigma, priors)
+    sparse = is_interpolated(frame_pairs)
+    common_sigmas = [params.scale_sigma, _TURN_RAD_PER_M] if sparse else [params.scale_sigma]
+    solved = adjust(log, kept, sightings, params.robust_sigmas, common_sigmas, priors)
+    if solved is not None and sparse:
+        share = _white_share(log, log.places - solved[1], frame_pairs, params)
+        log = read_log(frame_pairs, rig, params.model_copy(update={"gnss_white_share": share}))
+        solved = adjust(log, kept, sightings, params.robust_sigmas, common_sigmas, priors)
     if solved is None:
         return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
     rotations, places, scale, normal = solved
@@ -203,6 +212,28 @@ def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParam
         poses[:, :3, :3], poses[:, :3, 3], sigma_p, white, np.sqrt(np.maximum(1 - share**2, 1e-6)) * own, keep,
         np.array(rig.body_SE3_left), new,
     )  # fmt: skip
+
+
+def is_interpolated(frame_pairs: Sequence[FramePair]) -> bool:
+    """Whether the poses are those of sparse records, or of a course."""
+    return any(pair.pose.interpolated is not None for pair in frame_pairs)
+
+
+def _white_share(
+    log: LoggedPoses, error_m: Floats, frame_pairs: Sequence[FramePair], params: TrajectoryParams
+) -> float:
+    """Share of the sigmas of sparse positions that is independent in every record, as they err against the adjusted ones.
+
+    error_m: (K, 3). At least the share in `params`: positions without an INS may scatter by more.
+    """
+    apart_s = float(np.median(_interpolation(frame_pairs)[1]))
+    times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64) * 1e-9
+    lag = round(apart_s / float(np.median(np.diff(times_s))))
+    if not 0 < lag < len(error_m):
+        return params.gnss_white_share
+    kept = np.exp(-apart_s / params.gnss_correlation_s)
+    change2 = np.mean(((error_m[lag:] - error_m[:-lag]) / log.sigma_p[lag:]) ** 2) / 2
+    return float(np.sqrt(np.clip((change2 - (1 - kept)) / kept, params.gnss_white_share**2, 1.0)))
 
 
 def _interpolation(frame_pairs: Sequence[FramePair]) -> tuple[Floats, Floats]:

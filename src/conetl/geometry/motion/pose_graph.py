@@ -2,8 +2,8 @@
 
 Unknown for each frame are the pose and the slowly varying error of its log (a first-order Gauss-Markov process). Measured motions
 of the left camera tie each frame to the next, sightings of static points tie all frames that saw them; a scale common to all
-measured motions models the error of the rig's calibration. Gauss-Newton with Huber's weights; normal equations of
-`chain_solver.py`.
+measured motions models the error of the rig's calibration, a turn about the optical axis per metre that of followed points.
+Gauss-Newton with Huber's weights; normal equations of `chain_solver.py`.
 
 A small pose error is (p, a): map_t_body = t_true + p in metres, map_R_body = R_true exp([a]x), a in radians about the body's
 axes; for a car roll, pitch and yaw are about those axes.
@@ -85,7 +85,7 @@ class _State(NamedTuple):
     bias: Floats
     """(K, 6): slow error of the log."""
     shared: Floats
-    """Scale of the measured motions less one, then the feet of the cones."""
+    """Errors common to the measured motions (`adjust`), then the feet of the cones."""
 
 
 def adjust(
@@ -93,41 +93,51 @@ def adjust(
     motions: MeasuredMotions,
     sightings: Sequence[LandmarkObservation],
     robust_sigmas: float,
-    scale_sigma: float,
+    common_sigmas: Sequence[float],
     priors: Sequence[LandmarkPrior] = (),
 ) -> tuple[Floats, Floats, float, ChainNormal] | None:
     """Rotations (K, 3, 3), positions (K, 3), scale of the measured motions less one, and the last normal equations, whose first
-    shared unknown it is; None where the iteration does not converge."""
+    shared unknown it is; None where the iteration does not converge.
+
+    common_sigmas: what is known of errors common to all motions: of their scale, and, where that is an unknown, of their turn
+    about the optical axis (rad per metre).
+    """
     left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
     cones = 1 + max((s.cone for s in sightings), default=-1)
-    shared = np.zeros(1 + 3 * cones)
+    common = len(common_sigmas)
+    shared = np.zeros(common + 3 * cones)
     for cone in range(cones):
         feet = [se3.apply(left[s.frame], s.xyz) for s in sightings if s.cone == cone]
-        shared[1 + 3 * cone : 4 + 3 * cone] = np.median(feet, axis=0) if feet else 0.0
+        shared[_foot(common, cone)] = np.median(feet, axis=0) if feet else 0.0
     state = _State(log.rotations, log.places, np.zeros((len(log.places), POSE)), shared)
     for _ in range(_MAX_ITERATIONS):
-        normal = _normal_equations(log, state, scale_sigma)
-        _add_motions(normal, log, state, motions, robust_sigmas)
-        _add_sightings(normal, log, state, sightings, robust_sigmas)
+        normal = _normal_equations(log, state, np.array(common_sigmas))
+        _add_motions(normal, log, state, motions, robust_sigmas, common)
+        _add_sightings(normal, log, state, sightings, robust_sigmas, common)
         for prior in priors:
-            at = slice(1 + 3 * prior.cone, 4 + 3 * prior.cone)
+            at = _foot(common, prior.cone)
             normal.corner[at, at] += prior.information
             normal.right_shared[at] += prior.information @ (prior.xyz - state.shared[at])
         try:
-            step, common = chain_solver.solve(normal)
+            step, step_shared = chain_solver.solve(normal)
         except np.linalg.LinAlgError:
             return None
         state = _State(
             state.rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(), state.places + step[:, :3],
-            state.bias + step[:, POSE:], state.shared + common,
+            state.bias + step[:, POSE:], state.shared + step_shared,
         )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
             return state.rotations, state.places, float(state.shared[0]), normal
     return None
 
 
-def _normal_equations(log: LoggedPoses, state: _State, scale_sigma: float) -> ChainNormal:
-    """Normal equations of the log and of the prior of the scale."""
+def _foot(common: int, cone: int) -> slice:
+    """The foot of a cone among the shared unknowns."""
+    return slice(common + 3 * cone, common + 3 * cone + 3)
+
+
+def _normal_equations(log: LoggedPoses, state: _State, common_sigmas: Floats) -> ChainNormal:
+    """Normal equations of the log and of what is known of the motions' common errors."""
     rotations, places, bias, shared = state
     count = len(places)
     diagonal, upper = np.zeros((count, STATE, STATE)), np.zeros((count - 1, STATE, STATE))
@@ -156,44 +166,54 @@ def _normal_equations(log: LoggedPoses, state: _State, scale_sigma: float) -> Ch
     right[1:, POSE:] -= fresh * jump
     right[:-1, POSE:] += ratio * fresh * jump
     normal = ChainNormal(diagonal, upper, border, corner, right, right_shared)
-    normal.corner[0, 0] += 1 / scale_sigma**2
-    normal.right_shared[0] -= shared[0] / scale_sigma**2
+    common = np.arange(len(common_sigmas))
+    normal.corner[common, common] += 1 / common_sigmas**2
+    normal.right_shared[common] -= shared[common] / common_sigmas**2
     return normal
 
 
 def _add_motions(
-    normal: ChainNormal, log: LoggedPoses, state: _State, motions: MeasuredMotions, robust_sigmas: float
+    normal: ChainNormal, log: LoggedPoses, state: _State, motions: MeasuredMotions, robust_sigmas: float, common: int
 ) -> None:
-    """Add visual odometry to the normal equations; the scale is the first of the shared unknowns."""
+    """Add visual odometry to the normal equations; its common errors are the first shared unknowns."""
     residual, from_first, from_second = motion_residuals(log, *state[:2], motions, state.shared[0])
+    driven_m = np.linalg.norm(motions.next_SE3_first[:, :3, 3], axis=1)
+    if common > 1:
+        residual[:, 2] -= state.shared[1] * driven_m
     information = np.linalg.inv(motions.cov)
     misfit2 = np.einsum("mi,mij,mj->m", residual, information, residual) / 6
     information *= _huber(misfit2, robust_sigmas)[:, None, None]
-    from_scale = np.zeros((len(residual), 6, 1))
-    from_scale[:, 3:, 0] = motions.next_SE3_first[:, :3, 3] - residual[:, 3:]
+    from_common = np.zeros((len(residual), 6, common))
+    from_common[:, 3:, 0] = motions.next_SE3_first[:, :3, 3] - residual[:, 3:]
+    from_common[:, 2, 1:] = driven_m[:, None]
     wide_first = np.swapaxes(from_first, 1, 2) @ information
     wide_second = np.swapaxes(from_second, 1, 2) @ information
-    wide_scale = np.swapaxes(from_scale, 1, 2) @ information
+    wide_common = np.swapaxes(from_common, 1, 2) @ information
     k = motions.start
     normal.diagonal[k, :POSE, :POSE] += wide_first @ from_first
     normal.diagonal[k + 1, :POSE, :POSE] += wide_second @ from_second
     normal.upper[k, :POSE, :POSE] += wide_first @ from_second
-    normal.border[k, :POSE, :1] += wide_first @ from_scale
-    normal.border[k + 1, :POSE, :1] += wide_second @ from_scale
-    normal.corner[:1, :1] += (wide_scale @ from_scale).sum(axis=0)
+    normal.border[k, :POSE, :common] += wide_first @ from_common
+    normal.border[k + 1, :POSE, :common] += wide_second @ from_common
+    normal.corner[:common, :common] += (wide_common @ from_common).sum(axis=0)
     normal.right[k, :POSE] += (wide_first @ residual[:, :, None])[:, :, 0]
     normal.right[k + 1, :POSE] += (wide_second @ residual[:, :, None])[:, :, 0]
-    normal.right_shared[:1] += (wide_scale @ residual[:, :, None]).sum(axis=0)[:, 0]
+    normal.right_shared[:common] += (wide_common @ residual[:, :, None]).sum(axis=0)[:, 0]
 
 
 def _add_sightings(
-    normal: ChainNormal, log: LoggedPoses, state: _State, sightings: Sequence[LandmarkObservation], robust_sigmas: float
+    normal: ChainNormal,
+    log: LoggedPoses,
+    state: _State,
+    sightings: Sequence[LandmarkObservation],
+    robust_sigmas: float,
+    common: int,
 ) -> None:
-    """Add cones as landmarks; their feet follow the scale among the shared unknowns."""
+    """Add cones as landmarks; their feet follow the motions' common errors among the shared unknowns."""
     rotations, places, _, shared = state
     body_R_left, lever = log.body_SE3_left[:3, :3], log.body_SE3_left[:3, 3]
     for s in sightings:
-        at = slice(1 + 3 * s.cone, 4 + 3 * s.cone)
+        at = _foot(common, s.cone)
         camera_R_map = (rotations[s.frame] @ body_R_left).T
         centre = places[s.frame] + rotations[s.frame] @ lever
         local = camera_R_map @ (shared[at] - centre)
