@@ -141,7 +141,7 @@ def _logs() -> list[WrongRecording]:
         *(WrongRecording(f"GNSS drifts {m:g} m", drift(m), cause=c, fast=m == 1.0) for m, c in drifts.items()),
         *(WrongRecording(f"heights drift {m:g} m", climbing(m), cause="up or down", fast=m == 0.4) for m in (0.4, 1.0)),
         *(
-            WrongRecording(f"GNSS noise {m:g} m", noise(m), cause="stated sigmas", fast=m == 0.3)
+            WrongRecording(f"GNSS noise {m:g} m", noise(m), cause="positions scatter", fast=m == 0.3)
             for m in (0.1, 0.3, 1.0)
         ),
         *(
@@ -341,6 +341,7 @@ def _street() -> list[WrongRecording]:
         ),
         WrongRecording("poses 5 records late", late(5), on=street),
         WrongRecording("GNSS of 0.5 m states 0.03", in_turn(noise(0.5, 5.0), stating(0.03)), cause="stated sigmas", on=street),
+        WrongRecording("noise 0.3 m states 0.03", in_turn(noise(0.3), stating(0.03)), cause="positions scatter", on=street),
         WrongRecording("states 0.03 m", stating(0.03), cause="stated sigmas", on=street),
         WrongRecording("poses in reverse", reversed_poses, cause="reverse order", on=street),
         WrongRecording("GNSS frozen", frozen_place(), cause="is it frozen", on=street),

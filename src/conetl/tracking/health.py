@@ -21,6 +21,7 @@ from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOut
 from conetl.tracking.trajectory import (
     RefinedTrajectory,
     RefinementOutcome,
+    is_interpolated,
     measured_motions,
     plausible_motions,
     read_log,
@@ -47,6 +48,9 @@ _MAX_REVERSED, _REVERSED_M, _REVERSED_SIGMAS = 10, 0.05, 3.0
 _DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
 #: A log below this speed stands still, and one this far away from the direction in which the cameras look has other axes.
 _STANDING_M_S, _ASIDE_DEG = 0.5, 20.0
+#: Positions scatter where half of them bend the path by more than a vehicle can (m/s^2), and by so much of their stated sigmas.
+#: The middle of the bends is that many sigmas of one coordinate.
+_BENDS_M_S2, _SCATTER_SHARE, _BEND_SIGMAS = 8.0, 0.5, np.sqrt(6 * np.log(4))
 
 
 def check_trajectory(
@@ -123,7 +127,7 @@ def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: Me
 
     A course that is taken for the heading of a vehicle that reverses is opposite to what its cameras show.
     """
-    if all(pair.pose.interpolated is None for pair in frame_pairs) or not len(measured.start):
+    if not is_interpolated(frame_pairs) or not len(measured.start):
         return []
     observed = measured.next_SE3_first[:, :3, 3]
     logged = observed - motion_residuals(log, log.rotations, log.places, measured, 0.0)[0][:, 3:]
@@ -170,6 +174,15 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
     positions_m = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
     looks = np.array([pair.pose.map_R_body for pair in frame_pairs]) @ np.array(rig.body_SE3_left)[:3, 2]
     steps_m, ahead = np.diff(positions_m[:, :2], axis=0), (looks[1:, :2] + looks[:-1, :2]) / 2
+    step_s = float(np.median(np.diff([pair.captured_at_ns for pair in frame_pairs]))) * 1e-9
+    bend_m = float(np.median(np.linalg.norm(np.diff(steps_m, axis=0), axis=1)))
+    scatter_m = bend_m / _BEND_SIGMAS
+    stated_m = float(np.median([max(pair.pose.sigma_enu_m[:2]) for pair in frame_pairs]))
+    if bend_m > _BENDS_M_S2 * step_s**2 and scatter_m > _SCATTER_SHARE * stated_m:
+        return (
+            f" By the log positions scatter by {scatter_m:.2f} m from one record to the next, at stated sigmas of "
+            f"{stated_m:.2f} m: process the log anew, or state its true sigmas (sigmas in drive.yaml)."
+        )
     path_m = float(np.linalg.norm(steps_m, axis=1).sum())
     duration_s = (frame_pairs[-1].captured_at_ns - frame_pairs[0].captured_at_ns) * 1e-9
     if path_m < _STANDING_M_S * duration_s:
@@ -199,7 +212,7 @@ def _agreement(
         )
         detail = (
             f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
-            f"median. {_in_common(observed, observed - residual[:, 3:])}{_against_itself(frame_pairs, rig)}"
+            f"median.{_against_itself(frame_pairs, rig) or _in_common(observed, observed - residual[:, 3:])}"
         )
     return HealthCheck(
         name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
@@ -228,10 +241,10 @@ def _in_common(observed: Floats, logged: Floats) -> str:
         scale = float(np.median(ratio))
         if abs(scale) > _COMMON_SHARE and np.median(np.abs(ratio - scale)) < abs(scale) / 4:
             return (
-                f"The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: the calibration's baseline or "
+                f" The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: the calibration's baseline or "
                 "focal length is wrong, or GNSS/INS drifts. Calibrate the rig (conetl calibrate) or process its log anew."
             )
-    return "Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
+    return " Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
 
 
 def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
