@@ -86,6 +86,12 @@ class _State(NamedTuple):
     """(K, 6): slow error of the log."""
     shared: Floats
     """Errors common to the measured motions (`adjust`), then the feet of the cones."""
+    common: int
+    """How many errors come first."""
+
+    def foot(self, cone: int) -> slice:
+        """The foot of a cone among the shared unknowns."""
+        return slice(self.common + 3 * cone, self.common + 3 * cone + 3)
 
 
 def adjust(
@@ -106,16 +112,16 @@ def adjust(
     cones = 1 + max((s.cone for s in sightings), default=-1)
     common = len(common_sigmas)
     shared = np.zeros(common + 3 * cones)
+    state = _State(log.rotations, log.places, np.zeros((len(log.places), POSE)), shared, common)
     for cone in range(cones):
         feet = [se3.apply(left[s.frame], s.xyz) for s in sightings if s.cone == cone]
-        shared[_foot(common, cone)] = np.median(feet, axis=0) if feet else 0.0
-    state = _State(log.rotations, log.places, np.zeros((len(log.places), POSE)), shared)
+        shared[state.foot(cone)] = np.median(feet, axis=0) if feet else 0.0
     for _ in range(_MAX_ITERATIONS):
         normal = _normal_equations(log, state, np.array(common_sigmas))
-        _add_motions(normal, log, state, motions, robust_sigmas, common)
-        _add_sightings(normal, log, state, sightings, robust_sigmas, common)
+        _add_motions(normal, log, state, motions, robust_sigmas)
+        _add_sightings(normal, log, state, sightings, robust_sigmas)
         for prior in priors:
-            at = _foot(common, prior.cone)
+            at = state.foot(prior.cone)
             normal.corner[at, at] += prior.information
             normal.right_shared[at] += prior.information @ (prior.xyz - state.shared[at])
         try:
@@ -124,21 +130,16 @@ def adjust(
             return None
         state = _State(
             state.rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(), state.places + step[:, :3],
-            state.bias + step[:, POSE:], state.shared + step_shared,
+            state.bias + step[:, POSE:], state.shared + step_shared, common,
         )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
             return state.rotations, state.places, float(state.shared[0]), normal
     return None
 
 
-def _foot(common: int, cone: int) -> slice:
-    """The foot of a cone among the shared unknowns."""
-    return slice(common + 3 * cone, common + 3 * cone + 3)
-
-
 def _normal_equations(log: LoggedPoses, state: _State, common_sigmas: Floats) -> ChainNormal:
     """Normal equations of the log and of what is known of the motions' common errors."""
-    rotations, places, bias, shared = state
+    rotations, places, bias, shared, _ = state
     count = len(places)
     diagonal, upper = np.zeros((count, STATE, STATE)), np.zeros((count - 1, STATE, STATE))
     border, corner = np.zeros((count, STATE, len(shared))), np.zeros((len(shared), len(shared)))
@@ -173,9 +174,10 @@ def _normal_equations(log: LoggedPoses, state: _State, common_sigmas: Floats) ->
 
 
 def _add_motions(
-    normal: ChainNormal, log: LoggedPoses, state: _State, motions: MeasuredMotions, robust_sigmas: float, common: int
+    normal: ChainNormal, log: LoggedPoses, state: _State, motions: MeasuredMotions, robust_sigmas: float
 ) -> None:
     """Add visual odometry to the normal equations; its common errors are the first shared unknowns."""
+    common = state.common
     residual, from_first, from_second = motion_residuals(log, *state[:2], motions, state.shared[0])
     driven_m = np.linalg.norm(motions.next_SE3_first[:, :3, 3], axis=1)
     if common > 1:
@@ -202,18 +204,13 @@ def _add_motions(
 
 
 def _add_sightings(
-    normal: ChainNormal,
-    log: LoggedPoses,
-    state: _State,
-    sightings: Sequence[LandmarkObservation],
-    robust_sigmas: float,
-    common: int,
+    normal: ChainNormal, log: LoggedPoses, state: _State, sightings: Sequence[LandmarkObservation], robust_sigmas: float
 ) -> None:
     """Add cones as landmarks; their feet follow the motions' common errors among the shared unknowns."""
-    rotations, places, _, shared = state
+    rotations, places, _, shared, _ = state
     body_R_left, lever = log.body_SE3_left[:3, :3], log.body_SE3_left[:3, 3]
     for s in sightings:
-        at = _foot(common, s.cone)
+        at = state.foot(s.cone)
         camera_R_map = (rotations[s.frame] @ body_R_left).T
         centre = places[s.frame] + rotations[s.frame] @ lever
         local = camera_R_map @ (shared[at] - centre)
