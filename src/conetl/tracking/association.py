@@ -43,8 +43,9 @@ class MotionError:
     camera's frame at the end."""
     most_m2: Callable[[float], float] = lambda _range_m: np.inf
     """Range (m) of a point at both ends -> upper bound of the trace of that covariance."""
-    middle: int | None = None
-    """Frame in the middle of a drive whose poses' errors change by more than cones err; None of others."""
+    changed_cov: Callable[[int], Floats] | None = None
+    """Frame -> (6, 6) covariance of the change of its pose's error (m, rad) since the middle of the drive; None where cones err
+    by more."""
 
     def __call__(self, start: int, end: int, point_m: Floats) -> Floats:
         return self.cov_m2(start, end, point_m)

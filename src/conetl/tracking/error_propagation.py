@@ -104,8 +104,17 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
     return MotionError(
         carried_cov_m2,
         most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2),
-        middle=trajectory.frame_pairs[len(rank) // 2].frame_index if trajectory.changes else None,
+        changed_cov=partial(_changed_cov, trajectory, rank) if trajectory.changes else None,
     )
+
+
+def _changed_cov(trajectory: RefinedTrajectory, rank: Mapping[int, int], frame_index: int) -> Floats:
+    """(6, 6), as `MotionError.changed_cov`."""
+    assert trajectory.covariance is not None  # errors that change are those of a refined trajectory
+    first, second = sorted((rank[frame_index], len(rank) // 2))
+    joint = joint_covariance(trajectory.covariance, [first, second], POSE) if first < second else np.zeros((12, 12))
+    change = np.kron([1.0, -1.0], np.eye(POSE))
+    return np.asarray(change @ joint @ change.T)
 
 
 def constant_and_change(cov: Floats) -> tuple[Floats, Floats]:
