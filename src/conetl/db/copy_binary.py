@@ -21,6 +21,9 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.packing import stacked
+from conetl.model.records import Vec3
+
 SIGNATURE = b"PGCOPY\n\xff\r\n\0" + bytes(8)
 TRAILER = b"\xff\xff"
 NULL_LENGTH = -1
@@ -40,14 +43,13 @@ class Column:
 
 def fixed(values: Any, dtype: str) -> Column:
     """Numbers as `dtype` (big-endian: '>i4' integer, '>i8' bigint, '>f8' float8, '?' boolean); None becomes NULL."""
-    missing = None
-    if not isinstance(values, np.ndarray):
-        missing = np.array([value is None for value in values], bool)
-        values = [0 if value is None else value for value in values] if missing.any() else values
+    missing = np.empty(0, np.int64)
+    if not isinstance(values, np.ndarray) and None in values:
+        missing = np.flatnonzero([value is None for value in values])
+        values = [0 if value is None else value for value in values]
     array = np.asarray(values, dtype=dtype)
     lengths = np.full(len(array), array.dtype.itemsize, np.int32)
-    if missing is not None:
-        lengths[missing] = NULL_LENGTH
+    lengths[missing] = NULL_LENGTH
     return Column(array, lengths)
 
 
@@ -72,9 +74,9 @@ def constant_uuid(value: UUID, count: int) -> Column:
     return _blocks([value.bytes] * count, 16)
 
 
-def points(xyz_m: Any, srid: int) -> Column:
+def points(xyz_m: Sequence[Vec3], srid: int) -> Column:
     """geometry(PointZ, srid) from (n, 3) metres, as extended well-known binary (33 bytes)."""
-    xyz = np.asarray(xyz_m, np.float64).reshape(-1, 3)
+    xyz = stacked(xyz_m, 3)
     ewkb = np.empty(len(xyz), [("order", "u1"), ("type", "<u4"), ("srid", "<u4"), ("xyz", "<f8", 3)])
     ewkb["order"], ewkb["type"], ewkb["srid"], ewkb["xyz"] = 1, _EWKB_POINT_Z_SRID, srid, xyz
     return Column(ewkb.view("V33"), np.full(len(xyz), 33, np.int32))
@@ -93,7 +95,8 @@ def double_arrays(values: Any) -> Column:
 
 def texts(values: Sequence[str | None]) -> Column:
     """text; None becomes NULL. Characters that PostgreSQL cannot hold (NUL, lone surrogates of file names) become U+FFFD."""
-    return _variable([None if value is None else clean_text(value).encode() for value in values])
+    encoded = {value: None if value is None else clean_text(value).encode() for value in set(values)}
+    return _variable([encoded[value] for value in values])
 
 
 def byteas(values: Sequence[bytes | None]) -> Column:
@@ -131,20 +134,20 @@ def _encoded_blocks(columns: Mapping[str, Column]) -> Iterator[bytes]:
     lengths = np.stack([part.lengths for part in parts], axis=1)
     if not len(lengths):
         return
-    # Only the few columns whose lengths differ between rows are searched, which is several times as fast.
-    varying = np.flatnonzero((lengths != lengths[0]).any(axis=0))
-    constant = len(varying) == 0
-    for own in lengths[:1, varying] if constant else np.unique(lengths[:, varying], axis=0):
-        rows: Any = slice(None) if constant else np.flatnonzero((lengths[:, varying] == own).all(axis=1))
-        shape = lengths[0].copy()
-        shape[varying] = own
+    group = np.zeros(len(lengths), np.int64)  # rows of equal lengths; numbers rise with the lengths
+    for column in lengths.T[(lengths != lengths[0]).any(axis=0)]:
+        group = np.unique(group * (int(column.max()) + 2) + column + 1, return_inverse=True)[1]
+    groups = int(group.max()) + 1
+    for number in range(groups):
+        rows: Any = slice(None) if groups == 1 else np.flatnonzero(group == number)
+        shape = lengths[rows][0]
         fields: list[tuple[str, Any]] = [("count", ">i2")]
         for i, length in enumerate(shape):
             fields.append((f"length{i}", ">i4"))
             if length > 0:
                 dtype = parts[i].values.dtype
                 fields.append((f"value{i}", f"V{length}" if dtype.hasobject else dtype))
-        block = np.empty(len(lengths) if constant else len(rows), fields)
+        block = np.empty(len(group[rows]), fields)
         block["count"] = len(parts)
         for i, length in enumerate(shape):
             block[f"length{i}"] = length

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -40,6 +41,11 @@ def horizontal_sigma_m(cov: Cov3) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(cov_matrix(cov)[:2, :2])[-1]))
 
 
+def stacked(rows: Sequence[Sequence[float]], width: int) -> Floats:
+    """N tuples of `width` numbers -> (N, width), in half the time of numpy.array."""
+    return np.fromiter(chain.from_iterable(rows), np.float64, width * len(rows)).reshape(-1, width)
+
+
 def cov_matrices(covariances: Sequence[Cov3]) -> Floats:
     """As `cov_matrix`, for N of them: (N, 3, 3)."""
-    return np.array(covariances, dtype=np.float64).reshape(-1, 6)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return stacked(covariances, 6)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

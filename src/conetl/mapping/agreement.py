@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
-from conetl.mapping.association import assign, classes_of, common_offset, near_pairs
+from conetl.mapping.association import assign, classes_of, common_offset, near_pairs, xyz_of
 from conetl.mapping.marking_deltas import drive_of, lines_on_map
 from conetl.mapping.marking_lines import feet
 from conetl.model.arrays import Floats, Ints
@@ -97,7 +97,7 @@ def _displaced(
     tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
 ) -> HealthCheck | None:
     """The common displacement of a drive's cones against the map's; None where the stated sigmas cover it."""
-    t, f = (np.array([one.xyz_m for one in side]) for side in (tracks, features))
+    t, f = xyz_of(tracks), xyz_of(features)
     near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
     # GNSS without a fix lies metres aside, as its sigmas say: only the heights are compared after its offset is taken out.
     offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
@@ -144,7 +144,7 @@ def imported_displacement(
     """
     if not stated or not features:
         return None
-    t, f = (np.array([one.xyz_m for one in side]) for side in (stated, features))
+    t, f = xyz_of(stated), xyz_of(features)
     covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
     pairs = _same_positions(stated, features, np.zeros(3), params)
     if pairs:
@@ -192,7 +192,7 @@ def _arranged_alike(
 
     found: how many stand where one of the map stands, of which twice as many must fit elsewhere, at least least_same.
     """
-    t, f = (np.array([one.xyz_m for one in side]) for side in (cones, features))
+    t, f = xyz_of(cones), xyz_of(features)
     near = _with_neighbours(t, f)
     some = near[:: 1 + len(near) // _MAX_TRACKS]
     found_of_some = found * len(some) / max(len(near), 1)
@@ -215,7 +215,7 @@ def _same_positions(
     tracks: Sequence[Track | MapFeature], features: Sequence[MapFeature], shift_m: Floats, params: ReconcileParams
 ) -> dict[int, int]:
     """Which tracks, moved back by `shift_m` (3,), stand where features of the same class stand, whatever the heights."""
-    t, f = (np.array([one.xyz_m for one in side]).reshape(-1, 3) for side in (tracks, features))
+    t, f = xyz_of(tracks), xyz_of(features)
     rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
     alike = classes_of(tracks)[rows] == classes_of(features)[columns]  # a sign may hang above a cone
     rows, columns = rows[alike], columns[alike]

@@ -7,6 +7,7 @@ linearly with the number of cones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import cast
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from conetl.geometry.packing import stacked
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Cov3, Track
@@ -49,8 +51,7 @@ def common_offset(
     if len(tracks) < 2 or len(features) < 2:
         return zero, 0.0
     some = tracks[:: 1 + len(tracks) // _MAX_TRACKS]
-    t = np.array([track.xyz_m for track in some])
-    f = np.array([feature.xyz_m for feature in features])
+    t, f = xyz_of(some), xyz_of(features)
     drive_var = float(np.mean([track.cov_m2[0] + track.cov_m2[3] for track in tracks])) / 2
     map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
     total_var = drive_var + map_var
@@ -104,7 +105,7 @@ def pair(
         return {}
     # With a known offset only the errors that the drive does not share count; otherwise all do.
     known = weight > 0
-    feature_xyz_m = np.array([feature.xyz_m for feature in features])
+    feature_xyz_m = xyz_of(features)
     moved = map_xyz_m - (1 - weight) * offset_m
     j, i = near_pairs(feature_xyz_m[:, :2], moved[:, :2], max(params.min_gate_m, params.max_offset_m))
     cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[i]
@@ -182,6 +183,11 @@ def _alike_nearby(
     return rows[j[allowed]], columns[i[allowed]], distance[allowed]
 
 
+def xyz_of(objects: Sequence[Track | MapFeature]) -> Floats:
+    """(N, 3) positions in metres."""
+    return stacked([one.xyz_m for one in objects], 3)
+
+
 def classes_of(objects: Sequence[Track | MapFeature]) -> NDArray[np.str_]:
     """(N,) categories."""
     return np.array([one.category for one in objects])
@@ -205,7 +211,7 @@ def _candidates(t: Floats, f: Floats, allowed_m: float) -> Floats:
 
 def _horizontal(covariances: Sequence[Cov3]) -> Floats:
     """(N, 3): xx, xy, yy of each covariance."""
-    return np.array(covariances)[:, [0, 1, 3]]
+    return stacked(covariances, 6)[:, [0, 1, 3]]
 
 
 def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
@@ -216,8 +222,8 @@ def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Indices, Indic
     # Slightly farther, so that rounding in the tree loses no pair exactly at the reach: callers gate themselves.
     reach_m = reach_m * (1 + 1e-9)
     found = cast("list[list[int]]", cKDTree(b_m).query_ball_point(a_m, reach_m, return_sorted=True))
-    counts = np.fromiter((len(indices) for indices in found), np.int64, len(a_m))
-    columns = np.fromiter((index for indices in found for index in indices), np.int64, int(counts.sum()))
+    counts = np.fromiter(map(len, found), np.int64, len(a_m))
+    columns = np.fromiter(chain.from_iterable(found), np.int64, int(counts.sum()))
     return np.repeat(np.arange(len(a_m)), counts), columns
 
 

@@ -13,7 +13,7 @@ from uuid import UUID
 
 import numpy as np
 
-from conetl.mapping.association import common_offset, moves, moves_by_earlier_drives, near_pairs, pair
+from conetl.mapping.association import common_offset, moves, moves_by_earlier_drives, near_pairs, pair, xyz_of
 from conetl.mapping.deltas import added, changed, confirmed, ended, moved_and_merged, not_observed
 from conetl.mapping.existence_update import is_gone, missed, observed
 from conetl.mapping.fusion import tracks_in_map_frame
@@ -53,7 +53,7 @@ def reconcile(
     features = sorted(features, key=lambda feature: feature.feature_id)
     offset_m, weight = common_offset(tracks, features, params)
     shift_m = weight * offset_m
-    map_xyz_m = np.array([t.xyz_m for t in tracks]).reshape(-1, 3) - shift_m
+    map_xyz_m = xyz_of(tracks) - shift_m
     pairs = pair(map_xyz_m, tracks, features, offset_m, weight, params)
     merged = _mergers(features, pairs, tracks, pinned, params)
     deltas = [
@@ -68,7 +68,7 @@ def reconcile(
 
     paired = set(pairs.values())
     free = _founding(tracks, paired, params)
-    others_m = np.array([tracks[i].xyz_m for i in sorted(paired.union(free))]).reshape(-1, 3)
+    others_m = xyz_of([tracks[i] for i in sorted(paired.union(free))])
     unobserved: dict[int, tuple[NotObserved, ExistenceEvidence]] = {}
     for j, feature in enumerate(features):
         absence = None if j in pairs or j in merged else check_visibility(feature, shift_m, others_m)
@@ -130,13 +130,14 @@ def _without_doubles(tracks: Sequence[Track]) -> list[Track]:
 
     Such a track is a second box of the detector or a fragment of the same chain.
     """
-    xy_m = np.array([track.xyz_m[:2] for track in tracks]).reshape(-1, 2)
+    xy_m = xyz_of(tracks)[:, :2]
     weight = [(track.observation_count, track.existence_probability, -i) for i, track in enumerate(tracks)]
     doubles = set()
-    for a, b in zip(*near_pairs(xy_m, xy_m, _WIDEST_BASE_M), strict=True):
+    near = np.column_stack(near_pairs(xy_m, xy_m, _WIDEST_BASE_M))
+    for a, b in near[near[:, 0] != near[:, 1]].tolist():
         overlap = float(np.hypot(*(xy_m[a] - xy_m[b]))) < _base_m(tracks[a], tracks[b])
         if overlap and weight[a] > weight[b] and exclude_each_other(tracks[a].category, tracks[b].category):
-            doubles.add(int(b))
+            doubles.add(b)
     return [track for i, track in enumerate(tracks) if i not in doubles]
 
 
@@ -148,7 +149,7 @@ def _founding(tracks: Sequence[Track], paired: Collection[int], params: Reconcil
     """
     sure = params.founding_existence_probability
     free = [i for i, track in enumerate(tracks) if i not in paired and track.existence_probability >= sure]
-    xy_m = np.array([track.xyz_m[:2] for track in tracks]).reshape(-1, 2)
+    xy_m = xyz_of(tracks)[:, :2]
     doubtful = set()
     for a, k in zip(*near_pairs(xy_m[free], xy_m, 2 * _WIDEST_BASE_M), strict=True):
         i = free[a]
@@ -175,7 +176,7 @@ def _mergers(
     """Unobserved feature -> the nearest observed one whose base plate overlaps its own: they are one cone."""
     certain = [j for j in sorted(pairs) if tracks[pairs[j]].observation_count >= params.removal_min_frames]
     unseen = [j for j, feature in enumerate(features) if j not in pairs and feature.feature_id not in pinned]
-    xyz_m = np.array([feature.xyz_m for feature in features]).reshape(-1, 3)
+    xyz_m = xyz_of(features)
     found: dict[int, tuple[float, int]] = {}
     for a, b in zip(*near_pairs(xyz_m[certain, :2], xyz_m[unseen, :2], _WIDEST_BASE_M), strict=True):
         kept, other = certain[a], unseen[b]

@@ -7,7 +7,7 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.geometry.packing import vec3
+from conetl.geometry.packing import stacked, vec3
 from conetl.mapping.existence_update import observed
 from conetl.mapping.fusion import fuse
 from conetl.model.arrays import Floats
@@ -139,13 +139,13 @@ def confirmed(
         [t.cov_m2 for t in new],
         [t.shared_jacobian for t in new],
     )
-    old_xyz = np.array([f.xyz_m for f in old])
-    fused = old_xyz + _times(gain, np.array([t.xyz_m for t in new]) - old_xyz)
-    centres = np.array([f.centre_xyz_m for f in old])
-    fused_centres = centres + _times(gain, np.array([t.centre_xyz_m for t in new]) - centres)
+    old_xyz, new_xyz = (stacked([one.xyz_m for one in side], 3) for side in (old, new))
+    fused = old_xyz + _times(gain, new_xyz - old_xyz)
+    centres, new_centres = (stacked([one.centre_xyz_m for one in side], 3) for side in (old, new))
+    fused_centres = centres + _times(gain, new_centres - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1)
-    heights = np.array([(f.cone_height_m, t.cone_height_m) for f, t in zip(old, new, strict=True)])
-    weights = np.array([(f.cone_height_sigma_m, t.cone_height_sigma_m) for f, t in zip(old, new, strict=True)]) ** -2.0
+    heights = np.array([[one.cone_height_m for one in side] for side in (old, new)]).T
+    weights = np.array([[one.cone_height_sigma_m for one in side] for side in (old, new)]).T ** -2.0
     height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
     # The checks of the records, for all pairs at once.
     whole = np.column_stack([fused, cov.reshape(-1, 9), fused_centres, height])

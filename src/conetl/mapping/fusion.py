@@ -21,7 +21,7 @@ from uuid import UUID
 import numpy as np
 
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
-from conetl.geometry.packing import cov3, cov_matrices, cov_matrix
+from conetl.geometry.packing import cov3, cov_matrices
 from conetl.model.arrays import Floats
 from conetl.model.map_records import MapFeature
 from conetl.model.records import Cov3, SharedErrorJacobian, Track
@@ -59,11 +59,12 @@ def fuse(
     cov = (cov + np.swapaxes(cov, 1, 2)) / 2
     shared_jacobian: list[SharedErrorJacobian | None] = [None] * len(old)
     shapes = [(_shape(one), _shape(other)) for one, other in zip(old_jacobian, new_jacobian, strict=True)]
-    for ((old_ids, _), (new_ids, _)), rows in _alike(shapes).items():
+    for ((old_ids, old_errors), (new_ids, new_errors)), rows in _alike(shapes).items():
         ids = tuple(sorted({*old_ids, *new_ids}))
         if not ids:
             continue
-        a, b = _side_by_side(ids, [old_jacobian[k] for k in rows], [new_jacobian[k] for k in rows])
+        errors = max(old_errors, new_errors)
+        a, b = (unpack_all(ids, [side[k] for k in rows], errors) for side in (old_jacobian, new_jacobian))
         gain[rows], cov[rows], moved = _fuse_correlated(old[rows], a, new[rows], b)
         for k, fused in zip(rows, pack_all(ids, moved, most=MOST_CALIBRATIONS), strict=True):
             shared_jacobian[k] = fused
@@ -108,15 +109,6 @@ def _independent_part(cov: Floats, shared_jacobian: Floats) -> Floats:
     return np.asarray((vectors * np.maximum(values, _LEAST_INDEPENDENT_M2)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 
-def _side_by_side(
-    ids: tuple[UUID, ...], old: Sequence[SharedErrorJacobian | None], new: Sequence[SharedErrorJacobian | None]
-) -> tuple[Floats, Floats]:
-    """Shared-error Jacobians of N pairs, (N, C, 3, K) each; 0 where one lacks a calibration or an error."""
-    a, b = unpack_all(ids, old), unpack_all(ids, new)
-    width = max(a.shape[3], b.shape[3])
-    return tuple(np.pad(x, ((0, 0), (0, 0), (0, 0), (0, width - x.shape[3]))) for x in (a, b))  # type: ignore[return-value]
-
-
 def _alike(shapes: Iterable[S]) -> dict[S, list[int]]:
     """Rows by shape of their Jacobians: those of one shape are computed together, usually all of a drive."""
     rows: dict[S, list[int]] = {}
@@ -126,7 +118,11 @@ def _alike(shapes: Iterable[S]) -> dict[S, list[int]]:
 
 
 def _shape(shared_jacobian: SharedErrorJacobian | None) -> tuple[tuple[UUID, ...], int]:
-    return ((), 0) if shared_jacobian is None else (shared_jacobian.calibrations, len(shared_jacobian.moved_m))
+    """Calibrations, and number of errors of each."""
+    if shared_jacobian is None:
+        return (), 0
+    ids = shared_jacobian.calibrations
+    return ids, len(shared_jacobian.moved_m) // (4 * 3 * len(ids))
 
 
 def _flat(shared_jacobian: Floats) -> Floats:
@@ -158,11 +154,14 @@ def tracks_in_map_frame(
     if weight == 0 or not pairs or not own:
         return own
     taken = offset_errors([features[j] for j in pairs], [tracks[i].shared_jacobian for i in pairs.values()], weight)
-    moved = {}
-    for i, track in own.items():
-        cov_m2, shared_jacobian = in_map_frame(track.cov_m2, track.relative_cov_m2, track.shared_jacobian, taken)
-        moved[i] = track.model_copy(update={"cov_m2": cov_m2, "shared_jacobian": shared_jacobian})
-    return moved
+    some = own.values()
+    covs, jacobians = in_map_frame(
+        [t.cov_m2 for t in some], [t.relative_cov_m2 for t in some], [t.shared_jacobian for t in some], taken
+    )
+    return {
+        i: track.model_copy(update={"cov_m2": cov_m2, "shared_jacobian": jacobian})
+        for (i, track), cov_m2, jacobian in zip(own.items(), covs, jacobians, strict=True)
+    }
 
 
 class OffsetErrors(NamedTuple):
@@ -182,48 +181,45 @@ def offset_errors(
     of_map = weight**2 * independent_parts([f.cov_m2 for f in observed], [f.shared_jacobian for f in observed]).mean(
         axis=0
     )
-    summed = _sums(shared_jacobian, 1.0)
-    for calibration, moved_m in _sums([f.shared_jacobian for f in observed], -1.0).items():
-        summed[calibration] = _sum(summed.get(calibration), moved_m)
+    sides = shared_jacobian, [feature.shared_jacobian for feature in observed]
+    errors = max(_shape(one)[1] for side in sides for one in side)
+    drive, on_map = (_sums(side, errors) for side in sides)
+    none = np.zeros((3, errors))
+    summed = {key: drive.get(key, none) - on_map.get(key, none) for key in drive | on_map}
     return OffsetErrors(weight, of_map, {key: weight / len(observed) * moved_m for key, moved_m in summed.items()})
 
 
 def in_map_frame(
-    cov_m2: Cov3, relative_cov_m2: Cov3, shared_jacobian: SharedErrorJacobian | None, offset: OffsetErrors
-) -> tuple[Cov3, SharedErrorJacobian | None]:
-    """Covariance and Jacobian of a position of the drive less its offset."""
-    relative = cov_matrix(relative_cov_m2)
-    [whole] = independent_parts([cov_m2], [shared_jacobian])
+    cov_m2: Sequence[Cov3],
+    relative_cov_m2: Sequence[Cov3],
+    shared_jacobian: Sequence[SharedErrorJacobian | None],
+    offset: OffsetErrors,
+) -> tuple[list[Cov3], list[SharedErrorJacobian | None]]:
+    """Covariances and Jacobians of N positions of the drive less its offset."""
+    relative = cov_matrices(relative_cov_m2)
+    whole = independent_parts(cov_m2, shared_jacobian)
     # Without the calibration's part; all positions of the drive have the same error of GNSS/INS.
     own = relative + (1 - offset.weight) ** 2 * (whole - relative) + offset.of_map
-    ids = tuple(sorted({*offset.jacobians, *(shared_jacobian.calibrations if shared_jacobian else ())}))
-    before = unpack_all(ids, [shared_jacobian])
-    width = max([before.shape[3], *(moved_m.shape[1] for moved_m in offset.jacobians.values())])
-    after = np.pad(before, ((0, 0), (0, 0), (0, 0), (0, width - before.shape[3])))
-    for calibration, moved_m in offset.jacobians.items():
-        after[0, ids.index(calibration), :, : moved_m.shape[1]] -= moved_m
-    after = after.astype(np.float32).astype(np.float64)  # as stored
-    [cov] = with_jacobian(own[None], after)
-    [packed] = pack_all(ids, after, most=MOST_CALIBRATIONS)
-    return cov3((cov + cov.T) / 2), packed
+    errors = max((moved_m.shape[1] for moved_m in offset.jacobians.values()), default=0)
+    jacobians = list(shared_jacobian)
+    for (known, _), rows in _alike(map(_shape, shared_jacobian)).items():
+        ids = tuple(sorted({*offset.jacobians, *known}))
+        after = unpack_all(ids, [shared_jacobian[k] for k in rows], errors)
+        for calibration, moved_m in offset.jacobians.items():
+            after[:, ids.index(calibration), :, : moved_m.shape[1]] -= moved_m
+        after = after.astype(np.float32).astype(np.float64)  # as stored
+        own[rows] = with_jacobian(own[rows], after)
+        for k, packed in zip(rows, pack_all(ids, after, most=MOST_CALIBRATIONS), strict=True):
+            jacobians[k] = packed
+    return list(map(cov3, (own + np.swapaxes(own, 1, 2)) / 2)), jacobians
 
 
-def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], sign: float) -> dict[UUID, Floats]:
-    """Sum (3, K) of the Jacobians of each calibration, times the sign."""
+def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], errors: int) -> dict[UUID, Floats]:
+    """Sum (3, K) of the Jacobians of each calibration; errors: K, at least that of each."""
     sums: dict[UUID, Floats] = {}
     for (ids, _), rows in _alike(map(_shape, shared_jacobian)).items():
         if ids:
-            summed_m = sign * unpack_all(ids, [shared_jacobian[k] for k in rows]).sum(axis=0)
+            summed_m = unpack_all(ids, [shared_jacobian[k] for k in rows], errors).sum(axis=0)
             for calibration, moved_m in zip(ids, summed_m, strict=True):
-                sums[calibration] = _sum(sums.get(calibration), moved_m)
+                sums[calibration] = sums.get(calibration, 0.0) + moved_m
     return sums
-
-
-def _sum(a: Floats | None, b: Floats) -> Floats:
-    """Sum of (3, K) and (3, L), missing columns being 0."""
-    if a is None:
-        return b
-    wide, narrow = (a, b) if a.shape[1] >= b.shape[1] else (b, a)
-    result = wide.copy()
-    result[:, : narrow.shape[1]] += narrow
-    return result

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import compress, pairwise
 from uuid import UUID
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from conetl.geometry.packing import stacked
 from conetl.mapping.agreement import contradiction, is_confirmed, marking_contradiction
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import VisibilityCheck, reconcile
@@ -254,6 +255,8 @@ def _classified(drive: DriveEvidence, decided: Sequence[Classification]) -> Driv
 
 def is_within(feature: MapFeature | Track, locations: Sequence[Location]) -> bool:
     """Whether a feature is at one of the locations (horizontally) of its kind."""
+    if not locations:
+        return False
     x, y, _ = feature.xyz_m
     is_line = isinstance(feature, MapFeature) and feature.marking is not None
     return any(
@@ -279,6 +282,6 @@ def _around(current: Mapping[UUID, FeatureVersion], drive: DriveEvidence) -> lis
     features = [current[feature_id].feature for feature_id in sorted(current)]
     if not features:
         return []
-    xy_m = np.array([feature.xyz_m[:2] for feature in features])
+    xy_m = stacked([feature.xyz_m for feature in features], 3)[:, :2]
     distances = np.atleast_1d(cKDTree(drive.path_m).query(xy_m)[0])
-    return [feature for feature, distance in zip(features, distances, strict=True) if distance <= drive.influence_m]
+    return list(compress(features, (distances <= drive.influence_m).tolist()))

@@ -250,9 +250,8 @@ def _of_drive(
     track = drive.tracks[seen.track]
     cov, jacobians = list(map(cov3, found.at(drive.cov_m2))), _turned_jacobians(drive, found)
     if drive.shift_errors is not None:
-        relative = map(cov3, found.at(drive.relative_m2))
-        in_map = [in_map_frame(*one, drive.shift_errors) for one in zip(cov, relative, jacobians, strict=True)]
-        cov, jacobians = [one for one, _ in in_map], [one for _, one in in_map]
+        relative = list(map(cov3, found.at(drive.relative_m2)))
+        cov, jacobians = in_map_frame(cov, relative, jacobians, drive.shift_errors)
     vertices_m = tuple(map(vec3, found.at(drive.lines.vertices_m) - drive.shift_m))
     marking = track.marking.model_copy(update={"vertices_m": vertices_m, "cov_m2": tuple(cov)})
     return _feature(

@@ -80,25 +80,16 @@ def place_drive(
         # A map of this name was set aside.
         drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{info.map_id}/{idempotency_key}")
     captured_from_ns, captured_to_ns = drive.captured_ns
-    parameters = {
-        "drive_uuid": drive_uuid,
-        "map_id": info.map_id,
-        "srid": info.srid,
-        "drive_id": clean_text(drive.drive_id),
-        "source_path": clean_text(drive.source_path),
-        "content_sha256": drive.content_sha256,
-        "rig": json_text(drive.rig.model_dump(mode="json")),
-        "captured_from_ns": captured_from_ns,
-        "captured_to_ns": captured_to_ns,
-        "captured_from": drive.captured_from,
-        "captured_to": drive.captured_to,
-        "expected_frame_count": drive.expected_frame_count,
-        "reconcile": json_text((reconcile or ReconcileParams()).model_dump(mode="json")),
-        "influence_m": influence_m,
-        "absence_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
-        "path_wkt": path_wkt(drive),
-    }
-    db.query(conn, "drives.insert_drive", **parameters)
+    db.query(
+        conn, "drives.insert_drive", drive_uuid=drive_uuid, map_id=info.map_id, srid=info.srid,
+        drive_id=clean_text(drive.drive_id), source_path=clean_text(drive.source_path), path_wkt=path_wkt(drive),
+        content_sha256=drive.content_sha256, rig=json_text(drive.rig.model_dump(mode="json")),
+        captured_from_ns=captured_from_ns, captured_to_ns=captured_to_ns,
+        captured_from=drive.captured_from, captured_to=drive.captured_to,
+        expected_frame_count=drive.expected_frame_count, influence_m=influence_m,
+        reconcile=json_text((reconcile or ReconcileParams()).model_dump(mode="json")),
+        absence_figures=None if figures is None else json_text(figures.model_dump(mode="json")),
+    )  # fmt: skip
     return drive_uuid
 
 
@@ -178,22 +169,16 @@ def insert_changeset(
     kinds, line_kinds = (
         Counter(delta.kind for delta in changeset.deltas if delta.is_of_line is of_line) for of_line in (False, True)
     )
-    parameters = {
-        "changeset_id": changeset.changeset_id,
-        "map_id": info.map_id,
-        "drive_uuid": drive_uuid,
-        "run_id": run.run_id if run else None,
-        "idempotency_key": changeset.idempotency_key,
-        "params_sha256": changeset.params_sha256,
-        "model_sha256": changeset.model_sha256,
-        "code_version": changeset.code_version,
-        "committed_at": committed_at,
-        **{f"{kind.value}_count": kinds[kind] for kind in DeltaKind},
-        "line_counts": json_text({kind.value: count for kind, count in sorted(line_kinds.items())}),
-        "frame_pair_count": len(records.drive.frame_pairs) if records else 0,
-        **{f"{name}_count": len(getattr(records, some, ())) for name, some in _COUNTED.items()},
-    }
-    db.query(conn, "commit.insert_changeset", **parameters)
+    counts = {f"{kind.value}_count": kinds[kind] for kind in DeltaKind}
+    counts |= {f"{name}_count": len(getattr(records, some, ())) for name, some in _COUNTED.items()}
+    db.query(
+        conn, "commit.insert_changeset", changeset_id=changeset.changeset_id, map_id=info.map_id, drive_uuid=drive_uuid,
+        run_id=run.run_id if run else None, idempotency_key=changeset.idempotency_key,
+        params_sha256=changeset.params_sha256, model_sha256=changeset.model_sha256,
+        code_version=changeset.code_version, committed_at=committed_at, **counts,
+        line_counts=json_text({kind.value: count for kind, count in sorted(line_kinds.items())}),
+        frame_pair_count=len(records.drive.frame_pairs) if records else 0,
+    )  # fmt: skip
 
 
 def committed_result(conn: Connection, changeset: Changeset, versions_written: int, *, map_name: str) -> CommitResult:
@@ -313,12 +298,8 @@ def _stage_deltas(
 
 def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime) -> int:
     """Close what the staged deltas replace, write what they bring; new versions."""
-    parameters = {
-        "map_id": info.map_id,
-        "srid": info.srid,
-        "changeset_id": changeset.changeset_id,
-        "committed_at": committed_at,
-    }
+    parameters = {"map_id": info.map_id, "srid": info.srid, "changeset_id": changeset.changeset_id}
+    parameters |= {"committed_at": committed_at}
     db.query(conn, "commit.insert_features", **parameters)
     db.query(conn, "commit.close_versions", **parameters)
     db.query(conn, "commit.insert_ended_versions", **parameters)

@@ -91,21 +91,14 @@ def place_import(
     info = map_for(conn, map_name, imported.srid, imported.name)
     drive_uuid = uuid5(_NAMESPACE, f"{info.id_name}/{idempotency_key}")
     cells, cell_m = _cells(imported.statements)
-    parameters = {
-        "drive_uuid": drive_uuid,
-        "map_id": info.map_id,
-        "srid": info.srid,
-        "drive_id": clean_text(imported.name),
-        "source_path": clean_text(imported.source_path),
-        "content_sha256": imported.content_sha256,
-        "stated_at_ns": imported.stated_at_ns,
-        "stated_at": utc_from_ns(imported.stated_at_ns),
-        "reconcile": json_text(reconcile.model_dump(mode="json")),
-        "influence_m": IMPORT_INFLUENCE_M,
-        "cells_wkt": "MULTIPOINT(" + ", ".join(f"({x!r} {y!r})" for x, y in cells) + ")",
-        "cell_m": cell_m,
-    }
-    db.query(conn, "drives.insert_import", **parameters)
+    db.query(
+        conn, "drives.insert_import", drive_uuid=drive_uuid, map_id=info.map_id, srid=info.srid,
+        drive_id=clean_text(imported.name), source_path=clean_text(imported.source_path),
+        content_sha256=imported.content_sha256, stated_at_ns=imported.stated_at_ns,
+        stated_at=utc_from_ns(imported.stated_at_ns), reconcile=json_text(reconcile.model_dump(mode="json")),
+        influence_m=IMPORT_INFLUENCE_M, cell_m=cell_m,
+        cells_wkt="MULTIPOINT(" + ", ".join(f"({x!r} {y!r})" for x, y in cells) + ")",
+    )  # fmt: skip
     return drive_uuid
 
 

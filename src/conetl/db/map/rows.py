@@ -7,9 +7,8 @@ the items, each after its length; all big-endian (`array_send` in PostgreSQL's s
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
-from itertools import repeat
 from operator import attrgetter
 from typing import Any, TypeVar
 from uuid import UUID
@@ -19,6 +18,7 @@ import numpy as np
 from conetl.db import copy_binary as binary
 from conetl.db.copy_binary import Column
 from conetl.db.map.marking_rows import Row, marking_columns, marking_of, matrices
+from conetl.geometry.packing import stacked
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.records import Detection, FramePair, Position, Record, SharedErrorJacobian, StereoMatch, Track, sound
@@ -26,6 +26,7 @@ from conetl.model.rejections import Rejection
 
 R = TypeVar("R", bound=Record)
 Columns = dict[str, Column]
+Encoder = Callable[[Any], Column]
 _COV_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 _UUID_TYPE, _REAL_TYPE = 2950, 700
 _UUID_BYTES, _REAL_BYTES = 16, 4
@@ -33,7 +34,7 @@ _UUID_BYTES, _REAL_BYTES = 16, 4
 _HEAD_OF_ONE, _HEAD_OF_THREE, _LENGTH_AT = 20, 36, 12
 _REALS = np.dtype([("length", ">i4"), ("value", ">f4")])
 #: Columns of a delta's row in the order of `replay.current_deltas`. new_version: the old one if a confirmation changed nothing.
-_CHANGE: dict[str, Callable[[Any], Column]] = {
+_CHANGE: dict[str, Encoder] = {
     "feature_id": binary.uuids, "kind": binary.texts, "old_version": binary.integers, "new_version": binary.integers,
     "track_index": binary.integers, "changed_at_ns": binary.bigints, "shift_m": binary.doubles,
     "other_feature_id": binary.uuids, "log_likelihood_ratio": binary.doubles, "existence_after": binary.doubles,
@@ -65,40 +66,36 @@ def frame_pair_columns(drive_uuid: UUID, srid: int, pairs: Sequence[FramePair]) 
     poses = [pair.pose for pair in pairs]
     return {
         "drive_uuid": binary.constant_uuid(drive_uuid, len(pairs)),
-        **_attributes(pairs, binary.integers, "frame_index"),
-        **_attributes(pairs, binary.texts, "left_path", "right_path"),
-        **_attributes(pairs, binary.bigints, "captured_at_ns"),
+        **_attributes(
+            pairs, integers="frame_index", texts="left_path right_path", bigints="captured_at_ns", doubles="detail"
+        ),
         "geom": binary.points([p.map_t_body_m for p in poses], srid),
         "map_r_body": binary.double_arrays(np.reshape([p.map_R_body for p in poses], (-1, 9))),
-        "sigma_enu_m": binary.double_arrays(np.reshape([p.sigma_enu_m for p in poses], (-1, 3))),
-        "sigma_rpy_rad": binary.double_arrays(np.reshape([p.sigma_rpy_rad for p in poses], (-1, 3))),
-        "detail": binary.doubles([pair.detail for pair in pairs]),
+        "sigma_enu_m": binary.double_arrays(stacked([p.sigma_enu_m for p in poses], 3)),
+        "sigma_rpy_rad": binary.double_arrays(stacked([p.sigma_rpy_rad for p in poses], 3)),
     }
 
 
 def detection_columns(drive_uuid: UUID, detections: Sequence[Detection]) -> Columns:
     """Table detection."""
-    return {
-        "drive_uuid": binary.constant_uuid(drive_uuid, len(detections)),
-        **_attributes(detections, binary.integers, "frame_index", "detection_index"),
-        **_attributes(detections, binary.texts, "side", "category"),
-        **_attributes(detections, binary.doubles, "x_px", "y_px", "w_px", "h_px", "score"),
-    }
+    named = _attributes(
+        detections, integers="frame_index detection_index", texts="side category", doubles="x_px y_px w_px h_px score"
+    )
+    return named | {"drive_uuid": binary.constant_uuid(drive_uuid, len(detections))}
 
 
 def match_columns(drive_uuid: UUID, matches: Sequence[StereoMatch]) -> Columns:
     """Table stereo_match."""
+    doubles = "sigma_u_px sigma_v_px sigma_pointing_px cost"
     columns = {
         "drive_uuid": binary.constant_uuid(drive_uuid, len(matches)),
-        **_attributes(matches, binary.integers, "frame_index", "match_index"),
+        **_attributes(matches, integers="frame_index match_index", booleans="refined", doubles=doubles),
         "left_detection_index": binary.integers([m.left.detection_index for m in matches]),
         "right_detection_index": binary.integers([m.right.detection_index for m in matches]),
-        **_attributes(matches, binary.doubles, "sigma_u_px", "sigma_v_px", "sigma_pointing_px", "cost"),
-        **_attributes(matches, binary.booleans, "refined"),
     }
     for point in ("foot", "centre", "tip"):
         for side in ("left", "right"):
-            uv_px = np.reshape([getattr(m, f"{point}_{side}_uv_px") for m in matches], (-1, 2))
+            uv_px = stacked([getattr(m, f"{point}_{side}_uv_px") for m in matches], 2)
             columns[f"{point}_{side}_u_px"] = binary.doubles(uv_px[:, 0])
             columns[f"{point}_{side}_v_px"] = binary.doubles(uv_px[:, 1])
     return columns
@@ -106,19 +103,14 @@ def match_columns(drive_uuid: UUID, matches: Sequence[StereoMatch]) -> Columns:
 
 def position_columns(drive_uuid: UUID, srid: int, positions: Sequence[Position]) -> Columns:
     """Table position."""
-    camera = np.reshape([p.camera_xyz_m for p in positions], (-1, 3))
+    camera = stacked([p.camera_xyz_m for p in positions], 3)
+    doubles = "range_m ray_angle_rad residual_rms_px score"
     return {
         "drive_uuid": binary.constant_uuid(drive_uuid, len(positions)),
-        **_attributes(positions, binary.integers, "frame_index", "match_index", "iterations"),
-        **_attributes(positions, binary.texts, "category"),
-        "geom": binary.points([p.xyz_m for p in positions], srid),
-        **_covariance("cov", [p.cov_m2 for p in positions]),
-        "centre_geom": binary.points([p.centre_xyz_m for p in positions], srid),
+        **_located(srid, positions),
         **{f"camera_{axis}_m": binary.doubles(camera[:, i]) for i, axis in enumerate("xyz")},
         **_covariance("camera_cov", [p.camera_cov_m2 for p in positions]),
-        **_attributes(
-            positions, binary.doubles, "cone_height_m", "range_m", "ray_angle_rad", "residual_rms_px", "score"
-        ),
+        **_attributes(positions, integers="frame_index match_index iterations", doubles=doubles),
     }
 
 
@@ -126,34 +118,33 @@ def track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[Track]) -> Colum
     """Table track."""
     return {
         "drive_uuid": binary.constant_uuid(drive_uuid, len(tracks)),
-        **_attributes(tracks, binary.integers, "track_index"),
         **cone_columns(srid, tracks),
         **_covariance("relative_cov", [t.relative_cov_m2 for t in tracks]),
-        **_attributes(tracks, binary.doubles, "residual_rms_px", "nearest_range_m"),
+        **_attributes(tracks, integers="track_index", doubles="residual_rms_px nearest_range_m"),
     }
 
 
 def track_member_columns(drive_uuid: UUID, tracks: Sequence[Track]) -> Columns:
     """Table track_member: the positions of each track."""
-    members = np.reshape([(t.track_index, *member) for t in tracks for member in t.members], (-1, 3))
+    members = stacked([member for track in tracks for member in track.members], 2).astype(np.int32)
     return {
         "drive_uuid": binary.constant_uuid(drive_uuid, len(members)),
-        "track_index": binary.integers(members[:, 0]),
-        "frame_index": binary.integers(members[:, 1]),
-        "match_index": binary.integers(members[:, 2]),
+        "track_index": binary.integers([track.track_index for track in tracks for _ in track.members]),
+        "frame_index": binary.integers(members[:, 0]),
+        "match_index": binary.integers(members[:, 1]),
     }
 
 
 def marking_track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[MarkingTrack]) -> Columns:
     """Table marking_track."""
+    integers, doubles = "marking_index observation_count", "existence_probability contrast blur_px"
     return {
         "drive_uuid": binary.constant_uuid(drive_uuid, len(tracks)),
-        **_attributes(tracks, binary.integers, "marking_index", "observation_count"),
-        **_attributes(tracks, binary.texts, "category"),
+        **_attributes(
+            tracks, integers=integers, doubles=doubles, bigints="first_seen_ns last_seen_ns", texts="category"
+        ),
         **marking_columns(srid, [track.marking for track in tracks]),
         "relative_cov": matrices([track.relative_cov_m2 for track in tracks]),
-        **_attributes(tracks, binary.doubles, "existence_probability", "contrast", "blur_px"),
-        **_attributes(tracks, binary.bigints, "first_seen_ns", "last_seen_ns"),
         **jacobian_columns([track.shared_jacobian for track in tracks]),
     }
 
@@ -165,10 +156,10 @@ def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUI
     nothing stands.
     """
     changes = _change_columns(deltas)
-    del changes["new_version"]  # numbered when the deltas are merged
+    new_version = changes.pop("new_version")  # numbered when the deltas are merged
     return {
         **changes,
-        **_attributes(deltas, binary.booleans, "is_change"),
+        "is_change": binary.booleans(new_version.values != changes["old_version"].values),
         "present": binary.booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
         "suppressed": binary.booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
         **feature_columns(srid, [delta.state_after for delta in deltas]),
@@ -191,10 +182,8 @@ def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
         **feature_columns(srid, [v.feature for v in versions]),
         "feature_id": binary.uuids([v.feature.feature_id for v in versions]),
         "version": binary.integers([v.feature.version for v in versions]),
-        **_attributes(versions, binary.uuids, "changeset_id"),
         "present": binary.booleans([v.present and not v.suppressed for v in versions]),
-        **_attributes(versions, binary.booleans, "suppressed"),
-        **_attributes(versions, binary.bigints, "valid_from_ns"),
+        **_attributes(versions, uuids="changeset_id", booleans="suppressed", bigints="valid_from_ns"),
         "valid_from": binary.timestamps_from_ns([v.valid_from_ns for v in versions]),
         "valid_to": binary.timestamps_from_ns([0 if v.valid_to_ns is None else v.valid_to_ns for v in versions]),
         "is_open": binary.booleans([v.valid_to_ns is None for v in versions]),
@@ -210,7 +199,7 @@ def change_values(delta: Delta) -> tuple[Any, ...]:
         evidence = e.log_likelihood_ratio, e.existence_probability, e.frames_seen, e.frames_empty
     return (
         delta.feature_id,
-        delta.kind.value,
+        delta.kind,
         old,
         new,
         delta.track_index,
@@ -225,10 +214,7 @@ def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Co
     """Table quarantine; the order of the columns determines that of the rows, see `copy_binary.encode`."""
     return {
         "changeset_id": binary.constant_uuid(changeset_id, len(rejections)),
-        **_attributes(rejections, binary.texts, "step"),
-        "reason": binary.texts([r.reason.value for r in rejections]),
-        **_attributes(rejections, binary.texts, "record", "detail"),
-        **_attributes(rejections, binary.jsons, "payload"),
+        **_attributes(rejections, texts="step reason record detail", jsons="payload"),
     }
 
 
@@ -239,31 +225,43 @@ def feature_columns(srid: int, features: Sequence[MapFeature]) -> Columns:
 
 def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
     """What tracks, feature versions and statements of imported maps have in common."""
+    integers, doubles = "observation_count", "cone_height_sigma_m existence_probability"
     return {
-        **_attributes(cones, binary.texts, "category"),
-        "geom": binary.points([c.xyz_m for c in cones], srid),
-        **_covariance("cov", [c.cov_m2 for c in cones]),
-        "centre_geom": binary.points([c.centre_xyz_m for c in cones], srid),
-        **_attributes(cones, binary.doubles, "cone_height_m", "cone_height_sigma_m", "existence_probability"),
-        **_attributes(cones, binary.integers, "observation_count"),
-        **_attributes(cones, binary.bigints, "first_seen_ns", "last_seen_ns"),
+        **_located(srid, cones),
+        **_attributes(cones, integers=integers, doubles=doubles, bigints="first_seen_ns last_seen_ns"),
         **jacobian_columns([c.shared_jacobian for c in cones]),
     }
 
 
 def _change_columns(deltas: Sequence[Delta]) -> Columns:
-    values = zip(*map(change_values, deltas), strict=True) if deltas else repeat(())
-    columns = {name: encode(column) for (name, encode), column in zip(_CHANGE.items(), values, strict=False)}
+    columns = _encoded(_CHANGE, map(change_values, deltas))
     return columns | {"changed_at": binary.timestamps_from_ns([d.changed_at_ns for d in deltas])}
 
 
-def _attributes(records: Sequence[Any], encode: Callable[[list[Any]], Column], *names: str) -> Columns:
-    """Columns that are named as the attributes."""
-    return {name: encode(list(map(attrgetter(name), records))) for name in names}
+def _attributes(records: Sequence[Any], **names: str) -> Columns:
+    """Columns that are named as the attributes, at least two; names by their encoder. Each record is read once: half the time."""
+    encoders = {name: getattr(binary, encoder) for encoder, some in names.items() for name in some.split()}
+    return _encoded(encoders, map(attrgetter(*encoders), records))
+
+
+def _encoded(encoders: Mapping[str, Encoder], rows: Iterable[Sequence[Any]]) -> Columns:
+    """Columns by name of rows that have a value for each."""
+    columns = list(zip(*rows, strict=True)) or [()] * len(encoders)
+    return {name: encode(column) for (name, encode), column in zip(encoders.items(), columns, strict=True)}
+
+
+def _located(srid: int, records: Sequence[Position] | Sequence[Track] | Sequence[MapFeature]) -> Columns:
+    """Columns of class, foot, centre and height."""
+    return {
+        **_attributes(records, texts="category", doubles="cone_height_m"),
+        "geom": binary.points([one.xyz_m for one in records], srid),
+        **_covariance("cov", [one.cov_m2 for one in records]),
+        "centre_geom": binary.points([one.centre_xyz_m for one in records], srid),
+    }
 
 
 def _covariance(prefix: str, covariances: Sequence[tuple[float, ...]]) -> Columns:
-    values = np.reshape(covariances, (-1, 6))
+    values = stacked(covariances, 6)
     return {f"{prefix}_{name}": binary.doubles(values[:, i]) for i, name in enumerate(_COV_NAMES)}
 
 

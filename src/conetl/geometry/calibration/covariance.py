@@ -195,18 +195,21 @@ def pack_all(
     ]
 
 
-def unpack_all(calibrations: tuple[UUID, ...], shared_jacobian: Sequence[SharedErrorJacobian | None]) -> Floats:
+def unpack_all(
+    calibrations: tuple[UUID, ...], shared_jacobian: Sequence[SharedErrorJacobian | None], width: int = 0
+) -> Floats:
     """N records, all None or all of the same calibrations -> (N, C, 3, K) metres.
 
-    calibrations: the C of the result, which include theirs; 0 for the others.
+    calibrations: the C of the result, which include theirs; 0 for the others. width: least K; 0 for the errors that they lack.
     """
     first = next((one for one in shared_jacobian if one is not None), None)
     if first is None:
-        return np.zeros((len(shared_jacobian), len(calibrations), 3, 0))
+        return np.zeros((len(shared_jacobian), len(calibrations), 3, width))
     moved_m = np.frombuffer(b"".join(one.moved_m for one in shared_jacobian if one is not None), _WIRE)
     moved_m = moved_m.reshape(len(shared_jacobian), len(first.calibrations), 3, -1)
-    result = np.zeros((len(shared_jacobian), len(calibrations), 3, moved_m.shape[3]))
-    result[:, [calibrations.index(one) for one in first.calibrations]] = moved_m
+    errors = moved_m.shape[3]
+    result = np.zeros((len(shared_jacobian), len(calibrations), 3, max(errors, width)))
+    result[:, [calibrations.index(one) for one in first.calibrations], :, :errors] = moved_m
     return result
 
 
