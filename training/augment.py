@@ -144,12 +144,22 @@ def untaught(picture: Image, area: tuple[int, int, int, int]) -> np.ndarray:
 
 
 def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Objects (N, 4 or more) cut at the area's edge; the second has the boxes of those of which too little is left (to fade)."""
+    """Objects (N, 4 or more) cut at the area's edge; the second has the boxes of those of which too little is left (to fade).
+
+    A cone that the lower edge cuts is narrower than its base: its visible width grows with the visible share of its height by
+    0.18 + 0.6 share (in the middle of 155 cut-outs and 182 drawn cones).
+    """
     if len(boxes) == 0:
         return boxes, np.zeros((0, 4))
     left, top, right, bottom = area
     cut = boxes.copy()
-    cut[:, :4] = np.clip(boxes[:, :4], (left, top, left, top), (right, bottom, right, bottom))
+    if boxes.shape[1] > 8:
+        share = (bottom - boxes[:, 1]) / np.maximum(boxes[:, 3] - boxes[:, 1], 1.0)
+        narrow = (boxes[:, 8] == 0) & (share > 0) & (share < 0.88)
+        loss = np.where(narrow, 0.41 - 0.3 * share, 0.0) * (boxes[:, 2] - boxes[:, 0])
+        cut[:, 0] += loss
+        cut[:, 2] -= loss
+    cut[:, :4] = np.clip(cut[:, :4], (left, top, left, top), (right, bottom, right, bottom))
     size, full = cut[:, 2:4] - cut[:, :2], boxes[:, 2:4] - boxes[:, :2]
     inside = (size > 1).all(1)
     share = size.prod(1) / full.prod(1)
@@ -202,13 +212,22 @@ def paste_cutout(
         patch = patch[:, ::-1]
         ends[[0, 2]], box[[0, 2]] = width - ends[[0, 2]], width - box[[2, 0]]
     colour = patch[..., :3].astype(np.float32) * rng.uniform(0.55, 1.25) * rng.uniform(0.9, 1.1, 3)
-    x = int(rng.integers(0, max(canvas.shape[1] - width, 1)))
-    top = int((0.2 if stands else 0.0) * canvas.shape[0])
-    y = int(rng.integers(top, max(canvas.shape[0] - height, top + 1)))
-    y = min(y, canvas.shape[0] - height)
+    rows, columns = canvas.shape[:2]
+    x = int(rng.integers(0, max(columns - width, 1)))
+    top = int((0.2 if stands else 0.0) * rows)
+    y = int(rng.integers(top, max(rows - height, top + 1)))
+    y = min(y, rows - height)
     if foot is not None:
         x, y = round(foot[0] - width / 2), round(foot[1] - height)
-    if x < 0 or y < 0 or x + width > canvas.shape[1] or y + height > canvas.shape[0]:
+    elif rng.random() < 0.2:  # cut by the picture's side, or by its lower edge
+        if rng.random() < 0.3:
+            y = rows - height // 2
+        else:
+            x = int(rng.choice((0, columns)) - rng.uniform(0.3, 0.7) * width)
+    at = np.array((x, y, x, y))
+    placed = np.array([[*(box + at), *(ends + at), CLASSES.index(cutout.category)]])
+    seen, _ = clip_boxes(placed, (0, 0, columns, rows))
+    if len(seen) == 0 or (foot is not None and (seen[0, :4] != placed[0, :4]).any()):
         return np.zeros((0, 9))
     low, high = np.maximum(taken[:, :2], (x, y)), np.minimum(taken[:, 2:4], (x + width, y + height))
     hidden = np.clip(high - low, 0, None).prod(1) / np.maximum((taken[:, 2:4] - taken[:, :2]).prod(1), 1.0)
@@ -227,11 +246,16 @@ def paste_cutout(
             -1,
         )
         cv2.addWeighted(shadow, 0.5, canvas, 0.5, 0, canvas)
-    alpha = patch[..., 3:].astype(np.float32) / 255
-    region = canvas[y : y + height, x : x + width]
+    inside = slice(max(-y, 0), rows - y), slice(max(-x, 0), columns - x)
+    alpha, colour = patch[..., 3:][inside].astype(np.float32) / 255, colour[inside]
+    region = canvas[max(y, 0) : y + height, max(x, 0) : x + width]
     region[:] = np.clip(alpha * colour + (1 - alpha) * region, 0, 255).astype(np.uint8)
-    at = np.array((x, y, x, y))
-    return np.array([[*(box + at), *(ends + at), CLASSES.index(cutout.category)]])
+    if cutout.box is None and (seen[0, :4] != placed[0, :4]).any():  # exactly what is to be seen of it
+        across, down = np.flatnonzero((alpha > 0.5).any((0, 2))), np.flatnonzero((alpha > 0.5).any((1, 2)))
+        if len(across) == 0:
+            return np.zeros((0, 9))
+        seen[0, :4] = np.array((across[0], down[0], across[-1] + 1, down[-1] + 1)) + np.tile((max(x, 0), max(y, 0)), 2)
+    return seen
 
 
 def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
@@ -362,11 +386,14 @@ def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
 
 
 def hide_cones(canvas: np.ndarray, boxes: np.ndarray, rng: np.random.Generator) -> None:
-    """Put a post or a block in front of some cones, so that up to half of each is hidden; boxes stay whole."""
+    """Put a post, a block or rails in front of some cones, so that up to 60 % of each is hidden; boxes stay whole."""
     for x0, y0, x1, y1 in boxes[:, :4]:
-        if rng.random() > 0.25 or y1 - y0 < 14:
+        if rng.random() > 0.3 or y1 - y0 < 12:
             continue
-        if rng.random() < 0.7:
+        kind = rng.random()
+        if kind < 0.35:
+            draw_rails(canvas, (x0, y0, x1, y1), rng)
+        elif kind < 0.8:
             draw_post(
                 canvas,
                 rng.uniform(x0 - 0.1 * (x1 - x0), x1 - 0.2 * (x1 - x0)),
@@ -378,6 +405,24 @@ def hide_cones(canvas: np.ndarray, boxes: np.ndarray, rng: np.random.Generator) 
             left = x0 + (x1 - x0) * rng.choice((-0.3, 0.6))
             grey = int(rng.integers(20, 200))
             cv2.rectangle(canvas, (int(left), int(y0)), (int(left + 0.7 * (x1 - x0)), int(y1)), (grey, grey, grey), -1)
+
+
+def draw_rails(canvas: np.ndarray, box: tuple[float, float, float, float], rng: np.random.Generator) -> None:
+    """One or two rails or striped boards across an object's box, as of a barricade or a fence in front of it."""
+    x0, y0, x1, y1 = box
+    reach = (x1 - x0) * rng.uniform(0.2, 4.0, 2)
+    left, right = int(x0 - reach[0]), int(x1 + reach[1])
+    thick = (y1 - y0) * rng.uniform(0.1, 0.3)
+    tops = rng.uniform(y0, y1 - thick, int(rng.integers(1, 3)))
+    slope = rng.normal(0.0, 0.06) * (right - left)
+    colours = [(40, 90, 235), (225, 228, 230)] if rng.random() < 0.6 else [tuple(rng.integers(20, 220, 3).tolist())] * 2
+    light, stripe, slant = rng.uniform(0.35, 1.1), thick * rng.uniform(0.6, 2.0), thick * rng.choice((-1.0, 0.0, 1.0))
+    for top in tops:
+        for number, at in enumerate(np.arange(left, right, stripe)):
+            rise = slope * (at - left) / max(right - left, 1)
+            corners = np.array([(at, 0), (at + stripe, 0), (at + stripe + slant, thick), (at + slant, thick)])
+            corners[:, 1] += top + rise
+            cv2.fillPoly(canvas, [corners.astype(np.int32)], (np.array(colours[number % 2]) * light).tolist())
 
 
 def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:

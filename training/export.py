@@ -1,6 +1,6 @@
 """Export a checkpoint to ONNX with its sidecar, and check that the runtime gives what PyTorch gave.
 
-    python training/export.py RUN/last.pt --out RUN/conetl-road-6.onnx --version 6.0
+    python training/export.py RUN/last.pt --out RUN/conetl-road-9.onnx --version 9.0
 
 The exported network takes pictures of one size as they lie in memory, (P, H, W, 3) BGR 0 to 255: what would have to be done to
 them before is folded into the first convolution.
