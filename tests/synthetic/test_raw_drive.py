@@ -126,4 +126,4 @@ def test_near_cones_stand_where_the_rectified_drive_puts_them(raw_drive: Path) -
         same_frame = [p for p in found if p.frame_index == position.frame_index]
         offsets = [np.linalg.norm(np.subtract(p.xyz_m, position.xyz_m)) for p in same_frame]
         print(f"frame {position.frame_index}, {position.range_m:.2f} m: {100 * min(offsets):.2f} cm apart")
-        assert min(offsets) < 0.02
+        assert min(offsets) < 0.03, "the detector sees the same cone in images that were sampled twice"

@@ -78,14 +78,14 @@ def test_a_nearer_cone_weakens_the_evidence_and_a_farther_one_does_not() -> None
 
 def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_certain() -> None:
     ratios = []
-    for frames in (4, 8, 12, 30):
+    for frames in (3, 8, 12, 30):
         drive = visibility.observations_of_drive(
             RIG, PAIRS[:frames], [], [], AbsenceFigures(evidence=shipped(), score_threshold=0.3)
         )
         found = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, drive, PARAMS)
         ratios.append(0.0 if found is None else found.log_likelihood_ratio)
     assert ratios == sorted(ratios, reverse=True)
-    # A feature of some drives' standing (odds of 9 at most) is then removed, and is not after the four first and smallest views.
+    # A feature of some drives' standing (odds of 9 at most) is then removed, and is not after the three first and smallest views.
     after = [1 / (1 + math.exp(-(math.log(9) + ratio))) for ratio in (ratios[0], ratios[-1])]
     assert after[0] > PARAMS.removal_existence_probability > after[1] + 0.1
     assert ratios[-1] > math.log(PARAMS.unseen_occluder_probability)
