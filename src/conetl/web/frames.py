@@ -16,7 +16,7 @@ from conetl.model.errors import ConetlError
 from conetl.model.records import Rig, utc_from_ns
 from conetl.reports.camera_images import Box, crop_jpeg, frame_jpeg, image_file
 from conetl.reports.drive_passes import expected_box, passes_of
-from conetl.web import models as m
+from conetl.web import judging_models as m
 from conetl.web import rows as to
 from conetl.web.parameters import ChangesetNo, Index, MapName, Reader, cut, origin_of
 

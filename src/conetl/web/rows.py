@@ -12,10 +12,11 @@ from conetl.db.map.results import CommittedChangeset
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.records import Pose, Rig, Side, Vec3, utc_from_ns
 from conetl.reports import drive_passes as reports
-from conetl.web import models as m
+from conetl.web.judging_models import DrivePass, FrameBox, FrameView, PassFrame
+from conetl.web.models import Answer, Box, Decision, HistoryItem, Marking, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
-A = TypeVar("A", bound=m.Answer)
+A = TypeVar("A", bound=Answer)
 #: Decimals of offsets: a tenth of a millimetre.
 _DECIMALS = 4
 #: PostgreSQL's timestamps count microseconds; periods are half-open.
@@ -47,11 +48,11 @@ def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
     return model(**{name: value(name) for name in model.model_fields if name not in computed}, **computed)
 
 
-def marking(shape: Mapping[str, Any] | None, origin_m: Vec3) -> m.Marking | None:
+def marking(shape: Mapping[str, Any] | None, origin_m: Vec3) -> Marking | None:
     """The shape of a lane marking, as conetl.marking_json makes it; None of point objects."""
     if shape is None:
         return None
-    return m.Marking(**{**shape, "line_m": [offset(vertex, origin_m) for vertex in shape["line_m"]]})
+    return Marking(**{**shape, "line_m": [offset(vertex, origin_m) for vertex in shape["line_m"]]})
 
 
 def by_geometry(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
@@ -62,33 +63,33 @@ def by_geometry(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
     return both
 
 
-def timeline_item(c: CommittedChangeset) -> m.TimelineItem:
+def timeline_item(c: CommittedChangeset) -> TimelineItem:
     """One changeset of the timeline."""
     known = {"valid_at": utc_from_ns(c.captured_to_ns) + _TICK, "known_before": c.effective_at - _TICK}
-    return answer(m.TimelineItem, vars(c), (0.0, 0.0, 0.0), **known)
+    return answer(TimelineItem, vars(c), (0.0, 0.0, 0.0), **known)
 
 
-def history(rows: Sequence[Row], reasons: Sequence[str], origin_m: Vec3) -> list[m.HistoryItem]:
+def history(rows: Sequence[Row], reasons: Sequence[str], origin_m: Vec3) -> list[HistoryItem]:
     """A feature's history; reasons: the sentence of each row."""
     return [
-        answer(m.HistoryItem, row, origin_m, map_xyz_m=_position(row), why=why)
+        answer(HistoryItem, row, origin_m, map_xyz_m=_position(row), why=why)
         for row, why in zip(rows, reasons, strict=True)
     ]
 
 
-def decision(row: Row, origin_m: Vec3) -> m.Decision:
+def decision(row: Row, origin_m: Vec3) -> Decision:
     """One decision in effect."""
     xy = None
     if row["easting_m"] is not None:
         xy = offset((row["easting_m"], row["northing_m"], origin_m[2]), origin_m)[:2]
-    return answer(m.Decision, row, origin_m, xy_m=xy, reason=row["note"])
+    return answer(Decision, row, origin_m, xy_m=xy, reason=row["note"])
 
 
-def sighting(row: Row, rig: Rig, origin_m: Vec3) -> m.Sighting:
+def sighting(row: Row, rig: Rig, origin_m: Vec3) -> Sighting:
     """One sighting with the left camera's pose."""
     camera = map_SE3_left(pose_of(row, "body_"), rig)
     return answer(
-        m.Sighting,
+        Sighting,
         row,
         origin_m,
         camera_xyz_m=offset(camera[:3, 3].tolist(), origin_m),
@@ -108,31 +109,31 @@ def _position(row: Row, prefix: str = "") -> Vec3:
     return row[f"{prefix}easting_m"], row[f"{prefix}northing_m"], row[f"{prefix}height_m"]
 
 
-def frame_view(row: Row, side: Side, boxes: Sequence[Row], problem: str | None, origin_m: Vec3) -> m.FrameView:
+def frame_view(row: Row, side: Side, boxes: Sequence[Row], problem: str | None, origin_m: Vec3) -> FrameView:
     """One image of a frame pair of `judging.frame`, with its boxes; problem: why there is no image."""
     rig = Rig.model_validate(row["rig"])
     lens = camera_of(rig, side)
     camera = map_SE3_camera(pose_of(row), rig, side)
     sizes = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
-    return m.FrameView(
+    return FrameView(
         **{name: getattr(lens, name) for name in sizes},
         xyz_m=offset(camera[:3, 3].tolist(), origin_m),
         map_R_camera=camera[:3, :3].tolist(),
-        boxes=[m.FrameBox(**box) for box in boxes],
+        boxes=[FrameBox(**box) for box in boxes],
         problem=problem,
     )
 
 
-def drive_pass(found: reports.DrivePass, origin_m: Vec3) -> m.DrivePass:
+def drive_pass(found: reports.DrivePass, origin_m: Vec3) -> DrivePass:
     """One drive past a feature."""
     frames = [
         answer(
-            m.PassFrame, frame._asdict(), origin_m, range_m=round(frame.range_m, 3),
+            PassFrame, frame._asdict(), origin_m, range_m=round(frame.range_m, 3),
             camera_xyz_m=offset(frame.camera_m.tolist(), origin_m),
         )
         for frame in found.frames
     ]  # fmt: skip
-    return answer(m.DrivePass, found._asdict(), origin_m, frames=frames)
+    return answer(DrivePass, found._asdict(), origin_m, frames=frames)
 
 
 def pose_of(row: Row, prefix: str = "") -> Pose:
@@ -148,5 +149,5 @@ def _corners(rig: Rig) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     return (left, top, 1.0), (right, top, 1.0), (right, bottom, 1.0), (left, bottom, 1.0)
 
 
-def _box(row: Row, side: str) -> m.Box:
-    return m.Box(**{name: row[f"{side}_{name}"] for name in m.Box.model_fields})
+def _box(row: Row, side: str) -> Box:
+    return Box(**{name: row[f"{side}_{name}"] for name in Box.model_fields})
