@@ -6,12 +6,16 @@ line, positive to the left of its direction. Lines are (N, 2) arrays in metres.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TypeVar
+
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from conetl.model.arrays import Floats, Ints
 
 _CHUNK = 256
+_Item = TypeVar("_Item")
 
 
 def spaced(points_m: Floats, least_m: float) -> list[int]:
@@ -21,6 +25,13 @@ def spaced(points_m: Floats, least_m: float) -> list[int]:
         if not chosen or float(np.linalg.norm(at_m - points_m[chosen[-1]])) >= least_m:
             chosen.append(row)
     return chosen
+
+
+def evenly_spread(items: Sequence[_Item], most: int) -> list[_Item]:
+    """At most `most` of the items, spans for example, evenly spread over them, including the first and the last."""
+    if len(items) <= most:
+        return list(items)
+    return [items[round(k * (len(items) - 1) / (most - 1))] for k in range(most)]
 
 
 def stations(line_m: Floats) -> Floats:

@@ -25,6 +25,7 @@ from conetl.db.map.map_store import drive_transaction, find_changeset, find_map,
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.db.receipt_store import PendingChangeset
 from conetl.files.parquet_store import result_key
+from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.mapping.agreement import FARTHEST_M, far_displacement
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
@@ -39,7 +40,6 @@ from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings
-from conetl.tracking.self_calibration import evenly_spread
 
 #: Tracks that are compared with what stands farther away, and how many times in a drive.
 _TOGETHER, _MOST_PARTS = 40, 5

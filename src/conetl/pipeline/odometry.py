@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
+from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.health import HealthCheck
@@ -28,7 +29,7 @@ from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.foreign_images import check_recording
 from conetl.tracking.health import check_trajectory
 from conetl.tracking.lost_frames import check_lost_frames
-from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, evenly_spread, span_params
+from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, span_params
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
 from conetl.tracking.trajectory import RefinedTrajectory
 

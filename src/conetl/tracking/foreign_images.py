@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
 from conetl.model.arrays import Floats
@@ -17,7 +18,6 @@ from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
-from conetl.tracking.self_calibration import evenly_spread
 
 #: Images that go elsewhere contradict the log by so much (m), and by so many times what an even log departs from itself; it turns
 #: by no more than so much (rad) beyond the mean of the intervals before and after.

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
 from conetl.geometry.packing import vec3
@@ -14,7 +15,6 @@ from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Rig
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
-from conetl.tracking.self_calibration import evenly_spread
 
 #: A lost frame shows where the log moves so far (m) in an interval, at an even speed; at most so many intervals are tried.
 _LEAST_STEP_M, _UNEVEN_SHARE, _MOST_TRIED = 0.3, 0.2, 40

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,6 @@ Floats = NDArray[np.float64]
 _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
 #: The tangential coefficient of brown and rational lenses that moves columns by (3 x^2 + y^2) of it.
 _DECENTRING = "lens.3"
-_Item = TypeVar("_Item")
 
 
 class Span(NamedTuple):
@@ -106,13 +105,6 @@ def choose_spans(motions: Iterable[RelativeMotion], span_m: float) -> Iterator[S
         if float(np.linalg.norm(pose[:3, 3])) >= span_m:
             yield Span(start, k + 1, pose)
             start, pose = k + 1, np.eye(4)
-
-
-def evenly_spread(items: Sequence[_Item], most: int) -> list[_Item]:
-    """At most `most` of the items, spans for example, evenly spread over them, including the first and the last."""
-    if len(items) <= most:
-        return list(items)
-    return [items[round(k * (len(items) - 1) / (most - 1))] for k in range(most)]
 
 
 def self_calibrate(

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import calibration_cov, calibration_id, shared_errors
 from conetl.geometry.camera import project
+from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.rectification import raw_from_rectified
 from conetl.geometry.rig import infinity_shift_px, left_SE3_right
@@ -20,7 +21,6 @@ from conetl.tracking.self_calibration import (
     SelfCalibrationOutcome,
     Span,
     choose_spans,
-    evenly_spread,
     self_calibrate,
     self_calibrated_rig,
 )
