@@ -53,14 +53,14 @@ order by c.changeset_no desc;
 -- What one changeset did to each feature that it judged, as committed, or as released where it was committed on hold: an
 -- earlier drive that arrived later may have replaced it since, see feature_log. Parameters: map_name; changeset_no.
 -- Columns: kind 'missed': visible but not observed, and still standing; track_index: null where not seen; old_*: null for
--- added; position, sigma_m (along the major axis of the horizontal error ellipse) and values after the change, of a
--- removed feature the last ones; marking, old_marking: as serving.features.
+-- added; position, sigma_m (along the major axis of the horizontal error ellipse), sigma_height_m and values after the
+-- change, of a removed feature the last ones; marking, old_marking: as serving.features.
 select
     x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id, n.category,
     ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
     ST_X(n.geom) as easting_m, ST_Y(n.geom) as northing_m, ST_Z(n.geom) as height_m,
-    sqrt((n.cov_xx + n.cov_yy) / 2 + sqrt(((n.cov_xx - n.cov_yy) / 2) ^ 2 + n.cov_xy ^ 2)) as sigma_m, n.cone_height_m,
-    coalesce(x.existence_after, n.existence_probability) as existence_probability, n.observation_count, n.version,
+    sqrt((n.cov_xx + n.cov_yy) / 2 + sqrt(((n.cov_xx - n.cov_yy) / 2) ^ 2 + n.cov_xy ^ 2)) as sigma_m, sqrt(n.cov_zz) as sigma_height_m,
+    n.cone_height_m, coalesce(x.existence_after, n.existence_probability) as existence_probability, n.observation_count, n.version,
     n.last_seen_ns, c.changeset_no,
     conetl.marking_json(n.line, n.line_cov, n.width_m, n.width_sigma_m, n.colour, n.pattern, n.dash_m, n.gap_m) as marking,
     conetl.marking_json(o.line, o.line_cov, o.width_m, o.width_sigma_m, o.colour, o.pattern, o.dash_m, o.gap_m) as old_marking

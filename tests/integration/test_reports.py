@@ -91,6 +91,7 @@ def test_the_report_of_a_drive(shown: Any, latest: CommittedChangeset, samples: 
     path = write_drive_page(shown, latest, tmp_path / "reports" / "drive.html", map_name="default")
     page = path.read_text()
     assert_loads_nothing(page)
+    assert page.count("<th>sigma horiz. m</th><th>sigma height m</th>") == 2
     assert "&lt;img src=x onerror=alert(1)&gt;" in page
     facts = read_drive_facts(shown, latest, map_name="default")
     assert [c.number for c in facts.changes] == [1, 2, 3, 4]

@@ -224,7 +224,7 @@ def test_cones_as_landmarks_correct_the_length_of_the_way() -> None:
         for result, errors in ((alone, before), (together, after)):
             assert result.outcome is RefinementOutcome.REFINED
             errors.append(slide(pose_errors(result.frame_pairs, truth)))
-        assert together.detail.endswith(f"{len(cones)} cones as landmarks")
+        assert together.detail.endswith(f"point objects used as landmarks: {len(cones)}")
         for one, other in zip(alone.frame_pairs, together.frame_pairs, strict=True):
             assert one.pose.sigma_enu_m == pytest.approx(other.pose.sigma_enu_m, rel=1e-4)
             assert one.pose.map_t_body_m != other.pose.map_t_body_m

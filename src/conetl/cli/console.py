@@ -248,6 +248,11 @@ def counted(count: int, noun: str, ending: str = "s") -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}{ending}"
 
 
+def counted_by_reason(reasons: Iterable[tuple[str, int]]) -> str:
+    """`box cut by border: 9, existence unlikely: 2`."""
+    return ", ".join(f"{reason.replace('_', ' ')}: {count}" for reason, count in reasons)
+
+
 def counted_by_class(classes: Mapping[str, int]) -> str:
     """By category: `1 drum, 2 cones, 3 stretches of lane markings`; of nothing `0 cones`."""
     nouns = (

@@ -248,8 +248,8 @@ def print_report(report: IngestReport) -> None:
     if report.calibration and CALIBRATION not in told:
         ui.out.print(f"Calibration: {report.calibration.partition(' (')[0]}.")  # the figures are in the drive's report
     if report.rejections:
-        reasons = (f"{count} {reason.replace('_', ' ')}" for reason, count in report.rejections.items())
-        ui.out.print(f"Quarantined: {', '.join(reasons)}.")
+        records = ui.counted(sum(report.rejections.values()), "record")
+        ui.out.print(f"Quarantined: {records} ({ui.counted_by_reason(report.rejections.items())}).")
     ui.print_checks([check for check in report.health if check.verdict is not Verdict.HOLD])
     if report.replayed_drives:
         later = ui.counted(report.replayed_drives, "later drive")

@@ -77,9 +77,12 @@ def watch(
         f"map {report.map_name}; stopped: {report.ended_by}."
     )
     if report.refused or report.left_out:
-        reasons = [f"{count} {reason.replace('_', ' ')}" for reason, count in sorted(report.refused.items())]
-        reasons += [f"{report.left_out} incomplete or too old"] if report.left_out else []
-        ui.say(f"Not used: {', '.join(reasons)}. `conetl ingest` reads them again.")
+        reasons = [
+            *sorted(report.refused.items()),
+            *([("incomplete or too old", report.left_out)] if report.left_out else []),
+        ]
+        pairs = ui.counted(sum(count for _, count in reasons), "frame pair")
+        ui.say(f"Not used: {pairs} ({ui.counted_by_reason(reasons)}). `conetl ingest` reads them again.")
     rows = [(name, *(f"{1000 * s:.0f}" for s in seconds)) for name, seconds in latency(report.pairs).items()]
     ui.print_table("Latency of frame pairs recorded during the watch, ms", ("", "p50", "p95", "max"), rows)
     if report.drive_id:

@@ -54,6 +54,7 @@ class DriveChange:
     xyz_m: tuple[float, float, float]
     sigma_m: float
     """Along the major axis of the horizontal error ellipse."""
+    sigma_height_m: float
     category: str
     cone_height_m: float
     existence_probability: float

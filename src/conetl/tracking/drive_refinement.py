@@ -136,7 +136,7 @@ def _refine_with_cones(
         frame_pairs=tuple(_with_sigmas(pair, own.pose.sigma_enu_m, own.pose.sigma_rpy_rad) for pair, own in pairs_of),
         covariance=alone.covariance,
         scale=alone.scale,
-        detail=f"{together.detail}; {len(cones)} cones as landmarks",
+        detail=f"{together.detail}; point objects used as landmarks: {len(cones)}",
     )
 
 
