@@ -40,7 +40,7 @@ from tests.integration.test_ingest import FINAL_TABLES
 FRAMES = range(8, 12)
 EMPTY = (
     "truncate conetl.map, conetl.run, conetl.drive, conetl.frame_pair, conetl.detection, conetl.stereo_match, conetl.position, "
-    "conetl.track_member, conetl.feature_version restart identity cascade"
+    "conetl.feature_version restart identity cascade"
 )
 
 

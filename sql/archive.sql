@@ -59,7 +59,6 @@ from (
     (6, 'stereo_match', 'drive_uuid in (select d.drive_uuid from conetl.drive d where d.map_id = %%(map_id)s)'),
     (7, 'position', 'drive_uuid in (select d.drive_uuid from conetl.drive d where d.map_id = %%(map_id)s)'),
     (8, 'track', 'drive_uuid in (select d.drive_uuid from conetl.drive d where d.map_id = %%(map_id)s)'),
-    (9, 'track_member', 'drive_uuid in (select d.drive_uuid from conetl.drive d where d.map_id = %%(map_id)s)'),
     (10, 'marking_track', 'drive_uuid in (select d.drive_uuid from conetl.drive d where d.map_id = %%(map_id)s)'),
     (11, 'statement', 'drive_uuid in (select d.drive_uuid from conetl.drive d where d.map_id = %%(map_id)s)'),
     (12, 'changeset', 'map_id = %%(map_id)s'),

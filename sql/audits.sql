@@ -261,15 +261,13 @@ where not exists (
 )
 group by x.drive_uuid
 union all
-select 'track_member', t.drive_uuid, count(*), 'has no track or no position'
+select 'track_member', t.drive_uuid, count(*), 'has no position'
 from conetl.track_member t
 where not exists (
     select from conetl.position p
     where p.drive_uuid = t.drive_uuid and p.frame_index = t.frame_index and p.match_index = t.match_index
 ) and not exists (
     select from conetl.drive d where d.drive_uuid = t.drive_uuid and d.pruned_at is not null
-) or not exists (
-    select from conetl.track k where k.drive_uuid = t.drive_uuid and k.track_index = t.track_index
 )
 group by t.drive_uuid;
 

@@ -105,12 +105,7 @@ select
     ] as relative_cov_m2,
     array[ST_X(t.centre_geom), ST_Y(t.centre_geom), ST_Z(t.centre_geom)] as centre_xyz_m,
     t.cone_height_m, t.cone_height_sigma_m, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
-    t.residual_rms_px, t.nearest_range_m,
-    (
-        select array_agg(array[m.frame_index, m.match_index] order by m.frame_index, m.match_index)
-        from conetl.track_member m
-        where m.drive_uuid = t.drive_uuid and m.track_index = t.track_index
-    ) as members,
+    t.residual_rms_px, t.nearest_range_m, t.members,
     array_send(t.calibrations) || array_send(t.shared_jacobian_m) as shared_jacobian
 from conetl.track t
 where t.drive_uuid = %(drive_uuid)s

@@ -179,5 +179,5 @@ def test_random_drives_at_once_on_both_sides_of_a_border_give_the_map_of_any_ord
 def _empty(conn):
     conn.rollback()
     execute(conn, "truncate conetl.map, conetl.run, conetl.drive, conetl.frame_pair, conetl.detection, conetl.stereo_match, "
-        "conetl.position, conetl.track_member, conetl.feature_version restart identity cascade")  # fmt: skip
+        "conetl.position, conetl.feature_version restart identity cascade")  # fmt: skip
     conn.commit()

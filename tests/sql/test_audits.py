@@ -121,7 +121,7 @@ FAULTS = {
         ("delete from frame_pair where frame_index = 0",),
         ("delete from detection where frame_index = 1 and side = 'right'",),
         ("delete from position where frame_index = 1",),
-        ("update track_member set track_index = 7",),
+        ("update track set members = array[[1, 0], [1, 7]]",),
         ("update frame_pair set drive_uuid = gen_random_uuid()",),
         ("set local session_replication_role = replica", "delete from changeset"),
     ],

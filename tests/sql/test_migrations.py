@@ -84,8 +84,8 @@ def test_a_failing_migration_leaves_the_database_as_it_was(empty, tmp_path):
     assert execute(empty, "select to_regclass('conetl.half') as half") == [{"half": None}]
 
 
-def test_changesets_of_several_maps_get_numbers_of_their_own(empty):
-    """They were numbered over the whole database, with gaps where a transaction failed."""
+def test_rows_of_an_older_schema_are_brought_along(empty):
+    """Changesets were numbered over the whole database, with gaps where a transaction failed; positions of a track had rows."""
     execute(empty, load_sql("schema.schema_migration"))
     for path in sorted((sql_directory() / "migrations").glob("000[1-4]*.sql")):
         execute(empty, path.read_text())
@@ -105,6 +105,17 @@ def test_changesets_of_several_maps_get_numbers_of_their_own(empty):
             md5(drive_uuid::text) || md5(''), '', '', '0', now(), 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
         from d"""
     execute(empty, made)
+    track = """
+        insert into track
+        select drive_uuid, n, 'traffic_cone', area, 1, 0, 0, 1, 0, 1, 1, 0, 0, 1, 0, 1, area, 1, 1, 1, 3, 0, 0, 0, 5
+        from (select drive_uuid, ST_Force3D(area) as area from drive order by drive_uuid limit 1) d, generate_series(1, 2) n"""
+    members = "select track_index, frame_index, match_index from track_member order by drive_uuid, 1, 2, 3"
+    execute(empty, track)
+    execute(
+        empty,
+        "insert into track_member select drive_uuid, 1, f, 4 - f from track, unnest(array[3, 1, 2]) f where track_index = 1",
+    )
+    positions = execute(empty, members)
     order = "select array_agg(changeset_id::text order by changeset_no) as ids from changeset group by map_id order by map_id"
     before = execute(empty, order)
     empty.commit()
@@ -114,6 +125,9 @@ def test_changesets_of_several_maps_get_numbers_of_their_own(empty):
     )
     assert [row["numbers"] for row in execute(empty, numbers)] == [[1, 2, 3], [1, 2, 3]]
     assert execute(empty, order) == before
+    assert execute(empty, members) == positions
+    kept = execute(empty, "select members from track order by track_index")
+    assert [row["members"] for row in kept] == [[[1, 3], [2, 2], [3, 1]], []]
 
 
 def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty):

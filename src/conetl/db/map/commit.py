@@ -269,7 +269,6 @@ def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iter
         _blocks("conetl.stereo_match", records.matches, partial(columns.match_columns, drive_uuid)),
         _blocks("conetl.position", records.positions, partial(columns.position_columns, drive_uuid, srid)),
         _blocks("conetl.track", records.tracks, partial(columns.track_columns, drive_uuid, srid)),
-        _blocks("conetl.track_member", records.tracks, partial(columns.track_member_columns, drive_uuid)),
         _blocks("conetl.marking_track", records.markings, partial(columns.marking_track_columns, drive_uuid, srid)),
     )
 

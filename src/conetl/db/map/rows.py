@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
+from itertools import chain
 from operator import attrgetter
 from typing import Any, TypeVar
 from uuid import UUID
@@ -28,7 +29,7 @@ R = TypeVar("R", bound=Record)
 Columns = dict[str, Column]
 Encoder = Callable[[Any], Column]
 _COV_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
-_UUID_TYPE, _REAL_TYPE = 2950, 700
+_UUID_TYPE, _REAL_TYPE, _INTEGER_TYPE = 2950, 700, 23
 _UUID_BYTES, _REAL_BYTES = 16, 4
 #: Bytes before the items of an array of one dimension and of three, and the offset of the former's length.
 _HEAD_OF_ONE, _HEAD_OF_THREE, _LENGTH_AT = 20, 36, 12
@@ -121,17 +122,7 @@ def track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[Track]) -> Colum
         **cone_columns(srid, tracks),
         **_covariance("relative_cov", [t.relative_cov_m2 for t in tracks]),
         **_attributes(tracks, integers="track_index", doubles="residual_rms_px nearest_range_m"),
-    }
-
-
-def track_member_columns(drive_uuid: UUID, tracks: Sequence[Track]) -> Columns:
-    """Table track_member: the positions of each track."""
-    members = stacked([member for track in tracks for member in track.members], 2).astype(np.int32)
-    return {
-        "drive_uuid": binary.constant_uuid(drive_uuid, len(members)),
-        "track_index": binary.integers([track.track_index for track in tracks for _ in track.members]),
-        "frame_index": binary.integers(members[:, 0]),
-        "match_index": binary.integers(members[:, 1]),
+        "members": binary.byteas([_members(sorted(track.members)) for track in tracks]),
     }
 
 
@@ -285,6 +276,12 @@ def jacobian_of(row: Row) -> SharedErrorJacobian | None:
     ids = tuple(UUID(bytes=both[at + 4 : at + step]) for at in starts)
     items = np.frombuffer(both, _REALS, offset=_HEAD_OF_ONE + count * step + _HEAD_OF_THREE)
     return SharedErrorJacobian(ids, items["value"].tobytes())
+
+
+def _members(members: Sequence[tuple[int, int]]) -> bytes:
+    """integer[][2] of the positions of a track."""
+    items = chain.from_iterable((4, frame_index, 4, match_index) for frame_index, match_index in members)
+    return struct.pack(f">{7 + 4 * len(members)}i", 2, 0, _INTEGER_TYPE, len(members), 1, 2, 1, *items)
 
 
 @lru_cache(maxsize=1024)
