@@ -52,16 +52,16 @@ GROUPS = {
 
 
 def over_range() -> str:
-    """Range, base and pixel noise with exact calibration; and with the paper's calibration."""
+    """Range, baseline and pixel noise with exact calibration; and with the paper's calibration."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.5, 4.0), sharey=True, layout="constrained")
     rows = []
     for colour, baseline in zip(COLOURS, BASELINES_M, strict=False):
         rig = paper_rig(baseline_m=baseline)
-        label = f"base {100 * baseline:.3g} cm"
+        label = f"baseline {100 * baseline:.3g} cm"
         _curve(left, rig, USUAL_PX, colour, label)
         spreads = [cases.image_noise(rig, cases.foot_at(r), USUAL_PX, _rng()) for r in DOTS_M]
         rows.append([label, *(f"{_cm(s.analytic_m[0])} / {_cm(s.monte_carlo_m[0])}" for s in spreads)])
-    left.set_title(f"exact calibration, {USUAL_PX} px, by base", fontsize=10)
+    left.set_title(f"exact calibration, {USUAL_PX} px, by baseline", fontsize=10)
     rig = paper_rig()
     for colour, noise in zip(COLOURS, NOISE_PX, strict=False):
         _curve(right, rig, noise, colour, f"{noise:g} px")
@@ -69,7 +69,7 @@ def over_range() -> str:
             spreads = [cases.image_noise(rig, cases.foot_at(r), noise, _rng()) for r in DOTS_M]
             rows.append(
                 [
-                    f"base 27.5 cm, {noise:g} px",
+                    f"baseline 27.5 cm, {noise:g} px",
                     *(f"{_cm(s.analytic_m[0])} / {_cm(s.monte_carlo_m[0])}" for s in spreads),
                 ]
             )
@@ -153,12 +153,12 @@ def frames() -> str:
     exact = rig.model_copy(update={"calibration_covariance": None})
     counts = (1, 2, 3, 5, 8, 12, 20, 30)
     lines: dict[str, list[cases.Spread]] = {
-        "image points alone": [], "and 1 cm of place a frame": [], "image points and the paper's calibration": [],
+        "image points alone": [], "and 1 cm of position per frame": [], "image points and the paper's calibration": [],
     }  # fmt: skip
     for count in counts:
         poses, point = cases.passing(count)
         lines["image points alone"].append(cases.exact_stations(exact, point, USUAL_PX, _rng(), poses))
-        lines["and 1 cm of place a frame"].append(
+        lines["and 1 cm of position per frame"].append(
             cases.adjusted_drive(exact, point, USUAL_PX, MOTION_M, _rng(), poses, draws=200)
         )
         lines["image points and the paper's calibration"].append(
