@@ -14,7 +14,7 @@ from conetl.model.errors import ConetlError, StorageError
 from conetl.model.records import Rig
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
-from conetl.perception.video import Frame, index_video
+from conetl.perception.video import FrameRef, index_video
 from conetl.perception.video_frames import read_frame
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives import read_drive
@@ -106,7 +106,7 @@ def read_zed(path: Path, scratch: Path) -> object:
     copy_video(path, target)
     for pts in index_video(target).pts[:20]:
         with suppress(ImageFileError, StorageError):
-            read_frame(Frame(target, pts))
+            read_frame(FrameRef(target, pts))
     return None
 
 

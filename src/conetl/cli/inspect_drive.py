@@ -15,13 +15,9 @@ from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.settings import read_settings
-from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives import FORMATS, drive_format, read_drive
 from conetl.readers.drives.summary import DriveSummary, summarise
 
-FORMAT_NAMES = {
-    "kitti": "KITTI raw layout", "plain": "plain folder", "euroc": "EuRoC / ASL folder", "bag": "ROS 2 bag or MCAP",
-    "video": "video or images with a trajectory file",
-}  # fmt: skip
 #: Processor seconds of one `conetl ingest`, measured (docs/reference/drives.md): at the start, and per million pixels of both
 #: images.
 START_CPU_S = 28.0
@@ -51,7 +47,7 @@ def inspect(
     """
     settings = read_settings()
     found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
-    kind = drive_format(drive) or "kitti"
+    kind = str(drive_format(drive))
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)
     checks = [] if kind == "bag" else check_stereo(found)[1]  # nothing of a bag is unpacked
@@ -98,7 +94,7 @@ def _facts(kind: str, summary: DriveSummary, seconds: float, workers: int) -> li
         how_read = f"lens {rig.lens}, resampled to {rig.width_px} x {rig.height_px} when read"
     rate = f"{summary.rate_hz:.2f} Hz" if summary.rate_hz else "one pair only"
     values: dict[str, object] = {
-        "format": FORMAT_NAMES[kind],
+        "format": next(known.TITLE for known in FORMATS if kind == known.NAME),
         "drive": summary.drive_id,
         "rig": f"{rig.rig_id}: baseline {rig.baseline_m:.4f} m, focal length {rig.focal_px:.1f} px",
         "images": f"{rig.stored_width_px} x {rig.stored_height_px}, {how_read}",

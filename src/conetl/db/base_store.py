@@ -14,7 +14,7 @@ import shapely
 
 from conetl.db import copy_binary as binary
 from conetl.db.connection import Connection, copy_columns, query, read, stream_values, transaction
-from conetl.db.copy_binary import Column
+from conetl.db.copy_binary import CopyColumn
 from conetl.model.arrays import Floats
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import MapGround, ground_under
@@ -116,7 +116,7 @@ def _write(
     file: BaseFile,
     counts: BaseCounts,
     table: str,
-    blocks: Iterable[tuple[dict[str, Column], int]],
+    blocks: Iterable[tuple[dict[str, CopyColumn], int]],
 ) -> int | None:
     with transaction(conn, f"{file.source_path} was not imported, nothing was written"):
         kept = 0
@@ -132,7 +132,7 @@ def _write(
         return kept
 
 
-def _tile_columns(source_id: UUID, tiles: list[Tile]) -> dict[str, Column]:
+def _tile_columns(source_id: UUID, tiles: list[Tile]) -> dict[str, CopyColumn]:
     return {
         "source_id": binary.constant_uuid(source_id, len(tiles)),
         "level": binary.fixed([t.level for t in tiles], ">i2"),
@@ -147,7 +147,7 @@ def _tile_columns(source_id: UUID, tiles: list[Tile]) -> dict[str, Column]:
     }
 
 
-def _line_columns(source_id: UUID, lines: list[Line], srid: int) -> dict[str, Column]:
+def _line_columns(source_id: UUID, lines: list[Line], srid: int) -> dict[str, CopyColumn]:
     shapes = [shapely.set_srid(shapely.LineString(line.xyz), srid) for line in lines]
     return {
         "source_id": binary.constant_uuid(source_id, len(lines)),

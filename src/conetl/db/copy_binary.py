@@ -34,14 +34,14 @@ _EWKB_POINT_Z_SRID = 0x80000000 | 0x20000000 | 1
 
 
 @dataclass(frozen=True)
-class Column:
+class CopyColumn:
     """One column, n rows: `values` are the wire bytes, `lengths` (n,) their lengths (-1: NULL)."""
 
     values: NDArray[Any]
     lengths: NDArray[np.int32]
 
 
-def fixed(values: Any, dtype: str) -> Column:
+def fixed(values: Any, dtype: str) -> CopyColumn:
     """Numbers as `dtype` (big-endian: '>i4' integer, '>i8' bigint, '>f8' float8, '?' boolean); None becomes NULL."""
     missing = np.empty(0, np.int64)
     if not isinstance(values, np.ndarray) and None in values:
@@ -50,39 +50,39 @@ def fixed(values: Any, dtype: str) -> Column:
     array = np.asarray(values, dtype=dtype)
     lengths = np.full(len(array), array.dtype.itemsize, np.int32)
     lengths[missing] = NULL_LENGTH
-    return Column(array, lengths)
+    return CopyColumn(array, lengths)
 
 
 #: integer, bigint, float8 and boolean; None becomes NULL.
 integers, bigints, doubles, booleans = (partial(fixed, dtype=dtype) for dtype in (">i4", ">i8", ">f8", "?"))
 
 
-def timestamps_from_ns(nanoseconds: Any) -> Column:
+def timestamps_from_ns(nanoseconds: Any) -> CopyColumn:
     """timestamptz from UTC nanoseconds since 1970 (n,), cut to microseconds."""
     return fixed(np.asarray(nanoseconds, np.int64) // 1000 - _POSTGRES_EPOCH_US, ">i8")
 
 
-def uuids(values: Sequence[UUID | None]) -> Column:
+def uuids(values: Sequence[UUID | None]) -> CopyColumn:
     """uuid; None becomes NULL."""
     column = _blocks([bytes(16) if value is None else value.bytes for value in values], 16)
     column.lengths[[value is None for value in values]] = NULL_LENGTH
     return column
 
 
-def constant_uuid(value: UUID, count: int) -> Column:
+def constant_uuid(value: UUID, count: int) -> CopyColumn:
     """The same uuid in every row."""
     return _blocks([value.bytes] * count, 16)
 
 
-def points(xyz_m: Sequence[Vec3], srid: int) -> Column:
+def points(xyz_m: Sequence[Vec3], srid: int) -> CopyColumn:
     """geometry(PointZ, srid) from (n, 3) metres, as extended well-known binary (33 bytes)."""
     xyz = stacked(xyz_m, 3)
     ewkb = np.empty(len(xyz), [("order", "u1"), ("type", "<u4"), ("srid", "<u4"), ("xyz", "<f8", 3)])
     ewkb["order"], ewkb["type"], ewkb["srid"], ewkb["xyz"] = 1, _EWKB_POINT_Z_SRID, srid, xyz
-    return Column(ewkb.view("V33"), np.full(len(xyz), 33, np.int32))
+    return CopyColumn(ewkb.view("V33"), np.full(len(xyz), 33, np.int32))
 
 
-def double_arrays(values: Any) -> Column:
+def double_arrays(values: Any) -> CopyColumn:
     """float8[] from (n, k)."""
     array = np.asarray(values, np.float64)
     count, width = array.shape
@@ -90,26 +90,26 @@ def double_arrays(values: Any) -> Column:
     wire = np.empty(count, [*header, ("items", [("length", ">i4"), ("value", ">f8")], width)])
     wire["dimensions"], wire["nulls"], wire["oid"], wire["size"], wire["start"] = 1, 0, 701, width, 1
     wire["items"]["length"], wire["items"]["value"] = 8, array
-    return Column(wire.view(f"V{wire.dtype.itemsize}"), np.full(count, wire.dtype.itemsize, np.int32))
+    return CopyColumn(wire.view(f"V{wire.dtype.itemsize}"), np.full(count, wire.dtype.itemsize, np.int32))
 
 
-def texts(values: Sequence[str | None]) -> Column:
+def texts(values: Sequence[str | None]) -> CopyColumn:
     """text; None becomes NULL. Characters that PostgreSQL cannot hold (NUL, lone surrogates of file names) become U+FFFD."""
     encoded = {value: None if value is None else clean_text(value).encode() for value in set(values)}
     return _variable([encoded[value] for value in values])
 
 
-def byteas(values: Sequence[bytes | None]) -> Column:
+def byteas(values: Sequence[bytes | None]) -> CopyColumn:
     """bytea, geometry as extended well-known binary, or values in PostgreSQL's binary format; None becomes NULL."""
     return _variable(list(values))
 
 
-def nulls(count: int) -> Column:
+def nulls(count: int) -> CopyColumn:
     """NULL in every row, of any type."""
-    return Column(np.empty(count, object), np.full(count, NULL_LENGTH, np.int32))
+    return CopyColumn(np.empty(count, object), np.full(count, NULL_LENGTH, np.int32))
 
 
-def jsons(values: Sequence[Mapping[str, Any]]) -> Column:
+def jsons(values: Sequence[Mapping[str, Any]]) -> CopyColumn:
     """jsonb; NaN and infinity, which JSON lacks, become the strings "nan", "inf", "-inf"."""
     return _variable([b"\x01" + json_text(value).encode() for value in values])
 
@@ -124,12 +124,12 @@ def json_text(value: Any) -> str:
     return json.dumps(_json_safe(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
-def encode(columns: Mapping[str, Column]) -> io.BytesIO:
+def encode(columns: Mapping[str, CopyColumn]) -> io.BytesIO:
     """All rows in COPY's binary format, possibly in another order."""
     return io.BytesIO(b"".join([SIGNATURE, *_encoded_blocks(columns), TRAILER]))
 
 
-def _encoded_blocks(columns: Mapping[str, Column]) -> Iterator[bytes]:
+def _encoded_blocks(columns: Mapping[str, CopyColumn]) -> Iterator[bytes]:
     parts = list(columns.values())
     lengths = np.stack([part.lengths for part in parts], axis=1)
     if not len(lengths):
@@ -159,14 +159,14 @@ def _encoded_blocks(columns: Mapping[str, Column]) -> Iterator[bytes]:
         yield block.tobytes()
 
 
-def _blocks(items: list[bytes], length: int) -> Column:
-    return Column(np.frombuffer(b"".join(items), f"V{length}"), np.full(len(items), length, np.int32))
+def _blocks(items: list[bytes], length: int) -> CopyColumn:
+    return CopyColumn(np.frombuffer(b"".join(items), f"V{length}"), np.full(len(items), length, np.int32))
 
 
-def _variable(items: list[bytes | None]) -> Column:
+def _variable(items: list[bytes | None]) -> CopyColumn:
     values = np.empty(len(items), object)
     values[:] = items
-    return Column(values, np.array([NULL_LENGTH if item is None else len(item) for item in items], np.int32))
+    return CopyColumn(values, np.array([NULL_LENGTH if item is None else len(item) for item in items], np.int32))
 
 
 def _json_safe(value: Any) -> Any:

@@ -149,7 +149,7 @@ def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
 
 
 def drives_under_way(conn: Connection, *, map_name: str) -> list[str]:
-    """Ids of the drives that a running process ingests into the map."""
+    """Ids of the drives that are being ingested into the map by a running process."""
     with transaction(conn, "The receipts cannot be read"):
         begun = query(conn, "receipts.under_way", map_name=map_name)
     held = held_locks(conn, [drive_lock(map_name, row["header_sha256"]) for row in begun])

@@ -24,7 +24,7 @@ from pyarrow import csv
 
 from conetl.db import connection as db
 from conetl.db.connection import Connection
-from conetl.db.copy_binary import Column, booleans, constant_uuid, doubles, integers, texts
+from conetl.db.copy_binary import CopyColumn, booleans, constant_uuid, doubles, integers, texts
 from conetl.db.map.map_store import map_transaction
 from conetl.files.atomic import atomic_files
 from conetl.files.parquet_store import read_table, write_table
@@ -33,7 +33,7 @@ from conetl.model.errors import InputError, MapMismatchError
 _RAW_TABLES = ("detection", "stereo_match", "position")
 #: By PostgreSQL's number of a type: bool, int4, text, float8, uuid.
 _ARROW_TYPES = {16: pa.bool_(), 23: pa.int32(), 25: pa.string(), 701: pa.float64(), 2950: pa.string()}
-_ENCODERS: dict[pa.DataType, Callable[[Any], Column]] = {
+_ENCODERS: dict[pa.DataType, Callable[[Any], CopyColumn]] = {
     pa.bool_(): booleans,
     pa.int32(): integers,
     pa.string(): texts,

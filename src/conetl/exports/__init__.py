@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 if TYPE_CHECKING:
-    from conetl.exports.source import Source
+    from conetl.exports.source import ExportSource
 
 
 class Order(StrEnum):
@@ -48,9 +48,9 @@ FORMATS = {
 }
 
 
-def writer_of(file_format: str) -> Callable[[Sequence[Source], Path], None]:
+def writer_of(file_format: str) -> Callable[[Sequence[ExportSource], Path], None]:
     """The function that writes a format of `FORMATS`."""
     module, function = FORMATS[file_format].entry_point.split(":")
     return cast(
-        "Callable[[Sequence[Source], Path], None]", getattr(import_module(f"conetl.exports.{module}"), function)
+        "Callable[[Sequence[ExportSource], Path], None]", getattr(import_module(f"conetl.exports.{module}"), function)
     )

@@ -12,7 +12,7 @@ from typing import Any
 
 from conetl.db.connection import Connection, query, transaction
 from conetl.exports import FORMATS, Format, writer_of
-from conetl.exports.source import ExportRequest, Source, What, open_source
+from conetl.exports.source import ExportRequest, ExportSource, What, open_source
 from conetl.exports.text_files import iso_utc
 from conetl.files.atomic import atomic_files
 from conetl.files.parquet_store import file_sha256
@@ -67,7 +67,7 @@ def lines_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_lane_markings{path.suffix}")
 
 
-def _manifest(sources: Sequence[Source], file_format: str, chosen: Format, file: Path) -> dict[str, Any]:
+def _manifest(sources: Sequence[ExportSource], file_format: str, chosen: Format, file: Path) -> dict[str, Any]:
     """Of a file that holds all rows of the sources."""
     source, counts = sources[0], sum((one.counts for one in sources), Counter[str]())
     request = source.request

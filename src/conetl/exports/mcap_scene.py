@@ -21,7 +21,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from conetl.exports.kind_marks import KIND_MARKS, PAINT, dashes_of
-from conetl.exports.source import LINE_NAME, Source, What
+from conetl.exports.source import LINE_NAME, ExportSource, What
 from conetl.exports.text_files import iso_utc
 from conetl.model.feature_classes import CONE, width_over_height
 from conetl.model.map_records import DeltaKind
@@ -42,7 +42,7 @@ Object = dict[str, Any]
 Point = tuple[float, float, float]
 
 
-def write_scene(sources: Sequence[Source], path: Path) -> None:
+def write_scene(sources: Sequence[ExportSource], path: Path) -> None:
     """Write the scene."""
     with path.open("wb") as file:
         writer = Writer(file)
@@ -71,7 +71,7 @@ def write_scene(sources: Sequence[Source], path: Path) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _rows(source: Source) -> Iterator[Object]:
+def _rows(source: ExportSource) -> Iterator[Object]:
     """Rows in the order of `instant_us`, the instant at which they are shown (UTC microseconds since 1970)."""
     request = source.request
     shown_at = request.until if request.what is What.CHANGES else request.as_of
@@ -179,7 +179,7 @@ def _origin(row: Object) -> Point:
     )
 
 
-def _origin_messages(origin: Point, source: Source, instant_us: int) -> tuple[Object, Object]:
+def _origin_messages(origin: Point, source: ExportSource, instant_us: int) -> tuple[Object, Object]:
     """The FrameTransform and the LocationFix of the origin."""
     lon_deg, lat_deg = source.to_wgs84.transform(origin[0], origin[1])
     transform = {

@@ -85,7 +85,7 @@ class ExportRequest:
 
 
 @dataclass(frozen=True)
-class Source:
+class ExportSource:
     """The rows of one request with one type of geometry. Made by `open_source`, valid in its block."""
 
     conn: Connection
@@ -260,13 +260,13 @@ def _turned(columns: dict[str, pa.Array], turn: Floats) -> dict[str, pa.Array]:
 
 
 @contextmanager
-def open_source(conn: Connection, request: ExportRequest, order: Order = Order.BY_ID) -> Iterator[list[Source]]:
+def open_source(conn: Connection, request: ExportRequest, order: Order = Order.BY_ID) -> Iterator[list[ExportSource]]:
     """The rows of a request by type of geometry: points, then lines where the map has any; of one class, its own.
 
     Raises InputError for a request that contradicts itself, and for an unknown map or class.
     """
     _check(request)
-    points = Source(conn, require_map(conn, request.map_name), request, order)
+    points = ExportSource(conn, require_map(conn, request.map_name), request, order)
     _require_class(points)
     sources = [points, replace(points, lines=True)]
     if request.category is not None:
@@ -279,7 +279,7 @@ def open_source(conn: Connection, request: ExportRequest, order: Order = Order.B
         yield sources
 
 
-def _require_class(source: Source) -> None:
+def _require_class(source: ExportSource) -> None:
     """Raise InputError for a class that neither conetl nor the map knows."""
     if (category := source.request.category) is not None:
         of_map = query(source.conn, "exports.has_class", map_id=source.info.map_id, category=category)

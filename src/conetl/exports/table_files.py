@@ -14,7 +14,7 @@ import pyogrio
 import shapely
 from pyogrio.errors import DataLayerError, DataSourceError, FieldError
 
-from conetl.exports.source import POSITION_NAMES, Source
+from conetl.exports.source import POSITION_NAMES, ExportSource
 from conetl.geometry.geodesy import to_crs
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -34,7 +34,7 @@ _REPEATED = (
 )  # fmt: skip
 
 
-def write_geoparquet(sources: Sequence[Source], path: Path) -> None:
+def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
     """Write GeoParquet 1.1 (https://geoparquet.org/releases/v1.1.0/), one row group per batch.
 
     Rows follow a Hilbert curve and carry their box in the column `bbox`, so that a reader finds a street by the statistics of the
@@ -62,19 +62,19 @@ def write_geoparquet(sources: Sequence[Source], path: Path) -> None:
         writer.add_key_value_metadata({"geo": json.dumps(geo)})
 
 
-def write_geopackage(sources: Sequence[Source], path: Path) -> None:
+def write_geopackage(sources: Sequence[ExportSource], path: Path) -> None:
     """Write a GeoPackage (OGC 12-128r19). See `_write_by_gdal`."""
     for source in sources:
         _write_by_gdal(source, path, "GPKG")
 
 
-def write_flatgeobuf(sources: Sequence[Source], path: Path) -> None:
+def write_flatgeobuf(sources: Sequence[ExportSource], path: Path) -> None:
     """Write FlatGeobuf. Its index takes about 100 bytes of memory per row. See `_write_by_gdal`."""
     [source] = sources
     _write_by_gdal(source, path, "FlatGeobuf")
 
 
-def _write_by_gdal(source: Source, path: Path, driver: str) -> None:
+def _write_by_gdal(source: ExportSource, path: Path, driver: str) -> None:
     """Write one layer in the map's CRS with a spatial index.
 
     Points are in a layer named like the map, lines in `lane_markings` (of a map with this name, `lane_markings_lines`).
@@ -120,15 +120,15 @@ def _write_by_gdal(source: Source, path: Path, driver: str) -> None:
         raise InputError(f"{path.name} cannot be written ({error}): free space or choose another file.") from error
 
 
-def _property_schema(source: Source) -> pa.Schema:
+def _property_schema(source: ExportSource) -> pa.Schema:
     return pa.schema([source.schema.field(name) for name in source.property_names])
 
 
-def _geometry_type(source: Source) -> str:
+def _geometry_type(source: ExportSource) -> str:
     return "LineString Z" if source.lines else "Point Z"
 
 
-def _geometries_of(source: Source) -> Iterator[tuple[pa.RecordBatch, pa.Array, Floats, Floats]]:
+def _geometries_of(source: ExportSource) -> Iterator[tuple[pa.RecordBatch, pa.Array, Floats, Floats]]:
     """Batches of the properties alone, each with its geometries as well-known binary, and their lowest and highest coordinates,
     (n, 3) each, in the CRS of the source."""
     for batch in source.batches:

@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 from numpy.typing import ArrayLike
 
 from conetl.db.connection import Connection
-from conetl.exports.source import POSITION_NAMES, ExportRequest, Source, What, open_source
+from conetl.exports.source import POSITION_NAMES, ExportRequest, ExportSource, What, open_source
 from conetl.files.atomic import atomic_files, atomic_text_file
 from conetl.geometry.geodesy import ELLIPSOIDAL, to_geodetic
 from conetl.model.map_records import DeltaKind, FeatureChange
@@ -68,13 +68,13 @@ class ExportRow:
     """Of a lane marking."""
 
 
-def names_of(source: Source) -> list[str]:
+def names_of(source: ExportSource) -> list[str]:
     """Names of the properties of `rows_of(source)`."""
     allowed = PROPERTY_NAMES if source.request.what is What.FEATURES else (*PROPERTY_NAMES, *_CHANGE_NAMES)
     return [name for name in source.property_names if name in allowed]
 
 
-def rows_of(source: Source) -> Iterator[ExportRow]:
+def rows_of(source: ExportSource) -> Iterator[ExportRow]:
     """The rows of a source: metres to 0.1 mm, probabilities to 6 decimals."""
     names = names_of(source)
     for batch in source.batches:
@@ -86,7 +86,7 @@ def rows_of(source: Source) -> Iterator[ExportRow]:
             yield ExportRow(*position, dict(zip(names, values, strict=True)), line)  # type: ignore[call-arg]
 
 
-def _lines_of(source: Source, batch: pa.RecordBatch) -> list[Line]:
+def _lines_of(source: ExportSource, batch: pa.RecordBatch) -> list[Line]:
     vertices_m, rows = source.vertices_m(batch)
     lat_lon = to_geodetic(source.info.srid, vertices_m)
     lines: list[Line] = [[] for _ in range(len(batch))]
@@ -95,7 +95,7 @@ def _lines_of(source: Source, batch: pa.RecordBatch) -> list[Line]:
     return lines
 
 
-def write_csv(sources: Sequence[Source], path: Path) -> None:
+def write_csv(sources: Sequence[ExportSource], path: Path) -> None:
     """Write one line per row. Null values (`valid_to` while open) are empty.
 
     Lane markings have their line in the column `WKT`, as GDAL and QGIS read it.
@@ -112,7 +112,7 @@ def write_csv(sources: Sequence[Source], path: Path) -> None:
             writer.writerow([*row.properties.values(), *degrees, *metres, *wkt])
 
 
-def write_lanelet2(sources: Sequence[Source], path: Path) -> None:
+def write_lanelet2(sources: Sequence[ExportSource], path: Path) -> None:
     """Write one OSM node per point, for Lanelet2 and JOSM, with the properties as tags.
 
     A lane marking is a way: type `line_thin`, subtype `solid` or `dashed`, and `width`, as Lanelet2 tags linestrings. Ids are
@@ -176,7 +176,7 @@ def export_geojson(conn: Connection, path: Path, *, map_name: str = "default") -
         return sum(source.counts.total() for source in sources)
 
 
-def write_features(sources: Sequence[Source], path: Path) -> None:
+def write_features(sources: Sequence[ExportSource], path: Path) -> None:
     """Write one Feature per row and line of the file. The same map gives the same bytes.
 
     Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). A feature's id is that of the cone, except in

@@ -54,7 +54,7 @@ class LineDrive(NamedTuple):
         return float(self.lines.station_m[self.lines.line == line].max())
 
 
-class Sighting(NamedTuple):
+class StretchSighting(NamedTuple):
     """How a drive observed a stretch, or a part of one of its own markings."""
 
     track: int
@@ -90,16 +90,16 @@ def shape_of(feature: MapFeature) -> Marking:
     return feature.marking
 
 
-def sighting(track: int, drive: LineDrive, view: MarkingView, vertices: Bools) -> Sighting:
+def sighting(track: int, drive: LineDrive, view: MarkingView, vertices: Bools) -> StretchSighting:
     """By the frame pairs that had any of the vertices (n,) in view; where that is not known, those of the whole marking."""
     whole, own = drive.tracks[track], view.period_of(vertices)
     if own is None:
-        return Sighting(track, whole.observation_count, whole.first_seen_ns, whole.last_seen_ns)
-    return Sighting(track, min(own[0], whole.observation_count), own[1], own[2])
+        return StretchSighting(track, whole.observation_count, whole.first_seen_ns, whole.last_seen_ns)
+    return StretchSighting(track, min(own[0], whole.observation_count), own[1], own[2])
 
 
 def confirmed(
-    sightings: Mapping[int, Sighting],
+    sightings: Mapping[int, StretchSighting],
     features: Sequence[MapFeature],
     on_map: Lines,
     found: Feet,
@@ -165,7 +165,9 @@ def confirmed(
     return deltas
 
 
-def moved(feature: MapFeature, found: Feet, seen: Sighting, drive: LineDrive, evidence: ExistenceEvidence) -> Delta:
+def moved(
+    feature: MapFeature, found: Feet, seen: StretchSighting, drive: LineDrive, evidence: ExistenceEvidence
+) -> Delta:
     """A stretch that was painted anew: the drive's marking beside it, where its vertices were."""
     new = _of_drive(found, seen, drive, feature.feature_id, feature.version + 1, evidence)
     return Delta(
@@ -179,7 +181,9 @@ def moved(feature: MapFeature, found: Feet, seen: Sighting, drive: LineDrive, ev
     )
 
 
-def added(found: Feet, seen: Sighting, drive: LineDrive, founding_key: str, evidence: ExistenceEvidence) -> Delta:
+def added(
+    found: Feet, seen: StretchSighting, drive: LineDrive, founding_key: str, evidence: ExistenceEvidence
+) -> Delta:
     """A new stretch. Its id follows from the marking of the drive and the station (dm) at which it begins."""
     begins_dm = round(10 * float(found.station_m[0]))
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{drive.tracks[seen.track].marking_index}/{begins_dm}")
@@ -244,7 +248,7 @@ def stretches_of(drive: LineDrive, line: int, part_m: tuple[float, float]) -> li
 
 
 def _of_drive(
-    found: Feet, seen: Sighting, drive: LineDrive, feature_id: UUID, version: int, evidence: ExistenceEvidence
+    found: Feet, seen: StretchSighting, drive: LineDrive, feature_id: UUID, version: int, evidence: ExistenceEvidence
 ) -> MapFeature:
     """Points of a drive's marking as a stretch."""
     track = drive.tracks[seen.track]

@@ -98,7 +98,7 @@ def reconcile_markings(
     drive, features = c.drive, c.features
     states = _states(c, check_view, params)
 
-    def evidence_for(j: int, one: marking_deltas.Sighting) -> ExistenceEvidence:
+    def evidence_for(j: int, one: marking_deltas.StretchSighting) -> ExistenceEvidence:
         old = features[j]
         # What is observed, however seldom, is no evidence against what stands there.
         return confirming(old, summaries.get(old.feature_id), max(_own_existence(drive, one), 0.5), one.frames)
@@ -142,7 +142,7 @@ def reconcile_markings(
     return deltas
 
 
-def _own_existence(drive: marking_deltas.LineDrive, one: marking_deltas.Sighting) -> float:
+def _own_existence(drive: marking_deltas.LineDrive, one: marking_deltas.StretchSighting) -> float:
     """Existence probability of a part of a marking: that of the whole, unless fewer frame pairs say less."""
     whole = drive.tracks[one.track]
     return min(whole.existence_probability, marking_existence(one.frames, whole.contrast))

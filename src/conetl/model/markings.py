@@ -48,7 +48,7 @@ class Marking(Record):
             raise ValueError(f"{len(self.vertices_m)} vertices have {len(self.cov_m2)} covariances")
         dashed = self.pattern == "dashed"
         if (self.dash_m is not None, self.gap_m is not None) != (dashed, dashed):
-            raise ValueError("dashed markings have the lengths of dash and gap, solid ones have not")
+            raise ValueError("dash_m and gap_m: expected of dashed markings, and of them only")
         return self
 
 

@@ -39,7 +39,7 @@ _FRAGMENT = re.compile(
 )
 
 
-class Frame(NamedTuple):
+class FrameRef(NamedTuple):
     """One frame of a video file, or a region of it."""
 
     path: Path
@@ -75,13 +75,13 @@ class VideoIndex(NamedTuple):
         return frame_sha256(self.sha256s[number], region) if self.sha256s else ""
 
 
-def frame_of(path: str | Path) -> Frame | None:
+def frame_of(path: str | Path) -> FrameRef | None:
     """The frame that a path names; None for a path of a file."""
     found = _FRAGMENT.match(str(path))
     if found is None or Path(found["path"]).suffix.lower() not in VIDEO_SUFFIXES:
         return None
     x, y, width, height = (int(word) for word in (found["region"] or "0,0,0,0").split(","))
-    return Frame(Path(found["path"]), int(found["pts"]), (x, y, width, height) if found["region"] else None)
+    return FrameRef(Path(found["path"]), int(found["pts"]), (x, y, width, height) if found["region"] else None)
 
 
 def frame_sha256(packet_sha256: bytes, region: Region | None) -> str:

@@ -27,7 +27,7 @@ from conetl.model.errors import InputError, StorageError
 from conetl.model.records import MAX_IMAGE_PIXELS
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError
-from conetl.perception.video import Frame, Region, frame_sha256, open_video, packet_sha256, video_stream
+from conetl.perception.video import FrameRef, Region, frame_sha256, open_video, packet_sha256, video_stream
 
 Image = NDArray[np.uint8]
 #: Decoders that stay open between two reads, and bytes of decoded frames that stay in memory: searches read the middle of five
@@ -49,7 +49,7 @@ _BT_601 = (0.299, 0.114)
 _SHARES = {1: (0.2126, 0.0722), 2: _BT_601, 5: _BT_601, 6: _BT_601, 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
 
 
-def read_frame(frame: Frame, sha256: str = "", *, grey: bool = False) -> Image:
+def read_frame(frame: FrameRef, sha256: str = "", *, grey: bool = False) -> Image:
     """A frame as (height, width, 3) uint8 in blue, green, red order; grey: (height, width) of its brightness.
 
     sha256: of `VideoIndex.sha256`, when its drive was read; empty: not compared. Raises ImageFileError where the frame is not
@@ -289,7 +289,7 @@ class _Decoders:
         self._kept: OrderedDict[tuple[_File, int], _Decoded] = OrderedDict()
         self._kept_bytes = 0
 
-    def read(self, frame: Frame) -> _Decoded:
+    def read(self, frame: FrameRef) -> _Decoded:
         """A decoded frame. Raises ImageFileError."""
         try:
             found = frame.path.stat()

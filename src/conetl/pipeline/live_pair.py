@@ -27,7 +27,7 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.one_pair import match_searched, search_image
 from conetl.pipeline.settings import Settings
-from conetl.tracking.live_tracks import Frame, LiveTracks, add_frame
+from conetl.tracking.live_tracks import LiveFrame, LiveTracks, add_frame
 from conetl.tracking.positions import locate_positions
 
 #: An image of this size is searched before the first pair: the first run of a network takes several times as long.
@@ -133,7 +133,7 @@ def take_pair(
     matched = match_searched([side.found for side in sides], drive.rig, params, pair)
     positions, _ = locate_positions(matched.matches, {pair.frame_index: pair}, drive.rig, params.position)
     left, right = matched.detections
-    frame = Frame(pair, (*left, *right), tuple(matched.matches), tuple(positions))
+    frame = LiveFrame(pair, (*left, *right), tuple(matched.matches), tuple(positions))
     tracks, changed = add_frame(drive.tracks, frame, drive.rig, params, detectors.evidence)
     cones = {number: found for number, found in changed.items() if isinstance(found, Track)}
     taken_back = [number for number in changed if number not in cones and number in drive.standing]

@@ -56,7 +56,7 @@ class FrameInView(NamedTuple):
     """(3,) left camera in the map."""
 
 
-class DrivePass(NamedTuple):
+class PassFacts(NamedTuple):
     """One drive past a feature."""
 
     changeset_no: int
@@ -80,7 +80,7 @@ def passes_of(
     category: str,
     drive_uuids: Collection[UUID] | None = None,
     max_drives: int,
-) -> list[DrivePass]:
+) -> list[PassFacts]:
     """The drives that have the position of a feature in view, the latest first. drive_uuids: only these.
 
     As `check_visibility` decided, but for the drive's common offset, which is not stored: a count may differ by a frame pair.
@@ -92,8 +92,8 @@ def passes_of(
         kind, frames = observed.get(row["drive_uuid"]) or (None, set[int]())
         in_view = _frames_in_view(conn, row, feature_id, np.array(xyz_m), cone_height_m, category, frames)
         if in_view:
-            known = {name: row[name] for name in DrivePass._fields if name not in ("kind", "frames")}
-            found.append(DrivePass(**known, kind=DeltaKind(kind) if kind else None, frames=in_view))
+            known = {name: row[name] for name in PassFacts._fields if name not in ("kind", "frames")}
+            found.append(PassFacts(**known, kind=DeltaKind(kind) if kind else None, frames=in_view))
     return found
 
 

@@ -59,7 +59,7 @@ def _lean(angle_rad: float, azimuth_rad: float, height_m: float = 0.0) -> Floats
 
 
 def cone_parts(cone: Cone, seed: int) -> list[Part]:
-    """Base plate and body; the whole is `height_m` high above the ground."""
+    """Base plate and body, together `height_m` high."""
     h = cone.height_m
     side = 0.03 + 0.5 * h  # of the base plate: 38 cm under a 70 cm cone, 28 cm under a 50 cm one
     thick = 0.04 * math.sqrt(h / 0.7)

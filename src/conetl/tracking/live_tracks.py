@@ -30,7 +30,7 @@ _MOST_MEMBERS, _LAST_FRAMES = 8, 8
 
 
 @dataclass(frozen=True)
-class Frame:
+class LiveFrame:
     """One frame pair with its detections, matches and positions."""
 
     pair: FramePair
@@ -43,7 +43,7 @@ class Frame:
 class LiveTracks:
     """State of a drive so far. Frames are those kept, by frame index."""
 
-    frames: Mapping[int, Frame] = field(default_factory=dict)
+    frames: Mapping[int, LiveFrame] = field(default_factory=dict)
     poses: Mapping[int, Floats] = field(default_factory=dict)
     """(4, 4) left camera -> map of these frames."""
     open_chains: tuple[Chain, ...] = ()
@@ -53,7 +53,7 @@ class LiveTracks:
 
 
 def add_frame(
-    tracks: LiveTracks, frame: Frame, rig: Rig, params: IngestParams, evidence: DetectorEvidence
+    tracks: LiveTracks, frame: LiveFrame, rig: Rig, params: IngestParams, evidence: DetectorEvidence
 ) -> tuple[LiveTracks, dict[int, Track | Rejection]]:
     """The state after one more frame pair, and the tracks that it changed, by number, or their rejections.
 
@@ -119,7 +119,7 @@ def _joined(
 def _fused(
     number: int,
     chain: Chain,
-    frames: Mapping[int, Frame],
+    frames: Mapping[int, LiveFrame],
     rig: Rig,
     params: IngestParams,
     evidence: DetectorEvidence,

@@ -264,7 +264,7 @@ def _check_ground(
                     step="tracks",
                     reason=RejectionReason.NOT_ON_GROUND,
                     record=f"track first seen in frame pair {track.members[0][0]}",
-                    detail=f"foot {drop:.2f} m below the camera's path, the drive's cones stand {usual:.2f} m below it",
+                    detail=f"foot {drop:.2f} m below the drive path; expected {usual:.2f} m, as of the drive's cones",
                     payload=track.model_dump(mode="json"),
                 )
             )

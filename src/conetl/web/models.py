@@ -54,7 +54,7 @@ class Maps(Answer):
     basemap: BaseMapItem | None
 
 
-class Projection(Answer):
+class MapProjection(Answer):
     """Polynomials between the map's CRS and WGS 84 within a square, exact to 1 cm.
 
     With u, v = ((x, y) - centre_m) / radius_m, to_degrees gives ((lon, lat) - (lon_deg, lat_deg)) * unit_per_degree; to_metres is
@@ -136,7 +136,7 @@ class Feature(Answer):
     """Of the changeset that wrote this version."""
 
 
-class Marking(Answer):
+class MarkingShape(Answer):
     """Shape of a lane marking, or of a stretch of one."""
 
     line_m: list[Vec3]
@@ -154,7 +154,7 @@ class Marking(Answer):
 class Stretch(Feature):
     """A stretch of a lane marking; its position is that of the middle vertex."""
 
-    marking: Marking
+    marking: MarkingShape
 
 
 class Features(Listing):
@@ -170,8 +170,8 @@ class Change(Feature):
 
 
 class StretchChange(Change):
-    marking: Marking
-    old_marking: Marking | None
+    marking: MarkingShape
+    old_marking: MarkingShape | None
 
 
 class Changes(Listing):
@@ -212,7 +212,7 @@ class HistoryItem(Answer):
     map_xyz_m: Vec3
     """Easting, northing, ellipsoidal height."""
     sighting_count: int
-    marking: Marking | None
+    marking: MarkingShape | None
     """Of a lane marking; None of point objects."""
     why: str
     """What happened, in one sentence with numbers."""
@@ -333,7 +333,7 @@ class FoundPosition(Answer):
     """None where the map's CRS does not reach."""
 
 
-class Found(Answer):
+class SearchResult(Answer):
     """What a searched text may mean."""
 
     feature_ids: list[UUID]

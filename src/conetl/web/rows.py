@@ -13,7 +13,7 @@ from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.records import Pose, Rig, Side, Vec3, utc_from_ns
 from conetl.reports import drive_passes as reports
 from conetl.web.judging_models import DrivePass, FrameBox, FrameView, PassFrame
-from conetl.web.models import Answer, Box, Decision, HistoryItem, Marking, Sighting, TimelineItem
+from conetl.web.models import Answer, Box, Decision, HistoryItem, MarkingShape, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
 A = TypeVar("A", bound=Answer)
@@ -48,11 +48,11 @@ def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
     return model(**{name: value(name) for name in model.model_fields if name not in computed}, **computed)
 
 
-def marking(shape: Mapping[str, Any] | None, origin_m: Vec3) -> Marking | None:
+def marking(shape: Mapping[str, Any] | None, origin_m: Vec3) -> MarkingShape | None:
     """The shape of a lane marking, as conetl.marking_json makes it; None of point objects."""
     if shape is None:
         return None
-    return Marking(**{**shape, "line_m": [offset(vertex, origin_m) for vertex in shape["line_m"]]})
+    return MarkingShape(**{**shape, "line_m": [offset(vertex, origin_m) for vertex in shape["line_m"]]})
 
 
 def by_geometry(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
@@ -124,7 +124,7 @@ def frame_view(row: Row, side: Side, boxes: Sequence[Row], problem: str | None, 
     )
 
 
-def drive_pass(found: reports.DrivePass, origin_m: Vec3) -> DrivePass:
+def drive_pass(found: reports.PassFacts, origin_m: Vec3) -> DrivePass:
     """One drive past a feature."""
     frames = [
         answer(

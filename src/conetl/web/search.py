@@ -45,7 +45,7 @@ Metres = Annotated[float, Query(ge=-5e6, le=5e6, allow_inf_nan=False)]
 @router.get("/maps/{map_name}/search", tags=["search"])
 def search(
     map_name: MapName, conn: Reader, request: Request, text: Annotated[str, Query(min_length=1, max_length=100)]
-) -> m.Found:
+) -> m.SearchResult:
     """What a text may mean: an id's beginning, a part of a drive's id, a day (2026-03-02), a coordinate pair, a place."""
     origin = origin_of(conn, map_name)
     info = require_map(conn, map_name)
@@ -60,7 +60,7 @@ def search(
     ]
     feature_ids, more_ids = cut(ids, _MAX_FOUND)
     found_drives, more_drives = cut(drives, _MAX_FOUND)
-    return m.Found(
+    return m.SearchResult(
         feature_ids=feature_ids, drives=found_drives, positions=_positions(wanted, info.srid, origin),
         places=_places(wanted, info.srid, origin, request.app.state.gazetteer), truncated=more_ids or more_drives,
     )  # fmt: skip
@@ -114,7 +114,7 @@ def _lat_lon(srid: int, xy_m: tuple[float, float], origin: Vec3) -> tuple[float,
 
 
 @router.get("/maps/{map_name}/projection", tags=["maps"])
-def projection(map_name: MapName, conn: Reader, x_m: Metres = 0.0, y_m: Metres = 0.0) -> m.Projection:
+def projection(map_name: MapName, conn: Reader, x_m: Metres = 0.0, y_m: Metres = 0.0) -> m.MapProjection:
     """Polynomials between offsets from the map's origin and WGS 84, around the offset (x_m, y_m)."""
     origin = origin_of(conn, map_name)
     try:
@@ -124,7 +124,7 @@ def projection(map_name: MapName, conn: Reader, x_m: Metres = 0.0, y_m: Metres =
 
 
 @lru_cache(maxsize=64)
-def fit_projection(srid: int, origin_m: tuple[float, float, float], centre_m: tuple[float, float]) -> m.Projection:
+def fit_projection(srid: int, origin_m: tuple[float, float, float], centre_m: tuple[float, float]) -> m.MapProjection:
     """The polynomials of EPSG:srid around origin_m + centre_m, by least squares on Chebyshev points.
 
     Raises ValueError where they are worse than TOLERANCE_M anywhere within RADIUS_M.
@@ -148,7 +148,7 @@ def fit_projection(srid: int, origin_m: tuple[float, float, float], centre_m: tu
     worst_m = RADIUS_M * max(float(np.abs(miss).max()) for miss in misses)
     if not worst_m <= TOLERANCE_M:
         raise ValueError(f"EPSG:{srid} bends too much there")
-    return m.Projection(
+    return m.MapProjection(
         centre_m=list(centre_m), radius_m=RADIUS_M, lon_deg=float(lon0), lat_deg=float(lat0), degree=_DEGREE,
         unit_per_degree=_scale(lat0).tolist(), to_degrees=to_degrees.T.tolist(), to_metres=to_metres.T.tolist(),
     )  # fmt: skip

@@ -18,7 +18,7 @@ from av.video.reformatter import Interpolation
 from conetl.model.errors import InputError, StorageError
 from conetl.perception import video_frames
 from conetl.perception.images import ImageFileError
-from conetl.perception.video import Frame, frame_of, index_video, video_facts
+from conetl.perception.video import FrameRef, frame_of, index_video, video_facts
 from conetl.perception.video_frames import frames_between, read_frame
 from conetl.perception.video_sync import find_video_lag
 from tests.video_drives import write_frames
@@ -61,9 +61,9 @@ def test_every_frame_by_its_time_stamp_in_any_order(video: Path) -> None:
     order = list(range(50))
     random.Random(0).shuffle(order)
     for n in [*order, *range(50)]:
-        image = read_frame(Frame(video, index.pts[n]), index.sha256(n))
+        image = read_frame(FrameRef(video, index.pts[n]), index.sha256(n))
         assert abs(float(image.mean()) - (5 + 5 * n)) < 2.4
-        assert abs(float(read_frame(Frame(video, index.pts[n]), grey=True).mean()) - (5 + 5 * n)) < 2.4
+        assert abs(float(read_frame(FrameRef(video, index.pts[n]), grey=True).mean()) - (5 + 5 * n)) < 2.4
     for first in range(46):
         assert [pts for pts, _ in frames_between(video, index.pts[first], index.pts[first + 4])] == list(
             index.pts[first : first + 5]
@@ -89,14 +89,14 @@ def test_frames_that_are_read_in_order_are_decoded_once(video: Path, decoded: li
     """Files list when a key frame is decoded: before frames that are shown before it."""
     index = index_video(video)
     for pts in index.pts:
-        read_frame(Frame(video, pts))
+        read_frame(FrameRef(video, pts))
     assert decoded == list(index.pts)
     for pts in index.pts[40:]:  # of another reader, from the next key frame on
         with video_frames._decoders._changed:
             video_frames._decoders._idle.clear()
             video_frames._decoders._kept.clear()
         decoded.clear()
-        read_frame(Frame(video, pts))
+        read_frame(FrameRef(video, pts))
         assert len(decoded) <= 24
 
 
@@ -106,7 +106,7 @@ def test_threads_that_begin_at_different_frames_decode_none_twice(tmp_path: Path
     index = index_video(write_video(tmp_path / "a.mp4", images, "libx264", {"crf": "10", "g": "60"}))
     parts = [index.pts[:30], index.pts[30:], index.pts[::15]]
     with ThreadPoolExecutor(3) as pool:
-        list(pool.map(lambda part: [read_frame(Frame(index.path, pts)) for pts in part], parts))
+        list(pool.map(lambda part: [read_frame(FrameRef(index.path, pts)) for pts in part], parts))
     assert sorted(decoded) == list(index.pts)
 
 
@@ -114,7 +114,7 @@ def test_threads_read_the_same_frames_at_once(tmp_path: Path) -> None:
     video = index_video(write_video(tmp_path / "a.mp4", numbered(50)))
 
     def brightness(n: int) -> float:
-        return float(read_frame(Frame(video.path, video.pts[n]), video.sha256(n), grey=n % 2 == 0).mean())
+        return float(read_frame(FrameRef(video.path, video.pts[n]), video.sha256(n), grey=n % 2 == 0).mean())
 
     numbers = [n for k in range(6) for n in range(k, 50)]
     with ThreadPoolExecutor(6) as pool:
@@ -136,16 +136,16 @@ with ThreadPoolExecutor(1) as pool:
 def test_a_process_that_is_forked_while_a_thread_has_decoded(tmp_path: Path) -> None:
     """The child forgets all threads but its own, and frees what was theirs alone, before the command begins."""
     video = index_video(write_video(tmp_path / "a.mp4", numbered(4, (960, 640))))
-    subprocess.run([sys.executable, "-c", FORKED, str(Frame(video.path, video.pts[0]))], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", FORKED, str(FrameRef(video.path, video.pts[0]))], check=True, timeout=60)
 
 
 FORKED_READER = """
 import os, sys
 from pathlib import Path
-from conetl.perception.video import Frame, index_video
+from conetl.perception.video import FrameRef, index_video
 from conetl.perception.video_frames import read_frame
 index = index_video(Path(sys.argv[1]))
-grey = lambda n: round(float(read_frame(Frame(index.path, index.pts[n]), grey=True).mean()))
+grey = lambda n: round(float(read_frame(FrameRef(index.path, index.pts[n]), grey=True).mean()))
 assert grey(2) == 15
 child = os.fork()
 found = [grey(n) for n in range(3, 45)]
@@ -172,7 +172,7 @@ def test_a_region_is_a_part_of_the_frame(tmp_path: Path) -> None:
     both = np.hstack([np.full((64, 96, 3), 60, np.uint8), np.full((64, 96, 3), 180, np.uint8)])
     path = write_video(tmp_path / "both.mp4", [both] * 3)
     index, region = index_video(path), (96, 0, 96, 64)
-    frame = Frame(path, index.pts[1], region)
+    frame = FrameRef(path, index.pts[1], region)
     assert frame_of(str(frame)) == frame
     image = read_frame(frame, index.sha256(1, region))
     assert image.shape == (64, 96, 3) and abs(float(image.mean()) - 180) < 2
@@ -207,7 +207,7 @@ def test_pixels_are_those_of_the_librarys_exact_conversion(codec: str, pixels: s
     is_own = codec == "libx264" and pixels in ("yuv420p", "yuvj420p")
     for region in (None, (0, 0, 100, 64), (100, 0, 100, 64), (0, 31, 200, 33), (33, 0, 67, 64)):
         x, y, width, height = region or (0, 0, 200, 64)
-        part, frame_name = np.s_[y : y + height, x : x + width], Frame(path, 0, region)
+        part, frame_name = np.s_[y : y + height, x : x + width], FrameRef(path, 0, region)
         off = read_frame(frame_name).astype(int) - colours[part]
         # At its edges a part has no colours of what is beside it.
         off = off[2 * (y > 0) :, : width - 2 * (x + width < 200)]
@@ -215,7 +215,7 @@ def test_pixels_are_those_of_the_librarys_exact_conversion(codec: str, pixels: s
         if space in (2, 5):  # of others the library makes another brightness than the file's
             np.testing.assert_array_equal(read_frame(frame_name, grey=True), grey[part])
     with pytest.raises(ImageFileError, match="changes size"):
-        read_frame(Frame(path, 0, (150, 0, 100, 64)))
+        read_frame(FrameRef(path, 0, (150, 0, 100, 64)))
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_a_video_that_changed_is_noticed(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.mp4", numbered(5))
     other = index_video(write_video(tmp_path / "b.mp4", numbered(9)[4:]))
     with pytest.raises(StorageError, match="changed while it was worked on"):
-        read_frame(Frame(path, other.pts[0]), other.sha256(0))
+        read_frame(FrameRef(path, other.pts[0]), other.sha256(0))
 
 
 def test_damage_costs_the_damaged_frames_only(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_damage_costs_the_damaged_frames_only(tmp_path: Path) -> None:
     changed = [n for n in range(40) if index.sha256(n) != good.sha256(n)]
     assert 1 <= len(changed) <= 2
     for n in set(range(40)) - set(changed):
-        assert np.array_equal(read_frame(Frame(index.path, index.pts[n])), read_frame(Frame(path, good.pts[n])))
+        assert np.array_equal(read_frame(FrameRef(index.path, index.pts[n])), read_frame(FrameRef(path, good.pts[n])))
 
 
 def test_what_is_no_video(tmp_path: Path) -> None:
@@ -258,9 +258,9 @@ def test_what_is_no_video(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=path.name):
             index_video(path)
         with pytest.raises(ImageFileError, match=path.name):
-            read_frame(Frame(path, 0))
+            read_frame(FrameRef(path, 0))
     with pytest.raises(ImageFileError, match="damaged or missing"):
-        read_frame(Frame(whole, 7))
+        read_frame(FrameRef(whole, 7))
 
 
 def shaken(count: int, seed: int) -> list[np.ndarray]:
@@ -300,9 +300,9 @@ def test_frames_that_build_on_a_damaged_one_are_refused(tmp_path: Path) -> None:
     for n, pts in enumerate(good.pts):
         if 13 <= n < 20:
             with pytest.raises(ImageFileError, match="damaged or missing"):
-                read_frame(Frame(bad, pts))
+                read_frame(FrameRef(bad, pts))
         else:
-            assert np.array_equal(read_frame(Frame(bad, pts)), read_frame(Frame(path, pts)))
+            assert np.array_equal(read_frame(FrameRef(bad, pts)), read_frame(FrameRef(path, pts)))
 
 
 def test_short_recordings_and_time_stamps_without_distance(tmp_path: Path) -> None:

@@ -11,13 +11,13 @@ from conetl.model.detector_evidence import UNMEASURED
 from conetl.model.params import IngestParams
 from conetl.model.records import Track
 from conetl.tracking import live_tracks
-from conetl.tracking.live_tracks import Frame, LiveTracks, add_frame
+from conetl.tracking.live_tracks import LiveFrame, LiveTracks, add_frame
 from tests.integration.drives_of_days import RIG, survey
 
 PARAMS = IngestParams()
 
 
-def frames_of(day: int) -> tuple[list[Frame], list[Track]]:
+def frames_of(day: int) -> tuple[list[LiveFrame], list[Track]]:
     """A made-up drive, frame by frame, and its tracks as the whole drive has them."""
     whole = survey(day)
     by_frame: dict[str, dict[int, list[object]]] = {
@@ -27,13 +27,13 @@ def frames_of(day: int) -> tuple[list[Frame], list[Track]]:
         for record in getattr(whole, name):
             found[record.frame_index].append(record)
     frames = [
-        Frame(pair, *(tuple(by_frame[name][pair.frame_index]) for name in ("detections", "matches", "positions")))  # type: ignore[arg-type]
+        LiveFrame(pair, *(tuple(by_frame[name][pair.frame_index]) for name in ("detections", "matches", "positions")))  # type: ignore[arg-type]
         for pair in whole.drive.frame_pairs
     ]
     return frames, whole.tracks
 
 
-def run(frames: list[Frame]) -> tuple[LiveTracks, dict[int, Track]]:
+def run(frames: list[LiveFrame]) -> tuple[LiveTracks, dict[int, Track]]:
     tracks, standing = LiveTracks(), {}
     for frame in frames:
         tracks, changed = add_frame(tracks, frame, RIG, PARAMS, UNMEASURED)
@@ -71,14 +71,14 @@ def test_a_cone_keeps_its_number_and_memory_is_bounded(monkeypatch: pytest.Monke
 def test_a_cone_seen_again_after_a_gap_is_the_same_one() -> None:
     frames, _ = frames_of(0)
     gap = PARAMS.track.max_gap_frames + 2
-    hidden = [Frame(f.pair, (), (), ()) if 12 <= i < 12 + gap else f for i, f in enumerate(frames)]
+    hidden = [LiveFrame(f.pair, (), (), ()) if 12 <= i < 12 + gap else f for i, f in enumerate(frames)]
     _, standing = run(hidden)
     places = np.array([track.xyz_m[:2] for track in standing.values()])
     apart = np.linalg.norm(places[:, None] - places[None], axis=2) + 100 * np.eye(len(places))
     assert apart.min() > 1.0  # none twice
 
 
-def backwards(frames: list[Frame]) -> list[Frame]:
+def backwards(frames: list[LiveFrame]) -> list[LiveFrame]:
     """The same drive with the car in reverse."""
     turned = []
     for now, then in zip(frames, reversed(frames), strict=True):
@@ -89,7 +89,7 @@ def backwards(frames: list[Frame]) -> list[Frame]:
             for m in then.matches
         )
         pair = then.pair.model_copy(update=at | {"captured_at_ns": now.pair.captured_at_ns})
-        turned.append(Frame(pair, boxes, matches, tuple(p.model_copy(update=at) for p in then.positions)))
+        turned.append(LiveFrame(pair, boxes, matches, tuple(p.model_copy(update=at) for p in then.positions)))
     return turned
 
 

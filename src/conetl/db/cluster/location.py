@@ -107,8 +107,8 @@ def make_location(home: Path) -> ClusterLocation:
             raise DatabaseError(f"{directory} belongs to another project: remove it, {OWN_DATABASE_HINT}.")
         if not _prepare(directory, user):
             raise DatabaseError(
-                f"Neither {home / 'postgres'} nor {directory} can be reached by user {user.pw_name}, who would run PostgreSQL "
-                f"for root: choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
+                f"User {user.pw_name}, who runs PostgreSQL for root, can reach neither {home / 'postgres'} nor {directory}: "
+                f"choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
             )
         (directory / HOME_NAME).write_text(f"{home}\n")
         (home / POINTER_NAME).write_text(f"{directory}\n")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from conetl.db import copy_binary as binary
-from conetl.db.copy_binary import Column
+from conetl.db.copy_binary import CopyColumn
 from conetl.model.markings import Marking
 from conetl.model.records import Cov3, sound
 
@@ -18,7 +18,7 @@ _EWKB_LINE_Z_SRID = 0x80000000 | 0x20000000 | 2
 _DOUBLE_TYPE, _DOUBLE_BYTES = 701, 8
 _DOUBLES = np.dtype([("length", ">i4"), ("value", ">f8")])
 #: Columns that are named as the attributes.
-_ATTRIBUTES: dict[str, Callable[[list[Any]], Column]] = {
+_ATTRIBUTES: dict[str, Callable[[list[Any]], CopyColumn]] = {
     "width_m": binary.doubles, "width_sigma_m": binary.doubles, "colour": binary.texts, "pattern": binary.texts,
     "dash_m": binary.doubles, "gap_m": binary.doubles,
 }  # fmt: skip
@@ -39,7 +39,7 @@ def marking_of(row: Row) -> Marking | None:
     )
 
 
-def marking_columns(srid: int, markings: Sequence[Marking | None]) -> dict[str, Column]:
+def marking_columns(srid: int, markings: Sequence[Marking | None]) -> dict[str, CopyColumn]:
     """Columns of the shape of lines; NULL in the rows of point objects."""
     if not any(markings):  # of the millions of versions that are no line, none is looked at a second time
         return dict.fromkeys(("line", "line_cov", *_ATTRIBUTES), binary.nulls(len(markings)))
@@ -53,7 +53,7 @@ def marking_columns(srid: int, markings: Sequence[Marking | None]) -> dict[str, 
     }
 
 
-def matrices(covariances: Sequence[Sequence[Cov3] | None]) -> Column:
+def matrices(covariances: Sequence[Sequence[Cov3] | None]) -> CopyColumn:
     """float8[][6] from the covariances of the vertices of each line; None becomes NULL."""
     return binary.byteas([None if rows is None else _matrix(rows) for rows in covariances])
 

@@ -17,7 +17,7 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db import copy_binary as binary
-from conetl.db.copy_binary import Column
+from conetl.db.copy_binary import CopyColumn
 from conetl.db.map.marking_rows import Row, marking_columns, marking_of, matrices
 from conetl.geometry.packing import stacked
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
@@ -26,8 +26,8 @@ from conetl.model.records import Detection, FramePair, Position, Record, SharedE
 from conetl.model.rejections import Rejection
 
 R = TypeVar("R", bound=Record)
-Columns = dict[str, Column]
-Encoder = Callable[[Any], Column]
+Columns = dict[str, CopyColumn]
+Encoder = Callable[[Any], CopyColumn]
 _COV_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 _UUID_TYPE, _REAL_TYPE, _INTEGER_TYPE = 2950, 700, 23
 _UUID_BYTES, _REAL_BYTES = 16, 4

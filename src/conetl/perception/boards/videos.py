@@ -19,7 +19,7 @@ from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, InputError
 from conetl.model.records import SIDES, Side
 from conetl.perception.boards.images import ImagePair
-from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, Frame, Layout, VideoIndex, index_video, region_of
+from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, FrameRef, Layout, VideoIndex, index_video, region_of
 from conetl.perception.video_frames import frames_between
 from conetl.perception.video_sync import SEARCH_S, correlation_peak
 
@@ -116,9 +116,9 @@ def pairs_in_videos(
     return VideoPairs(pairs, offset_s)
 
 
-def _frame(videos: Videos, side: Side, number: int) -> Frame:
+def _frame(videos: Videos, side: Side, number: int) -> FrameRef:
     video = videos.left if side == "left" else videos.right
-    return Frame(video.path, video.pts[number], region_of(video, videos.layout, side))
+    return FrameRef(video.path, video.pts[number], region_of(video, videos.layout, side))
 
 
 def _in_step(video: VideoIndex) -> list[int]:

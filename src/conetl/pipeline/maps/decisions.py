@@ -198,7 +198,7 @@ def accept_drive(
 
 
 def _classification(state: MapFeature, category: str | None, place: Location) -> Classification:
-    """Raises InputError where the feature cannot be of the category."""
+    """The correction of a feature's class. Raises InputError if it is not another known class of the same geometry."""
     geometry = FEATURE_CLASSES[state.category].geometry if state.category in FEATURE_CLASSES else "point"
     known = [name for name, one in FEATURE_CLASSES.items() if one.geometry == geometry and name != state.category]
     if not known:

@@ -126,6 +126,6 @@ def read_lane_lines(path: Path, *, srid: int) -> list[LaneLine]:
     for line in lines:
         xy_m = np.stack(to_map.transform(line.xyz[:, 0], line.xyz[:, 1]), axis=1)
         if not np.isfinite(xy_m).all():
-            raise InputError(f"lanes {path}: there are coordinates that EPSG:{srid} cannot express")
+            raise InputError(f"lanes {path}: some coordinates are outside of the area of EPSG:{srid}")
         found.append(LaneLine(xy_m, full_kind(line.kind, line.attributes)))
     return found

@@ -34,7 +34,7 @@ from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import Node, calibration_errors, pinhole_camera, stereo_rig
 from conetl.readers.trajectories import read_trajectory
 
-NAME = "euroc"
+NAME, TITLE = "euroc", "EuRoC / ASL folder"
 READS_OBJECTS = False
 #: Bytes of a file's name on most file systems.
 _LONGEST_NAME = 255

@@ -38,6 +38,8 @@ class DriveFormat(Protocol):
     """A format is a module with these names, listed in `FORMATS` of `readers/drives/__init__.py`."""
 
     NAME: str
+    TITLE: str
+    """For people, as `conetl inspect` prints it."""
     READS_OBJECTS: bool
     """Whether drives in object storage can be read, too."""
 

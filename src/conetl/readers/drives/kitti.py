@@ -41,7 +41,7 @@ from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti
 from conetl.readers.trajectories.oxts import OxtsRecord, parse_oxts
 from conetl.readers.trajectories.times import clock_problem, misplaced, parse_timestamps
 
-NAME = "kitti"
+NAME, TITLE = "kitti", "KITTI raw layout"
 READS_OBJECTS = True
 MAX_CLOCK_DIFFERENCE_NS = 500_000_000
 """Image and OXTS record of one number that are farther apart in time do not belong together."""

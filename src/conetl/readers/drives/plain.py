@@ -44,7 +44,7 @@ from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
 from conetl.readers.trajectories.times import misplaced, parse_timestamp, stamp_or_problem
 
-NAME = "plain"
+NAME, TITLE = "plain", "plain folder"
 READS_OBJECTS = True
 TRAJECTORY = "trajectory.csv"
 Sigma = Annotated[float, Field(gt=0, le=1000)]

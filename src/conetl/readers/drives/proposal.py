@@ -392,6 +392,6 @@ def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
     except ValueError:
         values = []
     if not least <= len(values) <= most or not np.isfinite(values).all():
-        wanted = f"{least} to {most} numbers with commas between" if most > least else "a number"
+        wanted = f"{least} to {most} numbers, separated by commas" if most > least else "a number"
         raise InputError(f"--{key} '{text[:60]}': expected {wanted}")
     return values

@@ -47,7 +47,7 @@ from conetl.readers.trajectories.recorded import MAX_LOCAL_M, check_fix
 from conetl.readers.trajectories.times import clock_problem
 
 Records = dict[int, tuple[Floats, tuple[float, ...]]]
-NAME = "bag"
+NAME, TITLE = "bag", "ROS bag or MCAP"
 READS_OBJECTS = False
 
 

@@ -25,7 +25,7 @@ from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.records import SIDES, Drive, Rig
 from conetl.model.rejections import Rejection
-from conetl.perception.video import VIDEO_SUFFIXES, Frame, VideoIndex, frame_of, index_video, region_of, video_facts
+from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, frame_of, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, no_rig, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, Source, check_images, drive_of_couples, time_of
@@ -36,7 +36,7 @@ from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.recorded import of_images
 
-NAME = "video"
+NAME, TITLE = "video", "video or images with a trajectory file"
 READS_OBJECTS = False
 
 
@@ -173,7 +173,7 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
                 f"{stored.height_px}; use the calibration of these images; where one file holds both, name "
                 f"'images.layout' in {DRIVE_YAML}"
             )
-        paths = [Path(str(Frame(source, pts, region))) for pts in video.pts]
+        paths = [Path(str(FrameRef(source, pts, region))) for pts in video.pts]
         cameras.append(CameraImages(source.name, paths, video.times_s() - video.times_s()[0], video, region))
     return cameras
 

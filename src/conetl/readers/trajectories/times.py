@@ -202,7 +202,7 @@ class TimeFormat(NamedTuple):
 
     @property
     def start_ns(self) -> int:
-        """What the times count from, in ns since 1970 of their own scale."""
+        """Epoch of the times, in ns since 1970-01-01 of the same time scale."""
         if self.kind == "day":
             return ((self.day or date(1970, 1, 1)) - date(1970, 1, 1)).days * DAY_NS
         if self.kind == "week":

@@ -1,0 +1,21 @@
+"""Rules of the house that linters do not check."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+MODULES = [path for folder in ("src/conetl", "flows") for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def test_no_two_public_classes_have_one_name() -> None:
+    nodes = [node for path in MODULES for node in ast.parse(path.read_text()).body]
+    names = Counter(node.name for node in nodes if isinstance(node, ast.ClassDef) and not node.name.startswith("_"))
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_no_folder_has_more_than_20_modules() -> None:
+    folders = Counter(path.parent.relative_to(ROOT) for path in MODULES)
+    assert {folder: count for folder, count in folders.items() if count > 20} == {}
