@@ -45,7 +45,7 @@ VIDEOS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 BAGS = {"ROS 1 bag": write_ros1_bag, "ROS 2 bag": write_bag}
-CLOCK_ERRORS_S = (-20, -5, 0, 5, 20)
+CLOCK_ERRORS_S = (-20, -13.3, -5, 0, 5, 13.3, 20)
 FIGURES = ("largest m", "median m", "horizontal m", "in sigmas", "pairs", "s per pair", "throughput", "by the clock")
 
 

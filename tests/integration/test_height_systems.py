@@ -18,6 +18,7 @@ from conetl.db.map.map_store import read_current_features
 from conetl.exports import FORMATS
 from conetl.exports.fields import FIELDS, as_markdown
 from conetl.geometry import geodesy
+from conetl.readers.surveyed_points import read_surveyed_points
 from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
@@ -74,6 +75,9 @@ def test_heights_are_those_of_proj_in_every_format(conetl, conn, mapped, tmp_pat
         assert set(table["height_system"]) == {"EPSG:5773"}
         assert table["object_height_m"].tolist() == table["height_m"].tolist()
         # What comes back is ellipsoidal again, and recognised.
+        back = np.array([point.xyz_m for point in read_surveyed_points(path, 32632, sigma_m=0.01)])
+        apart_m = np.linalg.norm(back[:, None] - [feature.xyz_m for feature in mapped], axis=2)
+        assert apart_m.min(axis=0).max() < 0.001
         assert "export of this map" in conetl("map", "import", path)
     conetl("map", "export", "--out", tmp_path / "cones.csv", "--crs", EGM96)
     rows = {row["feature_id"]: row for row in csv.DictReader((tmp_path / "cones.csv").open())}
