@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Ints
 
 
 def median(values: Floats) -> float:
@@ -19,6 +19,13 @@ def median(values: Floats) -> float:
         return float(np.partition(values, middle)[middle])
     low, high = np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1]
     return float(low + high) / 2
+
+
+def nearest(known: Floats | Ints, wanted: Floats | Ints) -> Ints:
+    """(N,) index of the rising known number (K,), K > 0, nearest to each wanted one (N,); the lower of two as near."""
+    after = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(wanted - known[before]) <= np.abs(known[after] - wanted), before, after)
 
 
 def robust_std(values: Floats) -> float:

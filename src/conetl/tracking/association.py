@@ -21,6 +21,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import cov_matrix
+from conetl.geometry.small_arrays import nearest
 from conetl.model.feature_classes import exclude_each_other
 from conetl.model.params import TrackParams
 from conetl.model.records import Position
@@ -261,14 +262,10 @@ def _nearest_in_time(a: tuple[Position, ...], b: tuple[Position, ...]) -> tuple[
     if b[-1].frame_index < a[0].frame_index:
         return a[0], b[-1]
     frames_a, frames_b = np.array([p.frame_index for p in a]), np.array([p.frame_index for p in b])
-    # For each frame of a, the last frame of b before it and the first one at or after it.
-    after = np.searchsorted(frames_b, frames_a)
-    candidates = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(b) - 1)], axis=1)
-    gaps = np.abs(frames_b[candidates] - frames_a[:, None])
-    if not gaps.all():
-        return None
-    i, side = divmod(int(gaps.argmin()), 2)
-    return a[i], b[int(candidates[i, side])]
+    partner = nearest(frames_b, frames_a)
+    gaps = np.abs(frames_b[partner] - frames_a)
+    i = int(gaps.argmin())
+    return (a[i], b[int(partner[i])]) if gaps[i] else None
 
 
 def _within_reach(one: Position, other: Position, map_SE3_left: Mapping[int, Floats], params: TrackParams) -> bool:

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry.motion.position_spline import at_times, position_spline, turn_rate
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.small_arrays import nearest
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Rig
 from conetl.tracking.clock import robust_fit, smoothed
@@ -166,9 +167,8 @@ def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Flo
     at_s = np.arange(times[0], times[-1] + 1e-9, _STEP_S)
     turn = rates.turn_rad_s if attitude else rates.turn_rad_s * rates.speed_m_s
     values = np.stack([np.interp(at_s, times, column) for column in (turn, rates.speed_m_s)], axis=1)
-    nearest = np.clip(np.searchsorted(times, at_s), 1, len(times) - 1)
     reach_s = min(max(1.5 * _STEP_S, 0.75 * float(np.median(np.diff(times)))), _GAP_S)
-    known = np.minimum(np.abs(times[nearest] - at_s), np.abs(times[nearest - 1] - at_s)) <= reach_s
+    known = np.abs(times[nearest(times, at_s)] - at_s) <= reach_s
     return np.where(known[:, None], smoothed(values, known.astype(np.float64), _SMOOTHED), np.nan), at_s
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.rig import left_SE3_right
+from conetl.geometry.small_arrays import nearest
 from conetl.model.detector_evidence import (
     DetectorEvidence,
     box_log_ratio,
@@ -140,13 +141,11 @@ def _boxes(
     poses = np.array([map_SE3_left[n] for n in frames.tolist()])
     known = sorted(group, key=lambda p: p.frame_index)
     observed = np.array([p.frame_index for p in known])
-    after = np.minimum(np.searchsorted(observed, frames), len(observed) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(frames - observed[before]) <= np.abs(observed[after] - frames), before, after)
+    start = nearest(observed, frames)
     # Like `association.carry`, for all frames at once.
-    starts = np.array([map_SE3_left[p.frame_index] for p in known])[nearest]
+    starts = np.array([map_SE3_left[p.frame_index] for p in known])[start]
     frame_SE3_start = np.linalg.inv(poses) @ starts
-    feet = np.array([p.camera_xyz_m for p in known])[nearest]
+    feet = np.array([p.camera_xyz_m for p in known])[start]
     foot = (frame_SE3_start[:, :3, :3] @ feet[:, :, None])[:, :, 0] + frame_SE3_start[:, :3, 3]
     tip = foot + cone_height_m * poses[:, 2, :3]
     right_SE3_left = np.linalg.inv(left_SE3_right(rig))

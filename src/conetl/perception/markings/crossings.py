@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.small_arrays import nearest
 from conetl.model.arrays import Floats
 from conetl.model.params import MarkingParams
 from conetl.model.records import Rig
@@ -251,7 +252,7 @@ def _matched(ours: _Bands, theirs: _Bands) -> tuple[Ints, Ints]:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     apart = 1e6
     ours_key, theirs_key = ours.row * apart + ours.middle, theirs.row * apart + theirs.middle
-    forth, back = _nearest(theirs_key, ours_key), _nearest(ours_key, theirs_key)
+    forth, back = nearest(theirs_key, ours_key), nearest(ours_key, theirs_key)
     first = np.flatnonzero(back[forth] == np.arange(len(forth)))
     second = forth[first]
     ratio = (ours.fall - ours.rise)[first] / (theirs.fall - theirs.rise)[second]
@@ -260,14 +261,6 @@ def _matched(ours: _Bands, theirs: _Bands) -> tuple[Ints, Ints]:
     good &= np.abs(np.log(ratio)) <= np.log(_WIDTH_RATIO)
     good &= np.abs(np.log(contrasts)) <= np.log(_CONTRAST_RATIO)
     return first[good], second[good]
-
-
-def _nearest(keys: Floats, wanted: Floats) -> Ints:
-    """(N,) number of the rising key (K,) that is nearest to each wanted one (N,)."""
-    right = np.clip(np.searchsorted(keys, wanted), 1, max(len(keys) - 1, 1))
-    right = np.minimum(right, len(keys) - 1)
-    left = np.maximum(right - 1, 0)
-    return np.where(wanted - keys[left] <= keys[right] - wanted, left, right)
 
 
 def _road_height_beside(road: RoadPlane, grid: _RoadGrid, row: Ints, edge_px: Floats, sign: int) -> Floats:
