@@ -90,7 +90,7 @@ class MarkingErrors:
     matched: NDArray[np.int64]
     """(S,) marking of the truth, -1 where there is none within the buffer"""
     found: Mapping[str, Floats]
-    """(S,) each, NaN where nothing matches: lateral_m (positive to the left of the truth), height_m, and errors of width_m,
+    """Of the M samples that match: lateral_m (positive to the left of the truth), height_m, and errors of width_m,
     dash_m, gap_m (these two NaN of solid lines); pattern_right (solid or dashed, with dash and gap to 0.5 m) and colour_right, 1
     or 0."""
     vertex_m: Floats
@@ -103,11 +103,12 @@ class MarkingErrors:
     def of_truth(self, index: int) -> MarkingErrors:
         """The samples of one marking of the truth."""
         truth, found = self.truth_index == index, self.matched == index
+        of_found = self.matched[self.matched >= 0] == index
         return replace(
             self,
             **{name: getattr(self, name)[truth] for name in ("truth_index", "truth_visible", "truth_found")},
             matched=self.matched[found],
-            found={name: column[found] for name, column in self.found.items()},
+            found={name: column[of_found] for name, column in self.found.items()},
         )
 
 
@@ -138,18 +139,16 @@ def visible_to(drive: Drive) -> Callable[[Floats], Bools]:
     def seen(points_m: Floats) -> Bools:
         found = np.zeros(len(points_m), dtype=bool)
         for pair in drive.frame_pairs:
-            inside = ~found
+            rows = np.flatnonzero(~found)
             for side in ("left", "right"):
                 local_SE3_map = np.linalg.inv(map_SE3_camera(pair.pose, drive.rig, side))
-                rows = np.flatnonzero(inside)
                 local = points_m[rows] @ local_SE3_map[:3, :3].T + local_SE3_map[:3, 3]
                 near = (local[:, 2] >= _DEPTHS_M[0]) & (local[:, 2] <= _DEPTHS_M[1]) & (abs(local[:, 0]) <= _ASIDE_M)
                 camera = camera_of(drive.rig, side)
-                uv = image_points(camera, local[near])
-                inside[:] = False
+                rows, uv = rows[near], image_points(camera, local[near])
                 limits = np.array([camera.width_px, camera.height_px]) - 0.5
-                inside[rows[near][((uv >= -0.5) & (uv <= limits)).all(axis=1)]] = True
-            found |= inside
+                rows = rows[((uv >= -0.5) & (uv <= limits)).all(axis=1)]
+            found[rows] = True
         return found
 
     return seen
@@ -160,7 +159,7 @@ def compare_markings(
 ) -> MarkingErrors:
     """Errors of markings of a drive, or of stretches on the map.
 
-    Every found metre counts for correctness, also where the truth is not visible.
+    Visible of a dashed line is what lies between visible paint. Every found metre counts for correctness, visible or not.
     """
     samples = [resampled(np.array(one.vertices_m), _STEP_M) for one in found]
     lines = [np.array(one.vertices_m) for one in truth]
@@ -170,7 +169,11 @@ def compare_markings(
     truth_samples = [resampled(line, _STEP_M) for line in lines]
     truth_index = np.repeat(np.arange(len(truth)), [len(one) for one in truth_samples])
     points = np.concatenate([np.zeros((0, 3)), *truth_samples])
-    truth_found = np.zeros(len(points), dtype=bool)
+    truth_visible, truth_found = visible(points), np.zeros(len(points), dtype=bool)
+    for k, marking in enumerate(truth):
+        own = np.flatnonzero(truth_index == k)
+        painted = own[truth_visible[own] & _is_painted(marking, stations(truth_samples[k][:, :2]))]
+        truth_visible[own] &= (own >= painted.min(initial=len(points))) & (own <= painted.max(initial=-1))
     for j, one in enumerate(samples):
         distance, station, _ = _distances(one, points)
         at = np.rint(np.clip(station, 0.0, None) / stations(one[:, :2])[-1] * (len(one) - 1)).astype(int)
@@ -179,27 +182,22 @@ def compare_markings(
     matched = nearest >= 0
     pairs = [(found[j], truth[k]) for j, k in zip(index[matched].tolist(), nearest[matched].tolist(), strict=True)]
 
-    def per_sample(values: Sequence[float]) -> Floats:
-        column = np.full(len(index), np.nan)
-        column[matched] = values
-        return column
-
     vertices = np.concatenate([np.zeros((0, 3)), *(np.array(one.vertices_m) for one in found)])
     of, across, up, axes = _nearest(vertices, lines)
     keep = of >= 0
     return MarkingErrors(
         truth_index=truth_index,
-        truth_visible=visible(points),
+        truth_visible=truth_visible,
         truth_found=truth_found,
         matched=nearest,
         found={
-            "lateral_m": lateral,
-            "height_m": height,
-            "width_m": per_sample([a.width_m - b.width_m for a, b in pairs]),
-            "dash_m": per_sample([_difference(a.dash_m, b.dash_m) for a, b in pairs]),
-            "gap_m": per_sample([_difference(a.gap_m, b.gap_m) for a, b in pairs]),
-            "pattern_right": per_sample([_same_pattern(a, b) for a, b in pairs]),
-            "colour_right": per_sample([a.colour == b.colour for a, b in pairs]),
+            "lateral_m": lateral[matched],
+            "height_m": height[matched],
+            "width_m": np.array([a.width_m - b.width_m for a, b in pairs], dtype=float),
+            "dash_m": np.array([_difference(a.dash_m, b.dash_m) for a, b in pairs], dtype=float),
+            "gap_m": np.array([_difference(a.gap_m, b.gap_m) for a, b in pairs], dtype=float),
+            "pattern_right": np.array([_same_pattern(a, b) for a, b in pairs], dtype=float),
+            "colour_right": np.array([a.colour == b.colour for a, b in pairs], dtype=float),
         },
         vertex_m=np.column_stack([across, up])[keep],
         vertex_axes=axes[keep],
@@ -275,6 +273,13 @@ def _nearest(points_m: Floats, lines: Sequence[Floats]) -> tuple[NDArray[np.int6
         rise[nearer] = points_m[nearer, 2] - np.interp(station[nearer], stations(line[:, :2]), line[:, 2])
         axes[nearer, 0, :2] = np.stack([-along[:, 1], along[:, 0]], axis=1)
     return nearest, offset, rise, axes
+
+
+def _is_painted(marking: TruthMarking, station_m: Floats) -> Bools:
+    """(N,) whether there is paint at stations along a marking; everywhere where its dashes are not known."""
+    if marking.dash_m is None or marking.gap_m is None or marking.dash_start_m is None:
+        return np.ones(len(station_m), dtype=bool)
+    return np.asarray((station_m - marking.dash_start_m) % (marking.dash_m + marking.gap_m) < marking.dash_m)
 
 
 def _same_pattern(found: Marking, truth: TruthMarking) -> bool:

@@ -64,6 +64,17 @@ def test_known_errors_of_a_shifted_line() -> None:
     assert marking_figures([compare_markings([known], [wrong], everywhere)]).pattern_share == 0.0
 
 
+def test_gaps_beyond_the_last_visible_dash_are_not_demanded() -> None:
+    """Dashes of 3 m from 4, 16, 28 m, seen up to 30 m: what counts is from 4 m, without the gap before, to 30 m."""
+    known = truth("a", line(0.0), pattern="dashed", dash_m=3.0, gap_m=9.0, dash_start_m=4.0)
+    seen = found(line(0.0, 4.0, 19.0), pattern="dashed", dash_m=3.0, gap_m=9.0)
+    figures = marking_figures([compare_markings([known], [seen], lambda p: p[:, 0] <= 30.0)])
+    assert figures.truth_m == pytest.approx(26.0, abs=0.11)
+    assert figures.completeness == pytest.approx(15 / 26, abs=0.01)
+    nothing = compare_markings([known], [seen], lambda p: (p[:, 0] > 8.0) & (p[:, 0] < 15.0))
+    assert marking_figures([nothing]).truth_m == 0.0, "between dashes there is nothing to see"
+
+
 def test_what_is_false_double_or_not_visible() -> None:
     known = [truth("a", line(0.0)), truth("b", line(-3.5))]
     seen = [found(line(0.02)), found(line(-0.02, 0.0, 20.0)), found(line(2.0, 0.0, 20.0))]
