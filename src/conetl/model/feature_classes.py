@@ -66,26 +66,25 @@ FEATURE_CLASSES = {
     ),
     "drum": FeatureClass(
         (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, letter="D", rim_share=0.5,
-        network_share=0.0, body=(0.33, 0.39), axis_from_outline=True, outline_share=0.003, outline_common=0.75,
+        network_share=0.0, body=(0.33, 0.39), axis_from_outline=True, outline_share=0.005, outline_common=0.75,
     ),
     "vertical_panel": FeatureClass(
         (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_share=0.5,
         board=0.36, outline_share=0.01, outline_aside=0.7, outline_common=0.75,
     ),
     "barricade": FeatureClass(
-        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B", outline_share=0.045,
+        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B", outline_share=0.03,
         outline_aside=0.3,
     ),
     "work_zone_sign": FeatureClass(
-        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False, letter="W", outline_share=0.03,
+        (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False, letter="W", outline_share=0.025,
         outline_aside=0.3,
     ),
     "arrow_board": FeatureClass(
         (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, letter="A", outline_share=0.025,
-        outline_aside=2.3,
     ),
     "traffic_sign": FeatureClass(
-        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, letter="S", outline_share=0.03,
+        (0.15, 2.5), (0.1, 3.5), 0.9, round_body=False, on_road=False, in_rows=False, letter="S", outline_share=0.025,
         outline_aside=0.3,
     ),
     LANE_MARKING: FeatureClass(

@@ -35,8 +35,6 @@ _ROBUST, _ROUNDS = 2.0, 4
 _LEAST_POINTS = 6
 #: Weight of the squared bend (m per vertex) of a course against that of one point.
 _STIFFNESS = 3.0
-#: Neighbouring rows see the same blur and texture: so many count as one, as the correlations of residuals show.
-_ROWS_AS_ONE = 1.2
 #: Sigmas of what all points of one frame pair have in common (glare, shadows, the motion during exposure), and of what all points
 #: of a marking have (shape of its edges, disparities).
 _FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
@@ -148,7 +146,7 @@ def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: 
     core = size < 3 * _ROBUST
     scatter = (scaled[core].T * weight[core]) @ scaled[core] / weight[core].sum() if core.any() else np.eye(2)
     spread = inverse @ (normal - penalty) @ inverse
-    noise = _ROWS_AS_ONE * np.diagonal(spread)[:, None, None] * scatter
+    noise = np.diagonal(spread)[:, None, None] * scatter
     kept = np.zeros(len(points.station_m), dtype=bool)
     kept[np.flatnonzero(inside)[core]] = True
     return _Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
