@@ -29,9 +29,9 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
     """Write the rows of `request` to `path` and a manifest to `path` + '.manifest.json'; the manifest.
 
     All rows come from one snapshot of the database, in batches. All files appear at the end, or none. Where the map has lane
-    markings and a file of the format holds one type of geometry, they are in `lines_path(path)`, with a manifest of its own;
-    `lane_markings` of the manifest says in which file they are, and how many. Raises InputError for an unknown format or map,
-    and where the files cannot be written.
+    markings and a file of the format holds one type of geometry, they are in a second file (`cones_lane_markings.csv`) with a
+    manifest of its own; `lane_markings` of the manifest says in which file they are, and how many. Raises InputError for an
+    unknown format or map, and where the files cannot be written.
     """
     if file_format not in FORMATS:
         raise InputError(f"unknown format {file_format}: choose one of {', '.join(FORMATS)}")
@@ -41,7 +41,7 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
         query(conn, "exports.memory", work_mem=_WORK_MEM[request.what])
         with open_source(conn, request, chosen.order) as sources:
             groups = [[source] for source in sources] if chosen.one_geometry else [sources]
-            paths = [path, lines_path(path)][: len(groups)]
+            paths = [path, path.with_name(f"{path.stem}_lane_markings{path.suffix}")][: len(groups)]
             beside = [one.with_name(one.name + ".manifest.json") for one in paths]
             with atomic_files(*paths, *beside) as written:
                 files, manifest_files = written[: len(paths)], written[len(paths) :]
@@ -60,11 +60,6 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
                 for manifest, file in zip(manifests, manifest_files, strict=True):
                     file.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
     return manifests[0]
-
-
-def lines_path(path: Path) -> Path:
-    """The second file of formats that hold one type of geometry: `cones.csv` -> `cones_lane_markings.csv`."""
-    return path.with_name(f"{path.stem}_lane_markings{path.suffix}")
 
 
 def _manifest(sources: Sequence[ExportSource], file_format: str, chosen: Format, file: Path) -> dict[str, Any]:

@@ -106,9 +106,7 @@ def analyse(
         drive = drive.model_copy(update={"rig": found.rig})
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, found.motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-        position_paths = executor.run(
-            locate, odometry.moved(odometry.with_rig(chunks, found.rig), trajectory), found.matches
-        )
+        position_paths = executor.run(locate, odometry.moved(chunks, drive), found.matches)
         detections, refused_detections = load_results(found.detections, Detection)
         drive, detections = without_unread(drive, detections, refused_detections)
         details, _ = load_results(map(detail_path, found.detections), ImageDetail)

@@ -41,18 +41,15 @@ _SPARE = 1.25
 _SHORT_CHUNK_PAIRS = 16
 
 
-def moved(chunks: Sequence[Chunk], trajectory: RefinedTrajectory) -> list[Chunk]:
-    """The chunks of a drive with the poses of the refined trajectory."""
-    pairs = {pair.frame_index: pair for pair in trajectory.frame_pairs}
+def moved(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
+    """The chunks of a drive with its rig and poses as refined."""
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     return [
-        chunk.model_copy(update={"frame_pairs": tuple(pairs[pair.frame_index] for pair in chunk.frame_pairs)})
+        chunk.model_copy(
+            update={"rig": drive.rig, "frame_pairs": tuple(pairs[p.frame_index] for p in chunk.frame_pairs)}
+        )
         for chunk in chunks
     ]
-
-
-def with_rig(chunks: Sequence[Chunk], rig: Rig) -> list[Chunk]:
-    """The chunks of a drive with another rig."""
-    return [chunk.model_copy(update={"rig": rig}) for chunk in chunks]
 
 
 class Odometry(NamedTuple):

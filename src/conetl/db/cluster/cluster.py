@@ -158,7 +158,7 @@ def cluster_remove(home: Path) -> bool:
         require_no_server_elsewhere(location)
         shutil.rmtree(location.socket_directory, ignore_errors=True)
         shutil.rmtree(location.directory)
-        places.forget_location(home)
+        (home / places.POINTER_NAME).unlink(missing_ok=True)
         return True
 
 

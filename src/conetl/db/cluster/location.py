@@ -115,11 +115,6 @@ def make_location(home: Path) -> ClusterLocation:
     return _location(directory, user)
 
 
-def forget_location(home: Path) -> None:
-    """Remove the pointer from `home` to its cluster."""
-    (home.resolve() / POINTER_NAME).unlink(missing_ok=True)
-
-
 def make_socket_directory(location: ClusterLocation) -> None:
     """Create the socket's folder, mode 0700, owned by the server's user; refuse one that another user prepared in /tmp."""
     path = location.socket_directory

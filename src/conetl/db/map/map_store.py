@@ -67,7 +67,7 @@ def require_map(conn: Connection, map_name: str) -> MapInfo:
     info = find_map(conn, map_name)
     if info is not None:
         return info
-    names = map_names(conn)
+    names = [row["map_name"] for row in db.read(conn, "The maps of the database cannot be read", "map.maps")]
     if not names:
         raise InputError(
             f"this database has no map named {map_name}, and no other one: ingest a drive or import a map first"
@@ -79,11 +79,6 @@ def require_map(conn: Connection, map_name: str) -> MapInfo:
     raise InputError(
         f"this database has no map named {map_name}; {others} Choose one with --map; `conetl map list` lists all."
     )
-
-
-def map_names(conn: Connection) -> list[str]:
-    """Names of all maps, in alphabetical order."""
-    return [row["map_name"] for row in db.read(conn, "The maps of the database cannot be read", "map.maps")]
 
 
 def read_current_features(conn: Connection, *, map_name: str = "default", lines: bool = False) -> list[MapFeature]:
