@@ -113,11 +113,16 @@ def track_errors(
     truth = np.array([line.truth.xyz_m for line, _ in found]).reshape(-1, 3)
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     by_member = {(p.frame_index, p.match_index): p for p in positions}
+    members = [[by_member[member] for member in track.members] for _, track in found]
+    # Errors of the poses that change within the drive move cones seen together alike; each track states them on its own.
+    frames = [min(seen, key=lambda p: p.range_m).frame_index for seen in members]
+    between = np.zeros(2 * (3 * len(found),)) if motion is None else motion.changed_cov_m2(xyz, frames)
+    between[np.kron(np.eye(len(found), dtype=bool), np.ones((3, 3), dtype=bool))] = 0.0
     jacobians, variances = [np.zeros((0, 3, 6 + len(calibration_of(drive.rig))))], []
-    for point, (_, track) in zip(xyz, found, strict=True):
-        poses = [pose_of[frame_index] for frame_index, _ in track.members]
+    for point, seen in zip(xyz, members, strict=True):
+        poses = [pose_of[p.frame_index] for p in seen]
         jacobian, sigmas = pose_and_calibration(np.tile(point, (len(poses), 1)), poses, drive.rig)
-        shares = _track_shares([by_member[member] for member in track.members], poses, drive.rig, motion)
+        shares = _track_shares(seen, poses, drive.rig, motion)
         jacobians.append(np.einsum("fij,fjk->ik", shares, jacobian)[None])
         variances.append(np.mean(sigmas**2, axis=0))
     of_poses = np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6))
@@ -127,7 +132,7 @@ def track_errors(
         truth_m=truth,
         difference_m=xyz - truth,
         cov_m2=cov_matrices([track.cov_m2 for _, track in found]),
-        own_cov_m2=on_diagonal(cov_matrices([track.relative_cov_m2 for _, track in found])),
+        own_cov_m2=on_diagonal(cov_matrices([track.relative_cov_m2 for _, track in found])) + between,
         range_m=np.linalg.norm(level, axis=1),
         sight=_unit(level),
         common_jacobian=np.concatenate([np.concatenate(jacobians), by_class], axis=2),

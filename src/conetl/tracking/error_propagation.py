@@ -83,7 +83,8 @@ def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats:
 
 def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
     """Error of points that the motion transforms from frame to frame; None unless the trajectory was refined."""
-    if trajectory.covariance is None:
+    covariance = trajectory.covariance
+    if covariance is None:
         return None
     rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
     # Cones last observed in the same image have the same motion.
@@ -96,25 +97,25 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
         by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
         return np.asarray(by_motion @ cov @ by_motion.T)
 
+    def changed_cov_m2(xyz_m: Floats, frame_indices: Sequence[int]) -> Floats:
+        states, at = np.unique([len(rank) // 2, *(rank[index] for index in frame_indices)], return_inverse=True)
+        moved = moved_by_poses(xyz_m, [trajectory.frame_pairs[k].pose for k in states[at[1:]]])
+        by_pose = np.zeros((len(xyz_m), 3, len(states), POSE))
+        by_pose[np.arange(len(xyz_m)), :, at[1:]] = moved
+        by_pose[:, :, at[0]] -= moved
+        flat = by_pose.reshape(3 * len(xyz_m), -1)
+        return np.asarray(flat @ joint_covariance(covariance, states.tolist(), POSE) @ flat.T)
+
     # The variance of a difference of two poses is at most twice the sum of theirs, and so is that of the sum of position error
     # and attitude error times lever.
-    variances = np.diagonal(trajectory.covariance.cov, axis1=1, axis2=2)
+    variances = np.diagonal(covariance.cov, axis1=1, axis2=2)
     position_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
     lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
     return MotionError(
         carried_cov_m2,
         most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2),
-        changed_cov=partial(_changed_cov, trajectory, rank) if trajectory.changes else None,
+        **({"changed_cov_m2": changed_cov_m2} if trajectory.changes else {}),
     )
-
-
-def _changed_cov(trajectory: RefinedTrajectory, rank: Mapping[int, int], frame_index: int) -> Floats:
-    """(6, 6), as `MotionError.changed_cov`."""
-    assert trajectory.covariance is not None  # errors that change are those of a refined trajectory
-    first, second = sorted((rank[frame_index], len(rank) // 2))
-    joint = joint_covariance(trajectory.covariance, [first, second], POSE) if first < second else np.zeros((12, 12))
-    change = np.kron([1.0, -1.0], np.eye(POSE))
-    return np.asarray(change @ joint @ change.T)
 
 
 def constant_and_change(cov: Floats) -> tuple[Floats, Floats]:

@@ -19,13 +19,7 @@ from conetl.model.params import IngestParams, TrackParams
 from conetl.model.records import Detection, FramePair, Position, Rig, Side, StereoMatch, Track
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.tracking.association import MotionError, chain_positions
-from conetl.tracking.error_propagation import (
-    class_error_id,
-    common_cov,
-    moved_by_calibration,
-    moved_by_poses,
-    outline_jacobian,
-)
+from conetl.tracking.error_propagation import class_error_id, common_cov, moved_by_calibration, outline_jacobian
 from conetl.tracking.existence import existence_probability
 
 Floats = NDArray[np.float64]
@@ -174,10 +168,7 @@ def fuse_group(
     log = data.params.trajectory if data.motion is None else None
     of_drive = common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)
     shared = [(class_error_id(category), of_class)] if of_class.any() else []
-    changed = np.zeros((3, 3))
-    if data.motion is not None and data.motion.changed_cov is not None:
-        [moved] = moved_by_poses(foot.xyz_m[None], [data.frame_pairs[nearest.frame_index].pose])
-        changed = moved @ data.motion.changed_cov(nearest.frame_index) @ moved.T
+    changed = data.motion.changed_cov_m2(foot.xyz_m[None], [nearest.frame_index]) if data.motion else np.zeros((3, 3))
     first, last = (data.frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,

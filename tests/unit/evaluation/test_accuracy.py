@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,7 @@ from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
 from conetl.geometry.calibration.covariance import calibration_jacobian
 from conetl.geometry.consistency import left_out_nees
 from conetl.model.records import CalibrationCovariance, Drive, Position, Track
+from conetl.tracking.association import MotionError
 from tests import records
 from tests.synthetic.world import ORIGIN_M, make_path, make_rig
 
@@ -82,6 +85,19 @@ def test_errors_by_axis() -> None:
     np.testing.assert_allclose(np.diag(tracks.common_cov), np.square([0.02, 0.02, 0.03, 5e-4, 5e-4, 5e-4]))
     assert sum(band.errors.count for band in by_range(singles)) == 24
     assert statistics(select(singles, np.zeros(24, dtype=bool))) is None
+
+
+def test_cones_err_alike_by_poses_whose_errors_change_within_the_drive() -> None:
+    """Each track states what its pose erred since the middle of the drive; cones of one frame err by it together."""
+    cones, since_middle_m2 = truth_cones(3), 1e-4
+
+    def changed_cov_m2(xyz_m: np.ndarray, frames: Sequence[int]) -> np.ndarray:
+        assert list(frames) == [min(range(8), key=lambda f, at=at: np.hypot(*(at - PATH[f])[:2])) for at in xyz_m]  # type: ignore[misc]
+        return np.tile(since_middle_m2 * np.eye(3), (3, 3))
+
+    motion = MotionError(lambda _start, _end, _point_m: np.zeros((3, 3)), changed_cov_m2=changed_cov_m2)
+    own = track_errors(lines_of(cones, np.zeros(3)), DRIVE, positions_of(cones), motion).own_cov_m2
+    np.testing.assert_allclose(own, 0.02**2 * np.eye(9) + since_middle_m2 * (np.tile(np.eye(3), (3, 3)) - np.eye(9)))
 
 
 def test_a_shift_of_the_whole_drive_is_common_and_one_cone_off_is_relative() -> None:
