@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import islice
 from math import exp, hypot, lgamma, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -61,8 +63,8 @@ _BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
 def is_confirmed(deltas: Sequence[Delta], captured_from_ns: int) -> bool:
     """Whether a drive agrees with what was on the map an hour before it began. deltas: of point objects."""
     kinds = DeltaKind.CONFIRMED, DeltaKind.HEIGHT_CHANGED
-    known = [d for d in deltas if d.kind in kinds and d.old and d.old.first_seen_ns < captured_from_ns - BEFORE_NS]
-    return len(known) >= LEAST_CONFIRMED
+    known = (d for d in deltas if d.kind in kinds and d.old and d.old.first_seen_ns < captured_from_ns - BEFORE_NS)
+    return len(list(islice(known, LEAST_CONFIRMED))) == LEAST_CONFIRMED
 
 
 def contradiction(
@@ -97,16 +99,17 @@ def _displaced(
     tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
 ) -> HealthCheck | None:
     """The common displacement of a drive's cones against the map's; None where the stated sigmas cover it."""
-    t, f = xyz_of(tracks), xyz_of(features)
+    places, on_map = _places(tracks), _places(features)
+    t, f = places.xyz_m, on_map.xyz_m
+    covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
     # GNSS without a fix lies metres aside, as its sigmas say: only the heights are compared after its offset is taken out.
     offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
     for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
-        pairs = _same_positions(tracks, features, shift_m, params)
+        pairs = _same_positions(places, on_map, shift_m, params)
         if pairs and 2 * len(pairs) >= len(near):
             i, j = list(pairs), list(pairs.values())
-            cov = cov_matrices([tracks[k].cov_m2 for k in i]) + cov_matrices([features[k].cov_m2 for k in j])
-            common = _common_displacement((t[i] - f[j]) * compared, cov.mean(axis=0))
+            common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
             if common is not None:
                 return common
     some = near[:: 1 + len(near) // _MAX_TRACKS]
@@ -120,7 +123,6 @@ def _displaced(
     same_zone = fit.distinct and (fit.beside or fit.residual_m <= _SAME_ZONE_M)
     if not same_zone and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
         return None  # the map's row may go on, or have a second one beside it, where the drive sees it
-    covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     if fit.largest_m <= min(params.max_offset_m, _MAX_SIGMAS * sigma_m):
         return None
@@ -146,7 +148,7 @@ def imported_displacement(
         return None
     t, f = xyz_of(stated), xyz_of(features)
     covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
-    pairs = _same_positions(stated, features, np.zeros(3), params)
+    pairs = _same_positions(_places(stated), _places(features), np.zeros(3), params)
     if pairs:
         i, j = list(pairs), list(pairs.values())
         # Where most have no cone near them, those that do are others' neighbours: their heights alone are compared.
@@ -169,7 +171,7 @@ def far_displacement(
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
     if len(sure) < _LEAST_SAME_OF_DRIVE or not features:
         return None
-    found = len(_same_positions(sure, features, np.zeros(3), params))
+    found = len(_same_positions(_places(sure), _places(features), np.zeros(3), params))
     check = _arranged_alike(sure, features, found, params, _LEAST_SAME_OF_DRIVE)
     if check is None or check.value is None or check.value <= _NEAR_M:
         return None
@@ -211,13 +213,22 @@ def _arranged_alike(
     return _aside(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
 
 
-def _same_positions(
-    tracks: Sequence[Track | MapFeature], features: Sequence[MapFeature], shift_m: Floats, params: ReconcileParams
-) -> dict[int, int]:
+class _Places(NamedTuple):
+    """Positions (N, 3) and classes (N,) of tracks or features."""
+
+    xyz_m: Floats
+    classes: NDArray[np.str_]
+
+
+def _places(objects: Sequence[Track | MapFeature]) -> _Places:
+    return _Places(xyz_of(objects), classes_of(objects))
+
+
+def _same_positions(tracks: _Places, features: _Places, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
     """Which tracks, moved back by `shift_m` (3,), stand where features of the same class stand, whatever the heights."""
-    t, f = xyz_of(tracks), xyz_of(features)
+    t, f = tracks.xyz_m, features.xyz_m
     rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
-    alike = classes_of(tracks)[rows] == classes_of(features)[columns]  # a sign may hang above a cone
+    alike = tracks.classes[rows] == features.classes[columns]  # a sign may hang above a cone
     rows, columns = rows[alike], columns[alike]
     return assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
 

@@ -7,8 +7,6 @@ linearly with the number of cones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import chain
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,11 +218,9 @@ def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Indices, Indic
     if not len(a_m) or not len(b_m):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     # Slightly farther, so that rounding in the tree loses no pair exactly at the reach: callers gate themselves.
-    reach_m = reach_m * (1 + 1e-9)
-    found = cast("list[list[int]]", cKDTree(b_m).query_ball_point(a_m, reach_m, return_sorted=True))
-    counts = np.fromiter(map(len, found), np.int64, len(a_m))
-    columns = np.fromiter(chain.from_iterable(found), np.int64, int(counts.sum()))
-    return np.repeat(np.arange(len(a_m)), counts), columns
+    found = cKDTree(a_m).sparse_distance_matrix(cKDTree(b_m), reach_m * (1 + 1e-9), output_type="ndarray")
+    order = np.lexsort((found["j"], found["i"]))
+    return found["i"][order], found["j"][order]
 
 
 def assign(rows: Indices, columns: Indices, costs: Floats, *, unpaired_cost: float | None = None) -> dict[int, int]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from math import hypot, sqrt
+from operator import attrgetter
 from uuid import UUID
 
 import numpy as np
@@ -50,7 +51,7 @@ def reconcile(
     """
     summaries = summaries or {}
     tracks = _without_doubles(sorted(tracks, key=lambda track: track.members[0]))
-    features = sorted(features, key=lambda feature: feature.feature_id)
+    features = sorted(features, key=attrgetter("feature_id.int"))
     offset_m, weight = common_offset(tracks, features, params)
     shift_m = weight * offset_m
     map_xyz_m = xyz_of(tracks) - shift_m
@@ -78,7 +79,8 @@ def reconcile(
     vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
     moved = moves(map_xyz_m, tracks, free, features, vanished, params)
-    free = [i for i in free if i not in set(moved.values())]
+    moving = set(moved.values())
+    free = [i for i in free if i not in moving]
     halves = _halves(map_xyz_m, tracks, free, features, pairs, params)
     evidence_for = {
         j: observed(features[j], summaries.get(features[j].feature_id), tracks[i])
@@ -110,7 +112,7 @@ def reconcile(
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
         deltas.append(added(own[i], map_xyz_m[i], shift_m, founding_key, half_of))
-    return sorted(deltas, key=lambda d: (d.changed_at_ns, d.feature_id.int))
+    return sorted(deltas, key=attrgetter("changed_at_ns", "feature_id.int"))
 
 
 def height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress, pairwise
+from operator import attrgetter
 from uuid import UUID
 
 import numpy as np
@@ -208,7 +209,8 @@ def apply_drive(
             hold = hold or marking_contradiction(drive.markings, lines, line_deltas, drive.params)
         if hold is not None:
             return MapUpdate([], [], [], around, hold)
-        deltas = sorted([*deltas, *line_deltas], key=lambda delta: (delta.changed_at_ns, delta.feature_id.int))
+        if line_deltas:
+            deltas = sorted([*deltas, *line_deltas], key=attrgetter("changed_at_ns", "feature_id.int"))
     versions = []
     for delta in deltas:
         if not delta.is_change:
@@ -279,7 +281,7 @@ def _miss(delta: Delta, changeset_id: UUID) -> MissedObservation:
 
 def _around(current: Mapping[UUID, FeatureVersion], drive: DriveEvidence) -> list[MapFeature]:
     """The features within the drive's influence, by feature id."""
-    features = [current[feature_id].feature for feature_id in sorted(current)]
+    features = [current[feature_id].feature for feature_id in sorted(current, key=attrgetter("int"))]
     if not features:
         return []
     xy_m = stacked([feature.xyz_m for feature in features], 3)[:, :2]
