@@ -66,10 +66,9 @@ def load_roads(conn: Connection, count: int, *, history: bool = True) -> None:
 
 
 def make_closures(conn: Connection, map_name: str, *, features: int, versions: int = 1) -> None:
-    """Write the map of closures and commit. The exclusion constraint is dropped, since its index takes minutes."""
+    """Write the map of closures and commit."""
     parameters = {"map": map_name, "features": features, "versions": versions}
-    execute(conn, "alter table conetl.feature_version drop constraint if exists no_overlap")
-    execute(conn, "set local session_replication_role = replica")  # no foreign key checks row by row
+    execute(conn, "set local session_replication_role = replica")  # no checks of foreign keys and overlaps
     for statement in _CLOSURES:
         execute_count(conn, statement, parameters)
     conn.commit()
@@ -226,6 +225,7 @@ where %(history)s or d.kind = 'added'"""
 def _without_indexes(conn: Connection) -> Iterator[None]:
     """Drop indexes and constraints of the large tables and create them again at the end, which is several times as fast."""
     execute(conn, "set local maintenance_work_mem = '1GB'")
+    execute(conn, "set local session_replication_role = replica")  # no checks of overlaps without an index
     constraints: list[str] = []
     keys: list[str] = []
     for table in ("conetl.feature", "conetl.feature_version", "conetl.delta"):

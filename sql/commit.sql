@@ -97,7 +97,7 @@ join delta_stage s using (feature_id);
 -- conflicts among them. As a rule these are the new features, which have none. Their ids are spread over the index, as
 -- the insertion of new features is anyway.
 -- offset 0: one lookup in feature_version_current each, whatever the planner assumes about the tables' sizes; otherwise
--- it would read the whole table, or use the exclusion constraint's index at a dozen pages each.
+-- it would read the whole table.
 insert into open_version
 select v.*
 from delta_stage s

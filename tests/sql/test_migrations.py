@@ -18,6 +18,7 @@ from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import read_current_features
 from conetl.db.schema import database_status, migrate, migrate_once
 from conetl.model.errors import DatabaseError
+from tests.command import until
 from tests.conftest import cloned_database
 
 
@@ -358,65 +359,37 @@ def test_versions_of_a_feature_may_touch_and_not_overlap(map_of_one, period, ref
             execute(conn, insert)
     else:
         execute(conn, insert)
+        with pytest.raises(psycopg2.errors.ExclusionViolation, match="no_overlap"):
+            execute(conn, "update feature_version set valid_period = '[2026-02-01,)' where version = 2")
     conn.rollback()
 
 
-def test_boxes_of_a_feature_overlap_where_its_valid_periods_do(map_of_one):
-    """Periods of odd lengths and bounds, and cells at the edges of the plane."""
-    sql = """
-        with instant as (
-            select t + n * interval '1 microsecond' as t
-            from generate_series(0, 3) n,
-                unnest(array['1700-01-01', '1969-12-31 23:59:59.999998', '2026-03-01 08:00:00.1', '2105-12-31']::timestamptz[]) t
-            union all
-            values ('infinity'::timestamptz), ('-infinity')
-        ),
-        period as (
-            select tstzrange(a.t, b.t) as p from instant a, instant b where a.t < b.t
-            union all
-            select tstzrange(a.t, null) from instant a where a.t < 'infinity'
-        ),
-        feature (id, cell) as (
-            values ('11111111-1111-1111-1111-111111111111'::uuid, cell_at(ST_MakePoint(458001, 5428010))),
-                ('22222222-1111-1111-1111-111111111111', cell_at(ST_MakePoint(-1e30, 1e30)))
-        )
-        select
-            count(*) as pairs,
-            count(*) filter (where version_box(f.cell, f.id, a.p) && version_box(f.cell, f.id, b.p) <> (a.p && b.p)) as wrong,
-            count(*) filter (where a.p && b.p) as overlapping
-        from feature f, period a, period b"""
-    [found] = execute(map_of_one, sql)
-    assert found["wrong"] == 0 and 0 < found["overlapping"] < found["pairs"]
-
-
-def test_two_features_with_one_place_number_do_not_exclude_each_other(map_of_one):
-    """The number has 22 bits of an id's hash: among some thousand ids two share it."""
-    conn = map_of_one
-    twins = execute(
-        conn,
-        "with id as (select gen_random_uuid() as id from generate_series(1, 30000)) "
-        "select (array_agg(id))[1:2]::text[] as ids from id group by feature_number(7, id) having count(*) > 1 limit 1",
-    )[0]["ids"]
-    parameters = {"ids": twins}
+def test_of_two_sessions_the_second_sees_what_the_first_wrote(conn, database_url, samples):
+    samples.commit(conn, samples.added(samples.feature()), key="1")
+    execute(conn, "create table copy as select v.* from feature_version v, generate_series(1, 2)")
     execute(
         conn,
-        "insert into feature (feature_id, map_id, srid, created_by, cell) "
-        "select id, map_id, srid, created_by, 7 from feature, unnest(%(ids)s::uuid[]) id",
-        parameters,
+        "update copy set version_row_id = n + 1000, version = n, valid_period = '[2020-01-01,2021-01-01)' "
+        "from (select ctid as id, row_number() over () + 1 as n from copy) numbered where copy.ctid = numbered.id",
     )
-    execute(conn, "create temp table copy as select v.*, 0 as twin from feature_version v")
-    execute(conn, "insert into copy select v.*, 1 from feature_version v")
-    execute(
-        conn,
-        "update copy set version_row_id = 1000 + twin, cell = 7, feature_id = (%(ids)s::uuid[])[twin + 1]",
-        parameters,
+    conn.commit()
+    insert = "insert into feature_version overriding system value select * from copy where version = "
+    execute(conn, insert + "2")
+
+    def insert_another() -> None:
+        with closing(connect(database_url)) as other:
+            execute(other, insert + "3")
+
+    waiting = (
+        "select 1 from pg_locks l join pg_database d on d.oid = l.database "
+        "where d.datname = current_database() and l.locktype = 'advisory' and not l.granted"
     )
-    execute(conn, "alter table copy drop column twin")
-    execute(conn, "insert into feature_version overriding system value select * from copy")
-    assert execute(
-        conn, "select count(distinct feature_number(cell, feature_id)) as n from feature_version where cell = 7"
-    ) == [{"n": 1}]
-    conn.rollback()
+    with ThreadPoolExecutor(1) as pool:
+        another = pool.submit(insert_another)
+        until(lambda: execute(conn, waiting), "the other session waits")
+        conn.commit()
+        with pytest.raises(psycopg2.errors.ExclusionViolation, match="no_overlap"):
+            another.result()
 
 
 TOPICS = sorted(path.stem for path in sql_directory().glob("*.sql"))
