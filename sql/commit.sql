@@ -135,20 +135,19 @@ from delta_stage s
 where s.kind in ('added', 'split')
 on conflict (feature_id) where map_id > 0 do nothing;
 
--- name: close_versions
--- End the system period of the versions that this changeset replaces.
+-- name: end_versions
+-- End the system period of the versions that this changeset replaces, and write each again as it holds from now on: valid
+-- only until its successor begins, which is at least a microsecond later, so that no state is ever lost.
 -- any(array(...)): one lookup in the primary key each; a join would read the primary key from its start to the last of
 -- them. Parameters: committed_at (timestamptz).
-update conetl.feature_version v
-set system_period = tstzrange(lower(v.system_period), %(committed_at)s)
-where v.version_row_id = any(
-    array(select o.version_row_id from open_version o join delta_stage s using (feature_id) where s.is_change)
-);
-
--- name: insert_ended_versions
--- Write each replaced version again as it holds from now on: valid only until its successor begins, which is at least a
--- microsecond later, so that no state is ever lost. offset 0: one lookup in the primary key each, as in close_versions.
--- Parameters: committed_at (timestamptz).
+with closed as (
+    update conetl.feature_version v
+    set system_period = tstzrange(lower(v.system_period), %(committed_at)s)
+    where v.version_row_id = any(
+        array(select o.version_row_id from open_version o join delta_stage s using (feature_id) where s.is_change)
+    )
+    returning v.*
+)
 insert into conetl.feature_version (
     cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
@@ -160,14 +159,12 @@ select
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
     v.centre_geom, v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count,
     v.first_seen_ns, v.last_seen_ns, v.valid_from_ns,
-    tstzrange(o.valid_from, greatest(s.changed_at, o.valid_from + interval '1 microsecond')),
+    tstzrange(lower(v.valid_period), greatest(s.changed_at, lower(v.valid_period) + interval '1 microsecond')),
     tstzrange(%(committed_at)s, null), v.suppressed, v.calibrations, v.shared_jacobian_m,
     v.line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m
-from open_version o
+from closed v
 join delta_stage s using (feature_id)
-cross join lateral (select w.* from conetl.feature_version w where w.version_row_id = o.version_row_id offset 0) v
-where s.is_change
-order by v.cell, s.feature_id;
+order by v.cell, v.feature_id;
 
 -- name: insert_versions
 -- The new versions, open in both periods; each begins at least a microsecond after the one that it follows.

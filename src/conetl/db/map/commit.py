@@ -300,8 +300,7 @@ def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committ
     parameters = {"map_id": info.map_id, "srid": info.srid, "changeset_id": changeset.changeset_id}
     parameters |= {"committed_at": committed_at}
     db.query(conn, "commit.insert_features", **parameters)
-    db.query(conn, "commit.close_versions", **parameters)
-    db.query(conn, "commit.insert_ended_versions", **parameters)
+    db.query(conn, "commit.end_versions", **parameters)
     versions = db.execute_count(conn, db.load_sql("commit.insert_versions"), parameters)
     db.query(conn, "commit.insert_deltas", **parameters)
     db.execute(conn, "drop table delta_stage, open_version")
