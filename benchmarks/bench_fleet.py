@@ -22,7 +22,7 @@ import logging
 import multiprocessing
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -199,7 +199,10 @@ class Waiting:
 
 
 def writers(url: str, rounds: Sequence[tuple[str, Sequence[Sequence[Trip]]]]) -> list[dict[str, object]]:
-    """Commits per second of each round; a round has one list of drives for each writer."""
+    """Commits per second of each round; a round has one list of drives for each writer.
+
+    The limit of the machine: so many commits per second would keep all cores busy, at the processor time of this round's commits.
+    """
     rows: list[dict[str, object]] = []
     fork = multiprocessing.get_context("fork")
     for name, jobs in rounds:
@@ -208,12 +211,15 @@ def writers(url: str, rounds: Sequence[tuple[str, Sequence[Sequence[Trip]]]]) ->
             found = [job.result() for job in [pool.submit(write, url, trips, ready) for trips in jobs]]
         commits = [one for some in found for one in some]
         wall_s = max(one.ended_s for one in commits) - min(one.began_s for one in commits)
+        per_s, limit_per_s = len(commits) / wall_s, psutil.cpu_count() / np.mean([one.processor_s for one in commits])
         rows.append(
             {
                 "writers": name,
                 "commits": len(commits),
                 "tracks a drive": np.mean([one.tracks for one in commits]),
-                "commits/s": len(commits) / wall_s,
+                "commits/s": per_s,
+                "limit": limit_per_s,
+                "share of it": per_s / limit_per_s,
                 "s a commit": np.mean([one.wall_s for one in commits]),
                 "Python s": np.mean([one.python_s for one in commits]),
                 "server s": np.mean([one.server_s for one in commits]),
@@ -222,6 +228,16 @@ def writers(url: str, rounds: Sequence[tuple[str, Sequence[Sequence[Trip]]]]) ->
             }
         )
     return rows
+
+
+def in_words(rows: Sequence[Mapping[str, Any]], cores: int) -> str:
+    """How much faster the last round was than the first, a single writer, and how much faster it could be on this machine."""
+    one, several = rows[0], rows[-1]
+    return (
+        f"{several['writers']}: {several['commits/s'] / one['commits/s']:.1f} times the commits of one writer, which keeps "
+        f"{one['share of it']:.2f} of the {cores} cores busy by itself: {1 / one['share of it']:.1f} times is the limit here. "
+        f"The {several['writers']} reached {several['share of it']:.2f} of theirs."
+    )
 
 
 def pairs(url: str, count: int) -> dict[str, object]:
@@ -423,7 +439,8 @@ def main() -> None:
                 (f"{n} in {n} towns", [[Trip(2 + k, 0, 0, d) for d in range(drives)] for k in range(n)]),
             ]
             figures["writers"] = rows = writers(url, rounds)
-            print_rows("Writers", rows)
+            print_rows("Writers; limit: commits/s that would keep all cores busy", rows)
+            print(in_words(rows, psutil.cpu_count()))
         if options.only in (None, "month"):
             figures["month"] = played = month(url, options.days, options.scale, options.late)
             print_rows(

@@ -53,7 +53,6 @@ FINAL_TABLES = {
     "stereo_match": "to_jsonb(t)",
     "position": "to_jsonb(t)",
     "track": "to_jsonb(t)",
-    "track_member": "to_jsonb(t)",
     "changeset": "to_jsonb(t) - 'changeset_no' - 'run_id' - 'committed_at'",
     "quarantine": "to_jsonb(t) - 'quarantine_id'",
     "feature": "to_jsonb(t)",
