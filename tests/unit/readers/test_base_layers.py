@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import struct
 from pathlib import Path
 
@@ -244,6 +245,9 @@ def test_lanelet2_bounds_and_markings(tmp_path):
     ]  # fmt: skip
     assert found.lines[0].xyz[0].tolist() == [8.4, 49.0, 110.0]
     assert all(any(words in text for text in found.refused) for words in ("node 9 is missing", "node 3"))
+    path.write_text(re.sub(r'lat="49[.0-9]*"', 'lat="nan"', OSM))
+    with pytest.raises(InputError, match="there are no lane boundaries"):
+        read_lanelet2(path)
 
 
 @pytest.mark.skipif(not (SHARED / "lanelet2").is_dir(), reason=f"no real Lanelet2 map in {SHARED}")

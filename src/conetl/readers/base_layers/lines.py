@@ -51,10 +51,10 @@ class LineFile(NamedTuple):
 def add_line(line: Line, what: str, lines: list[Line], refused: list[str]) -> None:
     """Append a line to `lines`, or to `refused` why it cannot be used."""
     xy = line.xyz[:, :2]
-    if len(line.xyz) < 2 or not np.any(np.ptp(xy[np.isfinite(xy).all(axis=1)], axis=0) if len(xy) else 0):
-        refused.append(f"{what}: fewer than two different points")
-    elif not np.isfinite(xy).all():
+    if not np.isfinite(xy).all():
         refused.append(f"{what}: a coordinate is not a number")
+    elif len(xy) < 2 or not np.ptp(xy, axis=0).any():
+        refused.append(f"{what}: fewer than two different points")
     elif np.isinf(line.xyz[:, 2]).any():
         refused.append(f"{what}: a height is not a number")
     else:
