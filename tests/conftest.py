@@ -33,7 +33,7 @@ LONGEST = (
 _numbers = itertools.count()
 
 
-def _test_home(config: pytest.Config) -> Path:
+def run_home(config: pytest.Config) -> Path:
     """One cluster per test run, shared by the workers of pytest-xdist, whose parent is the run's main process."""
     main_pid = os.getppid() if hasattr(config, "workerinput") else os.getpid()
     return HOMES / f"conetl-test-{os.geteuid()}-{main_pid}"
@@ -52,7 +52,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_unconfigure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
-        _remove(_test_home(config))
+        _remove(run_home(config))
 
 
 def _remove(home: Path) -> None:
@@ -78,13 +78,13 @@ def cluster_url(pytestconfig: pytest.Config) -> str:
     """A private cluster for this test run; fails with a clear message where PostGIS is not installed."""
     from conetl.db.cluster.cluster import cluster_up
 
-    return cluster_up(_test_home(pytestconfig))
+    return cluster_up(run_home(pytestconfig))
 
 
 @pytest.fixture(scope="session")
 def services_home(pytestconfig: pytest.Config) -> Path:
     """A home folder for services that outlive their command; the next test run ends what a killed one left there."""
-    cluster_home = _test_home(pytestconfig)
+    cluster_home = run_home(pytestconfig)
     prefix, main_pid = cluster_home.name.rsplit("-", 1)
     return cluster_home.with_name(f"{prefix}-services-{main_pid}")
 
@@ -106,7 +106,7 @@ def template_database(cluster_url: str, pytestconfig: pytest.Config) -> str:
     from conetl.db.connection import connect, execute
     from conetl.db.schema import migrate
 
-    with (_test_home(pytestconfig) / "template.lock").open("w") as lock:
+    with (run_home(pytestconfig) / "template.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         conn = connect(cluster_url)
         conn.autocommit = True

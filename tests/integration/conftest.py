@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -10,13 +11,15 @@ from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
+from prefect.context import refresh_global_settings_context
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.db.connection import Connection
 from conetl.model.errors import ConetlError
-from conetl.pipeline.settings import prefect_login
+from conetl.pipeline.settings import prefect_environment, prefect_login
 from tests import command
+from tests.conftest import run_home
 from tests.integration.drives_of_days import failed_audits
 from tests.view_map import view_of
 
@@ -52,27 +55,50 @@ def conetl_process(
     return command.conetl(*arguments, "--json", before=before, cwd=folder, **where)
 
 
+_SERVER = """
+import sys, time
+from pathlib import Path
+from flows.server import prefect_server
+home, main_process = map(Path, sys.argv[1:])
+with prefect_server(home) as url:
+    (home / "url.new").write_text(url)
+    (home / "url.new").rename(home / "url")
+    while main_process.exists():
+        time.sleep(0.5)
+"""
+
+
 @pytest.fixture(scope="session")
-def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
-    """One Prefect server for the tests of all files that need any: what leads a command to it. A start costs about 10 s."""
-    home = tmp_path_factory.mktemp("prefect-home")
-    script = (
-        "import sys; from pathlib import Path; from flows.server import prefect_server\n"
-        "with prefect_server(Path(sys.argv[1])) as url:\n    print(url, flush=True); sys.stdin.read()"
-    )
-    environment = command.environment_of(PREFECT_HOME=home / "prefect", **QUIET)
-    with subprocess.Popen(
-        [sys.executable, "-c", script, str(home)],
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as server:
-        assert server.stdin is not None and server.stdout is not None
-        url = server.stdout.readline().strip()
-        assert url.startswith("http://127.0.0.1:"), "the Prefect server did not start"
-        yield {"PREFECT_API_URL": url, "PREFECT_API_AUTH_STRING": prefect_login(home)}
-        server.stdin.close()
+def prefect(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> dict[str, str]:
+    """What leads a command to the one Prefect server of this test run, which ends with it. A start costs about 10 s."""
+    folder = tmp_path_factory.getbasetemp()
+    home = (folder.parent if hasattr(pytestconfig, "workerinput") else folder) / "prefect-home"
+    home.mkdir(exist_ok=True)
+    main_process = Path("/proc", run_home(pytestconfig).name.rpartition("-")[2])
+    with (home / "start.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (home / "url").exists():
+            server = subprocess.Popen(
+                [sys.executable, "-c", _SERVER, str(home), str(main_process)],
+                env=command.environment_of(PREFECT_HOME=home / "prefect", **QUIET), cwd=command.ROOT,
+                start_new_session=True,
+            )  # fmt: skip
+            command.until((home / "url").exists, "the start of the Prefect server", 300, 0.2)
+            assert server.poll() is None
+    return {"PREFECT_API_URL": (home / "url").read_text(), "PREFECT_API_AUTH_STRING": prefect_login(home)}
+
+
+@pytest.fixture(scope="module")
+def prefect_here(tmp_path_factory: pytest.TempPathFactory, prefect: dict[str, str]) -> Iterator[Path]:
+    """A home folder, while this process and its children use that Prefect server."""
+    folder = tmp_path_factory.mktemp("prefect-here")
+    (folder / "prefect").mkdir()
+    with pytest.MonkeyPatch.context() as environment:
+        for name, value in (prefect_environment(folder) | prefect).items():
+            environment.setenv(name, value)
+        refresh_global_settings_context()
+        yield folder
+    refresh_global_settings_context()
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import psutil
 import pytest
 from distributed import Client
 from prefect import flow
-from prefect.context import hydrated_context, refresh_global_settings_context, serialize_context
+from prefect.context import hydrated_context, serialize_context
 from prefect.settings import PREFECT_API_URL, get_current_settings, temporary_settings
 
 from conetl.cli.ingest import ingest_drives
@@ -31,7 +31,7 @@ from conetl.pipeline.detect import NOTHING, Along, Detected, detect, match
 from conetl.pipeline.executor import ThreadExecutor
 from conetl.pipeline.markings import marking_points
 from conetl.pipeline.odometry import odometry
-from conetl.pipeline.settings import Settings, prefect_environment
+from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from flows.artifacts import progress_artifact
 from flows.tasks import PrefectExecutor, task_runner
@@ -41,27 +41,14 @@ from tests.object_storage import BUCKET, object_storage
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory, prefect: dict[str, str]) -> Iterator[Path]:
-    """A home folder, while this process and its children use a Prefect server that runs."""
-    folder = tmp_path_factory.mktemp("scale")
-    (folder / "prefect").mkdir()
-    with pytest.MonkeyPatch.context() as environment:
-        for name, value in prefect_environment(folder).items():
-            environment.setenv(name, value)
-        for name, value in prefect.items():
-            environment.setenv(name, value)
-        refresh_global_settings_context()
-        yield folder
-    refresh_global_settings_context()
-
-
-@pytest.fixture(scope="module")
 def chunks(tmp_path_factory: pytest.TempPathFactory) -> list[Chunk]:
     drive, _ = read_drive(cut_drive(SAMPLES[0], tmp_path_factory.mktemp("drives") / "cut", "2026-04-01"))
     return chunks_of(drive, Settings(), IngestParams(chunk_pairs=2))  # each test sets its results_folder
 
 
-def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: list[Chunk], tmp_path: Path) -> None:
+def test_threads_processes_and_dask_write_the_same_bytes(
+    prefect_here: Path, chunks: list[Chunk], tmp_path: Path
+) -> None:
     drive, _ = read_drive(Path(chunks[0].frame_pairs[0].left_path).parents[2])
     heard: list[tuple[int, int]] = []
 
@@ -73,7 +60,7 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
 
     written: dict[str, dict[str, bytes]] = {}
     for kind in ("threads", "processes", "dask"):
-        runner = task_runner(Settings(home=home, workers=1, task_runner=kind))
+        runner = task_runner(Settings(home=prefect_here, workers=1, task_runner=kind))
         assert cloudpickle.loads(cloudpickle.dumps(runner)) == runner  # a flow travels to its process with its runner
         heard.clear()
         flow(work, name=f"chunks by {kind}", validate_parameters=False).with_options(task_runner=runner)(
@@ -190,9 +177,9 @@ def kill_one(address: str, processes: dict[str, subprocess.Popen[bytes]], result
 
 
 def test_a_drive_in_object_storage_makes_the_same_map_even_if_a_worker_of_dask_dies(
-    home: Path, chunks: list[Chunk], database_url: str, storage: str, tmp_path: Path
+    prefect_here: Path, chunks: list[Chunk], database_url: str, storage: str, tmp_path: Path
 ) -> None:
-    """Drives from disk by threads, from storage by threads, and from storage by three workers, of which one is killed.
+    """Drives from disk by threads, from storage by threads, and from storage by two workers, of which one is killed.
 
     The killed worker costs the chunk that it had: what was finished before is not computed again.
     """
@@ -200,13 +187,13 @@ def test_a_drive_in_object_storage_makes_the_same_map_even_if_a_worker_of_dask_d
     remote = as_path(f"{storage}/{folder.name}")
     remote.fs.put(f"{folder}/", f"{BUCKET}/{folder.name}/", recursive=True)  # type: ignore[attr-defined]
     features = []
-    with dask_workers(tmp_path, 3) as (address, processes), ThreadPoolExecutor() as beside:
+    with dask_workers(tmp_path, 2) as (address, processes), ThreadPoolExecutor() as beside:
         for name, drive, dask in (
             ("disk", folder, {}),
             ("storage", Path(str(remote)), {}),
             ("dask", Path(str(remote)), {"task_runner": "dask", "dask_address": address}),
         ):
-            settings = Settings(home=home / name, map_name=name, database_url=database_url, **dask)  # type: ignore[arg-type]
+            settings = Settings(home=prefect_here / name, map_name=name, database_url=database_url, **dask)  # type: ignore[arg-type]
             killed = beside.submit(kill_one, address, processes, settings.results_folder) if dask else None
             reports, code = ingest_drives(
                 [drive], settings, IngestParams(chunk_pairs=1), map_srid=None, show=lambda _: None

@@ -164,8 +164,8 @@ _said: dict[str, str] = {}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory, module_database_url):
-    """The files, some drives, and a map of one drive with the name `survey`."""
+def folder(tmp_path_factory, module_database_url, prefect_here):
+    """The files, some drives, and a map of one drive with the name `survey`; a Prefect server runs."""
     root = tmp_path_factory.mktemp("wrong")
     for name, text in FILES.items():
         (root / name).write_text(text)
@@ -191,7 +191,7 @@ def test_what_is_wrong_is_said(folder, monkeypatch, capsys, line, code, words):
     root, url, feature = folder
     monkeypatch.chdir(root)
     monkeypatch.setenv("COLUMNS", "200")
-    for name in [name for name in os.environ if name.startswith(("CONETL_", "PREFECT_"))]:
+    for name in [name for name in os.environ if name.startswith("CONETL_")]:
         monkeypatch.delenv(name)
     values = {"CONETL_HOME": str(root / "home"), "CONETL_DATABASE_URL": url, "CONETL_MAP_NAME": "survey"}
     words_of = line.split()
@@ -201,6 +201,7 @@ def test_what_is_wrong_is_said(folder, monkeypatch, capsys, line, code, words):
     for name, value in values.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(sys, "argv", ["conetl", *(feature if word == "FEATURE" else word for word in words_of)])
+    monkeypatch.setattr(sys.modules["__main__"], "__package__", None)  # else usage says `python -m pytest`
     with pytest.raises(SystemExit) as ended:
         main()
     said = capsys.readouterr()
