@@ -26,11 +26,11 @@ import pytest
 from conetl.cli.ingest import print_report
 from conetl.db.connection import connect, execute
 from conetl.db.live_store import read_provisional
-from conetl.db.map.map_store import list_changesets
+from conetl.db.map.map_store import list_changesets, map_lock
 from conetl.exports.wzdx import schema_faults
 from conetl.model.errors import DriveFolderError, InputError, ServiceError
 from conetl.model.feature_classes import CONE, LANE_MARKING
-from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams, params_sha256
 from conetl.model.rejections import RejectionReason
@@ -62,17 +62,6 @@ FINAL_TABLES = {
 
 
 @dataclass(frozen=True)
-class Result:
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> Any:
-        return json.loads(self.out)
-
-
-@dataclass(frozen=True)
 class Desk:
     """A user's environment: home folder, Prefect server, database."""
 
@@ -81,9 +70,8 @@ class Desk:
     def command(self, *arguments: object) -> list[str]:
         return [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments)]
 
-    def run(self, *arguments: object) -> Result:
-        done = conetl(*arguments, **self.environment)
-        return Result(done.returncode, done.stdout, done.stderr)
+    def run(self, *arguments: object) -> subprocess.CompletedProcess[str]:
+        return conetl(*arguments, **self.environment)
 
     def ask(self, *arguments: object, code: int = 0) -> str:
         """What a command says that needs the database only; in this process."""
@@ -120,9 +108,9 @@ class Desk:
 
 
 @pytest.fixture(scope="session")
-def office(tmp_path_factory: pytest.TempPathFactory, prefect: dict[str, str]) -> Desk:
-    """Home folder that all tests here share; detections are computed once."""
-    home = tmp_path_factory.mktemp("home")
+def office(sample_settings: Settings, prefect: dict[str, str]) -> Desk:
+    """Home folder that all tests of the sample drives share; detections are computed once."""
+    home = sample_settings.home
     return Desk({**os.environ, "CONETL_HOME": str(home), "PREFECT_HOME": str(home / "prefect"), **QUIET, **prefect})
 
 
@@ -145,9 +133,10 @@ def truth_changes(drive: Path) -> dict[str, int]:
 
 
 def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
-    result = desk.run("demo", SAMPLES[0].parent, "--json")
-    assert result.code == 0, result.err
-    outcome = result.json
+    command = desk.command("demo", SAMPLES[0].parent, "--json")
+    done = subprocess.run(command, env=desk.environment, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    outcome = json.loads(done.stdout)
     for drive, report in zip(SAMPLES, outcome["reports"], strict=True):
         assert report["counts"] == truth_changes(drive), drive.name
         assert report["frame_pairs_rejected"] == 0
@@ -230,9 +219,9 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
     oxts.write_text(" ".join(["nan", *values[1:]]))
 
     result = desk.run("ingest", small_drive, "--json")
-    (report,) = result.json
-    assert result.code == 1, "3 of 16 pairs are more than a tenth"
-    assert "3 of 16 frame pairs" in result.err
+    (report,) = json.loads(result.stdout)
+    assert result.returncode == 1, "3 of 16 pairs are more than a tenth"
+    assert "3 of 16 frame pairs" in result.stderr
     assert report["frame_pairs"] == 13
     assert report["frame_pairs_rejected"] == 3
     reasons = report["rejections"]
@@ -316,23 +305,27 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     """Of the drive itself, and of another one that goes on hold because of it."""
     lower = cut_drive(SAMPLES[1], tmp_path / "lower", frames=range(4, 20))
     shift_poses(lower, height_m=-0.6)
-    assert desk.run("ingest", lower).code == 0
+    desk.ingest(lower)
     done = desk.run("ingest", small_drive)
-    assert done.code == 1
-    assert (done.out + done.err).count("lower than the same cones of the map") == 1
-    assert done.err.splitlines()[-1].startswith(
+    assert done.returncode == 1
+    assert (done.stdout + done.stderr).count("lower than the same cones of the map") == 1
+    assert done.stderr.splitlines()[-1].startswith(
         "conetl: On hold now: drive lower (changeset 1). Its cones lie 0.6 m lower"
     )
 
     jumping = cut_drive(SAMPLES[2], tmp_path / "jumping", frames=range(4, 20))
     shift_poses(jumping, lat_deg=4e-5, first=8)
     done = desk.run("ingest", jumping)
-    assert done.code == 1
-    assert "jumping (2026-03-04 15:22 UTC): on hold (jumps of the poses), the map is as it was." in done.out
-    assert (done.out + done.err).count("GNSS/INS jumps by") == 1
-    last = done.err.splitlines()[-1]
+    assert done.returncode == 1
+    assert "jumping (2026-03-04 15:22 UTC): on hold (jumps of the poses), the map is as it was." in done.stdout
+    assert (done.stdout + done.stderr).count("GNSS/INS jumps by") == 1
+    last = done.stderr.splitlines()[-1]
     assert last.startswith("conetl: Drive jumping is on hold and changes nothing on the map. GNSS/INS jumps by")
     assert last.endswith("conetl drive accept jumping --note REASON")
+    with pytest.raises(DriveOnHoldError, match="GNSS/INS jumps by") as known:
+        desk.ingest(jumping)
+    report = known.value.report
+    assert known.value.exit_code == 1 and report.status == "held" and not report.counts_on_map
 
 
 def test_bad_input_is_named_and_writes_nothing(desk: Desk, tmp_path: Path) -> None:
@@ -341,10 +334,10 @@ def test_bad_input_is_named_and_writes_nothing(desk: Desk, tmp_path: Path) -> No
     file = keyless / "calib_cam_to_cam.txt"
     file.write_text("".join(x for x in file.read_text().splitlines(True) if not x.startswith("P_rect_03")))
     result = desk.run("ingest", keyless, hollow)
-    assert result.code == 2
-    assert "P_rect_03" in result.err and "hollow" in result.err
-    assert "Traceback" not in result.err
-    assert "Prefect" not in result.err  # nobody waits for services to hear that
+    assert result.returncode == 2
+    assert "P_rect_03" in result.stderr and "hollow" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert "Prefect" not in result.stderr  # nobody waits for services to hear that
     assert "no such drive folder" in desk.ask("ingest", tmp_path / "nowhere", code=2)
     assert not any(desk.final_tables().values())
 
@@ -355,43 +348,66 @@ def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, small_drive: Path, 
     params = tmp_path / "params.yaml"
     params.write_text("track: {min_observations: 4}\n")
     result = desk.run("ingest", bad, small_drive, "--params", params, "--no-refine", "--json")
-    assert result.code == 2
-    [report] = result.json
+    assert result.returncode == 2
+    [report] = json.loads(result.stdout)
     assert report["drive_id"] == "small"
     options = {"track": {"min_observations": 4}, "trajectory": {"refine": False}}
     assert report["params_sha256"] == params_sha256(IngestParams.model_validate(options))
 
 
-@pytest.fixture(scope="module")
-def clean_tables(
-    office: Desk, module_database_url: str, tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, list[str]]:
-    """What `small_drive` leaves in an empty database, once or twice."""
-    drive = cut_drive(SAMPLES[0], tmp_path_factory.mktemp("clean") / "small", frames=range(4, 20))
-    clean = office.with_database(module_database_url)
-    assert clean.ingest(drive).status == "committed"
-    tables = clean.final_tables()
-    assert clean.ingest(drive).status == "no changes"
-    assert clean.final_tables() == tables
-    return tables
-
-
-@pytest.mark.parametrize("point", ["matching", "merge"])
 def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
-    desk: Desk, clean_tables: dict[str, list[str]], database_url: str, tmp_path: Path, small_drive: Path, point: str
+    desk: Desk, module_database_url: str, database_url: str, tmp_path: Path, small_drive: Path
 ) -> None:
+    """Killed during the analysis, before the merge and after the commit, whose event a later run tells, once."""
+    clean = desk.with_database(module_database_url)
+    assert [clean.ingest(small_drive).status for _ in range(2)] == ["committed", "no changes"]
     home = tmp_path / "home"
     victim = Desk({**desk.environment, "CONETL_HOME": str(home)})
-    with subprocess.Popen(
-        victim.command("ingest", small_drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
-    ) as process:
-        wait_for(point, home, database_url, process)
+    for point in ("matching", "merge", "commit"):
+        with subprocess.Popen(
+            victim.command("ingest", small_drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
+        ) as process:
+            kill_at(point, home, database_url, process)
+        assert process.returncode == -signal.SIGKILL, f"it was over before {point}"
+        assert any(victim.final_tables().values()) is (point == "commit"), "half-written"
+    assert victim.final_tables() == clean.final_tables()
+    with closing(connect(database_url)) as conn:
+        [changeset] = list_changesets(conn)
+        assert execute(conn, "select * from conetl.changeset_published") == []
+        conn.rollback()
+        for _ in range(2):
+            assert json.loads(victim.run("ingest", small_drive, "--json").stdout)[0]["status"] == "no changes"
+            told = until(lambda: events_of(desk, str(changeset.changeset_id)), "its event", every_s=0.2)
+            assert told == ["conetl.changeset.committed"]
+        published = execute(conn, "select changeset_id from conetl.changeset_published")
+        assert published == [{"changeset_id": changeset.changeset_id}]
+
+
+def kill_at(point: str, home: Path, database_url: str, process: subprocess.Popen[bytes]) -> None:
+    """Kill the ingest as soon as it has come to `point`; later ones hold what it wants next, so that it stays there."""
+
+    def come_to(reached: Callable[[], object]) -> None:
+        until(lambda: process.poll() is not None or reached(), point, every_s=0.01)
         process.send_signal(signal.SIGKILL)
-    assert process.returncode == -signal.SIGKILL, "it was over before it was killed"
-    half = victim.final_tables()
-    assert not any(half.values()), "half-written"
-    assert victim.ingest(small_drive).status == "committed"
-    assert victim.final_tables() == clean_tables
+        process.wait()
+
+    if point == "matching":  # what was written before it lies there, and what others write now may be half done
+        come_to(lambda: len(list((home / "results").glob("*.parquet"))) >= 2)
+        return
+    with closing(connect(database_url)) as holder, closing(connect(database_url)) as watcher:
+
+        def found(sql: str) -> object:
+            rows = execute(watcher, sql)
+            watcher.rollback()
+            return rows
+
+        if point == "merge":
+            map_lock(holder, "default")
+            waiting = "select 1 from pg_locks where locktype = 'advisory' and not granted and database = "
+            come_to(lambda: found(f"{waiting}(select oid from pg_database where datname = current_database())"))
+        else:
+            execute(holder, "lock table conetl.changeset_published in access exclusive mode")
+            come_to(lambda: found("select 1 from conetl.changeset"))
 
 
 def events_of(desk: Desk, changeset_id: str) -> list[str]:
@@ -405,60 +421,6 @@ def events_of(desk: Desk, changeset_id: str) -> list[str]:
     return [event["event"] for event in answer.raise_for_status().json()["events"]]
 
 
-def test_what_a_run_that_was_killed_after_its_commit_left_pending_is_published_by_the_next(
-    desk: Desk, tmp_path: Path
-) -> None:
-    drive = cut_drive(SAMPLES[0], tmp_path / "pending", frames=range(6, 14))
-    url = desk.environment["CONETL_DATABASE_URL"]
-    with closing(connect(url)) as holder, closing(connect(url)) as watcher:
-        execute(holder, "lock table conetl.changeset_published in access exclusive mode")
-        with subprocess.Popen(
-            desk.command("ingest", drive), env=desk.environment, cwd=ROOT, stderr=subprocess.DEVNULL
-        ) as process:
-
-            def changesets() -> list[dict[str, Any]]:
-                assert process.poll() is None, "the ingest ended before its events"
-                found = execute(watcher, "select changeset_id::text as id from conetl.changeset")
-                watcher.rollback()
-                return found
-
-            committed = until(changesets, "the commit", every_s=0.01)
-            process.send_signal(signal.SIGKILL)
-        assert process.returncode == -signal.SIGKILL
-    changeset = committed[0]["id"]
-    for _ in range(2):
-        assert desk.run("ingest", drive, "--json").json[0]["status"] == "no changes"
-        told = until(lambda: events_of(desk, changeset), "the events of the changeset", every_s=0.2)
-        assert told == ["conetl.changeset.committed"]
-    with closing(connect(url)) as conn:
-        assert execute(conn, "select changeset_id::text as id from conetl.changeset_published") == committed
-
-
-def wait_for(point: str, home: Path, database_url: str, process: subprocess.Popen[bytes]) -> None:
-    """Return as soon as the ingest has come to `point`; for the merge, hold the map's lock so that it stays there."""
-
-    def come_to(reached: Callable[[], bool]) -> None:
-        until(lambda: process.poll() is not None or reached(), point, every_s=0.01)
-        assert process.poll() is None, f"the ingest ended before {point}"
-
-    if point == "matching":  # what was written before it lies there, and what others write now may be half done
-        come_to(lambda: len(list((home / "results").glob("*.parquet"))) >= 2)
-    else:
-        with closing(connect(database_url)) as holder, closing(connect(database_url)) as watcher:
-            from conetl.db.map.map_store import map_lock
-
-            map_lock(holder, "default")
-
-            def waiting() -> bool:
-                rows = execute(watcher, "select 1 from pg_locks where locktype = 'advisory' and not granted")
-                watcher.rollback()
-                return bool(rows)
-
-            come_to(waiting)
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-
-
 def test_without_services_nothing_is_written(office: Desk, small_drive: Path) -> None:
     nowhere = office.with_database("postgresql://conetl@127.0.0.1:9/nowhere")
     with pytest.raises(ServiceError, match="CONETL_DATABASE_URL") as missing:
@@ -466,8 +428,8 @@ def test_without_services_nothing_is_written(office: Desk, small_drive: Path) ->
     assert missing.value.exit_code == 3
     no_prefect = Desk({**office.environment, "PREFECT_API_URL": "http://127.0.0.1:9/api"})
     result = no_prefect.run("ingest", small_drive)
-    assert result.code == 3
-    assert "PREFECT_API_URL" in result.err
+    assert result.returncode == 3
+    assert "PREFECT_API_URL" in result.stderr
 
 
 def test_locate_and_detect_need_no_services(office: Desk, tmp_path: Path) -> None:
@@ -552,16 +514,17 @@ def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
         assert execute(conn, "select * from conetl.map") == []  # no part of the map
         conn.rollback()
         done = desk.run("ingest", small_drive, "--json")
-        assert done.code == 0, done.err
+        assert done.returncode == 0, done.stderr
         assert read_provisional(conn, map_name="default") == []
         conn.rollback()
         again = drive_page(conn, list_changesets(conn)[0], map_name="default")
+    [report] = json.loads(done.stdout)
     reports = Path(desk.environment["CONETL_HOME"]) / "exports" / "reports" / "default"
     assert (reports / "_b_small__b__drive.png").read_bytes().startswith(b"\x89PNG")
     page = (reports / "000001-_b_small__b__drive.html").read_text()
     assert name not in page and "&lt;b&gt;small&lt;/b&gt; drive" in page
-    for told in ("detect", "merge", "intervals measured", done.json[0]["content_sha256"], done.json[0]["model_sha256"]):
+    for told in ("detect", "merge", "intervals measured", report["content_sha256"], report["model_sha256"]):
         assert told in page, told
-    assert page.count("<figure>") == done.json[0]["counts"]["added"]
+    assert page.count("<figure>") == report["counts"]["added"]
     made = re.compile(r"Generated [0-9: -]+ UTC")
     assert made.sub("", again) == made.sub("", page)

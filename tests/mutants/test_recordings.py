@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import shutil
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,6 @@ from conetl.db.map.map_store import read_current_features
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import MapMismatchError
 from conetl.model.health import Verdict, hold_reason
-from conetl.model.ingest_report import DriveOnHoldError
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
@@ -100,26 +98,6 @@ def test_good_recordings_pass_and_are_sharp_in_all_parts(sample_settings: Settin
     checks = found.health
     assert checks and found.records.drive.unclear is None
     assert {check.verdict for check in checks} == {Verdict.PASS}, [c for c in checks if c.verdict is not Verdict.PASS]
-
-
-def test_ingest_of_a_drive_on_hold_ends_with_its_cause(
-    database_url: str, sample_settings: Settings, tmp_path: Path
-) -> None:
-    folder = tmp_path / "jumping"
-    shutil.copytree(SAMPLES[0], folder)
-    for path in sorted((folder / "oxts" / "data").iterdir())[20:]:
-        latitude, *others = path.read_text().split()
-        path.write_text(" ".join([str(float(latitude) + np.degrees(5.0 / 6_378_137.0)), *others]))
-    settings = sample_settings.model_copy(update={"database_url": SecretStr(database_url)})
-    for _ in range(2):  # a second time it is known, and on hold as before
-        with pytest.raises(DriveOnHoldError, match=r"on hold .* jumps by 5.0 m .* conetl drive accept jumping") as held:
-            ingest(folder, settings=settings)
-        report = held.value.report
-        assert held.value.exit_code == 1 and report.status == "held" and not report.counts_on_map
-        jump = next(check for check in report.health if check.verdict is Verdict.HOLD)
-        assert (jump.name, jump.value, jump.unit) == ("jumps of the poses", pytest.approx(5.0, abs=0.1), "m")
-    with closing(connect(database_url)) as conn:
-        assert not read_current_features(conn)
 
 
 def test_a_first_drive_on_hold_does_not_fix_the_crs_of_a_map(database_url: str, sample_settings: Settings) -> None:
