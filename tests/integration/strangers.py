@@ -7,7 +7,6 @@ import re
 import socket
 import subprocess
 import threading
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -43,15 +42,6 @@ def prefect_refuses_strangers(api: str) -> None:
         for parameters in ({"drive": 3}, {"drive": "/", "map_name": "../x"}, {"drive": "/", "params": {"model": "x"}}):
             body = {"parameters": parameters}
             assert client.post(f"/deployments/{drive}/create_flow_run", json=body).status_code in (409, 422)
-        run = client.post(f"/deployments/{drive}/create_flow_run", json={"parameters": {"drive": "/etc"}}).json()["id"]
-        while (state := client.get(f"/flow_runs/{run}").json()["state"])["type"] not in (
-            "FAILED",
-            "COMPLETED",
-            "CRASHED",
-        ):
-            time.sleep(0.5)
-        assert state["type"] == "FAILED"
-        assert "CONETL_DRIVE_ROOTS" in state["message"]
 
 
 def answers(client: httpx.Client, method: str, path: str) -> bool:

@@ -20,6 +20,8 @@ from conetl.files import home as homes
 from conetl.model.errors import DatabaseError, InputError, ServiceError
 from conetl.pipeline.settings import Settings, prefect_login
 from conetl.services.processes import require_access, unavailable
+from flows.backfill import backfill
+from flows.ingest_drive import ingest_drive
 
 SECRET = "desk:wide-open"
 VARIABLE = "PREFECT_SERVER_API_AUTH_STRING"
@@ -135,7 +137,7 @@ def test_a_home_folder_is_closed_and_shared_only_on_purpose(tmp_path: Path) -> N
         homes.share_home(home, "no-such-group")
 
 
-def test_workers_read_drives_below_the_configured_folders_only(tmp_path: Path) -> None:
+def test_workers_read_drives_below_the_configured_folders_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inside, outside = tmp_path / "drives" / "a", tmp_path / "drives2"
     inside.mkdir(parents=True)
     outside.mkdir()
@@ -146,3 +148,7 @@ def test_workers_read_drives_below_the_configured_folders_only(tmp_path: Path) -
     for path in (outside, tmp_path / "drives" / "link", tmp_path / "drives" / ".." / "drives2", Path("/")):
         with pytest.raises(InputError, match="CONETL_DRIVE_ROOTS"):
             settings.require_readable(path)
+    monkeypatch.setenv("CONETL_DRIVE_ROOTS", str(inside))
+    for flow in (ingest_drive, backfill):
+        with pytest.raises(InputError, match="CONETL_DRIVE_ROOTS"):
+            flow.fn(outside)
