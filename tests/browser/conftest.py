@@ -34,7 +34,7 @@ def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]
         yield f"http://127.0.0.1:{port}/"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Any]:
     with chromium() as found:
         yield found

@@ -83,8 +83,8 @@ def changed(address: str, browser: Any, size: str) -> dict[str, list[str]]:
 
 
 @pytest.fixture
-def task(page: Any, address: str, size: str, tmp_path: Path) -> Callable[..., Any]:
-    """Open the page, hand it over, and count; leaves a screenshot."""
+def task(page: Any, address: str, size: str) -> Callable[..., Any]:
+    """Open the page, hand it over, and count."""
     width, height = SIZES[size]
     page.set_viewport_size({"width": width, "height": height})
 
@@ -96,7 +96,6 @@ def task(page: Any, address: str, size: str, tmp_path: Path) -> Callable[..., An
         page.wait_for_function("() => document.querySelector('canvas[data-engine]').dataset.loading === '0'")
         hand = Hand(page)
         yield hand
-        page.screenshot(path=tmp_path / "end.png")
         assert hand.count <= MOST
         assert page.evaluate("document.scrollingElement.scrollWidth") <= width
 

@@ -70,6 +70,15 @@ def write_note(url: str) -> None:
         conn.commit()
 
 
+def up_without_notes(home: Path) -> str:
+    """The address of a cluster that other tests have used."""
+    url = cluster_up(home)
+    with closing(connect(url)) as conn:
+        execute(conn, "drop table if exists note")
+        conn.commit()
+    return url
+
+
 def count_notes(url: str) -> int:
     with closing(connect(url)) as conn:
         return int(execute(conn, "select count(*) as n from note")[0]["n"])
@@ -270,7 +279,10 @@ def retried(is_up: Callable[[], bool]) -> None:
 
 
 @pytest.mark.skipif(not has_containers(), reason="needs the right to make PID namespaces (root)")
-def test_a_server_in_another_container_is_left_alone(home: Path) -> None:
+def test_a_server_in_another_container_is_left_alone(used_home: Path) -> None:
+    home = used_home
+    up_without_notes(home)
+    cluster_down(home)
     with server_in_a_container(home) as url:
         write_note(url)
         for attempt in (cluster_up, cluster_remove):
@@ -291,8 +303,9 @@ def test_a_server_in_another_container_is_left_alone(home: Path) -> None:
     assert count_notes(url) == 2
 
 
-def test_what_a_pid_file_means_depends_on_where_it_was_written(home: Path) -> None:
-    write_note(cluster_up(home))
+def test_what_a_pid_file_means_depends_on_where_it_was_written(used_home: Path) -> None:
+    home = used_home
+    write_note(up_without_notes(home))
     place = find_location(home)
     assert place is not None
     host_file, pid_file = place.directory / "server.host", place.data / "postmaster.pid"
@@ -332,9 +345,10 @@ def test_what_a_pid_file_means_depends_on_where_it_was_written(home: Path) -> No
     assert is_up()
 
 
-def test_status_and_down_tell_of_what_runs_on_another_host(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing there may be called stopped, or be forgotten."""
-    write_note(cluster_up(home))
+def test_status_and_down_tell_of_what_runs_on_another_host(used_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing there may be called stopped, or be forgotten. Last in this file: its server is gone then."""
+    home = used_home
+    cluster_up(home)
     place = find_location(home)
     assert place is not None
     host_file = place.directory / "server.host"

@@ -50,12 +50,12 @@ def lock(conn, survey):
 def impatient(database_url):
     """A session that waits for nobody for long; `merge` has a timeout of its own."""
     with pytest.MonkeyPatch.context() as patch, closing(connect(database_url)) as conn:
-        patch.setattr("tests.integration.drives_of_days.drive_transaction", waits_for_two_seconds)
+        patch.setattr("tests.integration.drives_of_days.drive_transaction", waits_for_half_a_second)
         yield conn
 
 
-def waits_for_two_seconds(conn, map_name):
-    return drive_transaction(conn, map_name, lock_timeout_s=2.0)
+def waits_for_half_a_second(conn, map_name):
+    return drive_transaction(conn, map_name, lock_timeout_s=0.5)
 
 
 def test_a_drive_elsewhere_is_merged_beside_a_transaction_that_is_open(conn, impatient):

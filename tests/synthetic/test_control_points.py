@@ -112,17 +112,6 @@ def sample() -> tuple[Drive, np.ndarray]:
     return read_drive(SAMPLE)[0], np.array([cone.xyz_m for cone in cones])
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Detections are the same in all tests."""
-    return tmp_path_factory.mktemp("home")
-
-
-def analysed(drive: Drive, pairs: list[FramePair], points: list[SurveyedPoint], home: Path) -> AnalysedDrive:
-    changed = drive.model_copy(update={"frame_pairs": tuple(pairs), "control_points": tuple(points)})
-    return analyse(changed, settings=Settings(home=home, workers=2))
-
-
 def largest_chi2(found: AnalysedDrive, feet: np.ndarray) -> float:
     """Of the cones against their true feet."""
     chi2 = []
@@ -135,13 +124,15 @@ def largest_chi2(found: AnalysedDrive, feet: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("drifts", "sigma_m"), [(False, 0.5), (True, None)])
 def test_three_points_correct_a_log_that_is_half_a_metre_off(
-    drifts: bool, sigma_m: float | None, sample: tuple[Drive, np.ndarray], home: Path
+    drifts: bool, sigma_m: float | None, sample: tuple[Drive, np.ndarray], sample_settings: Settings
 ) -> None:
     """Also where it states 2 cm: then the check says so."""
     drive, feet = sample
     share = np.linspace(0, 1, len(drive.frame_pairs)) if drifts else np.ones(len(drive.frame_pairs))
     pairs = moved(drive.frame_pairs, share[:, None] * OFF_M, sigma_m)
-    found = analysed(drive, pairs, surveyed(feet[[0, 3, 6]], np.random.default_rng(1)), home)
+    points = surveyed(feet[[0, 3, 6]], np.random.default_rng(1))
+    changed = drive.model_copy(update={"frame_pairs": tuple(pairs), "control_points": tuple(points)})
+    found = analyse(changed, settings=sample_settings)
     control = found.trajectory.control
     assert control is not None and control in found.health
     assert control.verdict is (Verdict.PASS if sigma_m else Verdict.CORRECTED)

@@ -59,9 +59,9 @@ def sample(whole: Drive) -> Drive:
 
 
 @pytest.fixture(scope="module")
-def cones(whole: Drive, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+def cones(whole: Drive, sample_settings: Settings) -> np.ndarray:
     """(N, 3) as found in the images."""
-    found = analyse(whole, settings=Settings(home=tmp_path_factory.mktemp("home"), workers=2))
+    found = analyse(whole, settings=sample_settings)
     return np.array([track.xyz_m for track in found.tracks])
 
 
