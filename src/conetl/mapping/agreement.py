@@ -29,6 +29,8 @@ from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
 
+#: Positions (N, 3) and classes (N,) of tracks or features.
+_Places = tuple[Floats, NDArray[np.str_]]
 #: Sigmas of a common displacement that the stated ones do not explain.
 _MAX_SIGMAS = 5.0
 #: Smaller displacements and height differences are left to the fusion.
@@ -100,7 +102,7 @@ def _displaced(
 ) -> HealthCheck | None:
     """The common displacement of a drive's cones against the map's; None where the stated sigmas cover it."""
     places, on_map = _places(tracks), _places(features)
-    t, f = places.xyz_m, on_map.xyz_m
+    t, f = places[0], on_map[0]
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
     # GNSS without a fix lies metres aside, as its sigmas say: only the heights are compared after its offset is taken out.
@@ -213,22 +215,15 @@ def _arranged_alike(
     return _aside(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
 
 
-class _Places(NamedTuple):
-    """Positions (N, 3) and classes (N,) of tracks or features."""
-
-    xyz_m: Floats
-    classes: NDArray[np.str_]
-
-
 def _places(objects: Sequence[Track | MapFeature]) -> _Places:
-    return _Places(xyz_of(objects), classes_of(objects))
+    return xyz_of(objects), classes_of(objects)
 
 
 def _same_positions(tracks: _Places, features: _Places, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
     """Which tracks, moved back by `shift_m` (3,), stand where features of the same class stand, whatever the heights."""
-    t, f = tracks.xyz_m, features.xyz_m
+    (t, t_classes), (f, f_classes) = tracks, features
     rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
-    alike = tracks.classes[rows] == features.classes[columns]  # a sign may hang above a cone
+    alike = t_classes[rows] == f_classes[columns]  # a sign may hang above a cone
     rows, columns = rows[alike], columns[alike]
     return assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
 

@@ -79,8 +79,7 @@ def reconcile(
     vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
     moved = moves(map_xyz_m, tracks, free, features, vanished, params)
-    moving = set(moved.values())
-    free = [i for i in free if i not in moving]
+    free = sorted(set(free).difference(moved.values()))
     halves = _halves(map_xyz_m, tracks, free, features, pairs, params)
     evidence_for = {
         j: observed(features[j], summaries.get(features[j].feature_id), tracks[i])

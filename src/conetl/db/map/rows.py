@@ -147,13 +147,12 @@ def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUI
     nothing stands.
     """
     changes = _change_columns(deltas)
-    hidden = [d.feature_id in suppressed for d in deltas]
     new_version = changes.pop("new_version")  # numbered when the deltas are merged
     return {
         **changes,
         "is_change": binary.booleans(new_version.values != changes["old_version"].values),
-        "present": binary.booleans([d.new is not None and not hide for d, hide in zip(deltas, hidden, strict=True)]),
-        "suppressed": binary.booleans([d.new is not None and hide for d, hide in zip(deltas, hidden, strict=True)]),
+        "present": binary.booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
+        "suppressed": binary.booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
         **feature_columns(srid, [delta.state_after for delta in deltas]),
     }
 
