@@ -138,8 +138,9 @@ def frozen(folder: Path, *cameras: str, first: float = 0.0) -> None:
 
 
 @prepared
-def log(folder: Path, change: Callable[[Sequence[float]], Sequence[float]]) -> None:
-    """Other latitude, longitude and height (degrees, m) in every record of the GNSS/INS log."""
+def log(folder: Path, change: Callable[[Sequence[float]], Sequence[float]], first: int = 0, last: int = 3) -> None:
+    """Other fields in every record of the GNSS/INS log: latitude, longitude and height (degrees, m) unless others are named."""
     for path in (folder / "oxts" / "data").iterdir():
         fields = path.read_text().split()
-        path.write_text(" ".join([*(f"{value:.12f}" for value in change([*map(float, fields[:3])])), *fields[3:]]))
+        fields[first:last] = [f"{value:.12f}" for value in change([*map(float, fields[first:last])])]
+        path.write_text(" ".join(fields))

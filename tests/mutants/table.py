@@ -159,6 +159,7 @@ def _logs() -> list[WrongRecording]:
             for ms in (-200, -100, -50, -20, -10, 10, 20, 50, 100, 200)
         ),
         *(WrongRecording(f"clock {ms:+d} ms", clock(ms), cause=_CLOCK) for ms in (-500, 500)),
+        WrongRecording("variances as sigmas", files=images.log(lambda p: [p[0] ** 2], 23, 24), cause="a variance"),
         WrongRecording("poses in reverse", reversed_poses, cause="reverse order", fast=True),
         WrongRecording("GNSS frozen", frozen_place(), cause="is it frozen", fast=True),
         WrongRecording("GNSS frozen from the middle on", frozen_place(0.5), cause="GNSS/INS"),

@@ -16,7 +16,7 @@ from pydantic import SecretStr
 from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import read_current_features
 from conetl.geometry.packing import cov_matrix
-from conetl.model.errors import MapMismatchError
+from conetl.model.errors import DriveFolderError, MapMismatchError
 from conetl.model.health import Verdict, hold_reason
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.analysis import AnalysedDrive, analyse
@@ -55,6 +55,11 @@ def test_a_recording_that_contradicts_itself_is_held(
     assert recording.cause is not None
     reason = hold_reason(analyse(drive, settings=sample_settings).health)
     assert re.search(recording.cause, reason or "")
+
+
+def test_variances_in_place_of_sigmas_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DriveFolderError, match=r"0.0004 m \(median\).* a variance .*horizontal_m: 0.02"):
+        NAMED["variances as sigmas"].read(FIRST, tmp_path)
 
 
 @pytest.mark.parametrize("milliseconds", [-100, 50, 200])

@@ -189,6 +189,31 @@ def test_nmea_over_midnight_and_with_its_date_later(tmp_path: Path) -> None:
     )
 
 
+def test_nmea_after_a_gap_of_half_a_day_is_of_the_same_day(tmp_path: Path) -> None:
+    text = "".join(
+        files.write_nmea(tmp_path, files.known(start=start), rmc_first=1000).read_text()
+        for start in (datetime(2024, 2, 7, 0, 30, tzinfo=UTC), datetime(2024, 2, 7, 14, 30, tzinfo=UTC))
+    )
+    (tmp_path / "log.nmea").write_text(text)
+    found = read_trajectory(tmp_path / "log.nmea", TrajectoryFile(date=date(2024, 2, 7)))
+    assert found.times_ns[-1] - found.times_ns[0] == (14 * 3600 + 39 * 100 // 1000) * SECOND_NS + 9 * 10**8
+
+
+@pytest.mark.parametrize(
+    ("write", "settings"),
+    [
+        (files.write_nmea, {}),
+        (files.write_rtklib, {}),
+        (files.write_inertial_explorer, {}),
+        (files.write_sbet, {"week": files.WEEK - 1024}),
+    ],
+)
+def test_weeks_that_began_anew_are_no_time_of_a_drive(write: Any, settings: dict[str, Any], tmp_path: Path) -> None:
+    path = write(tmp_path, files.known(start=files.START - timedelta(weeks=1024)))
+    with pytest.raises(DriveFolderError, match=r"before 2008: .* GPS week began anew"):
+        read_trajectory(path, TrajectoryFile(**settings))
+
+
 @pytest.mark.parametrize(
     ("column", "first", "settings", "shift_s"),
     [
@@ -266,6 +291,39 @@ def test_a_damaged_line_costs_its_record(tmp_path: Path) -> None:
     assert list(found.bad) == [t.times_ns[5], t.times_ns[17]]
     assert found.bad[int(t.times_ns[5])].startswith("line 8: the latitude")
     assert "second record" in found.bad[int(t.times_ns[17])]
+
+
+def with_second_receiver(path: Path, aside_m: float, alternating: bool) -> Path:
+    """The GGA sentences of another receiver, so far north, after or before those of the same epoch."""
+    t, lines = files.known(), path.read_text().splitlines()
+    moved = t._replace(llh=t.llh + np.array([aside_m / 111_195.0, 0.0, 0.0]))
+    other = files.write_nmea(path.parent, moved).read_text().splitlines()
+    for i in range(0, len(lines), len(lines) // files.COUNT):
+        both = [lines[i], files.sentence(other[i][1:-3].replace("GNGGA", "GPGGA"))]
+        lines[i] = "\n".join(both[::-1] if alternating and i % 2 else both)
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("alternating", [False, True])
+def test_two_receivers_in_one_log_are_refused(alternating: bool, tmp_path: Path) -> None:
+    path = with_second_receiver(files.write_nmea(tmp_path), 1.2, alternating)
+    with pytest.raises(
+        DriveFolderError, match=r"40 records have the time .* 1.2 m off, the first at 2024-02-07T09:15:00"
+    ):
+        read_trajectory(path)
+
+
+def test_two_talkers_with_one_position_are_one_receiver(tmp_path: Path) -> None:
+    found = read_trajectory(with_second_receiver(files.write_nmea(tmp_path), 0.05, True))
+    assert len(found.times_ns) == files.COUNT
+
+
+def test_times_without_their_fractions_are_refused(tmp_path: Path) -> None:
+    t = files.known()
+    path = files.write_csv(tmp_path, t._replace(times_ns=t.times_ns // SECOND_NS * SECOND_NS, sigma=0.1 * t.sigma))
+    with pytest.raises(DriveFolderError, match=r"36 records have the time of another one.*whole times"):
+        read_trajectory(path)
 
 
 def test_quality_of_rtklib(tmp_path: Path) -> None:

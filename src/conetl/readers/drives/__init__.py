@@ -6,6 +6,7 @@ To add a format, write a module that provides what `formats.DriveFormat` lists, 
 from __future__ import annotations
 
 from pathlib import Path
+from statistics import median
 
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, reached
@@ -20,6 +21,8 @@ from conetl.readers.surveyed_points import read_surveyed_points
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
 
+#: The best logs of a moving vehicle are good to 5 mm; 0.02 m, squared, is less than this.
+_LEAST_SIGMA_M = 1e-3
 #: The first format that matches reads the drive.
 FORMATS: tuple[DriveFormat, ...] = (plain, euroc, ros_bag, video, kitti)
 
@@ -63,8 +66,20 @@ def read_drive(
         points = _control_file(source)
         drive, rejections = found.read(source)
         drive = drive.model_copy(update={"control_points": _control_points(source, points, drive.map_srid)})
+    _require_plausible_sigmas(drive)
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
+
+
+def _require_plausible_sigmas(drive: Drive) -> None:
+    """Raise DriveFolderError where the positions of a vehicle are said to be better than any survey is."""
+    stated_m = median(max(pair.pose.sigma_enu_m[:2]) for pair in drive.frame_pairs)
+    if stated_m < _LEAST_SIGMA_M:
+        raise DriveFolderError(
+            f"{drive.source_path}: the sigma of the positions is {stated_m:.2g} m (median), but no GNSS/INS knows a vehicle "
+            f"to {_LEAST_SIGMA_M:g} m: is it a variance (m²), or in another unit? State the sigma in drive.yaml, for example "
+            f"'sigmas: {{horizontal_m: {stated_m**0.5 or 0.02:.2g}}}'"
+        )
 
 
 def _control_file(source: Source) -> Path | None:

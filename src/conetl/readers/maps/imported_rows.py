@@ -33,6 +33,8 @@ _MARGIN_DEG = 3.0
 #: Columns that only exports of history and of changes have.
 _HISTORY_COLUMNS = ("system_from", "change", "old_easting_m")
 _WGS84 = CRS("OGC:CRS84")
+#: 2000-01-01: signs and markings of a register may be older than any drive.
+_EARLIEST_NS = 946_684_800_000_000_000
 #: Degrees with so many decimals are exact to a centimetre; fewer rows may have fewer by chance.
 _ENOUGH_DECIMALS, _LEAST_ROUNDED, _METRES_PER_DEGREE = 7, 3, 111_195.0
 
@@ -111,7 +113,7 @@ def read_map_file(
     sha256 = _content_sha256(table)
     rows = _Rows(table, params)
     stated_ns = rows.latest_ns() if stated_at is None else ns_from_utc(stated_at)
-    if problem := clock_problem(stated_ns):
+    if problem := clock_problem(stated_ns, _EARLIEST_NS):
         raise InputError(f"{path}: the time of the survey (--surveyed-at), {stated_at}, {problem}; nothing was written")
     ids = rows.ids(sha256)
     statements = [rows.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
@@ -236,7 +238,7 @@ class _Rows:
                 time_ns = ns_from_utc(instant if instant.tzinfo else instant.replace(tzinfo=UTC))
             except (ValueError, OverflowError):
                 raise self.fail(index, f"{name} is {shown(value)}, expected a time like 2026-03-02T10:00:00Z") from None
-        if problem := clock_problem(time_ns):
+        if problem := clock_problem(time_ns, _EARLIEST_NS):
             raise self.fail(index, f"{name}, {shown(value)}, {problem}")
         return time_ns
 

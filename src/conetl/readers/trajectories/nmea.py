@@ -23,7 +23,7 @@ from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import LEVEL_SIGMA_RAD
 from conetl.readers.trajectories.text import line_blocks
-from conetl.readers.trajectories.times import DAY_NS, Times, decimal_ns
+from conetl.readers.trajectories.times import DAY_NS, SECOND_NS, Times, decimal_ns
 
 MAX_BYTES = 1 << 30
 """About six million epochs of GGA, RMC and GST."""
@@ -32,6 +32,8 @@ SIGMAS_OF_QUALITY_M = {1: (5.0, 10.0), 2: (2.0, 4.0), 3: (5.0, 10.0), 4: (0.05, 
 They are multiplied by HDOP where it is above 1."""
 HEADING_SIGMA_DEG = 1.0
 """Of HDT and THS, which state none: two antennas half a metre apart."""
+LATE_NS = 60 * SECOND_NS
+"""Sentences of one day come no later among those of the next; a later time of day after a gap is of the same day."""
 _NO_FIX = {
     0: "there was no fix",
     6: "an estimate without satellites, and no GST says how good",
@@ -114,7 +116,7 @@ class _Log:
     def _at(self, time_of_day_ns: int) -> int:
         """Time of a sentence; a time of day that begins anew is on the next day, late sentences are on the day before."""
         step = time_of_day_ns - self.last_ns if self.last_ns >= 0 else 0
-        if step > DAY_NS // 2:
+        if step > DAY_NS - LATE_NS:
             return (self.day - 1) * DAY_NS + time_of_day_ns
         if step < -DAY_NS // 2:
             self.day += 1

@@ -25,6 +25,10 @@ VERTICAL_FACTOR = 1.5
 """The height of a GNSS fix is about this much less accurate than its horizontal position."""
 MAX_LOCAL_M = 1e6
 """Positions in a local frame are nearer to its origin."""
+SAME_M, UNSTATED_M, DEGREE_M = 0.1, 1.0, 111_195.0
+"""Two records of one time are no farther apart than this and 3 sigmas, 1 m where none are stated; metres of a degree."""
+LEAST_SECOND, LEAST_SECOND_SHARE = 4, 0.05
+"""More records than these, and than this share, contradict another one of their time: not damage, but another receiver."""
 MAX_RECORDS = 20_000_000
 """27 hours at 200 Hz; a record takes about 150 bytes. More are read by time only."""
 MAX_BAD = 100_000
@@ -152,6 +156,8 @@ def assembled(
     first = np.diff(times[order], prepend=0) > 0
     for time_ns in times[order[~first]][: MAX_BAD - len(bad)].tolist():
         bad[time_ns] = "a second record of this time"
+    if not first.all():
+        _require_one_receiver(path, kept, order, first, is_local)
     # Of most files all records stay where they are, and need no copy.
     keep: Any = slice(None) if first.all() and bool(np.all(np.diff(times) > 0)) else order[first]
     positions = np.concatenate([piece.positions for piece in kept])[keep]
@@ -161,6 +167,26 @@ def assembled(
     kept.clear()
     rotations = np.concatenate(parts)[keep] if parts else None
     return RecordedTrajectory(name, times[keep], positions, is_local, rotations, sigma, dict(sorted(bad.items())))
+
+
+def _require_one_receiver(path: Path, kept: Sequence[Records], order: Any, first: Any, is_local: bool) -> None:
+    """Raise DriveFolderError where many records have the time of another one and a position that contradicts it.
+
+    order (N,): of the records of all pieces by time; first (N,): which of them are the first of their time.
+    """
+    times, at, sigma = (np.concatenate([part[k] for part in kept])[order] for k in (0, 1, 3))
+    other = np.flatnonzero(first)[np.cumsum(first) - 1]
+    metres = 1.0 if is_local else np.column_stack([np.full(len(at), DEGREE_M), DEGREE_M * np.cos(np.radians(at[:, 0]))])
+    apart_m = np.linalg.norm((at - at[other])[:, :2] * metres, axis=1)
+    stated_m = np.nan_to_num(np.linalg.norm(sigma[:, :2], axis=1), nan=UNSTATED_M)
+    contradict = apart_m > SAME_M + 3.0 * np.hypot(stated_m, stated_m[other])
+    if contradict.sum() > max(LEAST_SECOND, LEAST_SECOND_SHARE * first.sum()):
+        at_first = np.datetime64(int(times[contradict][0]), "ns").astype("datetime64[ms]")
+        raise DriveFolderError(
+            f"{path}: {contradict.sum():,} records have the time of another one, but are up to {apart_m.max():.1f} m off, "
+            f"the first at {at_first} UTC: two receivers (NMEA: talkers) or logs in one file, or times without fractions of a "
+            "second. Keep the records of one receiver, with their whole times"
+        )
 
 
 def problems(piece: Records, is_local: bool) -> dict[int, str]:

@@ -30,8 +30,9 @@ Times = NDArray[np.int64]
 SECOND_NS = 1_000_000_000
 DAY_NS = 86_400 * SECOND_NS
 WEEK_NS = 7 * DAY_NS
-EARLIEST_NS = 946_684_800_000_000_000
-"""2000-01-01. A clock that was not set starts in 1970 or 1980; no drive is that old."""
+EARLIEST_NS = 1_199_145_600_000_000_000
+"""2008-01-01. A clock that was not set starts in 1970 or 1980, and a receiver whose GPS week began anew after 1024 weeks dates
+what it records until August 2027 before this; no drive is that old."""
 MAX_AHEAD_NS = DAY_NS
 """A day: this computer's clock may be wrong, too, by a time zone."""
 MAX_FROM_MEDIAN_NS = DAY_NS
@@ -57,10 +58,11 @@ _STAMP = re.compile(
 )
 
 
-def clock_problem(time_ns: int) -> str | None:
+def clock_problem(time_ns: int, earliest_ns: int = EARLIEST_NS) -> str | None:
     """What is wrong with the clock of a time, None where nothing is. To be put after "the time"."""
-    if time_ns < EARLIEST_NS:
-        return "is before 2000: the clock was not set"
+    if time_ns < earliest_ns:
+        year = np.datetime64(earliest_ns, "ns").astype("datetime64[Y]")
+        return f"is before {year}: the clock was not set, or its GPS week began anew (1024 weeks too early)"
     if time_ns > time.time_ns() + MAX_AHEAD_NS:
         return "is more than a day in the future: another clock"
     return None
