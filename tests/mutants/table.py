@@ -257,6 +257,10 @@ def _cameras() -> list[WrongRecording]:
         wrong("sides swapped", images.swapped, _SIDES),
         wrong("images mirrored", both(images.mirrored), _SIDES),
         wrong("images upside down", both(images.upside_down), _SIDES),
+        wrong(
+            "right images mirrored from the middle on", only_right(images.mirrored), "none of the .* do not belong together",
+            0.5, (FIRST, SECOND),
+        ),
         WrongRecording("both cameras frozen", files=images.frozen(*images.CAMERAS), cause="repeats its image", on=_IMAGES),
         WrongRecording("left camera frozen", files=images.frozen("image_02"), cause="repeats its image", on=(FIRST, SECOND)),
         WrongRecording("right camera frozen", files=images.frozen("image_03"), cause="repeats its image", on=(FIRST, SECOND)),

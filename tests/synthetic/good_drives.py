@@ -119,12 +119,13 @@ def draw_drive(
     if rng.uniform() < 0.6:
         first = int(rng.integers(len(motions)))
         lost[first : first + int(rng.uniform(0.1, 0.25) * len(motions))] = True
-    motions = [m if not gone else _failed(m) for m, gone in zip(motions, lost, strict=True)]
+    motions = [m if not gone else failed(m) for m, gone in zip(motions, lost, strict=True)]
     kind = f"{'RTK' if rtk else 'plain GNSS'}, {'with bends' if turns else 'straight'}"
     return GoodDrive(kind, truth, logged, motions, offset_s)
 
 
-def _failed(motion: RelativeMotion) -> RelativeMotion:
+def failed(motion: RelativeMotion) -> RelativeMotion:
+    """The same interval, not measured."""
     return motion.model_copy(update={"second_SE3_first": None, "cov": (), "reason": "too_few_points"})
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.stats import chi2
 
 from conetl.model.health import hold_reason
 from conetl.tracking.trajectory import RefinementOutcome
-from tests.synthetic.good_drives import checked, clock_of, draw_drive
+from tests.synthetic.good_drives import checked, clock_of, draw_drive, failed
 
 
 def test_good_drives_are_not_held() -> None:
@@ -15,6 +17,15 @@ def test_good_drives_are_not_held() -> None:
         refined, checks = checked(draw_drive(np.random.default_rng(seed)))
         assert refined.outcome is RefinementOutcome.REFINED
         assert hold_reason(checks) is None
+
+
+def test_a_part_of_a_drive_whose_images_cannot_be_followed_is_held() -> None:
+    """The right camera is mirrored from there on, say."""
+    drive = draw_drive(np.random.default_rng(14), lasts_s=10.0)
+    first = len(drive.motions) * 6 // 10
+    motions = [*drive.motions[:first], *map(failed, drive.motions[first:])]
+    reason = hold_reason(checked(replace(drive, motions=motions))[1])
+    assert reason is not None and f"from frame pair {drive.logged[first].frame_index} on, although" in reason
 
 
 def test_motions_that_only_the_stated_heading_errors_turn_are_kept() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.small_arrays import cross_matrix
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Ints
 from conetl.model.health import CALIBRATION, HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import MIN_DETAIL, FramePair, Rig
@@ -37,6 +37,8 @@ _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 _MAX_SCALE_SIGMAS = 3.2
 #: Cameras look aside by more than so much (rad), and by so many of its sigmas: sample drives and KITTI by up to 0.27 degrees.
 _ASIDE_RAD, _ASIDE_SIGMAS = np.radians(0.25), 4.5
+#: Of all intervals at most so many in a row cannot be measured, as behind a lorry.
+_LOST_SHARE = 0.35
 #: Of normally distributed values, from the median of their absolute deviations and the square root of their number.
 _SIGMA_OF_MEDIAN = 1.4826 * np.sqrt(np.pi / 2)
 #: A drift is at least so many metres, and so many sigmas of the change of the log's errors.
@@ -71,7 +73,7 @@ def check_trajectory(
         return [check_jumps(frame_pairs, rig, measured, good)]
     residual = motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
     checks = [
-        _measured(frame_pairs, rig, len(measured.start)),
+        _measured(frame_pairs, rig, measured.start),
         _agreement(frame_pairs, rig, measured, good, residual),
         *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
         check_jumps(frame_pairs, rig, measured, good),
@@ -150,21 +152,32 @@ def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: Me
     return [HealthCheck(name="driving direction", verdict=verdict, value=float(count), limit=limit, detail=detail)]
 
 
-def _measured(frame_pairs: Sequence[FramePair], rig: Rig, measured: int) -> HealthCheck:
-    """Whether images that show enough for it can be followed from frame to frame."""
-    intervals = len(frame_pairs) - 1
+def _measured(frame_pairs: Sequence[FramePair], rig: Rig, starts: Ints) -> HealthCheck:
+    """Whether images that show enough for it can be followed from frame to frame, in no long part of the drive not at all.
+
+    starts (K,): numbers of the first frame pairs of the intervals that visual odometry measured.
+    """
+    intervals, measured = len(frame_pairs) - 1, len(starts)
     share = measured / intervals
-    seeing = np.median([pair.detail if pair.detail is not None else 0.0 for pair in frame_pairs]) >= MIN_DETAIL
-    lost = seeing and share < _LEAST_MEASURED_SHARE
+    details = np.array([pair.detail if pair.detail is not None else 0.0 for pair in frame_pairs])
+    unmeasured = np.minimum(details[:-1], details[1:]) >= MIN_DETAIL
+    unmeasured[starts] = False
+    steps = np.flatnonzero(np.diff(unmeasured, prepend=False, append=False)).reshape(-1, 2)
+    first, end = max(steps.tolist(), key=lambda ends: ends[1] - ends[0], default=(0, 0))
+    in_part = end - first > _LOST_SHARE * intervals
+    lost = np.median(details) >= MIN_DETAIL and share < _LEAST_MEASURED_SHARE
     detail = f"Visual odometry measured {measured} of {intervals} intervals between frame pairs."
-    if lost:
+    if lost or in_part:
+        where = f"only {measured} of {intervals} intervals"
+        if not lost:
+            where = f"none of the {end - first} intervals from frame pair {frame_pairs[first].frame_index} on"
         detail = (
-            f"Visual odometry could measure only {measured} of {intervals} intervals, although the images show enough: the poses "
+            f"Visual odometry could measure {where}, although the images show enough: the poses "
             "are not those of these images, or left and right images do not belong together. Check numbers, order and time "
             f"stamps of images and poses.{_against_itself(frame_pairs, rig)}"
         )
     return HealthCheck(
-        name="intervals measured by visual odometry", verdict=Verdict.HOLD if lost else Verdict.PASS, value=share,
+        name="intervals measured by visual odometry", verdict=Verdict.HOLD if lost or in_part else Verdict.PASS, value=share,
         limit=_LEAST_MEASURED_SHARE, detail=detail,
     )  # fmt: skip
 
