@@ -42,7 +42,7 @@ Longitude = Annotated[float, Field(ge=-180, le=180)]
 MIN_HEIGHT_M, MAX_HEIGHT_M = -500.0, 9_000.0
 Height = Annotated[float, Field(ge=MIN_HEIGHT_M, le=MAX_HEIGHT_M)]
 MIN_BASELINE_M, MAX_BASELINE_M = 0.01, 10.0
-MAX_LEVER_ARM_M = 100.0
+MAX_LEVER_ARM_M = 20.0
 MAX_SPEED_M_S = 100.0
 #: A 100-megapixel camera still fits.
 MAX_IMAGE_PIXELS = 2**27

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from conetl.files.documents import read_yaml_mapping, shown, validated
 from conetl.files.names import printable
 from conetl.model.errors import DriveFolderError, InputError
-from conetl.model.records import GeodeticPosition, Positive, Record
+from conetl.model.records import MAX_LEVER_ARM_M, GeodeticPosition, Positive, Record
 from conetl.perception.video import Layout
 from conetl.readers.trajectories.settings import TrajectoryFile, known_zone
 
@@ -19,6 +19,7 @@ DRIVE_YAML = "drive.yaml"
 MAX_POSE_GAP_S = 0.5
 #: A clock is not searched over more than two hours on either side.
 MAX_SEARCH_S = 7200.0
+Metres = Annotated[float, Field(ge=-MAX_LEVER_ARM_M, le=MAX_LEVER_ARM_M)]
 
 
 class Cameras(Record):
@@ -93,9 +94,9 @@ class Images(Record):
 class Mount(Record):
     """The left camera on the body whose trajectory was recorded (an IMU, or the antenna), for a rig.yaml without its pose."""
 
-    forward_m: float = Field(ge=-20, le=20)
-    left_m: float = Field(ge=-20, le=20)
-    up_m: float = Field(ge=-20, le=20)
+    forward_m: Metres
+    left_m: Metres
+    up_m: Metres
     roll_deg: float = Field(default=0.0, ge=-180, le=180)
     """Positive with the left side up."""
     pitch_deg: float = Field(default=0.0, ge=-90, le=90)
@@ -158,7 +159,7 @@ class DriveYaml(Record):
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
     max_pose_gap_s: float | None = Field(default=None, gt=0, le=3600)
     """Poses farther apart in time are not interpolated: 0.5 s, of trajectories with fewer records see `sparse_poses.py`."""
-    antenna_t_m: tuple[float, float, float] | None = None
+    antenna_t_m: tuple[Metres, Metres, Metres] | None = None
     """The GNSS antenna in the frame of the attitudes (of bags the IMU's, where /tf_static has none); 0, 0, 0 if the positions are
     those of its origin."""
 
