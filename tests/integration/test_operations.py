@@ -142,6 +142,7 @@ def desk(services_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
     environment = {
         "CONETL_HOME": str(home), "CONETL_DROP_FOLDER": str(tmp_path_factory.mktemp("arrivals")),
         "CONETL_DRIVE_ROOTS": tempfile.gettempdir(), "PREFECT_SERVER_API_AUTH_STRING": AUTH, "PREFECT_WORKER_QUERY_SECONDS": "2",
+        "CONETL_DROP_QUIET_MINUTES": "1000",  # a busy machine needs more than the usual 10 for this file
         "TMPDIR": str(scratch),  # a run that is killed leaves its working folder
     }  # fmt: skip
     port = free_port(HOST)
