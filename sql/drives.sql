@@ -218,6 +218,55 @@ and case
 end
 order by d.changeset_no;
 
+-- name: drives_with_boxes
+-- The active drives with other content that are not on hold and whose left images, of the same size, have the boxes of some images
+-- of another drive: at times that are all off by one time, in least_images of these images and for least_share of the boxes
+-- of the time that both have in common.
+-- Parameters: map_name; content_sha256; srid; width_px, height_px; at_ns, eastings_m, northings_m, x_px, y_px, w_px, h_px (arrays: the
+-- boxes, with time and position of their images); within_m (of the positions), same_px (of each number), same_ns (of offsets);
+-- least_images, least_share. Columns: drive_uuid, drive_id, changeset_no, rig, is_alike (false).
+with box as materialized (
+    select * from unnest(%(at_ns)s::bigint[], %(eastings_m)s::float8[], %(northings_m)s::float8[], %(x_px)s::float8[],
+        %(y_px)s::float8[], %(w_px)s::float8[], %(h_px)s::float8[]) with ordinality as b (at_ns, easting_m, northing_m, x, y, w, h, n)
+),
+image as materialized (
+    select b.at_ns,
+        ST_Expand(ST_SetSRID(ST_MakePoint(min(b.easting_m), min(b.northing_m)), %(srid)s), %(within_m)s) as square
+    from box b
+    group by b.at_ns
+)
+select d.drive_uuid, d.drive_id, d.changeset_no, d.rig, false as is_alike
+from conetl.active_drive d
+join conetl.map m on m.map_id = d.map_id
+where m.map_name = %(map_name)s and m.srid = %(srid)s and ST_SRID(d.area) = %(srid)s
+and d.content_sha256 <> %(content_sha256)s
+and (d.rig->'left'->>'width_px')::integer = %(width_px)s and (d.rig->'left'->>'height_px')::integer = %(height_px)s
+and exists (select from image i where d.area && i.square)
+and not exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id)
+and exists (
+    with same as materialized (
+        select b.n, b.at_ns, f.captured_at_ns - b.at_ns as off_ns
+        from image i
+        join conetl.frame_pair f on f.drive_uuid = d.drive_uuid and f.geom && i.square
+        join box b on b.at_ns = i.at_ns
+        join conetl.detection t on t.drive_uuid = d.drive_uuid and t.frame_index = f.frame_index and t.side = 'left'
+        where greatest(abs(t.x_px - b.x), abs(t.y_px - b.y), abs(t.w_px - b.w), abs(t.h_px - b.h)) <= %(same_px)s
+    ),
+    alike as (
+        select s.off_ns, count(distinct o.at_ns) as images, count(distinct o.n) as boxes
+        from (select distinct off_ns from same) s
+        join same o on o.off_ns between s.off_ns and s.off_ns + %(same_ns)s
+        group by s.off_ns
+    )
+    select
+    from alike a
+    where a.images >= %(least_images)s and a.boxes >= %(least_share)s * (
+        select count(*) from box b
+        where b.at_ns + a.off_ns between d.captured_from_ns - %(same_ns)s and d.captured_to_ns + %(same_ns)s
+    )
+)
+order by d.changeset_no;
+
 -- name: adjoining_drives
 -- The drives of other recordings that count, or are held by the map, and that ended right before, or began right after, some
 -- drives; and these drives themselves where they do.

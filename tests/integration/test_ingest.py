@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 import re
 import shutil
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import httpx
 import numpy as np
 import pytest
@@ -278,6 +280,22 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
     assert report.status == "committed"
     assert report.counts[DeltaKind.ADDED] > 3
     desk.ask("db", "audit")
+
+
+def test_images_that_are_on_the_map_with_another_log_are_refused(desk: Desk, small_drive: Path) -> None:
+    """Of another GNSS, 0.8 m off by its log, dated and compressed anew: what they show is in the same pixels."""
+    desk.ingest(small_drive)
+    again = cut_drive(SAMPLES[0], small_drive.with_name("another log"), "2026-03-06", frames=range(4, 20))
+    for number, record in enumerate(sorted((again / "oxts" / "data").iterdir())):
+        fields = record.read_text().split()
+        fields[0], fields[23] = f"{float(fields[0]) + (0.8 + 0.1 * math.sin(number / 4)) / 111_195.0:.12f}", "0.3"
+        record.write_text(" ".join(fields))
+    for image in again.glob("image_0*/data/*"):
+        cv2.imwrite(str(image), np.asarray(cv2.imread(str(image))), [cv2.IMWRITE_JPEG_QUALITY, 85])
+    before = desk.final_tables()
+    with pytest.raises(InputError, match=rf"recording of drive {small_drive.name} again .* in the same pixels"):
+        desk.ingest(again)
+    assert desk.final_tables() == before
 
 
 def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(

@@ -28,7 +28,7 @@ from conetl.pipeline.commit import CommittedDrive, already_committed, commit, id
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Executor, Progress, ThreadExecutor
 from conetl.pipeline.publish import publish
-from conetl.pipeline.same_recording import refuse_other_delivery
+from conetl.pipeline.same_recording import refuse_other_delivery, refuse_same_images
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import DriveHeader
@@ -100,6 +100,7 @@ def ingest(
             return _unless_held(report)
         refuse_other_delivery(drive, settings, db)
         analysed = analyse(drive, params, rejections=rejections, settings=settings, executor=steps, progress=progress)
+        refuse_same_images(analysed.records, settings, db)
         try:
             committed: CommittedDrive = steps.run(commit, analysed, settings, db, run_info(analysed, flow_run_id))
         except Exception:  # the commit may have succeeded, and the database's or Prefect's answer have been lost

@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import transaction
 from conetl.db.map.commit import path_wkt
-from conetl.db.map.drive_store import DriveThen, drives_at_the_same_time, read_frame_pairs
+from conetl.db.map.drive_store import DriveThen, drives_at_the_same_time, drives_with_boxes, read_frame_pairs
 from conetl.db.map.replay_store import other_deliveries
 from conetl.geometry import pose as se3
+from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.rig import body_SE3_camera
 from conetl.mapping.association import near_pairs
 from conetl.model.arrays import Floats
 from conetl.model.errors import MapMismatchError
-from conetl.model.records import Drive, FramePair, Rig
+from conetl.model.records import Drive, DriveRecords, FramePair, Rig
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 
@@ -34,6 +35,14 @@ _TOLERANCES = 45.0
 #: that moves less between two frames waits.
 _LEAST_SHARE, _LEAST_COMMON_SHARE, _MOVING_M = 0.5, 0.9, 0.05
 
+#: Boxes of one object in an image and in a copy of it are so near each other, while another log is off by so many metres; so many
+#: images of a drive, evenly spread, are compared.
+_SAME_PX, _MOVED_LOG_M, _PROBES = 2.0, 5.0, 16
+_OTHERWISE = (
+    "other settings, files or time stamps: the left camera was at the same places at the same times, or in these frames, or a "
+    "part of them, with stamps off by one time"
+)
+
 
 def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
     """Raise MapMismatchError where the recording is on the map with other content: one drive would count as two surveys."""
@@ -44,27 +53,58 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
         then = drives_at_the_same_time(conn, drive, path_wkt(drive), _SAME_STAMP_NS, map_name=settings.map_name)
         same = [one for one in then if _is_same_recording(drive, one, read_frame_pairs(conn, one.drive_uuid))]
     if numbers:
-        number = numbers[-1]
-        raise MapMismatchError(
-            f"{drive.source_path}: drive {drive.drive_id} is on the map already, with other content (changeset {number}); the "
-            f"two would count as two surveys. Revert that changeset with `conetl map revert {number}` and ingest the drive "
-            "again, or give it a drive_id of its own in drive.yaml if it is another drive. Nothing was written."
-        )
+        raise _on_the_map(drive, drive.drive_id, numbers[-1], "other content")
     if same:
         other = same[-1]
-        if other.drive_id == drive.drive_id:
-            raise MapMismatchError(
-                f"{drive.source_path}: drive {drive.drive_id} is on the map already, with other time stamps (changeset "
-                f"{other.changeset_no}); the two would count as two surveys. If these are right, revert that changeset with "
-                f"`conetl map revert {other.changeset_no}` and ingest the drive again; for another drive, give it a drive_id "
-                "of its own in drive.yaml. Nothing was written."
-            )
-        raise MapMismatchError(
-            f"{drive.source_path}: this is the recording of drive {other.drive_id} again (changeset {other.changeset_no}), with "
-            "other settings, files or time stamps: the left camera was at the same places at the same times, or in these frames, "
-            "or a part of them, with stamps off by one time. The two would count as two surveys. If this one is to replace it, "
-            f"`conetl map revert {other.changeset_no}`. Nothing was written."
+        how = "other time stamps" if other.drive_id == drive.drive_id else _OTHERWISE
+        raise _on_the_map(drive, other.drive_id, other.changeset_no, how)
+
+
+def refuse_same_images(records: DriveRecords, settings: Settings, database: MapDatabase) -> None:
+    """Raise MapMismatchError where the images of a drive are on the map already, with any log, stamps and compression.
+
+    No vehicle sees objects again in the same pixels, image by image; an image that is compressed anew moves boxes by some.
+    """
+    drive = records.drive
+    if len(drive.frame_pairs) < _LEAST_PAIRS:
+        return
+    moving = set(_moving(drive.frame_pairs, drive.rig)[0].tolist())
+    at = {pair.frame_index: pair for pair in drive.frame_pairs if pair.captured_at_ns in moving}
+    seen = sorted({box.frame_index for box in records.detections if box.side == "left"} & at.keys())
+    if len(seen) < _LEAST_PAIRS:
+        return
+    chosen = set(evenly_spread(seen, _PROBES))
+    boxes = [
+        (
+            at[box.frame_index].captured_at_ns,
+            *at[box.frame_index].pose.map_t_body_m[:2],
+            box.x_px,
+            box.y_px,
+            box.w_px,
+            box.h_px,
         )
+        for box in records.detections
+        if box.side == "left" and box.frame_index in chosen
+    ]
+    with database.connection() as conn, transaction(conn, "The map cannot be read"):
+        same = drives_with_boxes(
+            conn, drive, boxes, map_name=settings.map_name, within_m=_MOVED_LOG_M, same_px=_SAME_PX, same_ns=_SAME_STAMP_NS,
+            least_images=_LEAST_PAIRS, least_share=_LEAST_SHARE,
+        )  # fmt: skip
+    if same:
+        how = "another log: its images show the same objects in the same pixels"
+        raise _on_the_map(drive, same[-1].drive_id, same[-1].changeset_no, how)
+
+
+def _on_the_map(drive: Drive, drive_id: str, changeset_no: int, how: str) -> MapMismatchError:
+    what, remedy = f"this is the recording of drive {drive_id} again (changeset {changeset_no}), with {how}", ""
+    if drive_id == drive.drive_id:
+        what = f"drive {drive_id} is on the map already, with {how} (changeset {changeset_no})"
+        remedy = ", or give it a drive_id of its own in drive.yaml if it is another drive"
+    return MapMismatchError(
+        f"{drive.source_path}: {what}. The two would count as two surveys. If this one is to replace it, revert that changeset "
+        f"with `conetl map revert {changeset_no}` and ingest the drive again{remedy}. Nothing was written."
+    )
 
 
 def _is_same_recording(drive: Drive, other: DriveThen, pairs: Sequence[FramePair]) -> bool:

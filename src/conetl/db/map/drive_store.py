@@ -5,7 +5,7 @@ Numbers come back to the last bit, so the result of another comparison is that o
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 from uuid import UUID
@@ -121,6 +121,21 @@ def drives_at_the_same_time(
         content_sha256=drive.content_sha256, captured_from_ns=captured_from_ns, captured_to_ns=captured_to_ns,
         frame_count=drive.expected_frame_count, path_wkt=path_wkt, srid=drive.map_srid,
     )  # fmt: skip
+    return [DriveThen(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
+
+
+def drives_with_boxes(
+    conn: Connection, drive: Drive, boxes: Sequence[tuple[float, ...]], *, map_name: str, **limits: float
+) -> list[DriveThen]:
+    """The drives that count, of other content, whose left images have boxes of a drive, in time as in space.
+
+    boxes: time stamp (ns), easting, northing (m) of the image, left, top, width, height (px), at least one; limits: of the query.
+    """
+    names = ("at_ns", "eastings_m", "northings_m", "x_px", "y_px", "w_px", "h_px")
+    columns = dict(zip(names, map(list, zip(*boxes, strict=True)), strict=True))
+    size = {"width_px": drive.rig.left.width_px, "height_px": drive.rig.left.height_px}
+    own = {"map_name": map_name, "content_sha256": drive.content_sha256, "srid": drive.map_srid}
+    rows = read(conn, _UNREAD, "drives.drives_with_boxes", **own, **size, **columns, **limits)
     return [DriveThen(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
 
 
