@@ -116,7 +116,7 @@ def track_errors(
     members = [[by_member[member] for member in track.members] for _, track in found]
     # Errors of the poses that change within the drive move cones seen together alike; each track states them on its own.
     frames = [min(seen, key=lambda p: p.range_m).frame_index for seen in members]
-    between = np.zeros(2 * (3 * len(found),)) if motion is None else motion.changed_cov_m2(xyz, frames)
+    between = np.zeros((xyz.size, xyz.size)) if motion is None else motion.changed_cov_m2(xyz, frames)
     between[np.kron(np.eye(len(found), dtype=bool), np.ones((3, 3), dtype=bool))] = 0.0
     jacobians, variances = [np.zeros((0, 3, 6 + len(calibration_of(drive.rig))))], []
     for point, seen in zip(xyz, members, strict=True):

@@ -75,17 +75,10 @@ def refuse_same_images(records: DriveRecords, settings: Settings, database: MapD
         return
     chosen = set(evenly_spread(seen, _PROBES))
     boxes = [
-        (
-            at[box.frame_index].captured_at_ns,
-            *at[box.frame_index].pose.map_t_body_m[:2],
-            box.x_px,
-            box.y_px,
-            box.w_px,
-            box.h_px,
-        )
+        (at[box.frame_index].captured_at_ns, *at[box.frame_index].pose.map_t_body_m[:2], box.x_px, box.y_px, box.w_px, box.h_px)
         for box in records.detections
         if box.side == "left" and box.frame_index in chosen
-    ]
+    ]  # fmt: skip
     with database.connection() as conn, transaction(conn, "The map cannot be read"):
         same = drives_with_boxes(
             conn, drive, boxes, map_name=settings.map_name, within_m=_MOVED_LOG_M, same_px=_SAME_PX, same_ns=_SAME_STAMP_NS,

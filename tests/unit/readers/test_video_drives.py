@@ -681,7 +681,7 @@ def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:
 
 def test_cameras_that_never_agree_take_no_time() -> None:
     left, right = (
-        [Image(10**18 + n * 33_000_000 + off, Path(str(n))) for n in range(50_000)] for off in (0, 16_000_000)
+        [Image(17 * 10**17 + n * 33_000_000 + off, Path(str(n))) for n in range(50_000)] for off in (0, 16_000_000)
     )
     couples = pair_by_stamp(left, right, 5_000_000)
     assert len(couples) == 100_000 and all((a is None) != (b is None) for a, b in couples)
