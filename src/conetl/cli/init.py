@@ -146,7 +146,7 @@ def init(
     text = f"{folder / DRIVE_YAML}: {_counted(found)}"
     start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s
     if start_ns is not None and not answers.keys() & {"right-offset", "layout"}:
-        text += f"\nBy its images the right file begins {found.timing.right_offset_s:g} s after the left one."
+        text += f"\nThe images fit a right file that begins {found.timing.right_offset_s:g} s after the left one."
     if start_ns is not None and sigma_s and "start" not in answers:
         text += (
             f"\nBy its images the first left frame is of {_stated(start_ns)}, +-{1000 * sigma_s:.0f} ms. "

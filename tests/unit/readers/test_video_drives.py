@@ -334,7 +334,7 @@ def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: 
     known = ("--start", start_of(sample))
     made = init(copy, *known)
     assert made.exit_code == 0, made.output
-    assert "By its images the right file begins 0 s after the left one." in made.output
+    assert "The images fit a right file that begins 0 s after the left one." in made.output
     assert "16 frame pairs" in made.output and f"conetl ingest {copy}" in made.output
     assert len(read_drive(copy)[0].frame_pairs) == COUNT
     again = init(copy, *known)
@@ -426,7 +426,7 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
     assert "Fahrt.csv: times taken as UTC; if they are local" in made.output, made.output
     assert "Fahrt.csv: heights taken as ellipsoidal; if they are not" in made.output, made.output
     assert (
-        "left camera: 1 m before, 0 m left of and 1 m above the antenna or IMU, looks 0 degrees down, as no pitch"
+        "left camera: 1 m in front of, 0 m left of and 1 m above the antenna or IMU, looks 0 degrees down, as no pitch"
         in made.output
     )
     assert "positions in EPSG:32632 with ellipsoidal heights" in made.output

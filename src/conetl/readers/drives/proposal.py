@@ -311,7 +311,8 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         proposal.found.append(_mounted(values))
     elif rigs.body_is_left_camera(rig):
         text = (
-            "Left camera from the antenna or IMU: metres forward, left, up, degrees it looks down, like 1.2,0.3,-0.2,3"
+            "Left camera from the antenna or IMU: metres forward, left (right is negative), up, degrees it looks down, "
+            "like 1.2,0.3,-0.2,3"
         )
         proposal.questions.append(Question("mount", text))
     return None if path == root / RIG_YAML else rig
@@ -320,10 +321,9 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
 def _mounted(values: Sequence[float]) -> str:
     """A mount in words: a sign the wrong way round is seen there."""
     forward, left, up, pitch, yaw, roll = (*values, 0.0, 0.0, 0.0)[:6]
-    place = (
-        f"{abs(forward):g} m {'before' if forward >= 0 else 'behind'}, {abs(left):g} m {'left' if left >= 0 else 'right'} of and "
-        f"{abs(up):g} m {'above' if up >= 0 else 'below'} the antenna or IMU"
-    )
+    along, aside = "in front of" if forward >= 0 else "behind", "left of" if left >= 0 else "right of"
+    over = "above" if up >= 0 else "below"
+    place = f"{abs(forward):g} m {along}, {abs(left):g} m {aside} and {abs(up):g} m {over} the antenna or IMU"
     turned = f", yaw {yaw:g}, roll {roll:g} degrees" if yaw or roll else ""
     unstated = ", as no pitch is stated" if len(values) == 3 else ""
     return f"left camera: {place}, looks {abs(pitch):g} degrees {'down' if pitch >= 0 else 'up'}{turned}{unstated}"
