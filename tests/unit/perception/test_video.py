@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -103,11 +104,19 @@ def test_frames_that_are_read_in_order_are_decoded_once(video: Path, decoded: li
 def test_threads_that_begin_at_different_frames_decode_none_twice(tmp_path: Path, decoded: list[int]) -> None:
     """There is one key frame: who begins later in the file decodes what others read meanwhile."""
     images = [np.full((480, 640, 3), 5 + n, np.uint8) for n in range(60)]
-    index = index_video(write_video(tmp_path / "a.mp4", images, "libx264", {"crf": "10", "g": "60"}))
-    parts = [index.pts[:30], index.pts[30:], index.pts[::15]]
-    with ThreadPoolExecutor(3) as pool:
-        list(pool.map(lambda part: [read_frame(FrameRef(index.path, pts)) for pts in part], parts))
-    assert sorted(decoded) == list(index.pts)
+    made = write_video(tmp_path / "a.mp4", images, "libx264", {"crf": "10", "g": "60"})
+    twice = []
+    for attempt in range(5):  # on a loaded machine a thread may begin when the others have finished
+        index = index_video(shutil.copy(made, tmp_path / f"{attempt}.mp4"))
+        parts = [index.pts[:30], index.pts[30:], index.pts[::15]]
+        decoded.clear()
+        with ThreadPoolExecutor(3) as pool:
+            list(pool.map(lambda part, path=index.path: [read_frame(FrameRef(path, pts)) for pts in part], parts))
+        twice.append(len(decoded) - len(set(decoded)))
+        assert sorted(set(decoded)) == list(index.pts)
+        if not twice[-1]:
+            return
+    pytest.fail(f"of 60 frames so many were decoded twice, in each attempt: {twice}")
 
 
 def test_threads_read_the_same_frames_at_once(tmp_path: Path) -> None:
