@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-import gzip
-import struct
 from pathlib import Path
 
-from conetl.web.basemap import tile_id
+from pmtiles.tile import Compression, Entry, HeaderDict, TileType, serialize_directory, serialize_header, zxy_to_tileid
 
 
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value >= 0x80:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes([*out, value])
-
-
-def _directory(entries: list[tuple[int, int, int, int]]) -> bytes:
-    """Entries (tile id, run, length, offset), compressed."""
-    ids = [entry[0] for entry in entries]
-    deltas = [b - a for a, b in zip([0, *ids], ids, strict=False)]
-    columns = [deltas, [e[1] for e in entries], [e[2] for e in entries], [e[3] + 1 for e in entries]]
-    return gzip.compress(b"".join(map(_varint, [len(entries), *(v for column in columns for v in column)])))
-
-
-def write_pmtiles(path: Path, tiles: dict[tuple[int, int, int], bytes], *, tile_type: int = 2) -> Path:
-    """PNG tiles by (z, x, y), all named by one leaf directory."""
+def write_pmtiles(path: Path, tiles: dict[tuple[int, int, int], bytes], **header: object) -> Path:
+    """PNG tiles by (z, x, y), all named by one leaf directory; `header` changes fields of the header."""
     data, entries = b"", []
-    for number, tile in sorted((tile_id(*zxy), tile) for zxy, tile in tiles.items()):
-        entries.append((number, 1, len(tile), len(data)))
+    for number, tile in sorted((zxy_to_tileid(*zxy), tile) for zxy, tile in tiles.items()):
+        entries.append(Entry(number, len(data), len(tile), 1))
         data += tile
-    leaf = _directory(entries)
-    root = _directory([(entries[0][0], 0, len(leaf), 0)])
+    leaf = serialize_directory(entries)
+    root = serialize_directory([Entry(entries[0].tile_id, 0, len(leaf), 0)])
     zooms = [z for z, _, _ in tiles]
-    leaf_at = 127 + len(root)
-    numbers = (127, len(root), leaf_at, 0, leaf_at, len(leaf), leaf_at + len(leaf), len(data), *[len(tiles)] * 3)
-    header = b"PMTiles\x03" + struct.pack("<11Q6B", *numbers, 1, 2, 1, tile_type, min(zooms), max(zooms))
-    path.write_bytes(header.ljust(127, b"\0") + root + leaf + data)
+    fields: HeaderDict = {
+        "root_offset": 127, "root_length": len(root), "metadata_offset": 127, "metadata_length": 0,
+        "leaf_directory_offset": 127 + len(root), "leaf_directory_length": len(leaf),
+        "tile_data_offset": 127 + len(root) + len(leaf), "tile_data_length": len(data), "clustered": True,
+        "internal_compression": Compression.GZIP, "tile_compression": Compression.NONE, "tile_type": TileType.PNG,
+        "min_zoom": min(zooms), "max_zoom": max(zooms),
+    }  # fmt: skip
+    path.write_bytes(serialize_header({**fields, **header}) + root + leaf + data)
     return path

@@ -1,23 +1,30 @@
 """The base map of the operator's choice: tiles of another server, which the browser requests, or a local PMTiles file.
 
-PMTiles version 3: github.com/protomaps/PMTiles, spec/v3/spec.md; raster tiles are read where they lie.
+Raster tiles of a PMTiles file of version 3 are read where they lie.
 """
 
 from __future__ import annotations
 
 import os
 import re
-import struct
 import zlib
-from bisect import bisect_right
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 from urllib.parse import SplitResult, urlsplit
 
 from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi import Path as PathParameter
+from pmtiles.tile import (
+    Compression,
+    Entry,
+    TileType,
+    deserialize_directory,
+    deserialize_header,
+    find_tile,
+    zxy_to_tileid,
+)
 
 from conetl.model.errors import InputError, StorageError
 from conetl.web.models import BaseMapItem
@@ -31,10 +38,11 @@ Zoom = Annotated[int, PathParameter(ge=0, le=30)]
 Index = Annotated[int, PathParameter(ge=0, le=2**30)]
 router = APIRouter(tags=["layers"])
 _HEADER_BYTES = 127
-_MEDIA_TYPES = {2: "image/png", 3: "image/jpeg", 4: "image/webp", 5: "image/avif"}
-_NONE, _GZIP = 1, 2
+_MEDIA_TYPES = {
+    TileType.PNG: "image/png", TileType.JPEG: "image/jpeg", TileType.WEBP: "image/webp", TileType.AVIF: "image/avif",
+}  # fmt: skip
 #: Larger directories and tiles are refused: a damaged file must not fill the memory.
-_MAX_DIRECTORY_BYTES, _MAX_ENTRIES = 16_000_000, 100_000
+_MAX_DIRECTORY_BYTES = 1_000_000
 _MAX_TILE_BYTES = 8_000_000
 #: The specification allows three levels of leaves below the root in practice.
 _MAX_DEPTH = 4
@@ -97,28 +105,28 @@ def tile(z: Zoom, x: Index, y: Index, request: Request) -> Response:
     return Response(data, media_type=chosen.archive.media_type, headers={"Cache-Control": "private, max-age=86400"})
 
 
-class Entry(NamedTuple):
-    """A run of equal tiles, or (run 0) a leaf directory."""
-
-    tile_id: int
-    run: int
-    length: int
-    offset: int
-
-
 class Archive:
     """An open file; reading is safe from several threads."""
 
     def __init__(self, path: Path, file: int, header: bytes) -> None:
         self._path, self._file = path, file
-        numbers = struct.unpack_from("<11Q", header, 8)
-        self._root, self._leaves, self._data = (numbers[0], numbers[1]), numbers[4], numbers[6]
-        _, self._packed, tile_packed, tile_type, self.min_zoom, self.max_zoom = header[96:102]
-        if tile_type not in _MEDIA_TYPES:
-            raise InputError(f"{path} holds no raster tiles (type {tile_type}): expected PNG, JPEG, WebP or AVIF")
-        if self._packed not in (_NONE, _GZIP) or tile_packed != _NONE or self.max_zoom > 30:
-            raise InputError(f"{path} is packed in a way that is not supported: expected gzip or none for directories")
-        self.media_type = _MEDIA_TYPES[tile_type]
+        try:
+            named = deserialize_header(header)
+        except ValueError as error:
+            raise InputError(f"{path} is damaged: {error} in its header") from error
+        if named["tile_type"] not in _MEDIA_TYPES:
+            raise InputError(
+                f"{path} holds no raster tiles ({named['tile_type'].name}): expected PNG, JPEG, WebP or AVIF"
+            )
+        packed = named["internal_compression"], named["tile_compression"]
+        self.min_zoom, self.max_zoom = named["min_zoom"], named["max_zoom"]
+        if packed != (Compression.GZIP, Compression.NONE) or self.max_zoom > 30:
+            raise InputError(
+                f"{path} is packed in a way that is not supported: expected directories with gzip, tiles without"
+            )
+        self.media_type = _MEDIA_TYPES[named["tile_type"]]
+        self._root = named["root_offset"], named["root_length"]
+        self._leaves, self._data = named["leaf_directory_offset"], named["tile_data_offset"]
         self._directory = lru_cache(maxsize=32)(self._read_directory)
         self._directory(*self._root)
 
@@ -126,20 +134,15 @@ class Archive:
         """The bytes of a tile; None without one. Raises StorageError if the file is damaged."""
         if not (self.min_zoom <= z <= self.max_zoom and x < 1 << z and y < 1 << z):
             return None
-        wanted = tile_id(z, x, y)
+        wanted = zxy_to_tileid(z, x, y)
         at, length = self._root
         for _ in range(_MAX_DEPTH):
-            entries = self._directory(at, length)
-            index = bisect_right(entries, wanted, key=lambda entry: entry.tile_id) - 1
-            if index < 0:
+            entry = find_tile(self._directory(at, length), wanted)
+            if entry is None:
                 return None
-            entry = entries[index]
-            if entry.run == 0:
-                at, length = self._leaves + entry.offset, entry.length
-                continue
-            if wanted >= entry.tile_id + entry.run:
-                return None
-            return self._read(self._data + entry.offset, entry.length, _MAX_TILE_BYTES)
+            if entry.run_length:
+                return self._read(self._data + entry.offset, entry.length, _MAX_TILE_BYTES)
+            at, length = self._leaves + entry.offset, entry.length
         raise StorageError(f"{self._path} is damaged: its directories have no end")
 
     def _read(self, at: int, length: int, most: int) -> bytes:
@@ -156,10 +159,8 @@ class Archive:
     def _read_directory(self, at: int, length: int) -> list[Entry]:
         data = self._read(at, length, _MAX_DIRECTORY_BYTES)
         try:
-            if self._packed == _GZIP:
-                data = zlib.decompressobj(31).decompress(data, _MAX_DIRECTORY_BYTES)
-            return _entries(data)
-        except (zlib.error, IndexError) as error:
+            return deserialize_directory(data)
+        except (OSError, EOFError, zlib.error) as error:
             raise StorageError(f"{self._path} has a damaged directory at byte {at}") from error
 
 
@@ -179,50 +180,3 @@ def open_archive(path: Path) -> Archive:
         return Archive(path, file, header)
     except StorageError as error:
         raise InputError(str(error)) from error
-
-
-def tile_id(z: int, x: int, y: int) -> int:
-    """Number of a tile: all of smaller zooms first, then along the Hilbert curve."""
-    number, side = ((1 << 2 * z) - 1) // 3, 1 << z
-    half = side >> 1
-    while half:
-        right, down = int(x & half > 0), int(y & half > 0)
-        number += half * half * ((3 * right) ^ down)
-        if not down:
-            if right:
-                x, y = side - 1 - x, side - 1 - y
-            x, y = y, x
-        half >>= 1
-    return number
-
-
-def _entries(data: bytes) -> list[Entry]:
-    """The entries of a directory: their number, then one column after the other as varints. Raises IndexError."""
-    at = 0
-
-    def varint() -> int:
-        nonlocal at
-        value = shift = 0
-        while True:
-            byte = data[at]
-            at += 1
-            value |= (byte & 0x7F) << shift
-            if byte < 0x80 or shift > 63:
-                return value
-            shift += 7
-
-    count = varint()
-    if count > min(len(data) // 4, _MAX_ENTRIES):  # each has four bytes or more
-        raise IndexError(count)
-    ids, last = [], 0
-    for _ in range(count):
-        last += varint()
-        ids.append(last)
-    runs, lengths = ([varint() for _ in range(count)] for _ in range(2))
-    offsets: list[int] = []
-    for i in range(count):
-        value = varint()
-        if value == 0 and i == 0:
-            raise IndexError(value)
-        offsets.append(offsets[i - 1] + lengths[i - 1] if value == 0 else value - 1)
-    return [Entry(*values) for values in zip(ids, runs, lengths, offsets, strict=True)]
