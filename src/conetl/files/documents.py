@@ -24,6 +24,7 @@ Model = TypeVar("Model", bound=BaseModel)
 MAX_YAML_BYTES = 256_000
 MAX_JSON_BYTES = 5_000_000
 MAX_DEPTH = 40
+_XML_BLOCK = 4_000_000
 #: Values of a document, those behind aliases counted wherever they are used.
 MAX_VALUES = 100_000
 #: Characters of a value in a message, and of a message of a validator, which may quote one.
@@ -115,6 +116,18 @@ def first_line(error: BaseException) -> str:
     """The first line of what a library says of an error, else its type."""
     lines = str(error).splitlines()
     return lines[0].rstrip(".")[:MAX_SHOWN] if lines else type(error).__name__
+
+
+def xml_blocks(path: Path) -> Iterator[bytes]:
+    """An XML file of any size, in blocks for a parser: large ones, since expat reads an unfinished tag anew with every block.
+
+    Raises OSError; ValueError where a whole block has no tag.
+    """
+    with path.open("rb") as file:
+        while block := file.read(_XML_BLOCK):
+            if len(block) == _XML_BLOCK and b"<" not in block:
+                raise ValueError(f"expected XML, found {_XML_BLOCK:,} bytes without a tag")
+            yield block
 
 
 @contextmanager

@@ -213,6 +213,16 @@ def test_other_files_are_rejected_by_name(tmp_path, text, name):
         reader(path)
 
 
+@pytest.mark.parametrize("start", [b'<osm a="', b"<osm><!--", b""])
+@pytest.mark.parametrize("name", ["a.osm", "a.xodr"])
+def test_a_tag_without_an_end_is_refused_before_it_is_read_again_and_again(tmp_path, name, start):
+    """Expat reads an unfinished tag anew with every block: 20 MB took ten seconds."""
+    path = tmp_path / name
+    path.write_bytes(start + b"a" * 20_000_000)
+    with pytest.raises(InputError, match=rf"{name}: .*without a tag"):
+        (read_lanelet2 if path.suffix == ".osm" else read_opendrive)(path)
+
+
 def test_geopackage_with_its_crs(tmp_path):
     geopandas = pytest.importorskip("geopandas")
     from shapely import LineString

@@ -7,7 +7,7 @@ and its documentation, LinestringTagging). Nodes are WGS 84.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
-from conetl.files.documents import named
+from conetl.files.documents import named, xml_blocks
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -109,7 +109,7 @@ def _read(
     ways: dict[str, tuple[list[str], dict[str, str]]] = {}
     bounding: set[str] = set()
     is_local = False
-    for _, item in ElementTree.iterparse(path, events=("end",)):
+    for item in _elements(path):
         identity = item.get("id", "")
         if item.tag == "node":
             tags = _tags(item)
@@ -132,6 +132,15 @@ def _read(
             f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"
         )
     return nodes, ways, bounding
+
+
+def _elements(path: Path) -> Iterator[ElementTree.Element]:
+    """The elements of a file where they end."""
+    parser = ElementTree.XMLPullParser(("end",))
+    for block in xml_blocks(path):
+        parser.feed(block)
+        yield from (item for _, item in parser.read_events())
+    parser.close()
 
 
 def _tags(item: ElementTree.Element) -> dict[str, str]:

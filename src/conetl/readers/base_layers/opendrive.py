@@ -17,7 +17,7 @@ import shapely
 from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN, named, shown
+from conetl.files.documents import MAX_SHOWN, named, shown, xml_blocks
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -173,7 +173,10 @@ def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
     try:
         with named(path):
-            root = ElementTree.parse(path).getroot()
+            parser = ElementTree.XMLParser()
+            for block in xml_blocks(path):
+                parser.feed(block)
+            root = parser.close()
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not XML ({error}); expected an OpenDRIVE file") from error
     if root.tag != "OpenDRIVE":

@@ -14,13 +14,13 @@ from xml.parsers import expat
 
 import numpy as np
 
+from conetl.files.documents import xml_blocks
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, head_bytes
 from conetl.readers.trajectories.times import TimeFormat, TimeReader, time_reader
 
-_BLOCK = 1 << 20
 _PIECE = 50_000
 _LONGEST = 100
 _VALUES = frozenset({"ele", "time", "geoidheight"})
@@ -75,12 +75,11 @@ def _records(path: Path, settings: TrajectoryFile, *, add_geoid: bool) -> Iterat
     points = _Points()
     read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
     try:
-        with path.open("rb") as file:
-            while block := file.read(_BLOCK):
-                points.parser.Parse(block, False)
-                if len(points.rows) >= _PIECE:
-                    yield _piece(points.rows, read_times, add_geoid)
-                    points.rows = []
+        for block in xml_blocks(path):
+            points.parser.Parse(block, False)
+            if len(points.rows) >= _PIECE:
+                yield _piece(points.rows, read_times, add_geoid)
+                points.rows = []
         points.parser.Parse(b"", True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise DriveFolderError(f"{path}: this is not GPX: {str(error)[:200]}") from error
