@@ -136,7 +136,7 @@ def _read(
 
 def _elements(path: Path) -> Iterator[ElementTree.Element]:
     """The elements of a file where they end."""
-    parser = ElementTree.XMLPullParser(("end",))
+    parser: Any = ElementTree.XMLPullParser(("end",))
     for block in xml_blocks(path):
         parser.feed(block)
         yield from (item for _, item in parser.read_events())
