@@ -14,12 +14,12 @@ import hashlib
 import re
 import stat
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
+from cachetools import LRUCache
 from upath import UPath
 
 from conetl.model.errors import InputError, StorageError
@@ -40,31 +40,23 @@ class _Memory:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._data: OrderedDict[str, bytes] = OrderedDict()
-        self.size = 0
+        self._data: LRUCache[str, bytes] = LRUCache(CACHE_BYTES, getsizeof=len)
 
     def get(self, key: str) -> bytes | None:
         with self._lock:
-            if key in self._data:
-                self._data.move_to_end(key)
             return self._data.get(key)
 
     def keep(self, key: str, data: bytes) -> None:
-        self.drop(key)
-        with self._lock:
+        with self._lock, suppress(ValueError):  # larger than all of it
             self._data[key] = data
-            self.size += len(data)
-            while len(self._data) > 1 and self.size > CACHE_BYTES:
-                self.size -= len(self._data.popitem(last=False)[1])
 
     def drop(self, key: str) -> None:
         with self._lock:
-            self.size -= len(self._data.pop(key, b""))
+            self._data.pop(key, None)
 
     def clear(self) -> None:
         with self._lock:
             self._data.clear()
-            self.size = 0
 
 
 _kept = _Memory()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from cachetools import LRUCache
 
 from conetl.files import storage as places
 from conetl.files.parquet_store import file_sha256
@@ -141,16 +142,14 @@ def test_an_object_that_is_not_there_is_one(storage: pytest.MonkeyPatch) -> None
 
 
 def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(places, "CACHE_BYTES", 2_500)
-    places.forget_all()
+    monkeypatch.setattr(places._kept, "_data", LRUCache(2_500, getsizeof=len))
     paths = [as_path(f"memory://bounded/{k}") for k in range(10)]
     for k, path in enumerate(paths):
         path.write_bytes(bytes([k]) * 1_000)
     for k, path in enumerate(paths):
         fetch([path])
         assert object_bytes(path) == bytes([k]) * 1_000
-        assert places._kept.size <= 2_500
-    places.forget_all()
+    assert [places._kept.get(str(path)) is not None for path in paths] == [False] * 8 + [True] * 2
 
 
 def test_an_object_that_was_written_anew_is_hashed_anew() -> None:
