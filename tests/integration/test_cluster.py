@@ -126,9 +126,9 @@ def test_life_of_a_cluster(used_home):
     assert count_notes(cluster_up(home)) == 1
 
 
-def test_settings_are_safe(cluster_url):
+def test_settings_are_safe(used_home):
     wanted = {"fsync": "on", "full_page_writes": "on", "synchronous_commit": "on", "listen_addresses": ""}
-    with closing(connect(cluster_url)) as conn:
+    with closing(connect(cluster_up(used_home))) as conn:
         rows = execute(
             conn, "select name, setting from pg_settings where name = any(%(names)s)", {"names": list(wanted)}
         )
