@@ -148,7 +148,7 @@ def test_the_map_is_the_same_in_every_order(map_of: Any) -> None:
     orders = [*permutations(("day_before", *WRONG))]
     in_order = map_of(*orders[0])
     assert in_order[0] == {"wrong_1", "wrong_2"}
-    assert [map_of(*order) == in_order for order in orders[3::4]] == [True] * 6
+    assert [map_of(*order) == in_order for order in orders[5::6]] == [True] * 4
 
 
 @pytest.mark.parametrize("order", [WRONG, WRONG[::-1]], ids="-".join)

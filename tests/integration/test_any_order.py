@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from itertools import permutations
 
 import numpy as np
 import pytest
@@ -52,8 +51,9 @@ def in_order(another_database):
         yield world.valid_time_map(conn)
 
 
-@pytest.mark.parametrize("order", list(permutations(range(3))), ids=lambda order: "".join(map(str, order)))
-def test_all_orders_of_three_drives_give_the_same_map(conn, in_order, order):
+@pytest.mark.parametrize("order", [(2, 1, 0), (1, 2, 0)], ids=lambda order: "".join(map(str, order)))
+def test_other_orders_of_three_drives_give_the_same_map(conn, in_order, order):
+    """Random ones: `test_exactly_once.py`."""
     believed = {}
     for day in order:
         assert world.merge(conn, of_day(day)) is not None

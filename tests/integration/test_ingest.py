@@ -25,10 +25,10 @@ import httpx
 import numpy as np
 import pytest
 
-from conetl.cli.ingest import print_report
+from conetl.cli.ingest import ingest_drives, print_report
 from conetl.db.connection import connect, execute
 from conetl.db.live_store import read_provisional
-from conetl.db.map.map_store import list_changesets, map_lock
+from conetl.db.map.map_store import list_changesets
 from conetl.exports.wzdx import schema_faults
 from conetl.model.errors import DriveFolderError, InputError, ServiceError
 from conetl.model.feature_classes import CONE, LANE_MARKING
@@ -324,12 +324,8 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     lower = cut_drive(SAMPLES[1], tmp_path / "lower", frames=range(4, 20))
     shift_poses(lower, height_m=-0.6)
     desk.ingest(lower)
-    done = desk.run("ingest", small_drive)
-    assert done.returncode == 1
-    assert (done.stdout + done.stderr).count("lower than the same cones of the map") == 1
-    assert done.stderr.splitlines()[-1].startswith(
-        "conetl: On hold now: drive lower (changeset 1). Its cones lie 0.6 m lower"
-    )
+    [remark] = desk.ingest(small_drive).remarks
+    assert remark.startswith("On hold now: drive lower (changeset 1). Its cones lie 0.6 m lower")
 
     jumping = cut_drive(SAMPLES[2], tmp_path / "jumping", frames=range(4, 20))
     shift_poses(jumping, lat_deg=4e-5, first=8)
@@ -346,27 +342,36 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     assert known.value.exit_code == 1 and report.status == "held" and not report.counts_on_map
 
 
-def test_bad_input_is_named_and_writes_nothing(desk: Desk, tmp_path: Path) -> None:
-    keyless, hollow = cut_drive(SAMPLES[0], tmp_path / "keyless", frames=range(2)), tmp_path / "hollow"
-    hollow.mkdir()
-    file = keyless / "calib_cam_to_cam.txt"
+@pytest.fixture
+def keyless(tmp_path: Path) -> Path:
+    """A drive whose calibration lacks a key."""
+    drive = cut_drive(SAMPLES[0], tmp_path / "keyless", frames=range(2))
+    file = drive / "calib_cam_to_cam.txt"
     file.write_text("".join(x for x in file.read_text().splitlines(True) if not x.startswith("P_rect_03")))
-    result = desk.run("ingest", keyless, hollow)
-    assert result.returncode == 2
-    assert "P_rect_03" in result.stderr and "hollow" in result.stderr
-    assert "Traceback" not in result.stderr
-    assert "Prefect" not in result.stderr  # nobody waits for services to hear that
+    return drive
+
+
+def test_bad_input_is_named_and_writes_nothing(
+    desk: Desk, keyless: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hollow = tmp_path / "hollow"
+    hollow.mkdir()
+    found = ingest_drives([keyless, hollow], desk.settings, IngestParams(), map_srid=None, show=lambda _: None)
+    assert found == ([], 2), "nobody waits for services to hear that"
+    said = capsys.readouterr().err
+    assert "P_rect_03" in said and "hollow" in said
     assert "no such drive folder" in desk.ask("ingest", tmp_path / "nowhere", code=2)
     assert not any(desk.final_tables().values())
 
 
-def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
+def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, keyless: Path, small_drive: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad"
     bad.mkdir()
     params = tmp_path / "params.yaml"
     params.write_text("track: {min_observations: 4}\n")
-    result = desk.run("ingest", bad, small_drive, "--params", params, "--no-refine", "--json")
+    result = desk.run("ingest", bad, keyless, small_drive, "--params", params, "--no-refine", "--json")
     assert result.returncode == 2
+    assert "P_rect_03" in result.stderr and f"{bad}: " in result.stderr and "Traceback" not in result.stderr
     [report] = json.loads(result.stdout)
     assert report["drive_id"] == "small"
     options = {"track": {"min_observations": 4}, "trajectory": {"refine": False}}
@@ -376,12 +381,15 @@ def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, small_drive: Path, 
 def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
     desk: Desk, module_database_url: str, database_url: str, tmp_path: Path, small_drive: Path
 ) -> None:
-    """Killed during the analysis, before the merge and after the commit, whose event a later run tells, once."""
+    """Killed during the analysis and after the commit, whose event a later run tells, once.
+
+    Within the merge: `test_exactly_once.py`.
+    """
     clean = desk.with_database(module_database_url)
     assert [clean.ingest(small_drive).status for _ in range(2)] == ["committed", "no changes"]
     home = tmp_path / "home"
     victim = Desk({**desk.environment, "CONETL_HOME": str(home)})
-    for point in ("matching", "merge", "commit"):
+    for point in ("matching", "commit"):
         with subprocess.Popen(
             victim.command("ingest", small_drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
         ) as process:
@@ -414,18 +422,13 @@ def kill_at(point: str, home: Path, database_url: str, process: subprocess.Popen
         return
     with closing(connect(database_url)) as holder, closing(connect(database_url)) as watcher:
 
-        def found(sql: str) -> object:
-            rows = execute(watcher, sql)
+        def committed() -> object:
+            rows = execute(watcher, "select 1 from conetl.changeset")
             watcher.rollback()
             return rows
 
-        if point == "merge":
-            map_lock(holder, "default")
-            waiting = "select 1 from pg_locks where locktype = 'advisory' and not granted and database = "
-            come_to(lambda: found(f"{waiting}(select oid from pg_database where datname = current_database())"))
-        else:
-            execute(holder, "lock table conetl.changeset_published in access exclusive mode")
-            come_to(lambda: found("select 1 from conetl.changeset"))
+        execute(holder, "lock table conetl.changeset_published in access exclusive mode")
+        come_to(committed)
 
 
 def events_of(desk: Desk, changeset_id: str) -> list[str]:

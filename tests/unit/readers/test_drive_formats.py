@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -39,6 +38,7 @@ from tests.unit.readers.drive_formats import (
     sample_rig,
     write_bag,
     write_euroc,
+    write_ros1_bag,
 )
 
 OTHERS = [name for name in WRITERS if name != "kitti"]
@@ -222,9 +222,10 @@ def raw_image(stamp_ns: int, frame_id: str, data: bytes) -> tuple[str, Any]:
     )  # fmt: skip
 
 
-def test_raw_images_of_a_bag_lose_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("write", [write_bag, write_ros1_bag])
+def test_raw_images_of_a_bag_lose_nothing(write: Callable[..., Path], tmp_path: Path) -> None:
     few = FRAMES[:3]
-    path = write_bag(tmp_path / "run", few, RIG, image=raw_image, image_name="image_raw")
+    path = write(tmp_path / "run", few, RIG, image=raw_image, image_name="image_raw")
     drive, rejections = read(path)
     assert rejections == []
     for pair, frame in zip(drive.frame_pairs, few, strict=True):
@@ -260,14 +261,16 @@ def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path) -> None:
         read(file)
 
 
-def test_a_bag_requires_the_poses_of_cameras_and_antenna(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "run", FRAMES[:3], RIG, connected=False)
-    with pytest.raises(CalibrationError, match=r"rig\.yaml with body_SE3_left"):
+@pytest.mark.parametrize("write", [write_bag, write_ros1_bag], ids=["folder", "bare file"])
+def test_a_bag_requires_the_poses_of_cameras_and_antenna(write: Callable[..., Path], tmp_path: Path) -> None:
+    path = write(tmp_path / "run", FRAMES[:3], RIG, connected=False)
+    rig = small_file_of(path, "rig.yaml")
+    with pytest.raises(CalibrationError, match=f"put a {rig.name} with body_SE3_left"):
         read(path)
-    shutil.copy(WRITERS["plain"](tmp_path / "plain", FRAMES[:3], RIG) / "rig.yaml", path / "rig.yaml")
+    write_rig_yaml(RIG, rig)
     with pytest.raises(DriveFolderError, match="antenna_t_m"):
         read(path)
-    (path / "drive.yaml").write_text("antenna_t_m: [0.4, -0.2, 1.1]\n")
+    small_file_of(path, "drive.yaml").write_text("antenna_t_m: [0.4, -0.2, 1.1]\n")
     drive, rejections = read(path)
     assert (len(drive.frame_pairs), rejections) == (3, [])
 
@@ -374,13 +377,15 @@ def test_corrected_poses_are_another_header(name: str, tmp_path: Path) -> None:
     ("name", "late"),
     [
         ("kitti", "oxts"),
+        ("kitti", "image_03"),
+        ("kitti", "image_02/timestamps.txt"),
         ("plain", "trajectory.csv"),
         ("euroc", "mav0/state_groundtruth_estimate0"),
         ("euroc", "mav0/state_groundtruth_estimate0/data.csv"),
         ("euroc", "mav0/cam1/data.csv"),
     ],
 )
-def test_missing_poses_are_the_problem_until_they_arrive(name: str, late: str, tmp_path: Path) -> None:
+def test_missing_files_are_the_problem_until_they_arrive(name: str, late: str, tmp_path: Path) -> None:
     """Trajectories are computed later than images are copied. What was refused without one is another delivery with it."""
     path = WRITERS[name](tmp_path / "run", FRAMES, RIG)
     (path / late).rename(tmp_path / "late")

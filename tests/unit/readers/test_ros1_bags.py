@@ -11,13 +11,11 @@ import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.rosbag1.reader import Reader
 
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import DriveFolderError
 from conetl.model.records import Drive
 from conetl.readers.drives import drive_format, read_drive
 from conetl.readers.drives.header import find_drives, read_header
-from conetl.readers.rigs import write_rig_yaml
 from tests.unit.readers.drive_formats import SIGMAS, georeference, sample_frames, sample_rig, write_ros1_bag
-from tests.unit.readers.test_drive_formats import raw_image
 
 FRAMES, RIG = sample_frames()[:4], sample_rig()
 
@@ -47,20 +45,6 @@ def test_a_folder_with_one_bag_is_a_drive(tmp_path: Path) -> None:
     shutil.copy(file, folder / "2026-03-02-10-05-00.bag")
     with pytest.raises(DriveFolderError, match=r"holds 2 drives \(2026-03-02-10-00-00.bag"):
         read(folder)
-
-
-def test_settings_beside_a_bare_bag(tmp_path: Path) -> None:
-    file = write_ros1_bag(tmp_path / "run", FRAMES, RIG, connected=False)
-    (tmp_path / "run.drive.yaml").write_text("drive_id: morning\nantenna_t_m: [0.4, -0.2, 1.1]\n")
-    with pytest.raises(CalibrationError, match=r"put a run\.rig\.yaml with body_SE3_left"):
-        read(file)
-    write_rig_yaml(RIG, tmp_path / "run.rig.yaml")
-    assert read(file).drive_id == "morning"
-
-
-def test_raw_images(tmp_path: Path) -> None:
-    drive = read(write_ros1_bag(tmp_path / "run", FRAMES[:2], RIG, image=raw_image, image_name="image_raw"))
-    assert [Path(pair.left_path).suffix for pair in drive.frame_pairs] == [".png", ".png"]
 
 
 def test_types_that_are_not_used_may_have_any_definition(tmp_path: Path) -> None:

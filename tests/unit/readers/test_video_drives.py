@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import av
@@ -33,7 +32,7 @@ from conetl.readers.rigs import WRITERS, read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
 from conetl.reports.inspection_images import _middle_pair
 from tests import video_drives
-from tests.unit.readers.drive_formats import SAMPLE, write_bag, write_ros1_bag
+from tests.unit.readers.drive_formats import SAMPLE
 from tests.unit.readers.trajectory_files import write_csv
 
 VIDEOS = {
@@ -129,37 +128,17 @@ def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray
     assert largest_m(read_drive(folder)[0], cones, tmp_path) < 0.02
 
 
-def test_cones_of_images_side_by_side_are_where_those_of_the_images_are(
-    whole: Drive, cones: np.ndarray, tmp_path: Path
-) -> None:
-    folder = video_drives.write_video_drive(tmp_path / "run", whole, **VIDEOS["side by side"])
-    assert largest_m(read_drive(folder)[0], cones, tmp_path) < 0.02
-
-
-@pytest.mark.parametrize("write", [write_ros1_bag, write_bag])
-def test_cones_of_a_bag_are_those_of_the_images(
-    write: Callable[..., Path], whole: Drive, cones: np.ndarray, tmp_path: Path
-) -> None:
-    root = write(tmp_path / "run", video_drives.frames_of(whole), whole.rig)
-    assert largest_m(read_drive(root, images_folder=tmp_path / "images")[0], cones, tmp_path) < 0.002
-
-
 @pytest.fixture(scope="module")
-def folders(folder: Path, sample: Drive) -> dict[str, Path]:
-    """Of each layout the videos, without a trajectory."""
-    both = video_drives.write_video_drive(folder.parent / "both", sample, trajectory=False, **VIDEOS["side by side"])
-    return {"two files": copied(folder, folder.parent, "drive.csv", settings=(folder / "drive.yaml").read_text()),
-            "side by side": both}  # fmt: skip
+def videos(folder: Path) -> Path:
+    """Without a trajectory."""
+    return copied(folder, folder.parent, "drive.csv", settings=(folder / "drive.yaml").read_text())
 
 
-@pytest.mark.parametrize("layout", ["two files", "side by side"])
 @pytest.mark.parametrize("name", video_drives.LOGS)
-def test_every_log_gives_the_poses_of_the_drive(
-    name: str, layout: str, folders: dict[str, Path], tmp_path: Path, sample: Drive
-) -> None:
+def test_every_log_gives_the_poses_of_the_drive(name: str, videos: Path, tmp_path: Path, sample: Drive) -> None:
     """Positions alone show neither attitude nor, by their heading, how far the camera is from the antenna."""
     log, t = video_drives.LOGS[name], video_drives.known_of(sample)
-    drive, _ = read_drive(video_drives.with_log(folders[layout], tmp_path / "run", log, t))
+    drive, _ = read_drive(video_drives.with_log(videos, tmp_path / "run", log, t))
     assert len(drive.frame_pairs) >= COUNT - 2
     true = {pair.captured_at_ns // 10**6: pair.pose for pair in sample.frame_pairs}
     attitude = name not in ("RTKLIB .pos", "NMEA, positions", "GPX")
