@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
+from conetl.geometry import pose as se3
 from conetl.model.health import hold_reason
+from conetl.readers.drives.poses import to_pose
 from conetl.tracking.trajectory import RefinementOutcome
 from tests.synthetic.good_drives import checked, clock_of, draw_drive, failed
 
@@ -26,6 +29,22 @@ def test_a_part_of_a_drive_whose_images_cannot_be_followed_is_held() -> None:
     motions = [*drive.motions[:first], *map(failed, drive.motions[first:])]
     reason = hold_reason(checked(replace(drive, motions=motions))[1])
     assert reason is not None and f"from frame pair {drive.logged[first].frame_index} on, although" in reason
+
+
+@pytest.mark.parametrize(
+    ("roll_deg", "ahead_m", "found"), [(3.0, 0.0, "rolled by -3."), (0.0, 1.0, "mounted by -1."), (0.0, 0.0, None)]
+)
+def test_turns_show_a_wrong_mount_of_the_cameras(roll_deg: float, ahead_m: float, found: str | None) -> None:
+    """Poses of a body that is rolled, or farther ahead, are not those of the body that the calibration means."""
+    drive = draw_drive(np.random.default_rng(7), turns=True, lasts_s=25.0)
+    off = se3.se3(se3.rotation_from_rpy(np.radians(roll_deg), 0.0, 0.0), (ahead_m, 0.0, 0.0))
+    poses = se3.compose(np.stack([se3.map_SE3_body(pair.pose) for pair in drive.logged]), off)
+    logged = [
+        pair.model_copy(update={"pose": to_pose(pose, (*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad))})
+        for pair, pose in zip(drive.logged, poses, strict=True)
+    ]
+    reason = hold_reason(checked(replace(drive, logged=logged))[1])
+    assert reason is None if found is None else found in str(reason)
 
 
 def test_motions_that_only_the_stated_heading_errors_turn_are_kept() -> None:

@@ -17,6 +17,7 @@ from conetl.model.records import MIN_DETAIL, FramePair, Rig
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
 from conetl.tracking.drive_refinement import scale_is_doubtful
 from conetl.tracking.jumps import JUMPS, check_jumps, check_slow_jumps, check_turn_jumps
+from conetl.tracking.mount import check_mount
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
 from conetl.tracking.trajectory import (
     RefinedTrajectory,
@@ -83,6 +84,7 @@ def check_trajectory(
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
         *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
         _alignment(log, measured, residual),
+        *([] if is_interpolated(frame_pairs) else check_mount(log, measured, good, residual)),
         *_directions(frame_pairs, log, measured),
         HealthCheck(
             name="stated sigmas of the poses",

@@ -1,0 +1,62 @@
+"""Health check of the cameras' mount: whether they sit, and are rolled, where the calibration has them on the body.
+
+Where the vehicle moves tells which way they look (`health.py`), but not their roll about that direction, nor the lever arm. Turns
+do: the images turn about an axis that is rolled against that of the log, and cameras elsewhere move otherwise. (Hand-eye
+calibration, Tsai & Lenz 1989, for small errors.)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
+from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.arrays import Bools, Floats
+from conetl.model.health import HealthCheck, Verdict
+from conetl.tracking.clock import robust_fit
+
+#: What is known beforehand (one sigma) of roll, pitch, yaw (rad), of right, down, forward (m), and of the scale of the motions.
+_PRIOR = (0.1, 0.1, 0.1, 3.0, 3.0, 3.0, 0.02)
+#: Errors are at least so many degrees or metres, and so many sigmas: 120 simulated good drives have up to 3.8.
+_LEAST_DEG, _LEAST_M, _SIGMAS = 1.0, 0.3, 5.5
+_LEAST_MOTIONS, _ROUNDS = 20, 6
+
+
+def check_mount(log: LoggedPoses, measured: MeasuredMotions, good: Bools, residual: Floats) -> list[HealthCheck]:
+    """The roll of the cameras and their lever arm by the motions that are plausible (M,).
+
+    residual: (M, 6), measured minus logged. The log has more noise than the images, so the measured motions show the turns.
+    """
+    motions = measured.next_SE3_first[good]
+    if len(motions) < _LEAST_MOTIONS:
+        return []
+    turns, moves = Rotation.from_matrix(motions[:, :3, :3]).as_rotvec(), motions[:, :3, 3]
+    by = np.zeros((len(motions), 6, len(_PRIOR)))
+    by[:, :3, :3], by[:, 3:, :3] = (np.roll(cross_matrix(part), 1, axis=2) for part in (turns, moves))
+    by[:, 3:, 3:6], by[:, 3:, 6] = motions[:, :3, :3] - np.eye(3), moves
+    fit = robust_fit(residual[good], by, np.diag(np.array(_PRIOR) ** -2), _ROUNDS)
+    sigmas = np.sqrt(np.diag(np.linalg.inv(fit.normal)))
+    roll_deg, (right_m, _, forward_m) = np.degrees(fit.solution[0]), fit.solution[3:6]
+    roll_sigma_deg = np.degrees(np.hypot(sigmas[0], log.slow[:, 3].max()))
+    arm = max((-right_m, sigmas[3], "left"), (forward_m, sigmas[5], "forward"), key=lambda one: abs(one[0]) / one[1])
+    return [
+        _judged("roll of the cameras", roll_deg, roll_sigma_deg, _LEAST_DEG, "degrees", "rolled", "left side up"),
+        _judged("lever arm of the cameras", arm[0], arm[1], _LEAST_M, "m", "mounted", arm[2]),
+    ]  # fmt: skip
+
+
+def _judged(name: str, value: float, sigma: float, least: float, unit: str, how: str, positive: str) -> HealthCheck:
+    limit = max(least, _SIGMAS * sigma)
+    held = abs(value) > limit
+    detail = "Turns do not show another mount of the cameras than the calibration."
+    if held:
+        detail = (
+            f"In turns the images show the cameras {how} by {value:+.2f} +- {sigma:.2f} {unit} ({positive}) against the "
+            "calibration and GNSS/INS: correct body_SE3_left in rig.yaml (mount in drive.yaml; KITTI: calib_imu_to_velo.txt), or "
+            "the axes and antenna position of the GNSS/INS log."
+        )
+    return HealthCheck(
+        name=name, verdict=Verdict.HOLD if held else Verdict.PASS, value=round(float(value), 3), sigma=round(float(sigma), 3),
+        limit=round(float(limit), 3), unit=unit, detail=detail,
+    )  # fmt: skip
