@@ -171,14 +171,15 @@ def turned(drive: Drive, roll_deg: float, pitch_deg: float, yaw_deg: float, firs
 
 
 @prepared
-def right_late(drive: Drive, frames: int, first: int = 0) -> Drive:
-    """Right images of so many frames before, from this pair on: the left camera lost frames, or the right one repeated some."""
+def right_late(drive: Drive, frames: int, first: int = 0, last: int = 10**6) -> Drive:
+    """Right images of so many frames before, from this pair on, up to `last`: the left camera lost frames, or the right one
+    repeated some."""
     pairs = drive.frame_pairs
     moved = (
         pair.model_copy(update=images_in(old, "right"))
-        for pair, old in zip(pairs[first + frames :], pairs[first:], strict=False)
+        for pair, old in zip(pairs[first + frames : last], pairs[first:], strict=False)
     )
-    return with_pairs(drive, (*pairs[:first], *moved))
+    return with_pairs(drive, (*pairs[:first], *moved, *pairs[last:]))
 
 
 @prepared

@@ -175,6 +175,7 @@ def _rigs() -> list[WrongRecording]:
         WrongRecording("pitch 1 degree", turned(0.0, 1.0, 0.0)),
         WrongRecording("pitch 2 degrees", turned(0.0, 2.0, 0.0), cause="alignment"),
         *(WrongRecording(f"roll {a:g} degrees", turned(a, 0.0, 0.0)) for a in (1.0, 2.0)),
+        WrongRecording("roll 3 degrees", turned(3.0, 0.0, 0.0), cause="the cameras rolled by -[23]", fast=True),
         *(
             WrongRecording(f"{name} turns by {a:g} degrees", turned(*(a * np.array(axis)), first=20), cause="turns by|contradict",
                            fast=a == 1.0 and name != "roll")
@@ -208,6 +209,13 @@ def _rigs() -> list[WrongRecording]:
             for how, n in (("lose", 1), ("repeat", -1))
         ),
         WrongRecording("right camera 1 frame late from the middle on", right_late(1, 20), cause="1 frames earlier"),
+        *(
+            WrongRecording(
+                f"right camera 1 frame late in {last - first} pairs", right_late(1, first, last), fast=first == 12,
+                cause="in frame pairs .* 1 frames earlier",
+            )
+            for first, last in ((12, 26), (2, 9), (30, 38), (11, 17))
+        ),
         *(
             WrongRecording(f"{what} of another drive", images_of(SAMPLES[2], *ends), cause="go elsewhere")
             for what, ends in {"10 image pairs": (15, 25), "last 10 image pairs": (29, 39)}.items()

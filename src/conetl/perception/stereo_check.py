@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.rig import right_camera_turned
 from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
@@ -46,6 +47,8 @@ _FLOOR_PX = 0.3
 #: Right images of another frame must fit so many times as many points: while the vehicle stands all fit alike.
 _FITS_BETTER = 1.3
 _LAGS = (-3, -2, -1, 1, 2, 3)
+#: Pairs that are tried of a part that cannot be followed, and most parts.
+_PAIRS_OF_PART, _MOST_PARTS = 3, 10
 #: Of points on equal rows at most 0.3 % lie farther right in the right image of a good drive; shifted by 6 columns 5 to 10 %.
 _MAX_BEYOND_SHARE = 0.02
 #: A square shows nothing below this share of the detail of the sharper ones; so many of the lower half may.
@@ -75,14 +78,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     """
     count = len(drive.frame_pairs)
     chosen = np.unique(np.linspace(0, count - 1, _PAIRS).astype(int)).tolist()
-    features = cache(lambda number, side: _features(drive, number, side))
-
-    matched = cache(lambda number, lag: _offsets(features(number, "left"), features(number + lag, "right")))
-
-    def offsets(numbers: Sequence[int], lag: int) -> Floats:
-        """(N, 2): columns left minus right, and rows right minus left, of matches with the right images `lag` frames later."""
-        return np.concatenate([np.empty((0, 2)), *(matched(k, lag) for k in numbers if 0 <= k + lag < count)])
-
+    features, offsets = _matching(drive)
     # Of a video in two files much is decoded for one frame: both at once.
     with ThreadPoolExecutor(1 if in_one_file(drive.frame_pairs[0]) else 2) as pool:
         list(pool.map(lambda side: [features(k, side) for k in chosen], SIDES))
@@ -125,6 +121,35 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     )
     turned = right_camera_turned(drive.rig, np.array([off_px / drive.rig.right.fy_px, 0.0, 0.0]))
     return drive.model_copy(update={"rig": turned}), [*checks, judged(verdict=Verdict.CORRECTED, detail=detail)]
+
+
+def check_lost_parts(drive: Drive, lost: Sequence[bool]) -> list[HealthCheck]:
+    """The trigger within parts of the drive that cannot be followed, where right images of other frames fit; else no check.
+
+    lost: (K - 1,) whether visual odometry failed between frame pairs.
+    """
+    offsets = _matching(drive)[1]
+    ends = np.flatnonzero(np.diff(lost, prepend=False, append=False)).reshape(-1, 2).tolist()
+    parts = [
+        evenly_spread(range(first + 1, end), _PAIRS_OF_PART) for first, end in ends if end - first > _PAIRS_OF_PART
+    ]
+    checks = (
+        _check_trigger(drive.frame_pairs, part, offsets, whole=False) for part in evenly_spread(parts, _MOST_PARTS)
+    )
+    return [check for check in checks if check.verdict is not Verdict.PASS][:1]
+
+
+def _matching(drive: Drive) -> tuple[Callable[[int, Side], _Features], Callable[[Sequence[int], int], Floats]]:
+    """Functions that give the features of an image, by its number, and by numbers and a lag (N, 2) columns left minus right, and
+    rows right minus left, of matches with the right images that many frames later."""
+    count = len(drive.frame_pairs)
+    features = cache(lambda number, side: _features(drive, number, side))
+    matched = cache(lambda number, lag: _offsets(features(number, "left"), features(number + lag, "right")))
+
+    def offsets(numbers: Sequence[int], lag: int) -> Floats:
+        return np.concatenate([np.empty((0, 2)), *(matched(k, lag) for k in numbers if 0 <= k + lag < count)])
+
+    return features, offsets
 
 
 def in_one_file(pair: FramePair) -> bool:
@@ -207,10 +232,14 @@ def _check_sharpness(unclear: UnclearSquares | None, drive: Drive) -> HealthChec
 
 
 def _check_trigger(
-    pairs: Sequence[FramePair], chosen: Sequence[int], offsets: Callable[[Sequence[int], int], Floats]
+    pairs: Sequence[FramePair],
+    chosen: Sequence[int],
+    offsets: Callable[[Sequence[int], int], Floats],
+    *,
+    whole: bool = True,
 ) -> HealthCheck:
     """Whether right images of other frames fit the left ones better than their own, in the drive or in a part of it: one camera
-    may lose a frame, after which all its images are those of another instant."""
+    may lose a frame, after which all its images are those of another instant. whole: the chosen pairs are of the whole drive."""
     ends = [(first, last) for first in range(len(chosen)) for last in range(first + 1, len(chosen))]
     parts = [chosen[first : last + 1] for first, last in sorted(ends, key=lambda end: end[0] - end[1])] or [chosen]
     if len(chosen) > 1 and not _is_fitting(offsets(chosen[-1:], 0)):
@@ -227,11 +256,12 @@ def _check_trigger(
         )
         if best < _MIN_MATCHES or best < _FITS_BETTER * own:
             lag = 0
-        if part is not parts[0] and not _is_fitting(offsets(part, lag)):
+        in_part = not whole or part is not parts[0]
+        if in_part and not _is_fitting(offsets(part, lag)):
             lag = 0  # of few pairs the number of points varies
         if lag:
             first, last = (pairs[part[end]].frame_index for end in (0, -1))
-            where = "" if part is parts[0] else f" in frame pairs {first} to {last}"
+            where = f" in frame pairs {first} to {last}" if in_part else ""
             detail = (
                 f"The right images{where} belong to left images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}: {best} "
                 f"points fit, {own} as delivered. Correct the numbers of the images or the trigger."

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
+from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_between, motions_of
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
+from conetl.perception.stereo_check import check_lost_parts
 from conetl.perception.visual_odometry import follow_drive, follow_spans
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
@@ -234,6 +235,8 @@ def check_poses(
     if measured:
         read = grey_reader(drive.rig)
         checks += [check(pairs, drive.rig, measured, read, params) for check in (check_lost_frames, check_recording)]
+        lost = [motion is None or motion.second_SE3_first is None for motion in motions_between(pairs, measured)]
+        checks += check_lost_parts(drive.model_copy(update={"frame_pairs": tuple(pairs)}), lost)
     return checks if trajectory.control is None else [*checks, trajectory.control]
 
 
