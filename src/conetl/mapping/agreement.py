@@ -82,6 +82,7 @@ def contradiction(
         key=lambda track: track.xyz_m,
     )
     displaced = _displaced(sure, features, kinds, params) if sure and features else None
+    displaced = displaced or _standing_elsewhere(sure, features, params)
     return displaced or _scattered(kinds, "cones", "the zone was set up anew") or _blind(kinds, params)
 
 
@@ -171,13 +172,20 @@ def far_displacement(
     this is decided once, when the drive comes.
     """
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
-    if len(sure) < _LEAST_SAME_OF_DRIVE or not features:
-        return None
-    found = len(_same_positions(_places(sure), _places(features), np.zeros(3), params))
-    check = _arranged_alike(sure, features, found, params, _LEAST_SAME_OF_DRIVE)
+    check = _standing_elsewhere(sure, features, params)
     if check is None or check.value is None or check.value <= _NEAR_M:
         return None
     return check.model_copy(update={"name": "the same cones elsewhere"})
+
+
+def _standing_elsewhere(
+    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
+) -> HealthCheck | None:
+    """The displacement by the arrangement of enough cones alone, whatever row, also one along which no other cone is missing."""
+    if len(tracks) < _LEAST_SAME_OF_DRIVE or not features:
+        return None
+    found = len(_same_positions(_places(tracks), _places(features), np.zeros(3), params))
+    return _arranged_alike(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
 
 
 def _with_neighbours(t: Floats, f: Floats) -> Ints:

@@ -154,6 +154,16 @@ def test_a_second_row_beside_the_first_one_is_none() -> None:
         assert finding(other, row, in_view=False) is None
 
 
+@pytest.mark.parametrize("aside_m", [20.0, 45.0])
+def test_the_same_row_aside_is_known_by_small_differences_of_its_distances(aside_m: float) -> None:
+    """A copy of a drive with another log: moved by one cone, its row of about equal distances fits nearly as well."""
+    along = np.cumsum(np.random.default_rng(3).normal(4.5, 0.15, 9))
+    row = np.column_stack([along, np.full(9, 3.0), np.zeros(9)])
+    assert f"{aside_m:.1f} m from those of the map" in (
+        finding(row + np.array((0, aside_m, 0)), row, in_view=False) or ""
+    )
+
+
 def test_the_same_zone_farther_along_the_road_is_told_from_one_like_it() -> None:
     """The first one is not in view. People who set up a zone twice place its cones at least 0.1 m differently."""
     rng = np.random.default_rng(9)
