@@ -232,31 +232,32 @@ def test_a_stale_reading_of_the_map_is_refused(conn, samples):
     assert len(store.list_changesets(conn)) == 2
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"detections": lambda s: s.detections(frames=4)}, "detection of frame 3"),
-        ({"positions": lambda s: s.positions(frames=2)}, r"track 0 with the unknown position \(2, 0\)"),
-        ({"matches": lambda s: s.matches(frames=2)}, r"position \(2, 0\) without its stereo match"),
-        ({"detections": lambda s: s.detections()[:-1]}, "stereo match 0 of frame 2 without its detections"),
-        ({"tracks": lambda s: [s.track(track_index=5)]}, "with the unknown track 0"),
-        ({"changeset": lambda s: s.changeset(drive_id="other")}, "a changeset of drive other"),
-        ({"changeset": lambda s: s.changeset(*[s.added(s.feature())] * 2)}, "2 deltas of feature"),
-    ],
+UNFIT = (
+    ({"detections": lambda s: s.detections(frames=4)}, "detection of frame 3"),
+    ({"positions": lambda s: s.positions(frames=2)}, r"track 0 with the unknown position \(2, 0\)"),
+    ({"matches": lambda s: s.matches(frames=2)}, r"position \(2, 0\) without its stereo match"),
+    ({"detections": lambda s: s.detections()[:-1]}, "stereo match 0 of frame 2 without its detections"),
+    ({"tracks": lambda s: [s.track(track_index=5)]}, "with the unknown track 0"),
+    ({"changeset": lambda s: s.changeset(drive_id="other")}, "a changeset of drive other"),
+    ({"changeset": lambda s: s.changeset(*[s.added(s.feature())] * 2)}, "2 deltas of feature"),
 )
-def test_records_that_do_not_fit_together_are_refused(conn, samples, changes, words):
-    values = {
-        "drive": samples.drive(),
-        "detections": samples.detections(),
-        "matches": samples.matches(),
-        "positions": samples.positions(),
-        "tracks": [samples.track()],
-        "changeset": samples.changeset(samples.added(samples.feature())),
-    }
-    values |= {name: make(samples) for name, make in changes.items()}
-    with pytest.raises(MapMismatchError, match=words), store.map_transaction(conn):
-        commit_changeset(conn, changeset=values.pop("changeset"), records=DriveRecords(**values))
-    assert store.find_map(conn) is None
+
+
+def test_records_that_do_not_fit_together_are_refused(conn, samples):
+    for changes, words in UNFIT:
+        values = {
+            "drive": samples.drive(),
+            "detections": samples.detections(),
+            "matches": samples.matches(),
+            "positions": samples.positions(),
+            "tracks": [samples.track()],
+            "changeset": samples.changeset(samples.added(samples.feature())),
+        }
+        values |= {name: make(samples) for name, make in changes.items()}
+        with pytest.raises(MapMismatchError, match=words), store.map_transaction(conn):
+            commit_changeset(conn, changeset=values.pop("changeset"), records=DriveRecords(**values))
+        assert store.find_map(conn) is None
+        conn.rollback()
 
 
 def test_rejections_come_back_whatever_they_hold(conn, samples):

@@ -51,9 +51,9 @@ def _backfill(
     return done.returncode, {drive["drive_id"]: drive for drive in json.loads(done.stdout)["drives"]}
 
 
-def _plan(root: Path, home: Path, database_url: str) -> dict[str, dict[str, object]]:
+def _plan(root: Path, home: Path, database_url: str, *options: str) -> dict[str, dict[str, object]]:
     """What a backfill would do, by drive id; in this process, since it needs no Prefect."""
-    said = json.loads(command_line(home, database_url)("backfill", root, "--here", "--dry-run", "--json"))
+    said = json.loads(command_line(home, database_url)("backfill", root, "--here", "--dry-run", "--json", *options))
     return {line["drive_id"]: line for line in said["plan"]["lines"]}
 
 
@@ -120,6 +120,8 @@ def test_a_folder_of_links_to_drives_is_ingested_once(
     drives = _plan(*where)
     assert "on hold since" in str(drives["2026-05-02_run"]["why"])
     assert {name: drive["action"] for name, drive in drives.items()} == {LONG_ID: "skip", "2026-05-02_run": "skip"}
+    drives = _plan(*where, "--recheck", "--since", "2026-05-02")
+    assert {name: drive["action"] for name, drive in drives.items()} == {"2026-05-02_run": "ingest"}
     with closing(connect(database_url)) as conn:
         assert execute(conn, "select count(*) as n from conetl.changeset")[0]["n"] == 2
 
