@@ -31,16 +31,19 @@ class FeatureClass:
     """Whether rows of it close a lane: a channelizing device (MUTCD 2023, chapter 6K)."""
     letter: str
     """Beside the symbol on plans. Cones, of which there are most, have none; lines are drawn as lines."""
-    rim_share: float = 0.0
-    """Distance from the middle of the foot to what the box's lower edge shows, as a share of the box's width: half of it for the
-    near rim of a round or square base, 0 where the box ends at the object itself."""
+    rim_in_box: bool = False
+    """Whether the box ends at the near rim of a round or square base, by half of its width before the middle of the foot; False
+    where it ends at the object itself."""
     network_share: float = 0.5
-    """Weight of the network's foot against that of the box; their errors have opposite signs on rendered cones."""
+    """Weight of the network's foot against that of the box; their errors have opposite signs on rendered cones. 0 where it takes
+    the near rim of a wide base for the foot."""
     body: tuple[float, float] = (0.10, 0.31)
     """Of round objects: half width of the body at its upper and lower end, as shares of the width of the box, which holds the
     base too."""
     board: float = 0.42
     """Of flat objects on the road: half width of what is matched, as a share of the width of the box, which may hold a base."""
+    face_m: float = 0.0
+    """Of flat objects: from the face that is matched to the axis, half the thickness of the board."""
     axis_from_outline: bool = False
     """Whether the edges of the body in the image, instead of the box, give the axis: those of wide, straight bodies do."""
     outline_share: float | None = 0.02
@@ -57,20 +60,20 @@ class FeatureClass:
 
 FEATURE_CLASSES = {
     CONE: FeatureClass(
-        (0.25, 1.15), (0.15, 1.8), 0.55, round_body=True, on_road=True, in_rows=True, letter="", rim_share=0.5,
+        (0.25, 1.15), (0.15, 1.8), 0.55, round_body=True, on_road=True, in_rows=True, letter="", rim_in_box=True,
         outline_share=None, outline_common=0.0,
     ),
     "tubular_marker": FeatureClass(
-        (0.4, 1.4), (0.25, 2.0), 0.3, round_body=True, on_road=True, in_rows=True, letter="T", rim_share=0.5,
+        (0.4, 1.4), (0.25, 2.0), 0.3, round_body=True, on_road=True, in_rows=True, letter="T", rim_in_box=True,
         body=(0.20, 0.22), outline_share=0.003,
     ),
     "drum": FeatureClass(
-        (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, letter="D", rim_share=0.5,
+        (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, letter="D", rim_in_box=True,
         network_share=0.0, body=(0.33, 0.39), axis_from_outline=True, outline_share=0.005, outline_common=0.75,
     ),
     "vertical_panel": FeatureClass(
-        (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_share=0.5,
-        board=0.36, outline_share=0.01, outline_aside=0.7, outline_common=0.75,
+        (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_in_box=True,
+        network_share=0.0, board=0.36, face_m=0.015, outline_share=0.01, outline_aside=0.7, outline_common=0.75,
     ),
     "barricade": FeatureClass(
         (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B", outline_share=0.03,

@@ -48,18 +48,19 @@ def test_a_box_cut_by_the_border_is_rejected_with_the_reason() -> None:
 
 
 @pytest.mark.parametrize("range_m", [6.5, 9.0, 15.0])
-@pytest.mark.parametrize("aside_m", [-2.0, 0.0, 1.5])
+@pytest.mark.parametrize("aside_m", [-3.0, 0.0, 1.5])
 def test_the_foot_is_the_centre_of_the_base_not_its_near_rim(range_m: float, aside_m: float) -> None:
     rig, (pair,) = make_rig(), make_path(1)
     cone = Cone((0.8 + range_m, aside_m, 0.0))
     (box,) = detect([cone], [pair], rig)[0, "left"]
     pose = camera_pose(pair, rig, "left")
     local = pose[:3, :3].T @ (np.array(cone.foot_m) + np.array([456_000.0, 5_428_000.0, 115.0]) - pose[:3, 3])
-    true_v = rig.left.cy_px + rig.left.fy_px * local[1] / local[2]
-    axis, bottom = box.x_px + box.w_px / 2 - 0.5, box.y_px + box.h_px - 0.5
-    _, v = foot_image_point((axis, bottom), box.w_px / 2, rig.left, UP)
-    assert v == pytest.approx(true_v, abs=0.4)
-    assert bottom - true_v > 0.5, "without the correction the foot would be too near"
+    true = [
+        rig.left.cx_px + rig.left.fx_px * local[0] / local[2],
+        rig.left.cy_px + rig.left.fy_px * local[1] / local[2],
+    ]
+    assert foot_image_point(box, rig.left, UP) == pytest.approx(true, abs=0.01)
+    assert box.y_px + box.h_px - 0.5 - true[1] > 0.5, "without the correction the foot would be too near"
 
 
 def test_foot_and_tip_of_the_network_are_used() -> None:
@@ -138,7 +139,8 @@ def test_a_foot_behind_a_nearer_object_is_uncertain_along_the_rows() -> None:
 
 
 def test_classes_have_their_own_foot() -> None:
-    """A panel's box shows the near rim of its base plate, a barricade's its foot; of drums the network's foot does not count."""
+    """A panel's box shows the near rim of its base plate, a barricade's its foot; of drums and panels the network's foot does not
+    count."""
     rig, *boxes = one_cone()
     axis, bottom = boxes[0].x_px + boxes[0].w_px / 2 - 0.5, boxes[0].y_px + boxes[0].h_px - 0.5
 
@@ -149,15 +151,16 @@ def test_classes_have_their_own_foot() -> None:
         (match,), _ = match_pair(pair[:1], pair[1:], rig, MatchParams(), up_left=UP)
         return match.foot_left_uv_px
 
-    rim = foot_image_point((axis, bottom), boxes[0].w_px / 2, rig.left, UP)
-    assert foot("vertical_panel") == pytest.approx(rim) and rim[1] < bottom - 0.5
+    rim = foot_image_point(boxes[0], rig.left, UP)
+    assert rim[1] < bottom - 0.5
+    assert foot("vertical_panel") == foot("vertical_panel", above_px=2.0) == pytest.approx(rim)
     assert foot("barricade") == pytest.approx((axis, bottom))
     assert foot("barricade", above_px=2.0) == pytest.approx((axis, bottom - 1.0))
     assert foot("drum", above_px=8.0) == pytest.approx(rim)
 
 
-def test_the_edges_of_a_drum_give_its_axis() -> None:
-    """Its box is 4 px too wide on one side, in both images."""
+def test_the_edges_of_a_drum_give_its_axis_and_the_face_of_a_panel_its_own() -> None:
+    """The box is 4 px too wide on one side, in both images; a panel's axis is half its board's thickness behind its face."""
     rng = np.random.default_rng(3)
     camera = Camera(width_px=400, height_px=200, fx_px=640.0, fy_px=640.0, cx_px=200.0, cy_px=50.0)
     right_pose = [[1.0, 0.0, 0.0, 0.54], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -182,6 +185,10 @@ def test_the_edges_of_a_drum_give_its_axis() -> None:
     match, _ = match_pair(boxes[:1], boxes[1:], rig, MatchParams(), up_left=UP, images=(images[0], images[1]))
     assert match[0].refined
     assert match[0].foot_left_uv_px[0] == pytest.approx(239.5, abs=0.3), "the box's middle is 241.5"
+    panel = [box.model_copy(update={"category": "vertical_panel"}) for box in boxes]
+    match, _ = match_pair(panel[:1], panel[1:], rig, MatchParams(), up_left=UP, images=(images[0], images[1]))
+    depth_m = 640.0 * 0.54 / (match[0].foot_left_uv_px[0] - match[0].foot_right_uv_px[0])
+    assert depth_m - 640.0 * 0.54 / 40.0 == pytest.approx(0.015, abs=0.005)
 
 
 @pytest.mark.parametrize(("spread", "low", "high"), [(0.5, 0.55, 0.95), (1.0, 1.0, 1.6), (3.0, 2.0, 2.0)])

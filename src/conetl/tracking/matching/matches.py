@@ -7,12 +7,14 @@ least total cost is taken.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from conetl.geometry.camera import project, rays
 from conetl.geometry.rig import infinity_shift_px
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import MatchParams
@@ -31,6 +33,8 @@ LEAST_DISPARITY_PX = 0.5
 #: A box this near to the image's border (px, or share of the box) may be cut: networks rarely draw boxes up to the edge.
 _BORDER_PX = 2.0
 _BORDER_SHARE = 0.15
+#: Largest radius of a base as a share of its depth: of wider boxes, which are of nothing on a road.
+_WIDEST = 0.5
 #: Sigma of foot and axis from boxes alone: a floor plus a share of the box. With less, box edges with a sigma of 0.9 px give
 #: overconfident tracks (tests/synthetic/test_drive.py).
 _EDGE_SIGMA_PX = 0.6
@@ -38,7 +42,7 @@ _EDGE_SIGMA_SHARE = 0.025
 #: Sigma of the network's foot, and of the edges of plates, which are what is located: a floor (px), a share of the box's height
 #: or width, and a term divided by the height (px^2). Across the rows in each image, along the rows in both alike, and common to
 #: all observations of one cone. Measured on the sample drives (docs/explanation/accuracy.md).
-_FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 3.0)
+_FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.003, 2.0)
 #: Share of the box's width by which a foot errs along the rows if a nearer object hides all of the box's lower half. Measured on
 #: the sample drives and mixed worlds 4 and 5.
 _FOOT_HIDDEN = 0.3
@@ -47,20 +51,6 @@ _BOTH_ALIKE = 1.5
 #: Prior weight of the stated scatter, in matches; limit of a difference in sigmas; limits of the factor.
 _USUAL_MATCHES, _LARGEST_RATIO = 10.0, 3.0
 _SPREAD_BOUNDS = (0.5, 2.0)
-
-
-class _Sought(NamedTuple):
-    """A left detection with what all its candidates share."""
-
-    detection: Detection
-    at_infinity_px: float
-    """Disparity of points at infinity, at the middle of the box."""
-    row_offset_px: float
-    """How much lower they are in the right image."""
-    outlines: list[Outline | Plate]
-    """Of its object: computed for the first candidate, so none or one."""
-    others: Sequence[Detection]
-    """All detections in the left image."""
 
 
 def match_pair(
@@ -86,14 +76,25 @@ def match_pair(
     areas: dict[tuple[int, int], AreaMatch | None] = {}
     costs = np.full((len(left_whole), len(right_whole)), np.inf)
     middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole])
-    outlines: list[Outline | Plate | None] = []
-    for i, (a, (shift, rows_up)) in enumerate(zip(left_whole, infinity_shift_px(rig, middles).tolist(), strict=True)):
-        sought = _Sought(a, shift, -rows_up, [], left)
+    outlines: list[Outline | Plate | None] = [None] * len(left_whole)
+    for i, (a, (at_infinity_px, rows_up)) in enumerate(
+        zip(left_whole, infinity_shift_px(rig, middles).tolist(), strict=True)
+    ):
         for j, b in enumerate(right_whole):
-            candidate = _candidate(sought, b, rig, params, images if params.refine else None, up_left)
-            if candidate is not None:
-                costs[i, j], areas[i, j] = candidate
-        outlines.append(sought.outlines[0] if sought.outlines else None)
+            alike = _compare_boxes(a, b, at_infinity_px, -rows_up, rig, params)
+            if alike is None:
+                continue
+            costs[i, j], disparity_px = alike
+            areas[i, j] = None
+            if images is not None and params.refine:
+                round_body = FEATURE_CLASSES[a.category].round_body
+                outline = outlines[i] or (find_outline(images[0], a) if round_body else find_plate(a, left))
+                area = match_area(
+                    *images, outline, disparity_px + at_infinity_px, max(3.0, 0.3 * a.w_px),
+                    camera=rig.left, up=up_left, at_infinity_px=at_infinity_px, row_offset_px=-rows_up,
+                )  # fmt: skip
+                outlines[i], areas[i, j] = outline, area and _at_axis(area, a.category, at_infinity_px, rig)
+                costs[i, j] += 1.0 - (area.correlation if area else 0.0)
     # Forbidden pairs cost more than leaving both unmatched.
     rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, 1e6))
     pairs = [pair for pair in zip(rows.tolist(), columns.tolist(), strict=True) if pair in areas]
@@ -132,22 +133,21 @@ def _has_feet(match: StereoMatch) -> bool:
     return match.left.foot_px is not None and match.right.foot_px is not None
 
 
-def foot_image_point(box_bottom: Vec2, rim_px: float, camera: Camera, up: NDArray[np.float64]) -> Vec2:
-    """Image point of the centre of the foot, from the middle of the box's lower edge.
+def foot_image_point(box: Detection, camera: Camera, up: NDArray[np.float64]) -> Vec2:
+    """Image point of the centre of a round base that stands on the ground, from its box.
 
-    The lower edge shows the near rim of the base plate, nearer to the camera than the centre by half the plate's apparent
-    width, `rim_px`. So the ray to the rim is moved along the ground by that share of its depth. up: unit vector (3,) in the
-    camera's frame.
+    The sides of the box are tangents of the base, and its lower edge shows the rim that is nearest along the level part of the
+    optical axis. up: unit vector (3,) in the camera's frame.
     """
-    u, v = box_bottom
-    ray = np.array([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, 1.0])
-    along_ground = ray - (ray @ up) * up
-    along_ground /= np.linalg.norm(along_ground)
-    centre = ray + rim_px / camera.fx_px * along_ground
-    return (
-        float(camera.cx_px + camera.fx_px * centre[0] / centre[2]),
-        float(camera.cy_px + camera.fy_px * centre[1] / centre[2]),
-    )
+    x, bottom = box.x_px - 0.5, box.y_px + box.h_px - 0.5
+    corners = rays(camera, [(x, bottom), (x + box.w_px, bottom)])
+    left, right = np.arctan(corners[:, 0])
+    share = min(np.sin((right - left) / 2) / np.cos((left + right) / 2), _WIDEST)
+    radius = share / (1 - share)  # in units of the rim's depth
+    forward = np.array([0.0, 0.0, 1.0]) - up[2] * up
+    rim = np.array([np.tan((left + right) / 2) * (1 + radius), corners[0, 1], 1.0])
+    u, v = project(camera, rim + radius * forward / np.linalg.norm(forward))
+    return float(u), float(v)
 
 
 def _hidden_foot(detection: Detection, others: Sequence[Detection]) -> float:
@@ -180,16 +180,13 @@ def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection])
     return False
 
 
-def _candidate(
-    sought: _Sought,
-    b: Detection,
-    rig: Rig,
-    params: MatchParams,
-    images: tuple[Image, Image] | None,
-    up: NDArray[np.float64],
-) -> tuple[float, AreaMatch | None] | None:
-    """Cost of matching two detections, and what matching their images found; None if forbidden."""
-    a, at_infinity, row_offset_px, outlines, others = sought
+def _compare_boxes(
+    a: Detection, b: Detection, at_infinity_px: float, row_offset_px: float, rig: Rig, params: MatchParams
+) -> tuple[float, float] | None:
+    """Cost of matching two detections by their boxes, and their disparity above that at infinity (px); None if forbidden.
+
+    at_infinity_px, row_offset_px: disparity of points at infinity, and how much lower they are in the right image.
+    """
     if a.category != b.category or a.category not in FEATURE_CLASSES:
         return None
     tallest = max(a.h_px, b.h_px)
@@ -204,7 +201,7 @@ def _candidate(
     score_difference = abs(a.score - b.score)
     if score_difference > params.max_score_difference:
         return None
-    disparity = (a.x_px + a.w_px / 2) - (b.x_px + b.w_px / 2) - at_infinity
+    disparity = (a.x_px + a.w_px / 2) - (b.x_px + b.w_px / 2) - at_infinity_px
     least, most = disparity_bounds_px(rig, params, (a.w_px + b.w_px) / 2)
     if not least <= disparity <= most:
         return None
@@ -212,19 +209,15 @@ def _candidate(
     lowest_m, highest_m = FEATURE_CLASSES[a.category].match_heights_m
     if not lowest_m <= height_m <= highest_m:
         return None
-    area = None
-    if images is not None:
-        if not outlines:
-            round_body = FEATURE_CLASSES[a.category].round_body
-            outlines.append(find_outline(images[0], a) if round_body else find_plate(a, others))
-        area = match_area(
-            images[0], images[1], outlines[0], disparity + at_infinity, max(3.0, 0.3 * a.w_px),
-            camera=rig.left, up=up, at_infinity_px=at_infinity, row_offset_px=row_offset_px,
-        )  # fmt: skip
     cost = row_difference / row_tolerance + np.log(height_ratio) * 2 + np.log(width_ratio) + score_difference
-    if images is not None:
-        cost += 1.0 - (area.correlation if area else 0.0)
-    return float(cost), area
+    return float(cost), disparity
+
+
+def _at_axis(area: AreaMatch, category: str, at_infinity_px: float, rig: Rig) -> AreaMatch:
+    """The match with the disparity of the object's axis instead of that of its face."""
+    parallax = area.disparity_px - at_infinity_px
+    nearer = 1 + FEATURE_CLASSES[category].face_m * parallax / (rig.left.fx_px * rig.baseline_m)
+    return replace(area, disparity_px=at_infinity_px + parallax / nearer)
 
 
 def row_tolerance_px(params: MatchParams, height_px: Number) -> Number:
@@ -304,7 +297,7 @@ def _foot_tip_centre(detection: Detection, camera: Camera, up: NDArray[np.float6
     its = FEATURE_CLASSES[detection.category]
     axis, bottom = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px + detection.h_px - 0.5
     top = detection.y_px - 0.5
-    u, v = foot_image_point((axis, bottom), its.rim_share * detection.w_px, camera, up)
+    u, v = foot_image_point(detection, camera, up) if its.rim_in_box else (axis, bottom)
     if detection.foot_px is not None:
         u += its.network_share * (detection.foot_px[0] - 0.5 - u)
         v += its.network_share * (detection.foot_px[1] - 0.5 - v)
