@@ -9,6 +9,7 @@ pitch positive with the front down and roll positive with the left side up (Geig
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,20 +124,19 @@ def interpolate_each(a: Sequence[Floats], b: Sequence[Floats], weights: Sequence
 
 def to_matrix3(rotation: ArrayLike) -> Matrix3:
     """Nested tuple of a (3, 3) array, as the records want it."""
-    r = np.asarray(rotation, dtype=np.float64)
-    if r.shape != (3, 3):
-        raise ValueError(f"expected a (3, 3) array, found shape {r.shape}")
-    a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in r)
-    return (a, b, c)
+    return cast(Matrix3, _nested(rotation, 3))
 
 
 def to_matrix4(pose: ArrayLike) -> Matrix4:
     """Nested tuple of a (4, 4) array, as the records want it."""
-    p = np.asarray(pose, dtype=np.float64)
-    if p.shape != (4, 4):
-        raise ValueError(f"expected a (4, 4) array, found shape {p.shape}")
-    a, b, c, d = ((float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in p)
-    return (a, b, c, d)
+    return cast(Matrix4, _nested(pose, 4))
+
+
+def _nested(matrix: ArrayLike, size: int) -> tuple[tuple[float, ...], ...]:
+    m = np.asarray(matrix, dtype=np.float64)
+    if m.shape != (size, size):
+        raise ValueError(f"expected a ({size}, {size}) array, found shape {m.shape}")
+    return tuple(map(tuple, m.tolist()))
 
 
 def map_SE3_body(pose: Pose) -> Floats:
