@@ -207,7 +207,7 @@ left join open_version o using (feature_id)
 order by 1, s.feature_id;
 
 -- name: has_outgrown
--- Whether new versions make the planner's statistics of their table wrong.
+-- Whether new versions make the planner's statistics of a map's tables wrong.
 -- Parameters: versions (written since). Columns: outgrown.
 select 10 * %(versions)s >= c.reltuples as outgrown
 from pg_class c

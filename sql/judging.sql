@@ -51,10 +51,15 @@ and not exists (
 -- Nearest and farthest distance (m) at which tracks were observed, where their positions are kept.
 -- Parameters: drive_uuids (uuid[]), track_indexes (integer[]), of the same length.
 -- Columns: drive_uuid, track_index, near_m, far_m, frames (frame pairs).
+-- offset 0: each position is looked up, whatever the planner assumes of a drive that is newer than its statistics.
 select n.drive_uuid, n.track_index, min(p.range_m) as near_m, max(p.range_m) as far_m, count(distinct p.frame_index) as frames
 from unnest(%(drive_uuids)s::uuid[], %(track_indexes)s::integer[]) n (drive_uuid, track_index)
 join conetl.track_member t using (drive_uuid, track_index)
-join conetl.position p using (drive_uuid, frame_index, match_index)
+cross join lateral (
+    select p.frame_index, p.range_m from conetl.position p
+    where p.drive_uuid = t.drive_uuid and p.frame_index = t.frame_index and p.match_index = t.match_index
+    offset 0
+) p
 group by n.drive_uuid, n.track_index;
 
 -- name: frame

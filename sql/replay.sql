@@ -102,6 +102,14 @@ order by v.feature_id;
 -- Parameters: drive_uuids (uuid[], of one map).
 -- Columns: as FeatureVersion, then version_row_id, drive_uuid, and the drive's fold key: captured_from_ns,
 -- content_sha256, idempotency_key.
+-- offset 0: one lookup per feature; the planner expects a single one around the paths, and would compare all versions with all.
+with around as materialized (
+    select distinct w.cell, w.feature_id
+    from conetl.drive a
+    cross join lateral conetl.pieces(a.area) piece
+    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
+    where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
+)
 select
     v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
     array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
@@ -112,17 +120,14 @@ select
     v.changeset_id, v.present or v.suppressed as present, v.suppressed, v.valid_from_ns,
     lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)) as valid_to_ns,
     v.version_row_id, d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
-from conetl.feature_version v
+from around n
+cross join lateral (
+    select * from conetl.feature_version w
+    where w.cell = n.cell and w.feature_id = n.feature_id and upper_inf(w.system_period)
+    offset 0
+) v
 join conetl.changeset c on c.changeset_id = v.changeset_id
 join conetl.drive d on d.drive_uuid = c.drive_uuid
-where upper_inf(v.system_period)
-and (v.cell, v.feature_id) in (
-    select w.cell, w.feature_id
-    from conetl.drive a
-    cross join lateral conetl.pieces(a.area) piece
-    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
-    where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
-)
 order by v.feature_id, lower(v.valid_period);
 
 -- name: misses_around

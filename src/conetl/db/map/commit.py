@@ -41,8 +41,6 @@ from conetl.model.records import Drive, DriveRecords
 
 #: A drive may see features this far around its path: the farthest position plus the largest offset and move.
 INFLUENCE_M = 60.0
-#: From this number of new versions on, if they are a tenth of the table, its statistics are renewed before autovacuum comes.
-ANALYSE_FROM_VERSIONS = 10_000
 #: Records per block, and blocks that wait at most: about 100 MB of positions, which are the longest rows.
 BLOCK_RECORDS = 25_000
 BLOCKS_AHEAD = 12
@@ -149,6 +147,7 @@ def commit_changeset(
     else:
         versions_written = write_replay(conn, info, replay, committed_at)
     write_holds(conn, {changeset.changeset_id: hold} if hold else {}, committed_at, by_map=held_by_map)
+    renew_statistics(conn, versions_written)
     return committed_result(conn, changeset, versions_written, map_name=map_name)
 
 
@@ -179,6 +178,12 @@ def insert_changeset(
         line_counts=json_text({kind.value: count for kind, count in sorted(line_kinds.items())}),
         frame_pair_count=len(records.drive.frame_pairs) if records else 0,
     )  # fmt: skip
+
+
+def renew_statistics(conn: Connection, versions: int) -> None:
+    """Let the planner know the size of the map where new versions are a tenth of it; autovacuum comes only after a minute."""
+    if versions and db.query(conn, "commit.has_outgrown", versions=versions)[0]["outgrown"]:
+        db.execute(conn, "analyze (skip_locked) conetl.feature, conetl.feature_version, conetl.delta")
 
 
 def committed_result(conn: Connection, changeset: Changeset, versions_written: int, *, map_name: str) -> CommitResult:
@@ -304,8 +309,6 @@ def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committ
     versions = db.execute_count(conn, db.load_sql("commit.insert_versions"), parameters)
     db.query(conn, "commit.insert_deltas", **parameters)
     db.execute(conn, "drop table delta_stage, open_version")
-    if versions >= ANALYSE_FROM_VERSIONS and db.query(conn, "commit.has_outgrown", versions=versions)[0]["outgrown"]:
-        db.execute(conn, "analyze conetl.feature, conetl.feature_version")
     return versions
 
 

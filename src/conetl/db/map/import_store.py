@@ -12,7 +12,7 @@ from conetl.db import connection as db
 from conetl.db.connection import Connection
 from conetl.db.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
 from conetl.db.map import rows as map_rows
-from conetl.db.map.commit import committed_result, insert_changeset
+from conetl.db.map.commit import committed_result, insert_changeset, renew_statistics
 from conetl.db.map.map_store import map_for, require_map, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, MapInfo, Replay, RunInfo
@@ -118,8 +118,7 @@ def commit_import(
     insert_changeset(conn, info, drive_uuid, changeset, None, run, committed_at)
     db.copy_columns(conn, "conetl.statement", _statement_columns(drive_uuid, info.srid, imported.statements))
     versions_written = write_replay(conn, info, replay, committed_at)
-    if versions_written:
-        db.execute(conn, "analyze conetl.feature, conetl.feature_version")
+    renew_statistics(conn, versions_written)
     return committed_result(conn, changeset, versions_written, map_name=map_name)
 
 
