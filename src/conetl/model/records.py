@@ -43,6 +43,8 @@ MIN_HEIGHT_M, MAX_HEIGHT_M = -500.0, 9_000.0
 Height = Annotated[float, Field(ge=MIN_HEIGHT_M, le=MAX_HEIGHT_M)]
 MIN_BASELINE_M, MAX_BASELINE_M = 0.01, 10.0
 MAX_LEVER_ARM_M = 20.0
+#: Fields of view of 160 to 3 degrees.
+MIN_FOCAL_SHARE, MAX_FOCAL_SHARE = 0.09, 20.0
 MAX_SPEED_M_S = 100.0
 #: A 100-megapixel camera still fits.
 MAX_IMAGE_PIXELS = 2**27
@@ -203,6 +205,12 @@ class Rig(Record):
                 f"the baseline is {self.baseline_m:.4g} m, expected {MIN_BASELINE_M:g} to {MAX_BASELINE_M:g} m: is it in another "
                 "unit? conetl rig convert --unit mm makes a rig.yaml of it"
             )
+        for name, camera in (("left", self.left), ("right", self.right)):
+            if not MIN_FOCAL_SHARE <= camera.fx_px / camera.width_px <= MAX_FOCAL_SHARE:
+                raise ValueError(
+                    f"the focal length of the {name} camera is {camera.fx_px:.4g} px, expected {MIN_FOCAL_SHARE:g} to "
+                    f"{MAX_FOCAL_SHARE:g} widths of its images ({camera.width_px} px): is it in another unit?"
+                )
         arm_m = max(abs(self.body_SE3_left[i][3]) for i in range(3))
         if not arm_m <= MAX_LEVER_ARM_M:
             raise ValueError(f"the lever arm of body_SE3_left is {arm_m:.4g} m, expected at most {MAX_LEVER_ARM_M:g} m")

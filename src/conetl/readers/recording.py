@@ -184,7 +184,7 @@ class ArrivingPlain(ArrivingDrive):
             raise PairError(RejectionReason.TIMESTAMP_INVALID, captured)
         _require_set_clock(captured)
         srid = checked_srid(map_srid or self.settings.map_srid, row.lat_deg, row.lon_deg, self.root)
-        return _record(self.rows.numbers[pair.key], pair, captured, pose_of_row(row, srid)), srid
+        return _record(self.rows.numbers[pair.key], pair, captured, pose_of_row(row, srid, self.settings.sigmas)), srid
 
 
 @dataclass

@@ -55,6 +55,11 @@ _STANDING_M_S, _ASIDE_DEG = 0.5, 20.0
 #: The middle of the bends is that many sigmas of one coordinate.
 _BENDS_M_S2, _SCATTER_SHARE, _BEND_SIGMAS = 8.0, 0.5, np.sqrt(6 * np.log(4))
 
+_LONGER = (
+    "the calibration's baseline, focal length or lens is wrong (raw or rectified images?), or GNSS/INS drifts. Calibrate the rig "
+    "(conetl calibrate) or process its log anew."
+)
+
 
 def check_trajectory(
     frame_pairs: Sequence[FramePair],
@@ -255,10 +260,7 @@ def _in_common(observed: Floats, logged: Floats) -> str:
         ratio = lengths_m[0, far] / lengths_m[1, far] - 1
         scale = float(np.median(ratio))
         if abs(scale) > _COMMON_SHARE and np.median(np.abs(ratio - scale)) < abs(scale) / 4:
-            return (
-                f" The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: the calibration's baseline or "
-                "focal length is wrong, or GNSS/INS drifts. Calibrate the rig (conetl calibrate) or process its log anew."
-            )
+            return f" The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: {_LONGER}"
     return " Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
 
 
@@ -289,10 +291,7 @@ def _scale(scale: float, sigma: float, prior: float) -> HealthCheck:
     held, doubtful = abs(scale) > max(limit, _MAX_SCALE_SIGMAS * sigma), scale_is_doubtful(scale, sigma, prior)
     detail = "Images and GNSS/INS show the same distances."
     if held or doubtful:
-        detail = (
-            f"The images show distances {100 * scale:+.1f} +- {100 * sigma:.1f} % longer than GNSS/INS: the calibration's "
-            "baseline or focal length is wrong, or GNSS/INS drifts. Calibrate the rig (conetl calibrate) or process its log anew."
-        )
+        detail = f"The images show distances {100 * scale:+.1f} +- {100 * sigma:.1f} % longer than GNSS/INS: {_LONGER}"
         detail += "" if held else " The stated sigmas of all positions cover a drift."
     return HealthCheck(
         name=DISTANCES,

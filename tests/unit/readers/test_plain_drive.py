@@ -99,6 +99,8 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "column missing": (edit("trajectory.csv", ",sigma_yaw_deg", ",sigma_jaw_deg"), 
         DriveFolderError, "missing sigma_yaw_deg; unknown sigma_jaw"),
     "no rows": (lambda d: (d / "trajectory.csv").write_text(HEADER + "\n"), DriveFolderError, "the file has no rows"),
+    "focal length in millimetres": (edit("rig.yaml", "fx_px: 60, fy_px: 60", "fx_px: 4, fy_px: 4"), CalibrationError,
+        "the focal length of the left camera is 4 px"),
     "no images": (
         lambda d: [p.unlink() for s in ("left", "right") for p in (d / s).iterdir()], DriveFolderError, "no images",
     ),
@@ -114,3 +116,10 @@ def test_an_unusable_drive_raises_one_message(drive: Path, name: str) -> None:
         read_drive(drive)
     assert words in str(raised.value)
     assert "plain_run" in str(raised.value)
+
+
+def test_sigmas_of_drive_yaml_override_those_of_the_rows(drive: Path) -> None:
+    (drive / "drive.yaml").write_text("sigmas: {horizontal_m: 0.5, roll_deg: 1}")
+    pose = read_drive(drive)[0].frame_pairs[0].pose
+    assert pose.sigma_enu_m == (0.5, 0.5, 0.75)
+    np.testing.assert_allclose(pose.sigma_rpy_rad, np.radians([1, 0.1, 0.2]))

@@ -28,7 +28,7 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Drive, Height, Latitude, Longitude, Pose, Record, Rig
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives.drive_yaml import DriveYaml, names_images
+from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, no_rig, overrides, own_rig
 from conetl.readers.drives.pairs import (
     ContentHash,
@@ -39,7 +39,7 @@ from conetl.readers.drives.pairs import (
     drive_of_pairs,
     images_ahead,
 )
-from conetl.readers.drives.poses import checked_srid, to_pose, wild_fixes
+from conetl.readers.drives.poses import attitude_sigmas, checked_srid, position_sigmas, to_pose, wild_fixes
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
 from conetl.readers.trajectories.times import misplaced, parse_timestamp, stamp_or_problem
@@ -137,7 +137,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
         raise DriveFolderError(f"{path / TRAJECTORY}: not one usable pose: {first}")
     srid = checked_srid(source.map_srid, good[0].lat_deg, good[0].lon_deg, path)
     with named(path, DriveFolderError):
-        poses = {row.stem: pose_of_row(row, srid) for row in good}
+        poses = {row.stem: pose_of_row(row, srid, settings.sigmas) for row in good}
     times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
     rows |= _wild_rows(poses, times)
     # Pairs are ordered by row; a stem without one comes last and only serves to name the rejection.
@@ -219,14 +219,18 @@ def _trajectory_file(folder: Path, content: ContentHash) -> bytes:
     return data
 
 
-def pose_of_row(row: Row, srid: int) -> Pose:
-    """Pose of the body in the map frame; yaw is turned from true to grid east."""
+def pose_of_row(row: Row, srid: int, settings: Sigmas) -> Pose:
+    """Pose of the body in the map frame; yaw is turned from true to grid east. Sigmas of drive.yaml override those of the row."""
     position = geodesy.to_map(srid, row.lat_deg, row.lon_deg, row.height_m)
     convergence = float(geodesy.grid_convergence_rad(srid, row.lat_deg, row.lon_deg))
     roll, pitch, yaw = np.radians([row.roll_deg, row.pitch_deg, row.yaw_deg])
     angles = (math.radians(row.sigma_roll_deg), math.radians(row.sigma_pitch_deg), math.radians(row.sigma_yaw_deg))
     rotation = se3.rotation_from_rpy(roll, pitch, yaw + convergence)
-    return to_pose(se3.se3(rotation, position), (row.sigma_e_m, row.sigma_n_m, row.sigma_u_m, *angles))
+    sigmas = (
+        *position_sigmas(settings, (row.sigma_e_m, row.sigma_n_m, row.sigma_u_m)),
+        *attitude_sigmas(settings, angles),
+    )
+    return to_pose(se3.se3(rotation, position), sigmas)
 
 
 def time_of_row(row: Row, zone: str) -> int | str:
