@@ -2,7 +2,8 @@
 
 Turns and changes of speed that the images show earlier or later than the log tell the offset (the idea of Rehder, Siegwart &
 Furgale 2016, with motions in place of feature tracks). A boresight error and an error of scale, which act on the same motions,
-are estimated along with it. On a straight drive at constant speed the offset cannot be observed, and its sigma says so.
+are estimated along with it, and how the share by which visual odometry errs changes within the drive. On a straight drive at
+constant speed the offset cannot be observed, and its sigma says so.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ _TRIED_S = np.arange(-0.4, 0.41, 0.04)
 #: Both signals are smoothed by this many intervals, so that interpolation smooths the noise of the log no further: it would draw
 #: the offset towards the middle between two records.
 _SMOOTHED, _MOST_CORRELATED = 1.5, 10.0
-#: Sigmas of a boresight error (rad) and of the scale beside the offset.
-_BORESIGHT_RAD, _SCALE = 0.03, 0.02
+#: Sigmas of a boresight error (rad) and of the scale beside the offset, and of the changes of the scale within the drive, half a
+#: wave and a whole one.
+_BORESIGHT_RAD, _SCALE, _SCALE_CHANGES = 0.03, 0.02, (0.003, 0.003)
+_UNKNOWNS = 5 + len(_SCALE_CHANGES)
 #: An offset is corrected from so many seconds, and so many of its sigmas, on, if it is known this well.
 LEAST_S, _SIGNIFICANT, MAX_SIGMA_S = 0.005, 4.0, 0.01
 #: ... and from so many of its sigmas on it widens those of the positions.
@@ -74,8 +77,13 @@ class ClockOffset(NamedTuple):
         return max(assumed_s, abs(self.offset_s) if doubtful else 0.0)
 
 
-def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: MeasuredMotions) -> ClockOffset | None:
-    """The offset under which logged and measured motions agree best; None where the drive does not show it."""
+def estimate_clock(
+    frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: MeasuredMotions, *, by_speeds: bool = False
+) -> ClockOffset | None:
+    """The offset under which logged and measured motions agree best; None where the drive does not show it.
+
+    by_speeds: the attitudes of the log are those of visual odometry, so that only velocities in the map's frame tell.
+    """
     if len(motions.start) < _LEAST_INTERVALS:
         return None
     times_s = _times_s(frame_pairs)
@@ -85,11 +93,14 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
     steps_s, middle_s = np.diff(times_s), (times_s[1:] + times_s[:-1]) / 2
     left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
     rates = _rates(se3.compose(se3.invert(left[1:]), left[:-1]), steps_s)
+    axes = left[1:, :3, :3] if by_speeds else np.tile(np.eye(3), (len(steps_s), 1, 1))
+    rates[:, 3:] = _turned(axes, rates[:, 3:])
     logged = smoothed(rates, _without_jumps(rates, steps_s))
     known = np.zeros(len(steps_s))
     known[motions.start] = 1.0
     raw = np.zeros((len(steps_s), 6))
     raw[motions.start] = _rates(motions.next_SE3_first, steps_s[motions.start])
+    raw[:, 3:] = _turned(axes, raw[:, 3:])
     measured = smoothed(raw, known)
     used = (known > 0) & (middle_s - _TRIED_S.max() >= middle_s[0]) & (middle_s - _TRIED_S.min() <= middle_s[-1])
     if used.sum() < _LEAST_INTERVALS:
@@ -98,13 +109,18 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
     # the log would have its noise, which is far more, and promise an offset known better than it is.
     centre_s = smoothed(middle_s[:, None], known)[:, 0]
     there = known > 0
+    told = slice(3 if by_speeds else 0, 6)
     signal, at_s, target = CubicSpline(middle_s, logged), centre_s[used], measured[used]
-    by = _derivatives(target, CubicSpline(centre_s[there], measured[there])(at_s, 1))
-    prior = np.diag([0.0, *[_BORESIGHT_RAD**-2] * 3, _SCALE**-2])
-    fits = {float(tried): robust_fit(target - signal(at_s - tried), by, prior, 3, held=True) for tried in _TRIED_S}
+    by = _derivatives(target, CubicSpline(centre_s[there], measured[there])(at_s, 1))[:, told]
+    prior = np.diag([0.0, *[_BORESIGHT_RAD**-2] * 3, *(sigma**-2 for sigma in (_SCALE, *_SCALE_CHANGES))])
+
+    def misfit(offset_s: float) -> Floats:
+        return np.asarray((target - signal(at_s - offset_s))[:, told])
+
+    fits = {float(tried): robust_fit(misfit(tried), by, prior, 3, held=True) for tried in _TRIED_S}
     offset_s = min(fits, key=lambda tried: float(np.log(fits[tried].sigma).sum()))
     for _ in range(_ITERATIONS):
-        fit = robust_fit(target - signal(at_s - offset_s), by, prior, 5)
+        fit = robust_fit(misfit(offset_s), by, prior, 5)
         offset_s = float(np.clip(offset_s + fit.solution[0], _TRIED_S[0], _TRIED_S[-1]))
         if abs(fit.solution[0]) < 1e-5:
             break
@@ -113,17 +129,19 @@ def estimate_clock(frame_pairs: Sequence[FramePair], log: LoggedPoses, motions: 
     others = [_misfit2(other.left_over, fit) for tried, other in fits.items() if abs(tried - offset_s) >= _APART_S]
     if min(others) - best < _LEAST_GAIN:
         return None
-    by_log = _derivatives(signal(at_s - offset_s), signal(at_s - offset_s, 1))
-    back = np.linalg.inv((by * fit.weight[..., None]).reshape(-1, 5).T @ by_log.reshape(-1, 5) + prior)
+    by_log = _derivatives(signal(at_s - offset_s), signal(at_s - offset_s, 1))[:, told]
+    weighted = (by * fit.weight[..., None]).reshape(-1, _UNKNOWNS)
+    back = np.linalg.inv(weighted.T @ by_log.reshape(-1, _UNKNOWNS) + prior)
     return ClockOffset(offset_s, _UNDERSTATED * float((back @ fit.normal @ back.T)[0, 0] ** 0.5))
 
 
 def _derivatives(rates: Floats, slope: Floats) -> Floats:
-    """(N, 6, 5): derivatives of rates (N, 6) whose change with time is `slope` by offset, boresight and scale."""
-    by = np.zeros((*rates.shape, 5))
+    """(N, 6, 7): derivatives of rates (N, 6) whose change with time is `slope` by offset, boresight, scale and its changes."""
+    by = np.zeros((*rates.shape, _UNKNOWNS))
     by[..., 0] = -slope
     by[:, :3, 1:4], by[:, 3:, 1:4] = -cross_matrix(rates[:, :3]), -cross_matrix(rates[:, 3:])
-    by[:, 3:, 4] = rates[:, 3:]
+    waves = np.cos(np.pi * np.linspace(0, 1, len(rates))[:, None] * np.arange(_UNKNOWNS - 4))
+    by[:, 3:, 4:] = rates[:, 3:, None] * waves[:, None]
     return by
 
 
@@ -190,6 +208,10 @@ def _rates(next_SE3_first: Floats, steps_s: Floats) -> Floats:
     """(N, 6): turn rate (rad/s) and speed (m/s) of motions (N, 4, 4)."""
     turn = Rotation.from_matrix(next_SE3_first[:, :3, :3]).as_rotvec()
     return np.hstack([turn, next_SE3_first[:, :3, 3]]) / steps_s[:, None]
+
+
+def _turned(rotations: Floats, vectors: Floats) -> Floats:
+    return np.asarray(np.einsum("nij,nj->ni", rotations, vectors))
 
 
 def _without_jumps(rates: Floats, steps_s: Floats) -> Floats:

@@ -13,14 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion import chain_solver
-from conetl.geometry.motion.pose_graph import POSE, STATE
+from conetl.geometry.motion.pose_graph import POSE, STATE, LoggedPoses
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov3, cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import FramePair, Position, Rig, StereoMatch, Vec3
 from conetl.tracking.association import chain_positions
-from conetl.tracking.clock import at_images, estimate_clock
+from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import (
@@ -28,6 +28,7 @@ from conetl.tracking.trajectory import (
     ControlCone,
     RefinedTrajectory,
     RefinementOutcome,
+    is_by_course,
     is_interpolated,
     measured_motions,
     read_log,
@@ -38,6 +39,8 @@ from conetl.tracking.trajectory import (
 _DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
 #: Neighbouring observations of a cone are correlated (background, sun, calibration): so many count as one.
 _CORRELATED = 4.0
+#: Offsets of the clocks beside a course: each takes what the adjustment before it had laid into the attitudes.
+_ROUNDS = 3
 
 
 def refine_with_cones(
@@ -58,16 +61,38 @@ def refine_with_cones(
     the covariance. frame_pairs: as logged. motions: as for `refine_trajectory`. The result is that of visual odometry alone
     without `trajectory.cone_landmarks`, beside good GNSS/INS, without such cones, and if the adjustment with cones fails.
     """
-    log, measured = (
-        read_log(frame_pairs, rig, params.trajectory),
-        measured_motions(frame_pairs, motions, params.trajectory),
-    )
-    clock = estimate_clock(frame_pairs, log, measured) if params.trajectory.refine else None
+    log = read_log(frame_pairs, rig, params.trajectory)
+    clock = _clock(frame_pairs, rig, motions, log, params.trajectory) if params.trajectory.refine else None
     if clock is not None and clock.is_applied(params.trajectory.clock_sigma_s):
         frame_pairs = at_images(frame_pairs, log, clock.offset_s)
     refined = _refine_with_cones(frame_pairs, rig, motions, matches, params, control)
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
     return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory, control)
+
+
+def _clock(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    motions: Sequence[RelativeMotion],
+    log: LoggedPoses,
+    params: TrajectoryParams,
+) -> ClockOffset | None:
+    """The offset of the clocks; beside a course with the attitudes of an adjustment, which depend on the offset themselves.
+
+    An antenna behind the rear axle turns after the vehicle does, by as much as a clock that is 0.1 s off.
+    """
+    measured = measured_motions(frame_pairs, motions, params)
+    if not is_by_course(frame_pairs):
+        return estimate_clock(frame_pairs, log, measured)
+    shifted, clock = frame_pairs, None
+    for _ in range(_ROUNDS):
+        left = refine_trajectory(shifted, rig, motions, params).map_SE3_left[:, :3, :3]
+        adjusted = replace(log, rotations=left @ log.body_SE3_left[:3, :3].T)
+        clock = estimate_clock(frame_pairs, adjusted, measured, by_speeds=True)
+        if clock is None or not clock.is_applied(params.clock_sigma_s):
+            break
+        shifted = at_images(frame_pairs, log, clock.offset_s)
+    return clock
 
 
 def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:

@@ -219,6 +219,12 @@ def is_interpolated(frame_pairs: Sequence[FramePair]) -> bool:
     return any(pair.pose.interpolated is not None for pair in frame_pairs)
 
 
+def is_by_course(frame_pairs: Sequence[FramePair]) -> bool:
+    """Whether the attitudes are not recorded, but those of a course, which has no roll that could be interpolated."""
+    found = [pair.pose.interpolated for pair in frame_pairs]
+    return any(found) and all(part is None or part.sigma_rpy_rad[0] == 0 for part in found)
+
+
 def _white_share(
     log: LoggedPoses, error_m: Floats, frame_pairs: Sequence[FramePair], params: TrajectoryParams
 ) -> float:
