@@ -91,6 +91,14 @@ def test_a_sample_drive_by_positions_alone_states_true_sigmas(sample_settings: S
     assert nees is not None and nees.common.holds() and nees.relative.value < nees.relative.band()[1]
 
 
+@pytest.mark.parametrize(("seed", "path_seed"), [(1, 2), (5, 6), (11, 12)])
+def test_images_of_another_hour_of_the_log_are_not_laid_to_the_calibration(seed: int, path_seed: int) -> None:
+    drive = record(seed, rate_hz=10.0, seconds=10.0, has_attitude=True, path_seed=path_seed)
+    result = refine_with_cones(drive.frame_pairs(0.0), RIG, drive.motions, [], IngestParams())
+    reason = hold_reason(check_trajectory(result.logged, RIG, drive.motions, result, PARAMS))
+    assert reason is not None and "check first when they were taken (images.start" in reason, reason
+
+
 def test_odometry_whose_scale_changes_is_no_offset_of_the_clocks_of_a_short_drive() -> None:
     """Five seconds of positions ten times a second: 0.3 % of the speed look like a clock that is 30 ms off."""
     squares = []

@@ -49,6 +49,9 @@ _DRIFT_M, _DRIFT_SIGMAS = 0.1, 6.0
 _MAX_REVERSED, _REVERSED_M, _REVERSED_SIGMAS = 10, 0.05, 3.0
 #: Motions are compared where they are longer, and have something in common from this share of their lengths on.
 _DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
+#: Images are of another time than the log where most motions turn otherwise (degrees in an interval) and are of other lengths, or
+#: of lengths that no calibration explains.
+_OTHER_SHARE, _OTHER_DEG, _OTHER_LENGTHS, _OTHER_SCALE = 0.5, 0.15, 0.05, 0.2
 #: A log below this speed stands still, and one this far away from the direction in which the cameras look has other axes.
 _STANDING_M_S, _ASIDE_DEG = 0.5, 20.0
 #: Positions scatter where half of them bend the path by more than a vehicle can (m/s^2), and by so much of their stated sigmas.
@@ -225,6 +228,7 @@ def _agreement(
     share = refused / max(len(good), 1)
     held = refused > 1 and share > _MAX_REFUSED_SHARE
     observed = measured.next_SE3_first[:, :3, 3]
+    logged = observed - residual[:, 3:]
     detail = f"{len(good) - refused} of {len(good)} measured motions agree with GNSS/INS."
     if held:
         metres, degrees = (
@@ -232,7 +236,7 @@ def _agreement(
         )
         detail = (
             f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
-            f"median.{_against_itself(frame_pairs, rig) or _in_common(observed, observed - residual[:, 3:])}"
+            f"median.{_against_itself(frame_pairs, rig) or _in_common(observed, logged, degrees, share)}"
         )
     return HealthCheck(
         name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
@@ -252,13 +256,20 @@ def _not_adjusted(measured: MeasuredMotions, residual: Floats) -> HealthCheck:
     )  # fmt: skip
 
 
-def _in_common(observed: Floats, logged: Floats) -> str:
-    """What all motions have in common, and what to check. observed, logged: (N, 3), m, in the left camera's frame."""
+def _in_common(observed: Floats, logged: Floats, degrees: float, share: float) -> str:
+    """What all motions have in common, and what to check. observed, logged: (N, 3), m, in the left camera's frame; degrees: by
+    how much those turn otherwise that contradict the log, a share of all."""
     lengths_m = np.linalg.norm([observed, logged], axis=2)
     far = lengths_m.min(axis=0) > _DRIVEN_M
     if far.sum() >= _LEAST_INTERVALS:
         ratio = lengths_m[0, far] / lengths_m[1, far] - 1
         scale = float(np.median(ratio))
+        turned = share > _OTHER_SHARE and degrees > _OTHER_DEG and np.median(np.abs(ratio)) > _OTHER_LENGTHS
+        if turned or abs(scale) > _OTHER_SCALE:
+            return (
+                " The images show another path than GNSS/INS: check first when they were taken (images.start in drive.yaml, its "
+                "time zone, time stamps, clocks), then the alignment, the stated sigmas and the calibration."
+            )
         if abs(scale) > _COMMON_SHARE and np.median(np.abs(ratio - scale)) < abs(scale) / 4:
             return f" The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: {_LONGER}"
     return " Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."

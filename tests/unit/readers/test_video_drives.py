@@ -552,6 +552,14 @@ def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path
     # A noted start needs no clock that was found, another mount none of the earlier angles.
     after = renewed("--start", "2026-03-02 09:41:07.1Z", "--mount", "1,2,3")
     assert "clock" not in after and after["mount"] == {"forward_m": 1.0, "left_m": 2.0, "up_m": 3.0}
+    # Exchanged files: the start is that of the file that is the left one now.
+    shifted = renewed("--right-offset", "0.1")["images"]
+    assert renewed("--left", "right.mp4", "--right", "left.mp4")["images"] == shifted | {
+        "start": "2026-03-02 09:41:07.200000000Z", "right_offset_s": -0.1, "left": "right.mp4", "right": "left.mp4",
+    }  # fmt: skip
+    assert (
+        renewed("--left", "left.mp4", "--right", "right.mp4", "--right-offset", "0")["images"]["right_offset_s"] == 0.0
+    )
     (copy / "drive.csv").rename(copy / "other.csv")
     after = renewed("--trajectory", "other.csv")
     assert after["trajectory"] == {"file": "other.csv"} and after["images"]["every"] == 3

@@ -100,7 +100,12 @@ def still_valid(settings: Mapping[str, Any], given: Mapping[str, str]) -> dict[s
         return any(value is not None and str(value) != answer for answer, value in known)
 
     kept = {section: dict(value) if isinstance(value, Mapping) else value for section, value in settings.items()}
-    if changes("left", "right", "layout") or ("layout" in given and "right" in kept.get("images", {})):
+    images = kept.get("images", {})
+    exchanged = (given.get("left"), given.get("right")) == (images.get("right"), images.get("left"))
+    if exchanged and {"start", "right_offset_s"} <= images.keys():  # the other file is the left one now
+        start_ns = parse_timestamp(images["start"]) + round(1e9 * images["right_offset_s"])
+        images |= {"start": f"{np.datetime64(start_ns, 'ns')}Z", "right_offset_s": 0.0 - images["right_offset_s"]}
+    elif changes("left", "right", "layout") or ("layout" in given and "right" in kept.get("images", {})):
         kept["images"] = {key: v for key, v in kept.get("images", {}).items() if key in ("every", "from_s", "to_s")}
         kept.pop("clock", None)
     if changes("trajectory"):
