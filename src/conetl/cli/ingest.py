@@ -21,7 +21,7 @@ from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
 from conetl.model.feature_classes import CONE, LANE_MARKING, LINE_CLASSES, known_of
-from conetl.model.health import CALIBRATION, Verdict, holding
+from conetl.model.health import Verdict, holding
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams
@@ -244,9 +244,6 @@ def print_report(report: IngestReport) -> None:
         ui.out.print(f"{found}; none changed on the map.")
     if report.trajectory:
         ui.out.print(f"Trajectory: {report.trajectory}.")
-    told = {check.name for check in report.health if check.verdict is not Verdict.PASS}
-    if report.calibration and CALIBRATION not in told:
-        ui.out.print(f"Calibration: {report.calibration.partition(' (')[0]}.")  # the figures are in the drive's report
     if report.rejections:
         records = ui.counted(sum(report.rejections.values()), "record")
         ui.out.print(f"Quarantined: {records} ({ui.counted_by_reason(report.rejections.items())}).")

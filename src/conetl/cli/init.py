@@ -145,7 +145,7 @@ def init(
     _write(root, settings, new_rig)
     text = f"{folder / DRIVE_YAML}: {_counted(found)}"
     start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s
-    if start_ns is not None and not answers.keys() & {"right-offset", "layout"}:
+    if start_ns is not None and found.timing.right_offset_s and not answers.keys() & {"right-offset", "layout"}:
         text += f"\nThe images fit a right file that begins {found.timing.right_offset_s:g} s after the left one."
     if start_ns is not None and sigma_s and "start" not in answers:
         text += (
@@ -345,5 +345,4 @@ def _write(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> None:
 def _finish(folder: Path, text: str, settings: dict[str, Any], as_json: bool) -> None:
     named = quote(str(folder))
     commands = [f"conetl inspect {named} --page inspection.html", f"conetl ingest {named}"]
-    text += f"\nTo look at it first: {commands[0]}\nNext: {commands[1]}"
-    answer(as_json, {"settings": settings, "next": commands}, text)
+    answer(as_json, {"settings": settings, "next": commands}, f"{text}\nNext: {commands[1]}")

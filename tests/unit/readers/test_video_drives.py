@@ -313,7 +313,7 @@ def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: 
     known = ("--start", start_of(sample))
     made = init(copy, *known)
     assert made.exit_code == 0, made.output
-    assert "The images fit a right file that begins 0 s after the left one." in made.output
+    assert "video left.mp4 and right.mp4: 960 x 320, 16 frames" in made.output and "a right file" not in made.output
     assert "16 frame pairs" in made.output and f"conetl ingest {copy}" in made.output
     assert len(read_drive(copy)[0].frame_pairs) == COUNT
     again = init(copy, *known)

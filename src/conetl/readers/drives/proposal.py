@@ -148,13 +148,14 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
         raise DriveFolderError(
             f"{root}: there are no videos ({', '.join(sorted(VIDEO_SUFFIXES))}) and no folders of images here"
         )
+    alike: dict[str, list[str]] = {}
     for source in videos:
         facts = video_facts(source)
         rate = facts.frames / facts.duration_s if facts.duration_s else 0.0
         size = f"{facts.width_px} x {facts.height_px}"
-        proposal.found.append(
-            f"video {source.name}: {size}, {facts.frames:,} frames, {rate:.2f} Hz, {facts.duration_s:.0f} s"
-        )
+        text = f"{size}, {facts.frames:,} frames, {rate:.2f} Hz, {facts.duration_s:.0f} s"
+        alike.setdefault(text, []).append(source.name)
+    proposal.found.extend(f"video {' and '.join(names)}: {text}" for text, names in alike.items())
     if not videos:
         proposal.found.extend(f"images in {folder.name}/: {len(image_files(folder)):,}" for folder in folders)
     if len(sources) == 1 or "layout" in images:
