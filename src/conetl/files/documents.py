@@ -10,6 +10,7 @@ import reprlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
+from io import FileIO
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -118,16 +119,15 @@ def first_line(error: BaseException) -> str:
     return lines[0].rstrip(".")[:MAX_SHOWN] if lines else type(error).__name__
 
 
-def xml_blocks(path: Path) -> Iterator[bytes]:
-    """An XML file of any size, in blocks for a parser: large ones, since expat reads an unfinished tag anew with every block.
+class XmlFile(FileIO):
+    """An XML file of any size, read in large blocks: expat reads an unfinished tag anew with every block."""
 
-    Raises OSError; ValueError where a whole block has no tag.
-    """
-    with path.open("rb") as file:
-        while block := file.read(_XML_BLOCK):
-            if len(block) == _XML_BLOCK and b"<" not in block:
-                raise ValueError(f"expected XML, found {_XML_BLOCK:,} bytes without a tag")
-            yield block
+    def read(self, size: int | None = -1, /) -> bytes:
+        """The next block, whatever its size should be. Raises ValueError where a whole block has no tag."""
+        block = bytes(super().read(_XML_BLOCK))
+        if len(block) == _XML_BLOCK and b"<" not in block:
+            raise ValueError(f"expected XML, found {_XML_BLOCK:,} bytes without a tag")
+        return block
 
 
 @contextmanager

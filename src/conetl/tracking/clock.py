@@ -93,14 +93,14 @@ def estimate_clock(
     steps_s, middle_s = np.diff(times_s), (times_s[1:] + times_s[:-1]) / 2
     left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
     rates = _rates(se3.compose(se3.invert(left[1:]), left[:-1]), steps_s)
-    axes = left[1:, :3, :3] if by_speeds else np.tile(np.eye(3), (len(steps_s), 1, 1))
-    rates[:, 3:] = _turned(axes, rates[:, 3:])
+    axes = left[1:, :3, :3] if by_speeds else np.eye(3)
+    rates[:, 3:] = (axes @ rates[:, 3:, None])[..., 0]
     logged = smoothed(rates, _without_jumps(rates, steps_s))
     known = np.zeros(len(steps_s))
     known[motions.start] = 1.0
     raw = np.zeros((len(steps_s), 6))
     raw[motions.start] = _rates(motions.next_SE3_first, steps_s[motions.start])
-    raw[:, 3:] = _turned(axes, raw[:, 3:])
+    raw[:, 3:] = (axes @ raw[:, 3:, None])[..., 0]
     measured = smoothed(raw, known)
     used = (known > 0) & (middle_s - _TRIED_S.max() >= middle_s[0]) & (middle_s - _TRIED_S.min() <= middle_s[-1])
     if used.sum() < _LEAST_INTERVALS:
@@ -208,10 +208,6 @@ def _rates(next_SE3_first: Floats, steps_s: Floats) -> Floats:
     """(N, 6): turn rate (rad/s) and speed (m/s) of motions (N, 4, 4)."""
     turn = Rotation.from_matrix(next_SE3_first[:, :3, :3]).as_rotvec()
     return np.hstack([turn, next_SE3_first[:, :3, 3]]) / steps_s[:, None]
-
-
-def _turned(rotations: Floats, vectors: Floats) -> Floats:
-    return np.asarray(np.einsum("nij,nj->ni", rotations, vectors))
 
 
 def _without_jumps(rates: Floats, steps_s: Floats) -> Floats:

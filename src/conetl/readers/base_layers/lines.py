@@ -7,7 +7,7 @@ and its documentation, LinestringTagging). Nodes are WGS 84.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
-from conetl.files.documents import named, xml_blocks
+from conetl.files.documents import XmlFile, named
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -75,8 +75,8 @@ def read_lanelet2(path: Path) -> LineFile:
     """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
     refused: list[str] = []
     try:
-        with named(path):
-            nodes, ways, bounding = _read(path, refused)
+        with named(path), XmlFile(path) as file:
+            nodes, ways, bounding = _read(file, path, refused)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not OSM XML ({error}); expected a Lanelet2 map") from error
     lines: list[Line] = []
@@ -99,7 +99,7 @@ def read_lanelet2(path: Path) -> LineFile:
 
 
 def _read(
-    path: Path, refused: list[str]
+    file: XmlFile, path: Path, refused: list[str]
 ) -> tuple[dict[str, tuple[float, float, float]], dict[str, tuple[list[str], dict[str, str]]], set[str]]:
     """By their ids, nodes (longitude, latitude, height, NaN without) and ways (node ids, tags); the ways that bound a lanelet.
 
@@ -109,7 +109,7 @@ def _read(
     ways: dict[str, tuple[list[str], dict[str, str]]] = {}
     bounding: set[str] = set()
     is_local = False
-    for item in _elements(path):
+    for _, item in ElementTree.iterparse(file, events=("end",)):
         identity = item.get("id", "")
         if item.tag == "node":
             tags = _tags(item)
@@ -132,15 +132,6 @@ def _read(
             f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"
         )
     return nodes, ways, bounding
-
-
-def _elements(path: Path) -> Iterator[ElementTree.Element]:
-    """The elements of a file where they end."""
-    parser: Any = ElementTree.XMLPullParser(("end",))
-    for block in xml_blocks(path):
-        parser.feed(block)
-        yield from (item for _, item in parser.read_events())
-    parser.close()
 
 
 def _tags(item: ElementTree.Element) -> dict[str, str]:

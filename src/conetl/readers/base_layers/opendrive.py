@@ -17,7 +17,7 @@ import shapely
 from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN, named, shown, xml_blocks
+from conetl.files.documents import MAX_SHOWN, XmlFile, named, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -172,11 +172,8 @@ def _polynomial(piece: Piece, ds: Floats) -> tuple[Floats, Floats]:
 def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
     try:
-        with named(path):
-            parser = ElementTree.XMLParser()
-            for block in xml_blocks(path):
-                parser.feed(block)
-            root = parser.close()
+        with named(path), XmlFile(path) as file:
+            root = ElementTree.parse(file).getroot()
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not XML ({error}); expected an OpenDRIVE file") from error
     if root.tag != "OpenDRIVE":

@@ -152,9 +152,8 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     for source in videos:
         facts = video_facts(source)
         rate = facts.frames / facts.duration_s if facts.duration_s else 0.0
-        size = f"{facts.width_px} x {facts.height_px}"
-        text = f"{size}, {facts.frames:,} frames, {rate:.2f} Hz, {facts.duration_s:.0f} s"
-        alike.setdefault(text, []).append(source.name)
+        size, lasts = f"{facts.width_px} x {facts.height_px}", f"{rate:.2f} Hz, {facts.duration_s:.0f} s"
+        alike.setdefault(f"{size}, {facts.frames:,} frames, {lasts}", []).append(source.name)
     proposal.found.extend(f"video {' and '.join(names)}: {text}" for text, names in alike.items())
     if not videos:
         proposal.found.extend(f"images in {folder.name}/: {len(image_files(folder)):,}" for folder in folders)

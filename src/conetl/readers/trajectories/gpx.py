@@ -14,7 +14,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from conetl.files.documents import xml_blocks
+from conetl.files.documents import XmlFile
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -75,11 +75,12 @@ def _records(path: Path, settings: TrajectoryFile, *, add_geoid: bool) -> Iterat
     points = _Points()
     read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
     try:
-        for block in xml_blocks(path):
-            points.parser.Parse(block, False)
-            if len(points.rows) >= _PIECE:
-                yield _piece(points.rows, read_times, add_geoid)
-                points.rows = []
+        with XmlFile(path) as file:
+            while block := file.read():
+                points.parser.Parse(block, False)
+                if len(points.rows) >= _PIECE:
+                    yield _piece(points.rows, read_times, add_geoid)
+                    points.rows = []
         points.parser.Parse(b"", True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise DriveFolderError(f"{path}: this is not GPX: {str(error)[:200]}") from error
