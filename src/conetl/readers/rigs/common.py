@@ -70,7 +70,7 @@ class Node(NamedTuple):
 
     def bad(self, text: str) -> CalibrationError:
         """The error for this value."""
-        return CalibrationError(f"{self.path}: '{self.key}' {text}")
+        return CalibrationError(f"{self.path}: {shown(self.key)} {text}")
 
     def get(self, key: str) -> Node:
         """The value of a key, None where there is none."""
