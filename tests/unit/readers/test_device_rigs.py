@@ -251,7 +251,10 @@ def test_metashape_lengths_in_another_unit_have_to_be_confirmed(tmp_path: Path) 
 
 BAD_METASHAPE = {
     "skew": (metashape_text(extra="<b2>2</b2>"), "a skew of 2"),
-    "long label": (metashape_text(extra="<b2>2</b2>").replace("Camera 0", "Cam" * 4000), r"'Cam.{,200}\.\.\..{,200}a skew of 2"),
+    "long label": (
+        metashape_text(extra="<b2>2</b2>").replace("Camera 0", "Cam" * 4000),
+        r"'Cam.{,200}\.\.\..{,200}a skew of 2",
+    ),
     "k4": (metashape_text(extra="<k4>0.1</k4>"), "'Camera 0.calibration.k4' is 0.1, which conetl's lenses do not have"),
     "p3": (metashape_text(extra="<p3>1e-3</p3>"), "calibration.p3' is 0.001"),
     "unknown": (metashape_text(extra="<q7>1</q7>"), r"has \['q7'\], which conetl does not know"),
