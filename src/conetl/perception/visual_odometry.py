@@ -227,10 +227,9 @@ def _flow(
     """Image points (N, 2) in another image, from a guess on the `levels`-th pyramid level, and which were found."""
     if not len(points):
         return points, np.zeros(0, dtype=bool)
-    start = np.ascontiguousarray(guess, dtype=np.float32)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, np.ascontiguousarray(points), start.copy(), winSize=(window_px, window_px), maxLevel=levels,
-        criteria=stop, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        source, target, np.ascontiguousarray(points), np.array(guess, np.float32, order="C"), maxLevel=levels,
+        winSize=(window_px, window_px), criteria=stop, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)
 

@@ -52,7 +52,6 @@ _COUNTED = {
 _PATH_STEP_M = 3.0
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
 
-R = TypeVar("R")
 T = TypeVar("T")
 
 
@@ -267,19 +266,18 @@ def path_wkt(drive: Drive) -> str:
 
 
 def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iterator[db.CopyBlock]:
-    columns = map_rows
     return chain(
-        _blocks("conetl.frame_pair", records.drive.frame_pairs, partial(columns.frame_pair_columns, drive_uuid, srid)),
-        _blocks("conetl.detection", records.detections, partial(columns.detection_columns, drive_uuid)),
-        _blocks("conetl.stereo_match", records.matches, partial(columns.match_columns, drive_uuid)),
-        _blocks("conetl.position", records.positions, partial(columns.position_columns, drive_uuid, srid)),
-        _blocks("conetl.track", records.tracks, partial(columns.track_columns, drive_uuid, srid)),
-        _blocks("conetl.marking_track", records.markings, partial(columns.marking_track_columns, drive_uuid, srid)),
+        _blocks("conetl.frame_pair", records.drive.frame_pairs, partial(map_rows.frame_pair_columns, drive_uuid, srid)),
+        _blocks("conetl.detection", records.detections, partial(map_rows.detection_columns, drive_uuid)),
+        _blocks("conetl.stereo_match", records.matches, partial(map_rows.match_columns, drive_uuid)),
+        _blocks("conetl.position", records.positions, partial(map_rows.position_columns, drive_uuid, srid)),
+        _blocks("conetl.track", records.tracks, partial(map_rows.track_columns, drive_uuid, srid)),
+        _blocks("conetl.marking_track", records.markings, partial(map_rows.marking_track_columns, drive_uuid, srid)),
     )
 
 
 def _blocks(
-    table: str, records: Sequence[R], columns_of: Callable[[Sequence[R]], map_rows.Columns]
+    table: str, records: Sequence[T], columns_of: Callable[[Sequence[T]], map_rows.Columns]
 ) -> Iterator[db.CopyBlock]:
     for start in range(0, len(records), BLOCK_RECORDS):
         yield db.encoded_block(table, columns_of(records[start : start + BLOCK_RECORDS]))
