@@ -18,7 +18,7 @@ from conetl.db.map.map_store import read_current_features
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import DriveFolderError, MapMismatchError
 from conetl.model.health import Verdict, hold_reason
-from conetl.perception.stereo_check import check_stereo
+from conetl.perception.stereo_check import check_lost_parts, check_stereo
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
 from conetl.pipeline.ingest import ingest
@@ -103,6 +103,16 @@ def test_good_recordings_pass_and_are_sharp_in_all_parts(sample_settings: Settin
     checks = found.health
     assert checks and found.records.drive.unclear is None
     assert {check.verdict for check in checks} == {Verdict.PASS}, [c for c in checks if c.verdict is not Verdict.PASS]
+
+
+def test_a_part_with_other_right_images_is_found_although_one_interval_could_be_followed() -> None:
+    good = read_drive(SAMPLES[1])[0]
+    late = wrong.right_late(1, 11, 17)(good)
+    lost = [k in (10, 11, 13, 14, 15) for k in range(len(late.frame_pairs) - 1)]
+    assert "in frame pairs 12 to 16 belong to left images 1 frames earlier" in str(
+        hold_reason(check_lost_parts(late, lost))
+    )
+    assert check_lost_parts(good, [*lost, False]) == []
 
 
 def test_a_first_drive_on_hold_does_not_fix_the_crs_of_a_map(database_url: str, sample_settings: Settings) -> None:
