@@ -96,6 +96,9 @@ def apparent_box(cone: Cone, pair: FramePair, rig: Rig, side: Side) -> tuple[flo
     """x, y, w, h (box edges, px) of the cone's outline: round base of `base_m`, pointed tip. None where not wholly in view."""
     camera = rig.left if side == "left" else rig.right
     pose = camera_pose(pair, rig, side)
+    foot_m = np.array(cone.foot_m) + ORIGIN_M
+    if not -1.0 < (foot_m - pose[:3, 3]) @ pose[:3, 2] < 33.0:  # far out of view, as most cones of a long road
+        return None
     angles = np.linspace(0, 2 * np.pi, 73)
     rim = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1) * cone.base_m / 2
     points = np.vstack([rim, [[0.0, 0.0, cone.height_m]]]) + np.array(cone.foot_m) + ORIGIN_M
