@@ -567,6 +567,24 @@ def test_files_that_are_none(conn, tmp_path, surveyed):
     assert nothing_written(conn)
 
 
+def test_a_flatgeobuf_feature_without_geometry_is_refused(tmp_path):
+    """GDAL hands over offsets out of bounds then, which crashed the process now and then."""
+    path, places = tmp_path / "map.fgb", np.array([bytes(shapely.to_wkb(shapely.Point(8.43, 49))), None, None], object)
+    words = [np.array(["traffic_cone"] * 3, object)]
+    pyogrio.raw.write(
+        path,
+        places,
+        words,
+        ["category"],
+        geometry_type="Point",
+        crs="EPSG:4326",
+        driver="FlatGeobuf",
+        SPATIAL_INDEX="NO",
+    )
+    with pytest.raises(InputError, match="from row 1 on: a feature has no geometry where a point is expected"):
+        read_map_file(path, PARAMS, map_srid=32632)
+
+
 def test_a_file_that_claims_gigabytes_is_not_believed(tmp_path):
     """A geometry column of equal bytes: 3 GB of them are a few kB of Parquet."""
     geo = {"primary_column": "geometry", "columns": {"geometry": {"encoding": "WKB"}}}

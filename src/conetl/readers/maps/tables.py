@@ -214,6 +214,13 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
     parts = []
     count = 0
     for every in batches:
+        try:
+            every.validate(full=True)  # GDAL 3.12 shifts the values of FlatGeobuf behind a feature without geometry
+        except pa.ArrowInvalid as error:
+            raise InputError(
+                f"{table.path}, from row {count + 1} on: a feature has no geometry where a point is expected, or the file is "
+                f"damaged ({first_line(error)})"
+            ) from error
         batch = _without_lines(every)
         table.lines_left_out += every.num_rows - batch.num_rows
         points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")
