@@ -85,10 +85,10 @@ def sound(record_type: type[R], **values: Any) -> R:
 
 
 LensModel = Literal["none", "radial", "brown", "rational", "fisheye"]
-#: Number of coefficients of each lens model, in OpenCV's order.
 #: Parameters of a camera and of the relative pose in the names of `CalibrationCovariance`.
 INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
 RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
+#: Number of coefficients of each lens model, in OpenCV's order.
 LENS_COEFFICIENTS: dict[LensModel, int] = {"none": 0, "radial": 2, "brown": 5, "rational": 8, "fisheye": 4}
 
 
