@@ -44,9 +44,9 @@ from conetl.db.map.map_store import find_map, read_features_as_of
 from conetl.db.retention import archive_drive, prunable_drives
 from conetl.db.schema import run_audits
 from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence
+from conetl.model.drive import Drive, FramePair
 from conetl.model.errors import DatabaseError
 from conetl.model.params import IngestParams
-from conetl.model.records import Drive, FramePair
 from conetl.perception.model_card import read_model_card
 from tests.integration.drives_of_days import Survey, merge
 from tests.integration.test_side_by_side import BORDER_M, at_once, drive_at

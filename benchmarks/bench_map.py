@@ -47,9 +47,9 @@ from conetl.db.map.map_store import drive_transaction, read_features_as_of
 from conetl.db.map.replay_store import Neighbourhood, lock_neighbourhood, read_doubts_around, read_standing_around
 from conetl.db.schema import migrate, run_audits
 from conetl.mapping.history import DriveEvidence, apply_drive
+from conetl.model.drive import DriveRecords
 from conetl.model.map_records import Changeset, Decisions
 from conetl.model.params import ReconcileParams
-from conetl.model.records import DriveRecords
 from conetl.pipeline.replay import no_cycle_search
 
 QUERIES = 60

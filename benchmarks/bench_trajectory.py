@@ -19,8 +19,8 @@ from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.geometry.intersection import fit_point
 from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.model.drive import Drive, FramePair, Position, StereoMatch
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import Drive, FramePair, Position, StereoMatch
 from conetl.perception.images import read_image
 from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline.analysis import analyse

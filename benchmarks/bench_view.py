@@ -32,8 +32,8 @@ from benchmarks.made_up_maps import DAY_NS, MAP_NAME, SPACING_M, SRID, drive_alo
 from conetl.db.connection import connect
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
+from conetl.model.drive import DriveRecords
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
-from conetl.model.records import DriveRecords
 from tests.chromium import CHROMIUM, FLAGS
 
 #: Name of the map with the long list.

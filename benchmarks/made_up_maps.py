@@ -20,8 +20,10 @@ import numpy as np
 
 from conetl.db.connection import Connection, execute, execute_count
 from conetl.mapping.visibility import NotObserved
+from conetl.model.base import Vec3
+from conetl.model.drive import Drive, FramePair, Pose, Position, Track
 from conetl.model.map_records import MapFeature
-from conetl.model.records import Camera, Drive, FramePair, Pose, Position, Rig, Track, Vec3
+from conetl.model.rig import Camera, Rig
 
 SRID = 32632
 MAP_NAME = "bench"

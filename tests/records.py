@@ -9,22 +9,12 @@ from uuid import UUID, uuid5
 
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
+from conetl.model.base import Cov3
+from conetl.model.drive import Detection, Drive, DriveRecords, FramePair, Pose, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
-from conetl.model.records import (
-    Camera,
-    Cov3,
-    Detection,
-    Drive,
-    DriveRecords,
-    FramePair,
-    Pose,
-    Position,
-    Rig,
-    StereoMatch,
-    Track,
-)
+from conetl.model.rig import Camera, Rig
 
 SRID = 32632
 DAY_NS = 86_400_000_000_000

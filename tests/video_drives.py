@@ -18,7 +18,7 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from conetl.geometry import geodesy
-from conetl.model.records import Drive
+from conetl.model.drive import Drive
 from conetl.perception.rectified_image import read_pair_image
 from conetl.readers.rigs import write_rig_yaml
 from tests.unit.readers import trajectory_files as logs

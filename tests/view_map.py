@@ -20,8 +20,9 @@ from pydantic import SecretStr
 
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
+from conetl.model.base import utc_from_ns
+from conetl.model.drive import Detection, Drive, DriveRecords
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
-from conetl.model.records import Detection, Drive, DriveRecords, utc_from_ns
 from conetl.readers.maps.gazetteer import Gazetteer
 from conetl.web.app import create_app
 from conetl.web.basemap import BaseMap

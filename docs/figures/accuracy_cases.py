@@ -16,7 +16,7 @@ from conetl.geometry.calibration import covariance as calibration_covariance
 from conetl.geometry.camera import intrinsics
 from conetl.geometry.intersection import IntersectionResult, fit_point, intersect
 from conetl.geometry.rig import left_SE3_right
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from docs.figures.paper_rig import CAMERA_HEIGHT_M, GROUND_DISTANCE_M, changed_views, drawn_views
 
 Array = NDArray[np.float64]

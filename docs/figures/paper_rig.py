@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.model.records import CalibrationCovariance, Camera, Matrix4, Rig
+from conetl.model.base import Matrix4
+from conetl.model.rig import CalibrationCovariance, Camera, Rig
 from conetl.simulation.scenario import Cone, World
 from conetl.simulation.scene import PinholeCamera, build_scene, render
 
@@ -97,7 +98,7 @@ def changed_views(rig: Rig, names: Sequence[str], changes: Array) -> tuple[Array
     """The rig with parameters of its calibration changed, as `geometry.intersection.intersect` takes views; left camera's frame.
 
     changes (N, K), of the K named parameters. Returns k_px (N, 2, 4), left_R_camera (N, 2, 3, 3), centre_m (N, 2, 3). The
-    relative orientation becomes (R exp(r), t + dt), see `records.CalibrationCovariance`. Raises ValueError for a name that is
+    relative orientation becomes (R exp(r), t + dt), see `CalibrationCovariance`. Raises ValueError for a name that is
     no parameter of a rectified rig.
     """
     unknown = [name for name in names if name not in _PARAMETERS]

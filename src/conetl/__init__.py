@@ -19,10 +19,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OGR_SKIP", "OGR_VRT,GDALG,GPSBabel,ADBC,WFS,CSW,OAPIF,OGCAPI")
 
 if TYPE_CHECKING:
+    from conetl.model.drive import Detection, Drive, Position, StereoMatch, Track
     from conetl.model.errors import ConetlError, InputError, ServiceError
     from conetl.model.ingest_report import IngestReport
     from conetl.model.params import IngestParams
-    from conetl.model.records import Detection, Drive, Position, Rig, StereoMatch, Track
+    from conetl.model.rig import Rig
     from conetl.perception.detector import detect_image, load_detector
     from conetl.pipeline.analysis import AnalysedDrive, analyse
     from conetl.pipeline.commit import CommittedDrive, commit
@@ -34,10 +35,11 @@ if TYPE_CHECKING:
     from conetl.tracking.positions import locate_positions
 
 _MODULES = {
+    "conetl.model.drive": ("Detection", "Drive", "Position", "StereoMatch", "Track"),
     "conetl.model.errors": ("ConetlError", "InputError", "ServiceError"),
     "conetl.model.ingest_report": ("IngestReport",),
     "conetl.model.params": ("IngestParams",),
-    "conetl.model.records": ("Detection", "Drive", "Position", "Rig", "StereoMatch", "Track"),
+    "conetl.model.rig": ("Rig",),
     "conetl.perception.detector": ("detect_image", "load_detector"),
     "conetl.pipeline.analysis": ("AnalysedDrive", "analyse"),
     "conetl.pipeline.commit": ("CommittedDrive", "commit"),

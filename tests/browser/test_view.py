@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from conetl.db.map.map_store import read_current_features
-from conetl.model.records import utc_from_ns
+from conetl.model.base import utc_from_ns
 from tests.command import free_port, until
 from tests.view_map import commit, cone, missed
 

@@ -28,8 +28,8 @@ from conetl.exports.wzdx import read_feed_info
 from conetl.files.documents import read_yaml_model
 from conetl.model.errors import DriveFolderError
 from conetl.model.params import ImportParams, IngestParams
-from conetl.model.records import Camera, Rig
 from conetl.model.rejections import Rejection
+from conetl.model.rig import Camera, Rig
 from conetl.perception.images import ImageFileError, check_image_ends, read_image, read_upright_image
 from conetl.perception.model_card import read_model_card, shipped_model_path
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header

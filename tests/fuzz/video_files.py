@@ -11,7 +11,7 @@ import numpy as np
 
 from conetl.geometry.rig import camera_of
 from conetl.model.errors import ConetlError, StorageError
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.video import FrameRef, index_video

@@ -15,11 +15,12 @@ from conetl.db.map.map_store import drive_transaction
 from conetl.db.schema import AuditResult, run_audits
 from conetl.geometry.calibration.covariance import with_covariance
 from conetl.model.detector_evidence import DetectorEvidence
+from conetl.model.drive import Drive, DriveRecords
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.map_records import Changeset
 from conetl.model.params import DetectionParams, IngestParams
-from conetl.model.records import CalibrationCovariance, Drive, DriveRecords, Rig
+from conetl.model.rig import CalibrationCovariance, Rig
 from conetl.pipeline.replay import Merged, merge_drive
 from tests.synthetic.world import START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
 

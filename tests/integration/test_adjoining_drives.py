@@ -17,9 +17,9 @@ from pydantic import SecretStr
 from conetl.db.connection import connect, execute
 from conetl.db.map.decision_store import held_drives
 from conetl.db.map.map_store import list_changesets, read_current_features
+from conetl.model.drive import Drive
 from conetl.model.errors import DatabaseError
 from conetl.model.health import ADJOINING
-from conetl.model.records import Drive
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
 from conetl.pipeline.maps.decisions import accept_drive, revert

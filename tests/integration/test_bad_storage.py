@@ -11,9 +11,9 @@ import pytest
 from conetl.files.parquet_store import load_result
 from conetl.files.storage import forget_all
 from conetl.geometry.motion.stereo_tracks import StereoTracks
+from conetl.model.drive import Detection, StereoMatch
 from conetl.model.errors import StorageError
 from conetl.model.params import IngestParams
-from conetl.model.records import Detection, StereoMatch
 from conetl.pipeline.chunks import Chunk, chunks_of
 from conetl.pipeline.detect import detect, match
 from conetl.pipeline.odometry import grey_reader, odometry

@@ -30,8 +30,8 @@ from conetl.db.map.map_store import list_changesets, map_transaction
 from conetl.files.atomic import aside, atomic_text_file, sweep
 from conetl.files.home import make_secret
 from conetl.files.parquet_store import save_result
+from conetl.model.drive import Detection
 from conetl.model.errors import EXIT_SERVICE_MISSING, DatabaseError, StorageError
-from conetl.model.records import Detection
 from tests.command import until
 from tests.integration.drives_of_days import failed_audits, merge, survey, survey_of, valid_time_map
 from tests.integration.test_ingest import FINAL_TABLES

@@ -22,9 +22,9 @@ from conetl.exports.kind_marks import KIND_MARKS, PAINT
 from conetl.exports.qgis_project import _iso, write_qgis_project
 from conetl.exports.source import ExportRequest, What
 from conetl.exports.text_files import export_geojson, iso_utc
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
-from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_place
 from tests.integration.drives_of_days import merge, survey
 

@@ -17,8 +17,9 @@ from conetl.db.map.decision_store import find_decisions
 from conetl.db.map.drive_store import drives_at_the_same_time, load_stored_drive
 from conetl.db.map.replay_store import read_open_version, read_versions
 from conetl.db.map.results import RunInfo
+from conetl.model.base import SharedErrorJacobian, utc_from_ns
+from conetl.model.drive import DriveRecords
 from conetl.model.errors import DatabaseError, MapMismatchError
-from conetl.model.records import DriveRecords, SharedErrorJacobian, utc_from_ns
 from conetl.model.rejections import Rejection, RejectionReason
 from tests.synthetic.world import make_path
 

@@ -21,7 +21,7 @@ from conetl.db.connection import execute
 from conetl.db.ogc_store import MapDirectory
 from conetl.db.reader_pool import AsyncReaderPool
 from conetl.geometry.geodesy import to_geodetic
-from conetl.model.records import utc_from_ns
+from conetl.model.base import utc_from_ns
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_place, revert
 from conetl.web.app import create_app
 from conetl.web.ogc.collections import Instants, collection_of, warm

@@ -13,8 +13,8 @@ import pytest
 from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune_drives, restore_drives
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
-from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_place, revert
 from tests.integration.drives_of_days import failed_audits, merge, survey, valid_time_map
 

@@ -22,9 +22,9 @@ from conetl.db.connection import connect, execute
 from conetl.files.parquet_store import load_result
 from conetl.files.storage import as_path
 from conetl.geometry.motion.stereo_tracks import StereoTracks
+from conetl.model.drive import StereoMatch
 from conetl.model.errors import InputError, ModelFileError
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import StereoMatch
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.chunks import Chunk, chunks_of, parts_of
 from conetl.pipeline.detect import NOTHING, Along, Detected, detect, match

@@ -17,9 +17,9 @@ from fastapi.testclient import TestClient
 from conetl.db.connection import connect, execute
 from conetl.db.reader_pool import ReaderPool, open_reader
 from conetl.geometry.geodesy import to_geodetic
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
-from conetl.model.records import utc_from_ns
 from conetl.readers.maps.gazetteer import read_gazetteer
 from conetl.web.app import create_app
 from conetl.web.live import MAX_STREAMS, HeadWatcher

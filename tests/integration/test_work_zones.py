@@ -12,7 +12,7 @@ import shapely.ops
 
 from conetl.db.connection import execute
 from conetl.exports.wzdx import schema_faults
-from conetl.model.records import utc_from_ns
+from conetl.model.base import utc_from_ns
 from conetl.pipeline.maps.work_zones import export_wzdx
 from tests.integration.drives_of_days import merge, survey
 

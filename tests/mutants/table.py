@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.model.records import Drive
+from conetl.model.drive import Drive
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, BundleError, residuals_px
 from conetl.geometry.calibration.stereo_calibration import Start
-from conetl.model.records import Camera, Lens
+from conetl.model.rig import Camera, Lens
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")

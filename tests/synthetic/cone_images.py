@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.records import Camera, Detection
+from conetl.model.drive import Detection
+from conetl.model.rig import Camera
 
 F_PX, BASE_M, SIZE = 700.0, 0.54, (110, 180)
 _FINE = 3

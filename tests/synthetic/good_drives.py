@@ -16,9 +16,10 @@ from scipy.ndimage import gaussian_filter1d
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import CalibrationCovariance, FramePair
+from conetl.model.rig import CalibrationCovariance
 from conetl.tracking.clock import ClockOffset, estimate_clock
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.health import check_calibration, check_trajectory

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.model.drive import FramePair, Pose
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import FramePair, Pose, Rig
+from conetl.model.rig import Rig
 from tests.synthetic.world import ORIGIN_M, START_NS
 
 Floats = NDArray[np.float64]

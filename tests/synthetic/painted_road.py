@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from conetl.mapping.history import DriveEvidence
 from conetl.mapping.visibility import NotObserved, markings_in_view, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures
+from conetl.model.drive import FramePair
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
-from conetl.model.records import FramePair
 from tests import records
 from tests.synthetic.world import ORIGIN_M, START_NS, make_path, make_rig, shifted
 

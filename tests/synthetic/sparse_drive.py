@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.model.records import FramePair
+from conetl.model.drive import FramePair
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
 from conetl.tracking.clock_search import ImageClock, find_clock_offset, rates_of

@@ -18,7 +18,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import rig_covariance
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, BundleError, adjust, reduce, residuals_px
 from conetl.geometry.calibration.stereo_calibration import Start, calibrate_stereo, rig_of
-from conetl.model.records import Lens
+from conetl.model.rig import Lens
 from docs.figures import accuracy_cases as cases
 from docs.figures.paper_rig import paper_rig, render_pair
 from tests.synthetic.calibration_world import board_points, observe, start_near, true_bundle

@@ -11,10 +11,10 @@ import pytest
 from conetl.evaluation.truth import read_truth_cones
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov_matrix
+from conetl.model.drive import Drive, FramePair, SurveyedPoint
 from conetl.model.errors import DriveFolderError
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import Drive, FramePair, SurveyedPoint
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from conetl.model.records import FramePair, Track
+from conetl.model.drive import FramePair, Track
 from conetl.model.rejections import Rejection
 from tests.synthetic.world import ORIGIN_M, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
 

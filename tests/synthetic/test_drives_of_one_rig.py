@@ -18,9 +18,10 @@ from conetl.geometry.calibration.covariance import calibration_jacobian, jacobia
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
+from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.records import CalibrationCovariance, Rig, Track
+from conetl.model.rig import CalibrationCovariance, Rig
 from tests import records
 from tests.synthetic.world import ORIGIN_M, START_NS, make_path, make_rig
 

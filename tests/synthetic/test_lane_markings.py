@@ -9,9 +9,9 @@ import pytest
 from conetl import analyse, read_drive
 from conetl.cli.ingest import read_params
 from conetl.evaluation.markings import TRUTH_FILE, compare_markings, marking_figures, read_truth_markings, visible_to
+from conetl.model.drive import DriveRecords
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.params import DetectionParams, IngestParams
-from conetl.model.records import DriveRecords
 from conetl.perception.markings import crossings
 from conetl.pipeline import markings as steps
 from conetl.pipeline.settings import Settings

@@ -15,8 +15,8 @@ from conetl.evaluation.truth import TruthCone, compare_with_truth
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Consistency, Nees
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.drive import Track
 from conetl.model.params import PositionParams, TrajectoryParams
-from conetl.model.records import Track
 from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory

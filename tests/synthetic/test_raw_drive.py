@@ -14,8 +14,9 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.drive import Drive, Position
 from conetl.model.params import IngestParams
-from conetl.model.records import Camera, Drive, Lens, Position, Rig
+from conetl.model.rig import Camera, Lens, Rig
 from conetl.perception.detections import check_boxes
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.rectified_image import read_rig_image

@@ -9,8 +9,8 @@ from scipy.stats import chi2
 from conetl.geometry import pose as se3
 from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.model.drive import FramePair, Position
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import FramePair, Position
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.error_propagation import motion_error, relative_cov
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory

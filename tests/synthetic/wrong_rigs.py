@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 
 
 def wrong_rig(rig: Rig, step: NDArray[np.float64]) -> Rig:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.packing import stacked
-from conetl.model.records import Vec3
+from conetl.model.base import Vec3
 
 SIGNATURE = b"PGCOPY\n\xff\r\n\0" + bytes(8)
 TRAILER = b"\xff\xff"

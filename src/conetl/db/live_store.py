@@ -11,7 +11,7 @@ from conetl.db.connection import Connection, execute_count, load_sql, query, rea
 from conetl.db.copy_binary import clean_text
 from conetl.db.receipt_store import held_locks
 from conetl.geometry.packing import horizontal_sigma_m
-from conetl.model.records import Drive, Track
+from conetl.model.drive import Drive, Track
 
 #: Watched drives that nobody ingested are deleted after this time, when the next watch begins.
 KEEP_DAYS = 7

@@ -25,8 +25,8 @@ from uuid import UUID
 from conetl.db.connection import Connection, connect, database_errors, query, transaction
 from conetl.files.atomic import atomic_text_file
 from conetl.files.names import file_name_part, printable
+from conetl.model.base import Vec3
 from conetl.model.errors import DatabaseError, InputError, StorageError
-from conetl.model.records import Vec3
 
 _log = logging.getLogger(__name__)
 

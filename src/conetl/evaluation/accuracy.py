@@ -14,7 +14,9 @@ from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m
 from conetl.geometry.packing import cov_matrices, on_diagonal, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats
-from conetl.model.records import Drive, Pose, Position, Record, Rig, Track, Vec3
+from conetl.model.base import Record, Vec3
+from conetl.model.drive import Drive, Pose, Position, Track
+from conetl.model.rig import Rig
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import (
     PoseCov,

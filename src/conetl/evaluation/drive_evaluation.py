@@ -35,9 +35,9 @@ from conetl.evaluation.truth import (
 from conetl.geometry.consistency import Consistency, left_out_nees
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
+from conetl.model.drive import Drive, Position, Track
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import known_of, noun_of
-from conetl.model.records import Drive, Position, Track
 from conetl.reports.html import Section, render, write_page
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov

@@ -23,7 +23,8 @@ from conetl.geometry.camera import project, rays
 from conetl.geometry.rig import infinity_shift_px
 from conetl.geometry.small_arrays import robust_std
 from conetl.model.arrays import Bools, Floats
-from conetl.model.records import Camera, Detection, Rig, StereoMatch
+from conetl.model.drive import Detection, StereoMatch
+from conetl.model.rig import Camera, Rig
 from conetl.tracking.matching.cone_outline import Outline
 
 _HALF_PX = 5

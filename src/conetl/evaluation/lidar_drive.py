@@ -14,9 +14,10 @@ from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
+from conetl.model.drive import Drive, FramePair, StereoMatch
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import Drive, FramePair, Rig, StereoMatch
+from conetl.model.rig import Rig
 from conetl.perception.detector import Detector, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.pipeline.one_pair import match_images

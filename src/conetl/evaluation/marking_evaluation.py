@@ -24,8 +24,8 @@ from conetl.geometry.consistency import Consistency, pooled
 from conetl.geometry.packing import cov_matrices, on_diagonal
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
+from conetl.model.drive import Drive
 from conetl.model.markings import MarkingTrack
-from conetl.model.records import Drive
 from conetl.reports.html import Section
 from conetl.tracking.error_propagation import PoseCov
 

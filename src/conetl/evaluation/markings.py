@@ -23,9 +23,10 @@ from conetl.geometry.geodesy import to_map
 from conetl.geometry.linear_reference import directions_at, project, resampled, stations
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.model.arrays import Bools, Floats
+from conetl.model.base import NonNegative, Positive, Record, Vec3
+from conetl.model.drive import Drive
 from conetl.model.errors import InputError
 from conetl.model.markings import Marking, MarkingColour, MarkingPattern
-from conetl.model.records import Drive, NonNegative, Positive, Record, Vec3
 
 TRUTH_FILE = "truth_markings.geojson"
 BUFFER_M = 0.15

@@ -23,10 +23,11 @@ from conetl.files.documents import first_message
 from conetl.geometry.consistency import point_nees
 from conetl.geometry.packing import cov_matrices
 from conetl.model.arrays import Floats
+from conetl.model.base import Positive, Record, Vec3
+from conetl.model.drive import SurveyedPoint, Track
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import MapFeature
-from conetl.model.records import Positive, Record, SurveyedPoint, Track, Vec3
 
 #: Features of the map, or tracks of one drive.
 Found = TypeVar("Found", bound=MapFeature | Track)

@@ -23,9 +23,9 @@ from mcap.writer import Writer
 from conetl.exports.kind_marks import KIND_MARKS, PAINT, dashes_of
 from conetl.exports.source import LINE_NAME, ExportSource, What
 from conetl.exports.text_files import iso_utc
+from conetl.model.base import ns_from_utc
 from conetl.model.feature_classes import CONE, width_over_height
 from conetl.model.map_records import DeltaKind
-from conetl.model.records import ns_from_utc
 
 FRAME = "map"
 TOPIC = "/cones"

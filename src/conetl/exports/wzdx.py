@@ -26,11 +26,11 @@ from conetl.exports.text_files import coordinates
 from conetl.files.atomic import atomic_text_file
 from conetl.files.documents import read_yaml_mapping, validated
 from conetl.geometry.packing import horizontal_sigma_m
+from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
-from conetl.model.records import ns_from_utc, utc_from_ns
 from conetl.model.work_zone_records import WorkZone
 
 _CC0 = "https://creativecommons.org/publicdomain/zero/1.0/"

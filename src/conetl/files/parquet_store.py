@@ -19,8 +19,8 @@ from pydantic import TypeAdapter
 
 from conetl.files.atomic import aside
 from conetl.files.storage import NO_FILE_SHA256, is_present, is_remote, object_bytes
+from conetl.model.base import Record
 from conetl.model.errors import StorageError
-from conetl.model.records import Record
 from conetl.model.rejections import Rejection
 
 R = TypeVar("R", bound=Record)

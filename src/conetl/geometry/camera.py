@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from conetl.geometry import lens as lenses
 from conetl.model.arrays import Floats
-from conetl.model.records import Camera
+from conetl.model.rig import Camera
 
 
 def intrinsics(camera: Camera) -> Floats:

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry.camera import project_with_jacobian
 from conetl.model.arrays import Bools, Floats
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 
 #: Points per chunk with two views: a compromise between numpy overhead and cache size.
 CHUNK_POINTS = 8192

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from conetl.model.arrays import Floats
-from conetl.model.records import Lens
+from conetl.model.rig import Lens
 
 _MAX_ITERATIONS = 40
 _MAX_HALVINGS = 10

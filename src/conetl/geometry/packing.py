@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from conetl.model.arrays import Floats
-from conetl.model.records import Cov3, Vec3
+from conetl.model.base import Cov3, Vec3
 
 
 def vec3(values: Floats) -> Vec3:

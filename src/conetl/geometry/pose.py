@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from conetl.model.arrays import Floats
-from conetl.model.records import Matrix3, Matrix4, Pose
+from conetl.model.base import Matrix3, Matrix4
+from conetl.model.drive import Pose
 
 #: Largest deviation of R @ R.T from the identity that still counts as a rotation written with few digits.
 ROTATION_TOLERANCE = 1e-3

@@ -23,11 +23,11 @@ from conetl.mapping.association import assign, classes_of, common_offset, near_p
 from conetl.mapping.marking_deltas import drive_of, lines_on_map
 from conetl.mapping.marking_lines import feet
 from conetl.model.arrays import Floats, Ints
+from conetl.model.drive import Track
 from conetl.model.health import AGREEMENT, HealthCheck, Verdict
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track
 
 #: Positions (N, 3) and classes (N,) of tracks or features.
 _Places = tuple[Floats, NDArray[np.str_]]

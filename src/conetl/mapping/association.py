@@ -16,9 +16,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import stacked
+from conetl.model.base import Cov3
+from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Cov3, Track
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

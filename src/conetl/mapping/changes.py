@@ -20,10 +20,10 @@ from conetl.mapping.existence_update import is_gone, missed, observed
 from conetl.mapping.fusion import tracks_in_map_frame
 from conetl.mapping.visibility import NotObserved
 from conetl.model.arrays import Floats
+from conetl.model.drive import Track
 from conetl.model.feature_classes import exclude_each_other, width_over_height
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track
 
 #: (feature, offset_m, others_m) -> evidence that the feature is absent; see `visibility.check_visibility`.
 VisibilityCheck = Callable[[MapFeature, Floats, Floats], NotObserved | None]

@@ -11,8 +11,9 @@ from conetl.geometry.packing import stacked, vec3
 from conetl.mapping.existence_update import observed
 from conetl.mapping.fusion import fuse
 from conetl.model.arrays import Floats
+from conetl.model.base import sound
+from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
-from conetl.model.records import Track, sound
 
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
 

@@ -11,9 +11,10 @@ from __future__ import annotations
 from math import exp, log
 
 from conetl.mapping.visibility import NotObserved
+from conetl.model.base import sound
+from conetl.model.drive import Track
 from conetl.model.map_records import ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track, sound
 
 #: Limit of the log-odds, so that later drives can still change them.
 MAX_LOG_ODDS = 7.0

@@ -23,8 +23,9 @@ import numpy as np
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrices
 from conetl.model.arrays import Floats
+from conetl.model.base import Cov3, SharedErrorJacobian
+from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
-from conetl.model.records import Cov3, SharedErrorJacobian, Track
 
 S = TypeVar("S")
 

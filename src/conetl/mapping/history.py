@@ -24,6 +24,8 @@ from conetl.mapping.imported_maps import reconcile_imported
 from conetl.mapping.markings import ViewCheck, reconcile_markings
 from conetl.mapping.visibility import NotObserved, not_in_view
 from conetl.model.arrays import Floats
+from conetl.model.base import sound
+from conetl.model.drive import Track
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import (
     Classification,
@@ -40,7 +42,6 @@ from conetl.model.map_records import (
 )
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track, sound
 
 #: Least time between two versions of a feature: the database stores microseconds.
 MIN_VALID_NS = 1000

@@ -15,9 +15,9 @@ from conetl.mapping.association import pair
 from conetl.mapping.changes import height_differs
 from conetl.mapping.deltas import changed, confirmed
 from conetl.mapping.existence_update import confirming
+from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, ImportedFeature, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track
 
 _NAMESPACE = UUID("c2a5b3a1-6c2f-4f1e-9a53-7c1d2b6f0d44")
 _NO_OFFSET_M = np.zeros(3)

@@ -16,9 +16,9 @@ from conetl.mapping.fusion import OffsetErrors, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Indices, Lines, lines_of
 from conetl.mapping.visibility import MarkingView
 from conetl.model.arrays import Bools, Floats
+from conetl.model.base import SharedErrorJacobian, sound
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
-from conetl.model.records import SharedErrorJacobian, sound
 
 _NAMESPACE = UUID("3c0a8d52-1f7e-4f0b-9d35-8e1c6a7b2f49")
 #: A stretch on the map is at most so long; its vertices are about as far apart as those of the drive, at most so far.

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from conetl.model.base import Positive, Record
+from conetl.model.drive import UnclearSquares
 from conetl.model.feature_classes import CONE
-from conetl.model.records import Positive, Record, UnclearSquares
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=0)]

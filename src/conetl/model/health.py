@@ -9,7 +9,7 @@ from shlex import quote
 from typing import Literal
 from uuid import UUID
 
-from conetl.model.records import NonNegative, Record
+from conetl.model.base import NonNegative, Record
 
 #: Of a drive against the map, where the map does not contradict it.
 AGREEMENT = "agreement with the map"

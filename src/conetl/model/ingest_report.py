@@ -8,11 +8,11 @@ from uuid import UUID
 
 from pydantic import Field
 
+from conetl.model.base import Record, Vec3
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError
 from conetl.model.feature_classes import CONE
 from conetl.model.health import HealthCheck, HoldChange, what_to_do
 from conetl.model.map_records import DeltaKind
-from conetl.model.records import Record, Vec3
 from conetl.model.rejections import RejectionReason
 
 

@@ -1,4 +1,4 @@
-"""Records of the map: features, their versions, and what drives and people changed. Units and frames as in `records.py`."""
+"""Records of the map: features, their versions, and what drives and people changed. Units and frames as in `base.py`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from uuid import UUID
 
 from pydantic import Field, model_validator
 
+from conetl.model.base import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec2, Vec3
 from conetl.model.markings import Marking
-from conetl.model.records import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec2, Vec3
 
 #: Not an option of a command, whatever stands before it.
 MAP_NAME = re.compile(r"[a-z0-9_][a-z0-9_-]{0,39}")

@@ -1,6 +1,6 @@
 """Records of lane markings: one marking in one drive, and the shape that a stretch of it has on the map.
 
-Units and frames as in `records.py`.
+Units and frames as in `base.py`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from conetl.model.records import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec3
+from conetl.model.base import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec3
 
 MarkingColour = Literal["white", "yellow", "other"]
 MarkingPattern = Literal["solid", "dashed"]

@@ -12,9 +12,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
+from conetl.model.base import Positive, Record
+from conetl.model.base import Probability as Fraction
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_of
-from conetl.model.records import Positive, Record
-from conetl.model.records import Probability as Fraction
 
 _SIGN_MARGIN_RAD = 0.3
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from conetl.files.storage import is_present, is_remote, object_bytes, recall, remember
 from conetl.model.errors import StorageError
-from conetl.model.records import MAX_IMAGE_PIXELS
 from conetl.model.rejections import RejectionReason
+from conetl.model.rig import MAX_IMAGE_PIXELS
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 #: Start-of-frame markers: all of C0..CF but DHT (C4), JPG (C8) and DAC (CC).

@@ -24,8 +24,8 @@ from av.video.reformatter import ColorRange, Interpolation, VideoReformatter
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError, StorageError
-from conetl.model.records import MAX_IMAGE_PIXELS
 from conetl.model.rejections import RejectionReason
+from conetl.model.rig import MAX_IMAGE_PIXELS
 from conetl.perception.images import ImageFileError
 from conetl.perception.video import FrameRef, Region, frame_sha256, open_video, packet_sha256, video_stream
 

@@ -20,8 +20,9 @@ from conetl.geometry.motion.steps import driven_apart_m
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
 from conetl.model.arrays import Floats
+from conetl.model.drive import Drive, FramePair
 from conetl.model.health import ADJOINING, HealthCheck, Verdict
-from conetl.model.records import Drive, FramePair, Rig
+from conetl.model.rig import Rig
 
 #: Drives that begin so many seconds after another ended may be parts of one recording; of longer ones nothing can be said.
 WITHIN_NS = 5_000_000_000

@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
-from conetl.model.records import Detection, Drive, DriveRecords, ImageDetail, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
+from conetl.model.rig import Rig
 from conetl.perception.detections import with_detail, without_unread
 from conetl.perception.model_card import read_model_card
 from conetl.perception.stereo_check import check_stereo, in_one_file

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from conetl.files.parquet_store import result_key
+from conetl.model.base import Record
+from conetl.model.drive import Drive, FramePair
 from conetl.model.feature_classes import LINE_CLASSES
 from conetl.model.params import IngestParams
-from conetl.model.records import Drive, FramePair, Record, Rig
+from conetl.model.rig import Rig
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 

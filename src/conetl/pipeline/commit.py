@@ -28,12 +28,13 @@ from conetl.files.parquet_store import result_key
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.mapping.agreement import FARTHEST_M, far_displacement
+from conetl.model.base import Record, utc_from_ns
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
+from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import AGREES, HealthCheck, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, ReconcileParams, params_sha256
-from conetl.model.records import Drive, DriveRecords, Record, utc_from_ns
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive

@@ -17,10 +17,10 @@ from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import Receipt, StepTime, write_receipt
 from conetl.files.home import make_home
 from conetl.files.storage import forget_all
+from conetl.model.drive import Drive
 from conetl.model.errors import ConetlError, ServiceError, is_of_storage, may_pass, storage_failed
 from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
-from conetl.model.records import Drive
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
 from conetl.perception.model_card import NOT_MEASURED
 from conetl.pipeline.analysis import AnalysedDrive, analyse

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import spaced
+from conetl.model.drive import Drive, FramePair
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import Drive, FramePair, Rig
+from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.perception.markings.crossings import find_points
 from conetl.perception.markings.points import MarkingPoints

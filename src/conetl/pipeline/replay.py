@@ -30,11 +30,12 @@ from conetl.mapping.changes import VisibilityCheck
 from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, replay_drives
 from conetl.mapping.markings import ViewCheck
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
+from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MissedObservation
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, ReconcileParams
-from conetl.model.records import Drive, DriveRecords, Rig
+from conetl.model.rig import Rig
 from conetl.pipeline.adjoining import WITHIN_NS, Newcomer, find_doubts
 
 _log = logging.getLogger(__name__)

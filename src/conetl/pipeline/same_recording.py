@@ -16,8 +16,9 @@ from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.rig import body_SE3_camera
 from conetl.mapping.association import near_pairs
 from conetl.model.arrays import Floats
+from conetl.model.drive import Drive, DriveRecords, FramePair
 from conetl.model.errors import MapMismatchError
-from conetl.model.records import Drive, DriveRecords, FramePair, Rig
+from conetl.model.rig import Rig
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 

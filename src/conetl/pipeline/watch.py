@@ -24,10 +24,11 @@ from conetl.db.live_store import clear_watches, end_watch, watch_lock
 from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import held_if_free
 from conetl.db.schema import migrate_once
+from conetl.model.drive import MAX_SPEED_M_S, FramePair, Track
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import IngestParams
-from conetl.model.records import MAX_SPEED_M_S, FramePair, Rig, Track
 from conetl.model.rejections import RejectionReason
+from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.pipeline import live_pair as live
 from conetl.pipeline.database import database_url

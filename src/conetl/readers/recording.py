@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+from conetl.model.drive import FramePair, Pose
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import FramePair, Pose, Rig
 from conetl.model.rejections import RejectionReason
+from conetl.model.rig import Rig
 from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.readers.drives import drive_format, kitti, oxts
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml

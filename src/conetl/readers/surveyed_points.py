@@ -11,8 +11,8 @@ from conetl.files.names import printable
 from conetl.geometry import geodesy
 from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
+from conetl.model.drive import SurveyedPoint
 from conetl.model.errors import InputError
-from conetl.model.records import SurveyedPoint
 from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.maps.tables import MapTable, read_table
 from conetl.readers.trajectories.earth import in_wgs84

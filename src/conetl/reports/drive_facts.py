@@ -17,10 +17,11 @@ from conetl.db.map.results import CommittedChangeset
 from conetl.db.serve_store import read_rows
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
+from conetl.model.drive import FramePair, Track
 from conetl.model.errors import InputError
 from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
 from conetl.model.map_records import DeltaKind, MapFeature
-from conetl.model.records import FramePair, Rig, Track
+from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of
 from conetl.reports.figures import MarkingChange, change_of_row, changes_of
 

@@ -11,10 +11,10 @@ from typing import Any
 from conetl.db.connection import Connection, database_errors, query
 from conetl.db.map.decision_store import held_drives, hold_events
 from conetl.db.map.map_store import list_changesets, require_map
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.health import HeldDrive, HoldEvent, what_to_do
 from conetl.model.map_records import DeltaKind
-from conetl.model.records import utc_from_ns
 from conetl.reports import figures
 from conetl.reports.html import render, write_page
 

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.drive import Detection
 from conetl.model.feature_classes import CONE, width_over_height
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Camera, Detection
+from conetl.model.rig import Camera
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]

@@ -22,9 +22,9 @@ from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.small_arrays import nearest
+from conetl.model.drive import Position
 from conetl.model.feature_classes import exclude_each_other
 from conetl.model.params import TrackParams
-from conetl.model.records import Position
 
 Floats = NDArray[np.float64]
 #: Cost of a forbidden pair in the assignment; far above any gate.

@@ -21,7 +21,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.geometry.packing import vec3
 from conetl.geometry.small_arrays import cross_matrix
-from conetl.model.records import FramePair
+from conetl.model.drive import FramePair
 
 Floats = NDArray[np.float64]
 #: Offsets that are tried, s.

@@ -19,7 +19,7 @@ from conetl.geometry.motion.position_spline import at_times, position_spline, tu
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.small_arrays import nearest
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.tracking.clock import robust_fit, smoothed
 
 Floats = NDArray[np.float64]

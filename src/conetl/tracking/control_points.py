@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from conetl.geometry.consistency import left_out_nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrices, vec3
+from conetl.model.drive import FramePair, Position, StereoMatch, SurveyedPoint
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import IngestParams
-from conetl.model.records import FramePair, Position, Rig, StereoMatch, SurveyedPoint
+from conetl.model.rig import Rig
 from conetl.tracking.drive_refinement import cone_groups, refine_with_cones
 from conetl.tracking.error_propagation import moved_by_poses, moved_cov, outline_errors, pose_cov
 from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, RefinementOutcome

@@ -17,8 +17,10 @@ from conetl.geometry.motion.pose_graph import POSE, STATE, LoggedPoses
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov3, cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.base import Vec3
+from conetl.model.drive import FramePair, Position, StereoMatch
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.records import FramePair, Position, Rig, StereoMatch, Vec3
+from conetl.model.rig import Rig
 from conetl.tracking.association import chain_positions
 from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error

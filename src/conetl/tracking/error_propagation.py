@@ -19,9 +19,10 @@ from conetl.geometry.motion.chain_solver import cross_covariance, joint_covarian
 from conetl.geometry.motion.pose_graph import POSE, motion_jacobians
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.drive import FramePair, Pose, Position
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import FramePair, Pose, Position, Rig
+from conetl.model.rig import Rig
 from conetl.tracking.association import MotionError
 from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.trajectory import RefinedTrajectory, log_errors

@@ -11,9 +11,10 @@ from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, moti
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Floats, Ints
+from conetl.model.drive import MIN_DETAIL, FramePair
 from conetl.model.health import CALIBRATION, HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import MIN_DETAIL, FramePair, Rig
+from conetl.model.rig import Rig
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
 from conetl.tracking.drive_refinement import scale_is_doubtful
 from conetl.tracking.jumps import JUMPS, check_jumps, check_slow_jumps, check_turn_jumps

@@ -18,8 +18,9 @@ from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
+from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck, Verdict
-from conetl.model.records import FramePair, Rig
+from conetl.model.rig import Rig
 
 JUMPS = "jumps of the poses"
 #: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.

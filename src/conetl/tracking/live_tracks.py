@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.detector_evidence import DetectorEvidence
+from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.params import IngestParams
-from conetl.model.records import Detection, FramePair, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
+from conetl.model.rig import Rig
 from conetl.tracking.association import Chain, extend_chains, misfit_of
 from conetl.tracking.tracks import BoxKey, boxes_in_use, drive_data, fuse_group
 

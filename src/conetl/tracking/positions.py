@@ -20,21 +20,12 @@ from conetl.geometry.calibration.covariance import calibration_cov
 from conetl.geometry.camera import add_pose_covariance
 from conetl.geometry.intersection import IntersectionStatus, intersect
 from conetl.geometry.packing import cov3, vec3
+from conetl.model.base import Cov3, NonNegative, Positive, Probability, Record, Vec3
+from conetl.model.drive import FramePair, Position, StereoMatch
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import PositionParams
-from conetl.model.records import (
-    Cov3,
-    FramePair,
-    NonNegative,
-    Position,
-    Positive,
-    Probability,
-    Record,
-    Rig,
-    StereoMatch,
-    Vec3,
-)
 from conetl.model.rejections import Rejection, RejectionReason
+from conetl.model.rig import Rig
 
 Array = NDArray[np.float64]
 

@@ -30,8 +30,9 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import body_SE3_camera, right_camera_turned
+from conetl.model.base import Record, Vec3
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import CalibrationCovariance, Record, Rig, SharedErrors, Vec3
+from conetl.model.rig import CalibrationCovariance, Rig, SharedErrors
 
 Floats = NDArray[np.float64]
 _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")

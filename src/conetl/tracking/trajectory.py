@@ -29,9 +29,10 @@ from conetl.geometry.motion.pose_graph import (
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix, vec3
+from conetl.model.drive import FramePair, Pose, Position
 from conetl.model.health import HealthCheck
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import FramePair, Pose, Position, Rig
+from conetl.model.rig import Rig
 from conetl.tracking.clock import ClockOffset
 
 Floats = NDArray[np.float64]

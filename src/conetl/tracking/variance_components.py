@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.model.drive import Pose, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES
-from conetl.model.records import Pose, Rig, StereoMatch, Track
+from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_sigma_px, shared_disparity_px
 

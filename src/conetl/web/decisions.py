@@ -15,9 +15,9 @@ from conetl.db.connection import Connection, connect
 from conetl.db.map.decision_store import held_drives
 from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import last_changes, read_feature_history, read_rows, review_page
+from conetl.model.base import Vec3
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.health import HeldDrive
-from conetl.model.records import Vec3
 from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_passes import reasons_of

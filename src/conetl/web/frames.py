@@ -12,8 +12,9 @@ from conetl.db import serve_store as store
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import list_changesets
 from conetl.db.reader_pool import ReaderPool
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import ConetlError
-from conetl.model.records import Rig, utc_from_ns
+from conetl.model.rig import Rig
 from conetl.reports.camera_images import Box, crop_jpeg, frame_jpeg, image_file
 from conetl.reports.drive_passes import expected_box, passes_of
 from conetl.web import judging_models as m

@@ -6,8 +6,8 @@ from datetime import datetime
 from typing import Literal
 from uuid import UUID
 
+from conetl.model.base import Matrix3, Vec3
 from conetl.model.map_records import DeltaKind
-from conetl.model.records import Matrix3, Vec3
 from conetl.web.models import Answer, Box, Listing
 
 

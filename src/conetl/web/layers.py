@@ -14,7 +14,7 @@ from conetl.db.base_store import list_base_sources
 from conetl.db.connection import Connection
 from conetl.db.live_store import read_provisional
 from conetl.db.serve_store import read_base_tile, read_rows
-from conetl.model.records import Vec3
+from conetl.model.base import Vec3
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.parameters import MAX_FEATURES, MapName, Reader, cut, origin_of

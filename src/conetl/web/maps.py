@@ -11,8 +11,9 @@ from fastapi import APIRouter, HTTPException, Query, Request, Response
 from conetl.db import serve_store as store
 from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
+from conetl.model.base import Vec3, utc_from_ns
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Rig, Vec3, utc_from_ns
+from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to

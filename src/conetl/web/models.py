@@ -8,9 +8,9 @@ from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict
 
+from conetl.model.base import Matrix3, Vec3
 from conetl.model.map_records import DeltaKind
 from conetl.model.markings import MarkingColour, MarkingPattern
-from conetl.model.records import Matrix3, Vec3
 
 Cov2 = tuple[float, float, float]
 """xx, xy, yy on the ground."""

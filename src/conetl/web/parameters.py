@@ -17,7 +17,7 @@ from conetl.db.connection import Connection
 from conetl.db.ogc_store import Degrees
 from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import read_origin
-from conetl.model.records import Vec3
+from conetl.model.base import Vec3
 
 #: Largest number of features of one answer, which says whether there are more.
 MAX_FEATURES = 100_000

@@ -16,7 +16,7 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from conetl.db.map.map_store import find_features, list_changesets, require_map
 from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.model.arrays import Floats
-from conetl.model.records import Vec3, utc_from_ns
+from conetl.model.base import Vec3, utc_from_ns
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.parameters import MapName, Reader, cut, origin_of

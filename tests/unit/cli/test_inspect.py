@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from conetl.cli import main
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.readers.drives import read_drive
 from tests.mutants.images import changed as images_changed
 from tests.mutants.images import copy_drive, only_right, shifted, smeared, swapped

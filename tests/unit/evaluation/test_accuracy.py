@@ -22,7 +22,8 @@ from conetl.evaluation.nees_table import parts_of
 from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
 from conetl.geometry.calibration.covariance import calibration_jacobian
 from conetl.geometry.consistency import left_out_nees
-from conetl.model.records import CalibrationCovariance, Drive, Position, Track
+from conetl.model.drive import Drive, Position, Track
+from conetl.model.rig import CalibrationCovariance
 from conetl.tracking.association import MotionError
 from tests import records
 from tests.synthetic.world import ORIGIN_M, make_path, make_rig

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from conetl.evaluation.lidar_check import LidarRange, LidarResidual, lidar_range, summarise
-from conetl.model.records import Camera
+from conetl.model.rig import Camera
 from conetl.readers.drives.velodyne import untwist
 from conetl.tracking.matching.cone_outline import Outline
 

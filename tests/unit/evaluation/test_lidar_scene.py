@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.evaluation.lidar_check import fit_scene_bias, scene_samples
-from conetl.model.records import Camera, Detection, Rig
+from conetl.model.drive import Detection
+from conetl.model.rig import Camera, Rig
 
 SIZE = (200, 600)
 CAMERA = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=400.0, fy_px=400.0, cx_px=300.0, cy_px=100.0)

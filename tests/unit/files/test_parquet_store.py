@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from conetl.files.parquet_store import file_sha256, has_result, load_result, load_results, result_key, save_result
-from conetl.model.records import Detection, Position
+from conetl.model.drive import Detection, Position
 from conetl.model.rejections import Rejection, RejectionReason
 
 

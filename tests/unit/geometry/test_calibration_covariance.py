@@ -14,7 +14,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.covariance import calibration_cov, calibration_jacobian, shared_cov
 from conetl.geometry.intersection import intersect
 from conetl.geometry.rectification import rectify
-from conetl.model.records import CalibrationCovariance, Camera, Lens, Rig
+from conetl.model.rig import CalibrationCovariance, Camera, Lens, Rig
 
 Array = NDArray[np.float64]
 

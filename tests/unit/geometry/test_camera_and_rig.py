@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.records import Camera, Lens, Pose, Rig
+from conetl.model.drive import Pose
+from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs.common import rig_of
 
 CAMERA = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=720.0, cx_px=609.6, cy_px=172.9)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conetl.geometry.lens import distort, distort_jacobian, field_radius, undistort
-from conetl.model.records import Lens
+from conetl.model.rig import Lens
 
 LENSES = (
     Lens(),

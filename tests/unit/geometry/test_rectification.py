@@ -13,7 +13,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rectification
 from conetl.geometry import rig as rigs
-from conetl.model.records import Camera, Lens, Rig
+from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs.common import rig_of
 
 BARREL = Lens(model="brown", coefficients=(-0.3691481, 0.1968681, 1.353473e-3, 5.677587e-4, -0.0677))

@@ -19,7 +19,7 @@ from conetl.geometry.calibration.covariance import (
     unpack_all,
     with_covariance,
 )
-from conetl.model.records import CalibrationCovariance, Rig
+from conetl.model.rig import CalibrationCovariance, Rig
 from tests.synthetic.world import make_rig
 
 NAMES = ("left.fx_px", "left.cx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m")

@@ -10,7 +10,7 @@ import pytest
 from conetl.geometry.calibration import tables
 from conetl.geometry.calibration.stereo_bundle import moved, pair_system, parameter_names, residuals_px, shape_basis
 from conetl.geometry.calibration.stereo_calibration import calibrate_stereo, rig_of
-from conetl.model.records import LENS_COEFFICIENTS, Lens, LensModel
+from conetl.model.rig import LENS_COEFFICIENTS, Lens, LensModel
 from tests.synthetic.calibration_world import board_points, observe, start_near, true_bundle
 
 LENSES = [

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from conetl.mapping.agreement import _blind, contradiction, far_displacement, imported_displacement
 from conetl.mapping.changes import reconcile
 from conetl.mapping.visibility import NotObserved
+from conetl.model.drive import Track
 from conetl.model.map_records import DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track
 from tests import records
 from tests.synthetic.world import ORIGIN_M, START_NS
 

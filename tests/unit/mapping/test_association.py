@@ -14,8 +14,8 @@ from scipy.optimize import linear_sum_assignment
 from conetl.mapping.association import assign, common_offset, near_pairs, pair
 from conetl.mapping.changes import reconcile
 from conetl.mapping.existence_update import summarize_miss
+from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
-from conetl.model.records import Track
 from tests.unit.mapping.test_changes import NO_FIX, PARAMS, RTK, NotObserved, changes, feature, track
 
 

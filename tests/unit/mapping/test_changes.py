@@ -12,9 +12,9 @@ from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import confirmed
 from conetl.mapping.existence_update import observed
 from conetl.mapping.visibility import NotObserved
+from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track
 from tests import records
 from tests.synthetic.world import ORIGIN_M, START_NS
 

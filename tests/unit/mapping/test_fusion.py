@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse, tracks_in_map_frame
+from conetl.model.base import Cov3, SharedErrorJacobian
+from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
-from conetl.model.records import Cov3, SharedErrorJacobian, Track
 from tests.unit.mapping.test_changes import feature, track
 
 Floats = NDArray[np.float64]

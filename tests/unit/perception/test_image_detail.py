@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.model.records import MIN_DETAIL
+from conetl.model.drive import MIN_DETAIL
 from conetl.perception.image_detail import fine_detail, local_detail
 from tests.integration.small_drives import SAMPLES
 from tests.mutants.images import Image, compressed, covered

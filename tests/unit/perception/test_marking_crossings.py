@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.params import MarkingParams
-from conetl.model.records import Camera, Rig
+from conetl.model.rig import Camera, Rig
 from conetl.perception.markings.crossings import find_points
 from conetl.perception.markings.points import PointColumns
 from conetl.readers.rigs.common import rig_of

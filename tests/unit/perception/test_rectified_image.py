@@ -13,7 +13,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import rectify
-from conetl.model.records import Camera, Lens, Rig
+from conetl.model.rig import Camera, Lens, Rig
 from conetl.perception.images import ImageFileError, read_image
 from conetl.perception.rectified_image import read_rig_image
 from conetl.readers.rigs.common import rig_of

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from conetl.model.drive import Drive
 from conetl.model.health import Verdict
-from conetl.model.records import Drive
 from conetl.perception.stereo_check import check_stereo
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES

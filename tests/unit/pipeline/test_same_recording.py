@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conetl.model.records import Drive, FramePair, Rig
+from conetl.model.drive import Drive, FramePair
+from conetl.model.rig import Rig
 from conetl.pipeline.same_recording import has_the_same_log, is_redated, is_same_camera
 from tests.synthetic.world import make_path, make_rig, shifted
 

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import write_rig_yaml
 from conetl.readers.rigs.ros import write_ros_rig

@@ -19,7 +19,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.readers.rigs import read_rig, read_rig_and_format, read_rig_for_images
 from tests.unit.readers.test_rig_formats import (
     D1,

@@ -20,8 +20,8 @@ from mcap.writer import Writer as McapWriter
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
+from conetl.model.drive import Drive
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive
 from conetl.model.rejections import Rejection
 from conetl.model.rejections import RejectionReason as R
 from conetl.readers.drives import FORMATS, drive_format, read_drive

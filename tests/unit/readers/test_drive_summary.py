@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.model.records import Drive, FramePair
+from conetl.model.drive import Drive, FramePair
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, check_image_ends
 from conetl.readers.drives import read_drive

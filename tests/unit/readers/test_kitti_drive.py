@@ -14,8 +14,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import geodesy
+from conetl.model.drive import Drive, Pose
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import oxts, read_drive
 from conetl.readers.drives.drive_yaml import Sigmas

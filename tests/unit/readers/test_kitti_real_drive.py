@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.geometry import rig as rigs
-from conetl.model.records import Drive
+from conetl.model.drive import Drive
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import read_drive
 

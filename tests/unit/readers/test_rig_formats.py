@@ -23,7 +23,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Lens, Rig
+from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs import WRITERS, read_rig, read_rig_and_format
 from conetl.readers.rigs.common import rig_of
 from tests.prepared import prepared

@@ -11,8 +11,8 @@ import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.rosbag1.reader import Reader
 
+from conetl.model.drive import Drive
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import Drive
 from conetl.readers.drives import drive_format, read_drive
 from conetl.readers.drives.header import find_drives, read_header
 from tests.unit.readers.drive_formats import SIGMAS, georeference, sample_frames, sample_rig, write_ros1_bag

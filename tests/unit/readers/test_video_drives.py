@@ -18,8 +18,9 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.geometry import rig as rigs
+from conetl.model.drive import Drive
 from conetl.model.errors import CalibrationError, ConetlError, DriveFolderError, InputError
-from conetl.model.records import Drive, Rig
+from conetl.model.rig import Rig
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.video import index_video, video_facts
 from conetl.perception.video_sync import find_video_lag

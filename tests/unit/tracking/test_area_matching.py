@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.model.records import Camera, Detection
+from conetl.model.drive import Detection
+from conetl.model.rig import Camera
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import find_outline
 from conetl.tracking.matching.plate_pixels import find_plate

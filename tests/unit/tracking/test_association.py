@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov3, cov_matrix
+from conetl.model.drive import Position
 from conetl.model.params import TrackParams
-from conetl.model.records import Position
 from conetl.tracking.association import MotionError, _reach_m, _within_reach, carry, join_fragments, misfit_of
 
 PARAMS = TrackParams()

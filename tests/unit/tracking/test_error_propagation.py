@@ -14,9 +14,10 @@ from conetl.geometry.consistency import Nees
 from conetl.geometry.intersection import fit_point, pair_jacobian
 from conetl.geometry.motion.chain_solver import cross_covariance
 from conetl.geometry.packing import cov_matrix
+from conetl.model.drive import FramePair, Position
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import CalibrationCovariance, FramePair, Position
+from conetl.model.rig import CalibrationCovariance
 from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_jacobian, pose_cov
 from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.trajectory import log_errors, refine_trajectory

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from conetl.model.detector_evidence import UNMEASURED
+from conetl.model.drive import Track
 from conetl.model.params import IngestParams
-from conetl.model.records import Track
 from conetl.tracking import live_tracks
 from conetl.tracking.live_tracks import LiveFrame, LiveTracks, add_frame
 from tests.integration.drives_of_days import RIG, survey

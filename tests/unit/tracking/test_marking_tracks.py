@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.drive import Drive, FramePair, Pose
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import MarkingParams
-from conetl.model.records import Camera, Drive, FramePair, Pose, Rig
+from conetl.model.rig import Camera, Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
 from conetl.tracking.markings.tracks import fuse_markings
 

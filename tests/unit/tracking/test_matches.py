@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from conetl.geometry.pose import to_matrix4
+from conetl.model.drive import Detection, StereoMatch
 from conetl.model.params import MatchParams
-from conetl.model.records import Camera, Detection, Rig, StereoMatch
 from conetl.model.rejections import RejectionReason
+from conetl.model.rig import Camera, Rig
 from conetl.tracking.matching.matches import foot_image_point, match_pair, with_measured_spread
 from tests.synthetic.cone_images import BASE_M, F_PX, SIZE, cone_pair
 from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig

@@ -14,7 +14,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.rectification import raw_from_rectified
 from conetl.geometry.rig import infinity_shift_px, left_SE3_right
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import CalibrationCovariance, Lens, Rig
+from conetl.model.rig import CalibrationCovariance, Lens, Rig
 from conetl.tracking.self_calibration import (
     SWITCHED_OFF,
     SelfCalibration,

@@ -17,12 +17,12 @@ from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
 from conetl.geometry.packing import horizontal_sigma_m
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import noun_of, require_classes
 from conetl.model.health import HoldEvent
 from conetl.model.map_records import Classification
 from conetl.model.markings import Marking
-from conetl.model.records import utc_from_ns
 from conetl.pipeline.settings import read_settings
 
 _FEATURES: ui.Columns = {

@@ -33,11 +33,11 @@ from conetl.db.map.map_store import find_changeset, map_for, system_time
 from conetl.db.map.replay_store import take_turn, write_replay
 from conetl.db.map.results import CommitResult, MapInfo, Replay, RunInfo
 from conetl.model.detector_evidence import AbsenceFigures
+from conetl.model.drive import Drive, DriveRecords
 from conetl.model.errors import MapMismatchError
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import Changeset, DeltaKind
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Drive, DriveRecords
 
 #: A drive may see features this far around its path: the farthest position plus the largest offset and move.
 INFLUENCE_M = 60.0

@@ -18,13 +18,15 @@ from conetl.db.copy_binary import json_text
 from conetl.db.map.import_store import read_statements
 from conetl.db.map.marking_rows import Row, covariances, marking_of
 from conetl.db.map.rows import jacobian_of, record_of
+from conetl.model.base import Vec3
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
+from conetl.model.drive import Detection, Drive, FramePair, Pose, Track
 from conetl.model.errors import MapMismatchError
 from conetl.model.health import ADJOINING
 from conetl.model.map_records import DriveOrder, ImportedFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Detection, Drive, FramePair, Pose, Rig, Track, Vec3
+from conetl.model.rig import Rig
 
 _UNREAD = "The drives of the map cannot be read"
 #: Easting, northing and half the side of a square, in metres of the map's CRS.

@@ -18,9 +18,9 @@ from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, MapInfo, Replay, RunInfo
 from conetl.db.map.rows import feature_of
 from conetl.model.arrays import Bools, Floats
+from conetl.model.base import utc_from_ns
 from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap
 from conetl.model.params import ReconcileParams
-from conetl.model.records import utc_from_ns
 
 #: An import judges features this far around a stated position: what it may pair or move, with a margin.
 IMPORT_INFLUENCE_M = 10.0

@@ -10,8 +10,8 @@ import numpy as np
 
 from conetl.db import copy_binary as binary
 from conetl.db.copy_binary import CopyColumn
+from conetl.model.base import Cov3, sound
 from conetl.model.markings import Marking
-from conetl.model.records import Cov3, sound
 
 Row = Mapping[str, Any]
 _EWKB_LINE_Z_SRID = 0x80000000 | 0x20000000 | 2

@@ -25,8 +25,8 @@ from conetl.db.map.map_store import find_changeset, find_map, map_lock
 from conetl.db.map.marking_rows import Row
 from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
 from conetl.db.map.rows import version_of
+from conetl.model.drive import Drive
 from conetl.model.map_records import DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
-from conetl.model.records import Drive
 
 #: A town is a few regions, a drive of 100 km about a hundred.
 REGION_M = 2048.0

@@ -20,9 +20,10 @@ from conetl.db import copy_binary as binary
 from conetl.db.copy_binary import CopyColumn
 from conetl.db.map.marking_rows import Row, marking_columns, marking_of, matrices
 from conetl.geometry.packing import stacked
+from conetl.model.base import Record, SharedErrorJacobian, sound
+from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
 from conetl.model.markings import MarkingTrack
-from conetl.model.records import Detection, FramePair, Position, Record, SharedErrorJacobian, StereoMatch, Track, sound
 from conetl.model.rejections import Rejection
 
 R = TypeVar("R", bound=Record)

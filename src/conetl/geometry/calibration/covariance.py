@@ -34,7 +34,8 @@ from conetl.geometry.calibration.stereo_bundle import BundleError, Reduced
 from conetl.geometry.camera import project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Floats
-from conetl.model.records import INTERIOR, RELATIVE, CalibrationCovariance, Rig, SharedErrorJacobian, SharedErrors
+from conetl.model.base import SharedErrorJacobian
+from conetl.model.rig import INTERIOR, RELATIVE, CalibrationCovariance, Rig, SharedErrors
 
 _WIRE = ">f4"
 #: Decimals of the relative pose in metres and of its rotation: it is worked out from two poses, which rounding may change.

@@ -17,7 +17,8 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.geometry.rectification import rectified_from_raw, rectify
 from conetl.model.arrays import Floats
-from conetl.model.records import INTERIOR, RELATIVE, Rig, Side
+from conetl.model.base import Side
+from conetl.model.rig import INTERIOR, RELATIVE, Rig
 
 _STEP_RAD = 1e-6
 COVERAGE_CELLS = 8

@@ -19,8 +19,8 @@ from pydantic import Field, model_validator
 
 from conetl.geometry.small_arrays import apart, cross_matrix, inverse_of_symmetric, median, stepped
 from conetl.model.arrays import Bools, Floats
+from conetl.model.base import Matrix4, Record
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import Matrix4, Record
 
 _UPPER = np.triu_indices(6)
 _HYPOTHESES = 64

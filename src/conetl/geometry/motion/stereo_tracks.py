@@ -27,8 +27,10 @@ from conetl.geometry.motion.stereo_motion import (
 )
 from conetl.geometry.rig import left_SE3_right, map_SE3_left
 from conetl.model.arrays import Floats
+from conetl.model.base import Positive, Record
+from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import FramePair, Positive, Record, Rig
+from conetl.model.rig import Rig
 
 
 class NoMeasurement(StrEnum):

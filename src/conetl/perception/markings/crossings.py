@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from conetl.geometry.small_arrays import nearest
 from conetl.model.arrays import Floats
 from conetl.model.params import MarkingParams
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
 from conetl.perception.markings.road_plane import RoadPlane, find_road, right_from_parallel
 

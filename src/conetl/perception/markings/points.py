@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from conetl.geometry.motion.stereo_tracks import PackedPoints
 from conetl.model.arrays import Floats
-from conetl.model.records import Record
+from conetl.model.base import Record
 
 _NONE: Final = b""
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from conetl.geometry.camera import first_road_row, matrix_k, rays
 from conetl.geometry.rig import left_SE3_right, up_in_left_camera
 from conetl.model.arrays import Floats
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 
 #: As OpenCV returns them: of 8 bits.
 Image = NDArray[np.integer[Any] | np.floating[Any]]

@@ -17,8 +17,8 @@ from conetl.files.documents import named
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.drive import Drive, FramePair
 from conetl.model.errors import InputError
-from conetl.model.records import Drive, FramePair
 from conetl.readers.base_layers import georeferencing as geo
 from conetl.readers.base_layers.georeferencing import LayerCrs, MapGround, to_map
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header

@@ -13,10 +13,10 @@ from conetl.db.base_store import read_lanes_near
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import read_paths, read_versions, require_map
 from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
+from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
-from conetl.model.records import ns_from_utc, utc_from_ns
 from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
 from conetl.workzones.work_zones import zones_over_time
 from conetl.workzones.zone_layout import describe, layout_of

@@ -10,8 +10,8 @@ from statistics import median
 
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, reached
+from conetl.model.drive import Drive, SurveyedPoint
 from conetl.model.errors import DriveFolderError, InputError
-from conetl.model.records import Drive, SurveyedPoint
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml

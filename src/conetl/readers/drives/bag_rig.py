@@ -13,7 +13,7 @@ from conetl.files.documents import MAX_SHOWN
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.readers.drives.drive_yaml import Streams
 from conetl.readers.drives.poses import rotation_of
 from conetl.readers.rigs.common import Node

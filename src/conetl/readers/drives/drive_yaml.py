@@ -9,8 +9,9 @@ from pydantic import Field, field_validator, model_validator
 
 from conetl.files.documents import read_yaml_mapping, shown, validated
 from conetl.files.names import printable
+from conetl.model.base import GeodeticPosition, Positive, Record
 from conetl.model.errors import DriveFolderError, InputError
-from conetl.model.records import MAX_LEVER_ARM_M, GeodeticPosition, Positive, Record
+from conetl.model.rig import MAX_LEVER_ARM_M
 from conetl.perception.video import Layout
 from conetl.readers.trajectories.settings import TrajectoryFile, known_zone
 

@@ -17,9 +17,10 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import sensor_R_body
 from conetl.model.arrays import Floats
+from conetl.model.drive import Drive
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, Rig
 from conetl.model.rejections import Rejection
+from conetl.model.rig import Rig
 from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, small_file
 from conetl.readers.drives.pairs import ContentHash, Source

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from conetl.files.names import printable, require_utf8
 from conetl.files.storage import is_remote
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import ConetlError, DriveFolderError, ServiceError, is_of_storage
-from conetl.model.records import utc_from_ns
 from conetl.readers.drives import find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings

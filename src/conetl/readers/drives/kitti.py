@@ -20,9 +20,10 @@ from pathlib import Path
 
 from conetl.files.documents import named
 from conetl.files.storage import fetch, is_remote, object_bytes
+from conetl.model.drive import MAX_FRAME_INDEX, Drive
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import MAX_FRAME_INDEX, Drive, Rig
 from conetl.model.rejections import Rejection, RejectionReason
+from conetl.model.rig import Rig
 from conetl.readers.drives import oxts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import SAMPLED_POSES, HeaderFacts, every_nth, image_files, names_in

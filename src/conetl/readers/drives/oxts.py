@@ -11,7 +11,7 @@ import numpy as np
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.records import Pose
+from conetl.model.drive import Pose
 from conetl.readers.drives.drive_yaml import Sigmas
 from conetl.readers.drives.poses import attitude_sigmas, to_pose, wild_fixes
 from conetl.readers.trajectories.oxts import OxtsRecord

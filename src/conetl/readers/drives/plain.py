@@ -25,9 +25,11 @@ from pydantic import Field, ValidationError
 from conetl.files.documents import MAX_SHOWN, first_message, named, shown
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
+from conetl.model.base import Height, Latitude, Longitude, Record
+from conetl.model.drive import Drive, Pose
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import Drive, Height, Latitude, Longitude, Pose, Record, Rig
 from conetl.model.rejections import Rejection, RejectionReason
+from conetl.model.rig import Rig
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, no_rig, overrides, own_rig
 from conetl.readers.drives.pairs import (

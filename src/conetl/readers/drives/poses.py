@@ -17,8 +17,8 @@ from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid, local_to_map
 from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
+from conetl.model.drive import MAX_SPEED_M_S, Pose
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import MAX_SPEED_M_S, Pose
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import PairError, Source

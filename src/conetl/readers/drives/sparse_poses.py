@@ -23,9 +23,9 @@ from conetl.geometry.motion.position_spline import (
 )
 from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
+from conetl.model.drive import Interpolated, Pose
 from conetl.model.errors import DriveFolderError
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import Interpolated, Pose
 from conetl.readers.drives.drive_yaml import MAX_POSE_GAP_S
 from conetl.readers.drives.poses import Samples, around, at, to_pose
 from conetl.readers.trajectories.recorded import RecordedTrajectory

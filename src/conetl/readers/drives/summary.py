@@ -12,7 +12,8 @@ from conetl.geometry import geodesy
 from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Bools, Floats
-from conetl.model.records import Drive, FramePair, Record
+from conetl.model.base import Record
+from conetl.model.drive import Drive, FramePair
 from conetl.model.rejections import Rejection
 
 GAP_FACTOR = 2.5

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
+from conetl.model.drive import FramePair
 from conetl.model.errors import ConetlError
-from conetl.model.records import FramePair, Rig
+from conetl.model.rig import Rig
 from conetl.readers.rigs.kitti import IMU_TO_VELO, motion_of, read_numbers
 from conetl.readers.trajectories.times import parse_timestamps
 

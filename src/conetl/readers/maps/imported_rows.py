@@ -19,10 +19,10 @@ from conetl.files.documents import expectation, key_of, named, shown
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import to_ellipsoidal, utm_srid
 from conetl.model.arrays import Floats
+from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
-from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc
 from conetl.readers.base_layers.georeferencing import in_area, parse_crs
 from conetl.readers.maps.tables import MapTable, read_table
 from conetl.readers.trajectories.times import clock_problem

@@ -14,7 +14,7 @@ from typing import Literal
 
 from conetl.files.documents import read_json, read_limited, read_yaml
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.readers.rigs.common import Pair, Size, calibration_errors, read_xml, rectified_rig
 from conetl.readers.rigs.devices import read_oak_rig, read_zed_rig
 from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig

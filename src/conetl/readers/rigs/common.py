@@ -19,7 +19,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError, InputError
-from conetl.model.records import MAX_IMAGE_PIXELS, Camera, Lens, Rig
+from conetl.model.rig import MAX_IMAGE_PIXELS, Camera, Lens, Rig
 
 Size = tuple[int, int]
 Pair = tuple[str, str]

@@ -25,7 +25,7 @@ from conetl.files.documents import MAX_SHOWN, read_json, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
-from conetl.model.records import MIN_BASELINE_M, Camera, Lens, Rig
+from conetl.model.rig import MIN_BASELINE_M, Camera, Lens, Rig
 from conetl.readers.rigs.common import (
     LENGTH_UNITS,
     Node,

@@ -19,7 +19,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Lens, Rig
+from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs.common import Node, Size, calibration_errors, camera_from_matrix, rectified_rig
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"

@@ -25,7 +25,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
 from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Rig
+from conetl.model.rig import Camera, Rig
 from conetl.readers.rigs.common import Node, Size, camera_from_matrix, opencv_coefficients, opencv_lens, stereo_rig
 
 #: What to add to a camera matrix: MATLAB's first pixel is (1, 1), ours (0, 0).

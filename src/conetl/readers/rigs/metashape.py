@@ -16,7 +16,7 @@ import numpy as np
 from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Lens, Rig
+from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs.common import Node, Pair, camera_from_matrix, choose_pair, opencv_lens, read_xml, stereo_rig
 
 _FISHEYES = ("fisheye", "equidistant_fisheye")

@@ -18,8 +18,9 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.stereo_bundle import parameter_names
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
+from conetl.model.base import Matrix3, NonNegative, Positive, Record, Vec3
 from conetl.model.errors import CalibrationError
-from conetl.model.records import CalibrationCovariance, Camera, Lens, Matrix3, NonNegative, Positive, Record, Rig, Vec3
+from conetl.model.rig import CalibrationCovariance, Camera, Lens, Rig
 from conetl.readers.rigs.common import Pair, calibration_errors, choose_pair, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"

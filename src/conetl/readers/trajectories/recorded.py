@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from conetl.files.documents import first_message
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
+from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
 from conetl.readers.trajectories.times import EARLIEST_NS, MAX_AHEAD_NS, Times, clock_problem
 
 Axes = Literal["geodetic", "projected", "geocentric", "local"]

@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo
 from pydantic import Field, field_validator
 
 from conetl.files.documents import shown
-from conetl.model.records import Record
+from conetl.model.base import Record
 
 FormatName = Literal["rtklib", "sbet", "inertial_explorer", "nmea", "gpx", "oxts", "euroc", "tum", "table"]
 

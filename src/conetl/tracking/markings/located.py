@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from conetl.geometry.camera import rays
 from conetl.geometry.linear_reference import project, smoothed, spaced, stations
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.records import Drive, Rig
+from conetl.model.drive import Drive
+from conetl.model.rig import Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
 
 Floats = NDArray[np.float64]

@@ -17,7 +17,7 @@ from scipy.special import ndtri
 from conetl.geometry.linear_reference import locate
 from conetl.geometry.small_arrays import robust_std
 from conetl.model.markings import MarkingPattern
-from conetl.model.records import Rig
+from conetl.model.rig import Rig
 from conetl.tracking.markings.located import LocatedPoints
 
 Floats = NDArray[np.float64]

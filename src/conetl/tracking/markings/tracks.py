@@ -17,10 +17,10 @@ from conetl.geometry.calibration.covariance import calibration_jacobian, jacobia
 from conetl.geometry.linear_reference import directions_at, locate
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.small_arrays import robust_std
+from conetl.model.drive import Drive, FramePair
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.markings import Marking, MarkingColour, MarkingTrack, marking_existence
 from conetl.model.params import MarkingParams
-from conetl.model.records import Drive, FramePair
 from conetl.perception.markings.points import MarkingPoints
 from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov
 from conetl.tracking.markings.chains import chains_of

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.small_arrays import median
-from conetl.model.records import Camera
+from conetl.model.rig import Camera
 from conetl.tracking.matching.cone_outline import Outline
 from conetl.tracking.matching.cone_pixels import BodyPixels, SplinePatch, cone_pixels
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_cov

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.drive import Detection
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
-from conetl.model.records import Detection
 
 Floats = NDArray[np.float64]
 

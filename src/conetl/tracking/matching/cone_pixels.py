@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from conetl.model.records import Camera
+from conetl.model.rig import Camera
 from conetl.tracking.matching.cone_outline import Outline
 
 Floats = NDArray[np.float64]

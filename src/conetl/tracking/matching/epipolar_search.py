@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from conetl.geometry.rig import infinity_shift_px
+from conetl.model.drive import Detection
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import IngestParams
-from conetl.model.records import Detection, Rig
+from conetl.model.rig import Rig
 from conetl.tracking.matching.matches import LEAST_DISPARITY_PX, disparity_bounds_px, row_tolerance_px
 
 #: Self-calibration may rotate the rig slightly after the search.

@@ -16,10 +16,12 @@ from scipy.optimize import linear_sum_assignment
 
 from conetl.geometry.camera import project, rays
 from conetl.geometry.rig import infinity_shift_px
+from conetl.model.base import Vec2
+from conetl.model.drive import Detection, StereoMatch
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import MatchParams
-from conetl.model.records import Camera, Detection, Rig, StereoMatch, Vec2
 from conetl.model.rejections import Rejection, RejectionReason
+from conetl.model.rig import Camera, Rig
 from conetl.tracking.apparent_boxes import hidden_share
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import Outline, find_outline

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.drive import Detection
 from conetl.model.feature_classes import FEATURE_CLASSES
-from conetl.model.records import Camera, Detection
+from conetl.model.rig import Camera
 from conetl.tracking.apparent_boxes import nearer_boxes
 from conetl.tracking.matching.cone_pixels import Beyond, BodyPixels, smooth, some_rows
 

@@ -1,0 +1,286 @@
+"""Records of a drive, in the order of processing: its frame pairs and poses, and what was found in them.
+
+Units and frames as in `base.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from pydantic import Field, model_validator
+
+from conetl.model.base import (
+    Cov3,
+    Matrix3,
+    NonNegative,
+    Positive,
+    Probability,
+    Record,
+    SharedErrorJacobian,
+    Side,
+    Vec2,
+    Vec3,
+    utc_from_ns,
+)
+from conetl.model.feature_classes import CONE
+from conetl.model.rejections import Rejection
+from conetl.model.rig import Rig
+
+if TYPE_CHECKING:
+    from conetl.model.markings import MarkingTrack
+
+MAX_SPEED_M_S = 100.0
+#: The database holds 4 bytes.
+MAX_FRAME_INDEX = 2**31 - 1
+FrameIndex = Annotated[int, Field(ge=0, le=MAX_FRAME_INDEX)]
+
+
+class Interpolated(Record):
+    """What interpolation between sparse records (1 Hz) adds to the sigmas of a pose.
+
+    The frame pairs between two records share it: they are no measurements of their own.
+    """
+
+    sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
+    sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
+    apart_s: Positive
+    """Time between the records."""
+
+
+class Pose(Record):
+    """Exterior orientation of the body at exposure: `map_p = R @ body_p + t`, with its standard deviations."""
+
+    map_R_body: Matrix3
+    map_t_body_m: Vec3
+    sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
+    """Of the body's position (GNSS/INS), absolute; strongly correlated between the frames of one drive."""
+    sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
+    interpolated: Interpolated | None = None
+    """The part of these sigmas that comes from interpolation; None of poses recorded often enough for it not to matter."""
+
+
+#: Fine structure (grey levels) below which the detector may be blind: at 4 fog and blur hide at least a third of the cones.
+MIN_DETAIL = 5.0
+
+
+class FramePair(Record):
+    """The left and right image of one trigger, with the pose at that instant."""
+
+    frame_index: FrameIndex
+    """Number in the file name; it links images, poses and time stamps."""
+    left_path: str
+    right_path: str
+    captured_at_ns: int
+    """UTC, nanoseconds since 1970-01-01, of the left image."""
+    pose: Pose
+    left_sha256: str = ""
+    right_sha256: str = ""
+    """Of the image files, as they were read with the drive; empty where only their headers were."""
+    detail: NonNegative | None = None
+    """Fine structure that its images show (grey levels), the smaller of both; None where it was not measured."""
+
+    @property
+    def shows_absence(self) -> bool:
+        """Whether a cone that is not detected in its images may be gone: they show enough, or it was not measured."""
+        return self.detail is None or self.detail >= MIN_DETAIL
+
+    def image(self, side: Side) -> tuple[str, str]:
+        """Path and SHA-256 of the image of one side."""
+        return (self.left_path, self.left_sha256) if side == "left" else (self.right_path, self.right_sha256)
+
+    @property
+    def captured_at(self) -> datetime:
+        return utc_from_ns(self.captured_at_ns)
+
+
+class ImageDetail(Record):
+    """Fine structure that one image shows, in grey levels (`perception/image_detail.py`)."""
+
+    frame_index: int = Field(ge=0)
+    side: Side
+    detail: NonNegative
+
+
+class SurveyedPoint(Record):
+    """A surveyed point in the CRS of the map, with ellipsoidal height, on which a cone's foot stands."""
+
+    name: str
+    xyz_m: Vec3
+    sigma_m: tuple[Positive, Positive, Positive]
+    """East, north, up."""
+
+
+class UnclearSquares(Record):
+    """Squares of the images that a drive's lenses show blurred or not at all: there nothing is missing that is not found."""
+
+    side_px: Positive
+    """Of a square; the first one is in the top left corner."""
+    left: tuple[tuple[int, int], ...] = ()
+    """Row and column of each, counted from 0."""
+    right: tuple[tuple[int, int], ...] = ()
+
+
+class Drive(Record):
+    """One recording by one rig, without the frame pairs that the reader rejected."""
+
+    drive_id: str = Field(min_length=1, max_length=200)
+    source_path: str
+    rig: Rig
+    map_srid: int
+    content_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    """Hash over names and bytes of all files read, images included."""
+    frame_pairs: tuple[FramePair, ...] = Field(min_length=1)
+    expected_frame_count: int = Field(gt=0)
+    """Number of frame pairs in the folder, rejected ones included."""
+    clock_sigma_s: Positive | None = None
+    """Of the offset between the clocks of images and poses; None: as the parameters assume (`TrajectoryParams`)."""
+    control_points: tuple[SurveyedPoint, ...] = ()
+    """They take part in the adjustment of its poses."""
+    unclear: UnclearSquares | None = None
+    """None where its images were not looked at, or all of them is clear."""
+
+    @model_validator(mode="after")
+    def _frames_in_order(self) -> Drive:
+        indices = [pair.frame_index for pair in self.frame_pairs]
+        if any(b <= a for a, b in pairwise(indices)):
+            raise ValueError("frame pairs must have strictly increasing frame_index")
+        return self
+
+    @property
+    def captured_ns(self) -> tuple[int, int]:
+        """Instants of the first and the last frame pair."""
+        times_ns = [pair.captured_at_ns for pair in self.frame_pairs]
+        return min(times_ns), max(times_ns)
+
+    @property
+    def captured_from(self) -> datetime:
+        return utc_from_ns(self.captured_ns[0])
+
+    @property
+    def captured_to(self) -> datetime:
+        return utc_from_ns(self.captured_ns[1])
+
+
+# --------------------------------------------------------------------------- image space
+
+
+class Detection(Record):
+    """A box from the network, in pixels of the original image; x_px, y_px is the top-left corner.
+
+    Box edges count from the image's edge (COCO): a box over the first pixel has x 0, width 1, and the centre of that pixel is
+    0.5 in box edges and 0 as an image point. `tracking/matching/matches.py` converts them.
+    """
+
+    frame_index: int = Field(ge=0)
+    side: Side
+    detection_index: int = Field(ge=0)
+    """Number within its image, by descending score."""
+    category: str = CONE
+    x_px: float
+    y_px: float
+    w_px: Positive
+    h_px: Positive
+    score: Probability
+    foot_px: Vec2 | None = None
+    """Centre of the cone's foot on the ground, in box edges like x_px; None if the network does not give it."""
+    tip_px: Vec2 | None = None
+    """Top of the cone's axis, likewise."""
+
+
+class StereoMatch(Record):
+    """Left and right detection of one object, with the image points that geometry uses.
+
+    `foot`: centre of the base where it meets the ground; `centre`: centre of the box (the paper's point); `tip`: top of the cone.
+    """
+
+    frame_index: int = Field(ge=0)
+    match_index: int = Field(ge=0)
+    left: Detection
+    right: Detection
+    foot_left_uv_px: Vec2
+    foot_right_uv_px: Vec2
+    centre_left_uv_px: Vec2
+    centre_right_uv_px: Vec2
+    tip_left_uv_px: Vec2
+    tip_right_uv_px: Vec2
+    sigma_u_px: Positive
+    """Of each image point along the rows, independent in both images: sigma of disparity over sqrt(2). sigma_v_px: across
+    them."""
+    sigma_v_px: Positive
+    sigma_pointing_px: NonNegative
+    """Along the rows, common to both images: position of the cone's axis. Affects the bearing, not the range."""
+    sigma_outline_px: NonNegative = 0.0
+    """Across the rows, and times `FeatureClass.outline_aside` along them, common to all observations of one cone: the detector's
+    foot and axis."""
+    refined: bool
+    """True if refined by area-based matching, False if from box edges alone."""
+    cost: NonNegative
+
+
+# --------------------------------------------------------------------------- object space
+
+
+class Position(Record):
+    """Foot and box centre of one cone in the map frame, from one frame pair, by forward intersection."""
+
+    frame_index: int = Field(ge=0)
+    match_index: int = Field(ge=0)
+    category: str = CONE
+    xyz_m: Vec3
+    """Foot centre on the ground; `geom` of the map."""
+    cov_m2: Cov3
+    centre_xyz_m: Vec3
+    cone_height_m: float
+    camera_xyz_m: Vec3
+    """The foot in the left camera's frame (x right, y down, z forward), free of GNSS error."""
+    camera_cov_m2: Cov3
+    sigma_outline_m: NonNegative = 0.0
+    """Down, and times `FeatureClass.outline_aside` to the right, common to all observations of this cone
+    (`StereoMatch.sigma_outline_px`); part of both covariances."""
+    range_m: Positive
+    """Ground distance from the left camera to the foot."""
+    ray_angle_rad: Positive
+    residual_rms_px: NonNegative
+    iterations: int = Field(ge=1)
+    score: Probability
+
+
+class Track(Record):
+    """All positions of one physical cone in one drive, jointly adjusted."""
+
+    track_index: int = Field(ge=0)
+    category: str = CONE
+    xyz_m: Vec3
+    cov_m2: Cov3
+    """Absolute, with the errors of pose and calibration that all observations share, and of the class that its objects share."""
+    relative_cov_m2: Cov3
+    """Without these: for distances between objects of one class in this drive."""
+    centre_xyz_m: Vec3
+    cone_height_m: Positive
+    cone_height_sigma_m: Positive
+    existence_probability: Probability
+    observation_count: int = Field(ge=1)
+    first_seen_ns: int
+    last_seen_ns: int
+    residual_rms_px: NonNegative
+    nearest_range_m: Positive
+    members: tuple[tuple[int, int], ...] = Field(min_length=1)
+    """(frame_index, match_index) of every position."""
+    shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
+    """Of the parts of calibration and class in `cov_m2`; None where unknown. Stored in the database, not part of JSON."""
+
+
+class DriveRecords(NamedTuple):
+    """One drive with the records of every step, in the order of processing."""
+
+    drive: Drive
+    """With refined poses and the corrected right camera, if any."""
+    detections: Sequence[Detection] = ()
+    matches: Sequence[StereoMatch] = ()
+    positions: Sequence[Position] = ()
+    tracks: Sequence[Track] = ()
+    rejections: Sequence[Rejection] = ()
+    markings: Sequence[MarkingTrack] = ()
