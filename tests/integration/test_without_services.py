@@ -212,6 +212,20 @@ def test_a_report_of_an_ingest_says_each_thing_once(capsys: pytest.CaptureFixtur
     assert done.remarks == (other.sentence,), "it makes the exit code 1"
 
 
+def test_a_report_says_why_fewer_objects_are_on_the_map_than_the_drive_shows(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    counts = dict.fromkeys(DeltaKind, 0) | {DeltaKind.ADDED: 6, DeltaKind.CONFIRMED: 2, DeltaKind.REMOVED: 1}
+    print_report(report(tracks=9, counts=counts))
+    assert "9 cones, 1 of them too doubtful or too near to another one to be added." in " ".join(
+        capsys.readouterr().out.split()
+    )
+    print_report(report(tracks=8, counts=counts))
+    assert "8 cones." in " ".join(capsys.readouterr().out.split())
+    print_report(report(tracks=9, counts=dict.fromkeys(DeltaKind, 0), on_hold="It jumps.", health=()))
+    assert "9 cones." in " ".join(capsys.readouterr().out.split()), "nothing of it is added"
+
+
 def test_a_report_says_that_no_lane_markings_were_found_where_they_were_searched(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

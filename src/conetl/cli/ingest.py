@@ -196,6 +196,8 @@ def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool
 
 #: Kinds of change that are listed even if there are none.
 _USUAL = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED)
+#: Kinds of which each is one of the drive's objects.
+_OBSERVED = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.HEIGHT_CHANGED, DeltaKind.SPLIT)
 _CHANGES: ui.Columns = {
     "change": "kind",
     "feature": "feature_id",
@@ -233,9 +235,11 @@ def print_report(report: IngestReport) -> None:
     failed = ", ".join(check.name for check in holding(report.health))
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is as it was"
     noun = "object" if categories - {CONE} else "cone"
+    left = 0 if report.on_hold else report.tracks - sum(report.counts[kind] for kind in _OBSERVED)
+    why = f", {left} of them too doubtful or too near to another one to be added" if left > 0 else ""
     ui.out.print(
         f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
-        f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}."
+        f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}{why}."
     )
     if lines:
         ui.out.print(f"{ui.counted(report.markings, 'lane marking')}; stretches of them: {lines}.")
