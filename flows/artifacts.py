@@ -17,10 +17,10 @@ from prefect.events.worker import EventsWorker
 
 from conetl.db.receipt_store import RemovedCone, StepTime
 from conetl.files.names import as_markdown
-from conetl.model.base import Side
 from conetl.model.drive import DriveRecords
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import ChangeLine, IngestReport
+from conetl.model.rig import Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
 from conetl.pipeline.analysis import AnalysedDrive

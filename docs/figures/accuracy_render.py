@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.rig import up_in_left_camera
-from conetl.model.base import Side
 from conetl.model.params import IngestParams
+from conetl.model.rig import Side
 from conetl.perception.detections import check_boxes
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.simulation.scene import develop, exposure_gain

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import vec3
-from conetl.model.base import SIDES
 from conetl.model.drive import Drive, FramePair, Pose
+from conetl.model.rig import SIDES
 from conetl.readers.drives import read_drive
 from tests.prepared import prepared
 

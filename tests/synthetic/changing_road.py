@@ -20,11 +20,11 @@ from scipy.optimize import linear_sum_assignment
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.history import DriveEvidence, MapUpdate, apply_drive
 from conetl.mapping.visibility import DriveObservations, check_visibility, observations_of_drive, pairs_in_view
-from conetl.model.base import Side
 from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence, detect_probability
 from conetl.model.drive import Detection, FramePair
 from conetl.model.map_records import Decisions, Delta, DeltaKind, FeatureVersion, MapFeature, MissSummary
 from conetl.model.params import IngestParams, ReconcileParams
+from conetl.model.rig import Side
 from conetl.tracking.apparent_boxes import hidden_share
 from tests.synthetic.world import (
     ORIGIN_M,

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.evaluation.truth import TruthCone
-from conetl.model.base import Matrix3, Side
+from conetl.model.base import Matrix3
 from conetl.model.drive import Detection, Drive, FramePair, Position, StereoMatch, Track
 from conetl.model.params import PositionParams
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.tracking.association import MotionError
 from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.positions import locate_positions

@@ -14,13 +14,13 @@ from conetl.geometry.packing import cov3, cov_matrix
 from conetl.mapping.fusion import fuse
 from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
 from conetl.mapping.visibility import check_visibility, observations_of_drive
-from conetl.model.base import Side
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures
 from conetl.model.drive import Detection, FramePair, Position, Track
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import Decisions, DeltaKind
 from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.rejections import Rejection
+from conetl.model.rig import Side
 from conetl.tracking.error_propagation import class_error_id
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.base import Side
 from conetl.model.drive import Detection, FramePair, Pose, Position, StereoMatch, Track
 from conetl.model.rejections import Rejection
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 
 Floats = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 1242, 375, 721.5

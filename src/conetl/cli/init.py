@@ -15,9 +15,9 @@ import typer
 from conetl.cli.console import JsonOption, answer, complain, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import validated
-from conetl.model.base import SIDES, utc_from_ns
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig
 from conetl.perception.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import video_facts
 from conetl.readers.drives import find_format, plain

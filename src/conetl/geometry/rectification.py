@@ -19,8 +19,7 @@ from conetl.geometry import lens as lenses
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.arrays import Floats
-from conetl.model.base import SIDES, Side
-from conetl.model.rig import MIN_BASELINE_M, Camera, Rig
+from conetl.model.rig import MIN_BASELINE_M, SIDES, Camera, Rig, Side
 
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in normalised coordinates of the rectified camera."""

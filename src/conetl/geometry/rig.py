@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import camera as cameras
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.drive import Pose
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 
 
 def camera_of(rig: Rig, side: Side) -> Camera:

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from conetl.geometry.linear_reference import spaced
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.arrays import Bools, Floats, Ints
-from conetl.model.base import SIDES, Side, Vec3
+from conetl.model.base import Vec3
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio, evidence_of
 from conetl.model.drive import Detection, FramePair
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import MarkingParams, ReconcileParams
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import SIDES, Camera, Rig, Side
 from conetl.tracking.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
 
 #: Cones farther from a location than this do not explain detections at it.

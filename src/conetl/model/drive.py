@@ -20,14 +20,13 @@ from conetl.model.base import (
     Probability,
     Record,
     SharedErrorJacobian,
-    Side,
     Vec2,
     Vec3,
     utc_from_ns,
 )
 from conetl.model.feature_classes import CONE
 from conetl.model.rejections import Rejection
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 
 if TYPE_CHECKING:
     from conetl.model.markings import MarkingTrack

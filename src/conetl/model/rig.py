@@ -12,6 +12,8 @@ from pydantic import Field, model_validator
 
 from conetl.model.base import Matrix4, Positive, Record
 
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
 #: Bounds of what a vehicle can carry; every reader uses these.
 MIN_BASELINE_M, MAX_BASELINE_M = 0.01, 10.0
 MAX_LEVER_ARM_M = 20.0

@@ -8,8 +8,8 @@ from typing import Literal, NamedTuple
 from uuid import UUID
 
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.map_records import MapFeature
+from conetl.model.rig import Side
 
 #: Source of the line along which stations and offsets are counted.
 AxisSource = Literal["lanes", "drives", "cones"]

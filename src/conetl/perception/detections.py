@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from conetl.model.base import Side, Vec2
+from conetl.model.base import Vec2
 from conetl.model.drive import MIN_DETAIL, Detection, Drive, ImageDetail
 from conetl.model.errors import DriveFolderError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.params import DetectionParams
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
+from conetl.model.rig import Side
 
 
 def check_boxes(

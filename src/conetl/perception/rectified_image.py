@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from conetl.files.storage import as_path, fetch, recall
 from conetl.geometry.rectification import raw_from_rectified, stored_camera
 from conetl.geometry.rig import camera_of
-from conetl.model.base import Side
 from conetl.model.drive import FramePair
 from conetl.model.rejections import RejectionReason
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 from conetl.perception.images import ImageFileError, decode_image, read_hashed_bytes, read_image
 from conetl.perception.video import frame_of
 from conetl.perception.video_frames import read_frame

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.rig import right_camera_turned
 from conetl.model.arrays import Floats
-from conetl.model.base import SIDES, Side
 from conetl.model.drive import MIN_DETAIL, Drive, FramePair, UnclearSquares
 from conetl.model.errors import DriveFolderError
 from conetl.model.health import HealthCheck, Verdict
+from conetl.model.rig import SIDES, Side
 from conetl.perception.image_detail import SQUARE_PX, detail_by_octaves, local_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image

@@ -15,10 +15,9 @@ from conetl.geometry.motion.stereo_motion import MotionStatus, RelativeMotion, e
 from conetl.geometry.motion.stereo_tracks import cameras_of, relative_motion
 from conetl.geometry.pose import to_matrix3
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.drive import FramePair, Pose
 from conetl.model.params import TrajectoryParams
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_spans
 
 #: Images are followed at this width (px), so many per second, and for so many intervals (2.5 minutes).

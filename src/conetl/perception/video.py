@@ -20,9 +20,8 @@ from av.stream import Disposition
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from conetl.model.base import Side
 from conetl.model.errors import InputError
-from conetl.model.rig import MAX_IMAGE_PIXELS
+from conetl.model.rig import MAX_IMAGE_PIXELS, Side
 
 Region = tuple[int, int, int, int]
 """x, y of the top-left corner, width, height in pixels."""

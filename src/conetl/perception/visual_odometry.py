@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from conetl.geometry.motion.stereo_motion import StereoCameras, project, triangulate
 from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSize, read_working_images, working_size
 
 Bytes = NDArray[np.uint8]

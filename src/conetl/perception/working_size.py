@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
 from conetl.geometry.rig import camera_of, infinity_shift_px
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.drive import FramePair
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.perception.images import ImageFileError
 
 Bytes = NDArray[np.uint8]

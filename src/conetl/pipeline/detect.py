@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
-from conetl.model.base import SIDES, Side
 from conetl.model.drive import Detection, FramePair, ImageDetail, StereoMatch
 from conetl.model.errors import ModelFileError
 from conetl.model.params import params_sha256
 from conetl.model.rejections import INPUT_REASONS, Rejection
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception import detector as detector_io
 from conetl.perception.detections import check_boxes
 from conetl.perception.image_detail import fine_detail

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import Connection
 from conetl.db.live_store import WatchedDrive, write_live
-from conetl.model.base import SIDES, Side
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, FramePair, Track
 from conetl.model.errors import StorageError
 from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.perception.model_card import read_model_card

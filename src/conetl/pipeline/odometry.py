@@ -16,11 +16,10 @@ from conetl.files.parquet_store import has_result, load_result, load_results, re
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_between, motions_of
-from conetl.model.base import Side
 from conetl.model.drive import Drive, FramePair, StereoMatch
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.stereo_check import check_lost_parts
 from conetl.perception.visual_odometry import follow_drive, follow_spans

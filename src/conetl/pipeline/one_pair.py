@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, up_in_left_camera
-from conetl.model.base import SIDES, Side
 from conetl.model.drive import Detection, FramePair, StereoMatch
 from conetl.model.feature_classes import CONE
 from conetl.model.params import DetectionParams, IngestParams, TrackParams
 from conetl.model.rejections import Rejection
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.detections import check_boxes
 from conetl.perception.detector import Detector, detect_image
 from conetl.perception.rectified_image import read_rig_image

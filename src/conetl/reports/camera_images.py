@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.base import Side
 from conetl.model.errors import InputError
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.video import frame_of

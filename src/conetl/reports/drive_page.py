@@ -16,12 +16,12 @@ from markupsafe import Markup
 from conetl.db.connection import Connection, read
 from conetl.db.map.results import CommittedChangeset
 from conetl.mapping.visibility import DriveObservations, observations_of_drive, pairs_in_view
-from conetl.model.base import SIDES, utc_from_ns
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import StorageError
 from conetl.model.health import Verdict, what_to_do
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ReconcileParams
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig
 from conetl.perception.images import ImageFileError
 from conetl.reports import figures
 from conetl.reports.camera_images import SURROUNDINGS, ImageMissingError, crop_jpeg, image_file

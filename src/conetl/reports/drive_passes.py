@@ -16,13 +16,13 @@ from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.mapping.reasons import ChangeFacts, why
 from conetl.mapping.visibility import observations_of_drive, pairs_in_view, visible_pairs
 from conetl.model.arrays import Floats
-from conetl.model.base import Side, Vec3
+from conetl.model.base import Vec3
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.drive import Pose
 from conetl.model.feature_classes import CONE, LINE_CLASSES, noun_of
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ReconcileParams
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.reports.camera_images import Box
 from conetl.tracking.apparent_boxes import apparent_boxes
 

@@ -18,11 +18,10 @@ from conetl.files.atomic import atomic_text_file
 from conetl.geometry.calibration import tables
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.geometry.calibration.stereo_calibration import StereoCalibration
-from conetl.model.base import SIDES
 from conetl.model.drive import Drive
 from conetl.model.health import HealthCheck
 from conetl.model.rejections import Rejection
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig
 from conetl.perception.boards.images import ImagePair
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image

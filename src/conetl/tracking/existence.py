@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from conetl.geometry.rig import left_SE3_right
 from conetl.geometry.small_arrays import nearest
-from conetl.model.base import Side
 from conetl.model.detector_evidence import (
     DetectorEvidence,
     box_log_ratio,
@@ -32,7 +31,7 @@ from conetl.model.detector_evidence import (
 from conetl.model.drive import Detection, Position
 from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 from conetl.tracking.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
 from conetl.tracking.matching.epipolar_search import is_within, right_region
 

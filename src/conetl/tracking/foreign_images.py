@@ -13,11 +13,10 @@ from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
 

@@ -13,13 +13,12 @@ from conetl.geometry.calibration.covariance import jacobian_of
 from conetl.geometry.intersection import fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.model.base import Side
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, evidence_of
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
 from conetl.model.params import IngestParams, TrackParams
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.tracking.association import MotionError, chain_positions
 from conetl.tracking.error_propagation import class_error_id, common_cov, moved_by_calibration, outline_jacobian
 from conetl.tracking.existence import existence_probability

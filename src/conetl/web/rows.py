@@ -10,9 +10,9 @@ import numpy as np
 
 from conetl.db.map.results import CommittedChangeset
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
-from conetl.model.base import Side, Vec3, utc_from_ns
+from conetl.model.base import Vec3, utc_from_ns
 from conetl.model.drive import Pose
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.reports import drive_passes as reports
 from conetl.web.judging_models import DrivePass, FrameBox, FrameView, PassFrame
 from conetl.web.models import Answer, Box, Decision, HistoryItem, MarkingShape, Sighting, TimelineItem

@@ -9,9 +9,9 @@ import numpy as np
 from conetl.geometry.linear_reference import directions_at, locate, project
 from conetl.geometry.packing import cov_matrices
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
+from conetl.model.rig import Side
 from conetl.model.work_zone_records import (
     AxisSource,
     DrivePath,

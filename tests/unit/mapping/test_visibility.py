@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from conetl.mapping import visibility
-from conetl.model.base import Side
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, DetectorEvidence
 from conetl.model.drive import Detection, Position, UnclearSquares
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
+from conetl.model.rig import Side
 from conetl.perception.model_card import read_model_card
 from tests import records
 from tests.synthetic.world import ORIGIN_M, Cone, detect, make_path, make_rig, observe

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
-from conetl.model.base import Side
 from conetl.model.drive import Drive
 from conetl.model.errors import DriveFolderError
+from conetl.model.rig import Side
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.unguided_odometry import measure_motions
 from conetl.readers.drives import read_drive

@@ -15,11 +15,10 @@ from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import camera_of, left_SE3_right, map_SE3_left
-from conetl.model.base import Side
 from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
 from conetl.model.rejections import RejectionReason
-from conetl.model.rig import Camera, Lens, Rig
+from conetl.model.rig import Camera, Lens, Rig, Side
 from conetl.perception.images import ImageFileError, read_image
 from conetl.perception.visual_odometry import follow_drive
 from conetl.readers.drives import read_drive

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
 from conetl.geometry.rig import infinity_shift_px
-from conetl.model.base import Side
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 from conetl.perception.working_size import WorkingImages, read_working_images, working_size
 from tests.synthetic.world import make_path, make_rig
 

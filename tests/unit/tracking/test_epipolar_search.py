@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.model.base import Side
 from conetl.model.drive import Detection
 from conetl.model.params import DetectionParams, IngestParams, ReconcileParams
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.tracking.matching.epipolar_search import blocks_of, has_right_only_cone, is_within, right_region
 from conetl.tracking.matching.matches import match_pair
 from tests.synthetic.world import Cone, detect, make_path, make_rig

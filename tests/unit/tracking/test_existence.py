@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.model.base import Side
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, FramePair, Position
 from conetl.model.params import DetectionParams, IngestParams
+from conetl.model.rig import Side
 from conetl.perception.model_card import read_model_card
 from conetl.tracking.existence import ImageEvidence, existence_from_images, existence_probability
 from tests.synthetic.world import Cone, camera_poses, detect, locate, make_path, make_rig

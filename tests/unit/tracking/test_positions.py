@@ -14,11 +14,10 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rectification import rectify
-from conetl.model.base import Side
 from conetl.model.drive import Detection, FramePair, Pose, StereoMatch
 from conetl.model.params import PositionParams
 from conetl.model.rejections import RejectionReason
-from conetl.model.rig import CalibrationCovariance, Camera, Rig
+from conetl.model.rig import CalibrationCovariance, Camera, Rig, Side
 from conetl.tracking.positions import locate_in_camera, locate_positions
 
 Array = NDArray[np.float64]

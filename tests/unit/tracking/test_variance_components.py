@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from conetl.geometry import pose as se3
-from conetl.model.base import Side
 from conetl.model.drive import Detection, FramePair, StereoMatch, Track
 from conetl.model.feature_classes import CONE
 from conetl.model.params import TrajectoryParams
+from conetl.model.rig import Side
 from conetl.tracking.error_propagation import PoseCov, pose_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, with_shared_part
 from conetl.tracking.trajectory import refine_trajectory

@@ -12,9 +12,9 @@ import typer
 from conetl.cli.console import JsonOption, err, print_json, print_table, progress_bar, say
 from conetl.geometry.calibration.stereo_calibration import MODELS, BoardShape, calibrate_stereo, rig_of
 from conetl.geometry.rectification import check_stereo_baseline
-from conetl.model.base import SIDES
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, CalibrationError, InputError
 from conetl.model.rejections import RejectionReason
+from conetl.model.rig import SIDES
 from conetl.perception.boards import images as board_images
 from conetl.perception.boards.boards import Board, parse_board
 from conetl.perception.boards.videos import find_videos, open_videos, pairs_in_videos

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from conetl.cli.console import JsonOption, answer, print_json, print_table, say
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectify
-from conetl.model.base import Side
 from conetl.model.errors import InputError
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, WRITERS, read_rig_and_format
 
 SizeOption = Annotated[

@@ -20,8 +20,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics, project, project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix, stepped
 from conetl.model.arrays import Bools, Floats
-from conetl.model.base import SIDES, Side
-from conetl.model.rig import INTERIOR, LENS_COEFFICIENTS, RELATIVE, Camera, Lens, LensModel
+from conetl.model.rig import INTERIOR, LENS_COEFFICIENTS, RELATIVE, SIDES, Camera, Lens, LensModel, Side
 
 Ints = NDArray[np.int64]
 PairSystem = tuple[Floats, Floats, Floats]

@@ -24,8 +24,7 @@ from conetl.geometry.calibration.stereo_bundle import (
 )
 from conetl.geometry.lens import distort, distort_jacobian, undistort
 from conetl.model.arrays import Floats
-from conetl.model.base import SIDES, Side
-from conetl.model.rig import LENS_COEFFICIENTS, CalibrationCovariance, Camera, Lens, LensModel, Rig
+from conetl.model.rig import LENS_COEFFICIENTS, SIDES, CalibrationCovariance, Camera, Lens, LensModel, Rig, Side
 
 BoardShape = Literal["flat", "free"]
 MODELS: tuple[LensModel, ...] = ("none", "radial", "brown", "rational", "fisheye")

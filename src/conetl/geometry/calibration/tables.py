@@ -17,8 +17,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.geometry.rectification import rectified_from_raw, rectify
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
-from conetl.model.rig import INTERIOR, RELATIVE, Rig
+from conetl.model.rig import INTERIOR, RELATIVE, Rig, Side
 
 _STEP_RAD = 1e-6
 COVERAGE_CELLS = 8

@@ -18,10 +18,9 @@ from conetl.geometry import pose as se3
 from conetl.geometry.calibration.stereo_bundle import BoardView
 from conetl.geometry.calibration.stereo_calibration import MIN_PAIRS, Start
 from conetl.model.arrays import Floats
-from conetl.model.base import SIDES, Side
 from conetl.model.errors import CalibrationError, InputError
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.model.rig import Camera, Lens
+from conetl.model.rig import SIDES, Camera, Lens, Side
 from conetl.perception.boards.boards import Board, Found, NotFound, find_board, matched_orientation
 from conetl.perception.images import IMAGE_SUFFIXES, ImageFileError, read_image
 from conetl.perception.video import frame_of

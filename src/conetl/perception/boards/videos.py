@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.arrays import Floats
-from conetl.model.base import SIDES, Side
 from conetl.model.errors import CalibrationError, InputError
+from conetl.model.rig import SIDES, Side
 from conetl.perception.boards.images import ImagePair
 from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, FrameRef, Layout, VideoIndex, index_video, region_of
 from conetl.perception.video_frames import frames_between

@@ -23,11 +23,10 @@ import numpy as np
 from conetl.files.documents import read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.drive import Drive
 from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 from conetl.readers.drives import pairs
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body

@@ -13,11 +13,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from conetl.files.storage import fetch, remember
 from conetl.geometry.rectification import stored_camera
-from conetl.model.base import SIDES, Side
 from conetl.model.drive import Drive, FramePair, Pose
 from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, inspect_image, read_bytes
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.trajectories.times import misplaced, wrong_clocks

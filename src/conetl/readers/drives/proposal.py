@@ -14,9 +14,9 @@ import numpy as np
 
 from conetl.files.documents import named, shown, validated
 from conetl.geometry import rig as rigs
-from conetl.model.base import Side, utc_from_ns
+from conetl.model.base import utc_from_ns
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 from conetl.perception.video import VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in

@@ -27,11 +27,10 @@ from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid
 from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.drive import Drive, Pose
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.rejections import Rejection
-from conetl.model.rig import MAX_LEVER_ARM_M, Rig
+from conetl.model.rig import MAX_LEVER_ARM_M, Rig, Side
 from conetl.readers.drives import bag_messages, pairs, poses
 from conetl.readers.drives.bag_rig import (
     TF_STATIC,

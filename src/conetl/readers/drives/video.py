@@ -22,11 +22,10 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import CAMERA_R_BODY
 from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Floats
-from conetl.model.base import SIDES
 from conetl.model.drive import Drive
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.rejections import Rejection
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, frame_of, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, no_rig, rig_on_body

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from conetl.files.documents import read_bytes
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.arrays import Floats
-from conetl.model.base import Side
 from conetl.model.drive import FramePair
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import TrajectoryParams
-from conetl.model.rig import Rig
+from conetl.model.rig import Rig, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.unguided_odometry import measure_motions

@@ -23,9 +23,8 @@ from conetl.files.documents import MAX_DEPTH, parse_yaml, read_json, read_limite
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
-from conetl.model.base import SIDES, Side
 from conetl.model.errors import CalibrationError
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import SIDES, Camera, Rig, Side
 from conetl.readers.rigs.common import (
     Node,
     Size,

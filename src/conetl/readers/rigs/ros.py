@@ -25,9 +25,8 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.camera import intrinsics, matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.arrays import Floats
-from conetl.model.base import SIDES
 from conetl.model.errors import CalibrationError
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import SIDES, Camera, Rig
 from conetl.readers.rigs.common import (
     Node,
     Pair,
