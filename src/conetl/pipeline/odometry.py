@@ -33,7 +33,8 @@ from conetl.tracking.health import check_trajectory
 from conetl.tracking.lost_frames import check_lost_frames
 from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, span_params
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
-from conetl.tracking.trajectory import RefinedTrajectory
+from conetl.tracking.trajectory import RefinedTrajectory, is_by_course
+from conetl.tracking.upright_edges import with_roll
 
 _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
@@ -213,7 +214,10 @@ def refine(drive: Drive, motions: list[Path], matches: list[Path], params: Inges
     measured, _ = load_results(motions, RelativeMotion)
     found, _ = load_results(matches, StereoMatch)
     params = params.model_copy(update={"trajectory": _by_its_clock(drive, params.trajectory)})
-    result = refine_with_control(drive.frame_pairs, drive.rig, measured, found, params, drive.control_points)
+    pairs = drive.frame_pairs
+    if is_by_course(pairs):
+        pairs = with_roll(pairs, drive.rig, measured, grey_reader(drive.rig), params.trajectory)
+    result = refine_with_control(pairs, drive.rig, measured, found, params, drive.control_points)
     _log.info("Trajectory %s: %s", result.outcome.replace("_", " "), result.detail)
     return result
 

@@ -127,6 +127,9 @@ def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray
     lag = find_video_lag(*(index_video(folder / f"{side}.mp4") for side in ("left", "right")))
     assert lag is None or abs(lag.offset_s) < 0.025
     assert largest_m(read_drive(folder)[0], cones, tmp_path) < 0.02
+    log = video_drives.LOGS["RTKLIB .pos"]
+    alone = video_drives.with_log(folder, tmp_path / "positions", log, video_drives.known_of(whole))
+    assert largest_m(read_drive(alone)[0], cones, tmp_path) < 0.02, "upright edges show the roll"
 
 
 @pytest.fixture(scope="module")
