@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.model.base import Side
 from conetl.model.drive import FramePair
 from conetl.model.rejections import RejectionReason
+from conetl.model.rig import Side
 from conetl.perception.images import ImageFileError
 from conetl.tracking.trajectory import refine_trajectory
 from conetl.tracking.upright_edges import edges_near, tilt_of, with_roll
