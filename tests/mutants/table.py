@@ -293,6 +293,8 @@ def _against_map() -> list[WrongRecording]:
             known(f"lever arm {m:g} m {name}", lever_arm(*(m * np.array(axis))))
             for m in (0.1, 0.3) for name, axis in {"aside": (0, 1, 0), "along": (1, 0, 0)}.items()
         ),
+        known("cameras 0.25 m too high", lever_arm(0, 0, 0.25), "height of antenna or cameras"),
+        WrongRecording("cameras 0.15 m too high", lever_arm(0, 0, 0.15), on=(SECOND,)),
         *(
             WrongRecording(f"latitude and longitude {how}", files=images.log(change), cause=cause)
             for how, change, cause in (

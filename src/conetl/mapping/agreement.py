@@ -34,7 +34,7 @@ _Places = tuple[Floats, NDArray[np.str_]]
 #: Sigmas of a common displacement that the stated ones do not explain.
 _MAX_SIGMAS = 5.0
 #: Smaller displacements and height differences are left to the fusion.
-_LEAST_OFFSET_M, _LEAST_RISE_M = 0.1, 0.3
+_LEAST_OFFSET_M = 0.1
 #: Cones or stretches that must agree on a small displacement; on a height difference beyond any error of measurement one does.
 _LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
@@ -272,12 +272,13 @@ def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
 
 def _higher(up_m: float, sigma_m: float, count: int, what: str, those: str) -> HealthCheck | None:
     """count: pairs that agree on a height difference."""
-    limit_m = max(_LEAST_RISE_M if count >= _LEAST_PAIRS else _GROSS_RISE_M, _MAX_SIGMAS * sigma_m)
+    limit_m = max(_LEAST_OFFSET_M if count >= _LEAST_PAIRS else _GROSS_RISE_M, _MAX_SIGMAS * sigma_m)
     if abs(up_m) <= limit_m:
         return None
+    apart = f"{abs(up_m):.{1 if abs(up_m) >= 1 else 2}f} m {'higher' if up_m > 0 else 'lower'}"
     detail = (
-        f"Its {what} lie {abs(up_m):.1f} m {'higher' if up_m > 0 else 'lower'} than {those} of the map, at a stated "
-        f"{sigma_m:.2f} m: the heights refer to another datum (ellipsoid or geoid), or the height of the antenna is wrong."
+        f"Its {what} lie {apart} than {those} of the map, at a stated {sigma_m:.2f} m: the heights refer to another datum "
+        "(ellipsoid or geoid), or the height of antenna or cameras is wrong."
     )
     return _held("heights", up_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 

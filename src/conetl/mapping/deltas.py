@@ -7,9 +7,9 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.geometry.packing import stacked, vec3
+from conetl.geometry.packing import cov_matrices, stacked, vec3
 from conetl.mapping.existence_update import observed
-from conetl.mapping.fusion import fuse
+from conetl.mapping.fusion import birge_ratios, fuse
 from conetl.model.arrays import Floats
 from conetl.model.base import sound
 from conetl.model.drive import Track
@@ -141,7 +141,10 @@ def confirmed(
         [t.shared_jacobian for t in new],
     )
     old_xyz, new_xyz = (stacked([one.xyz_m for one in side], 3) for side in (old, new))
-    fused = old_xyz + _times(gain, new_xyz - old_xyz)
+    apart = new_xyz - old_xyz
+    fused = old_xyz + _times(gain, apart)
+    stated = cov_matrices([f.cov_m2 for f in old]) + cov_matrices([t.cov_m2 for t in new])
+    cov[:, range(3), range(3)] *= birge_ratios(apart, stated)
     centres, new_centres = (stacked([one.centre_xyz_m for one in side], 3) for side in (old, new))
     fused_centres = centres + _times(gain, new_centres - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrices, vec3
 from conetl.mapping.deltas import seen_again
-from conetl.mapping.fusion import OffsetErrors, fuse, in_map_frame
+from conetl.mapping.fusion import OffsetErrors, birge_ratios, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Indices, Lines, lines_of
 from conetl.mapping.visibility import MarkingView
 from conetl.model.arrays import Bools, Floats
@@ -127,6 +127,7 @@ def confirmed(
         list(map(cov3, measured)),
         _turned_jacobians(drive, found),
     )
+    cov[:, range(3), range(3)] *= birge_ratios(apart, cov_matrices([old_cov[k] for k in at.tolist()]) + measured)
     vertices_m = on_map.vertices_m.copy()
     vertices_m[at] += (across @ gain @ apart[:, :, None])[:, :, 0]
     new_cov = dict(zip(at.tolist(), map(cov3, cov), strict=True))

@@ -74,6 +74,8 @@ def turned(places: Floats, degrees: float, about: tuple[float, float] = (-30.0, 
         (ZONE - np.array((0, 0, 48.0)), "48.0 m lower"),
         (ZONE[:1] + np.array((0, 0, 48.0)), "48.0 m higher"),
         (ZONE + np.array((0, 0, 1.8)), "1.8 m higher"),
+        (ZONE + np.array((0, 0, 0.25)), "0.25 m higher"),  # the height of the cameras above the antenna is wrong
+        (ZONE[:3] - np.array((0, 0, 0.25)), "0.25 m lower"),
         (ZONE + np.array((0.2, 0.3, 0)), "0.4 m from those of the map"),
         (ZONE + np.array((0, 3.0, 0)), "3.0 m from those of the map"),
         (ZONE[:6] + np.array((10.0, 2.0, 0)), "m from those of the map"),

@@ -7,6 +7,7 @@ from uuid import UUID
 import numpy as np
 import pytest
 
+from conetl.geometry.packing import cov_matrix
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import confirmed
@@ -121,6 +122,23 @@ def test_confirmation_reduces_the_covariance_and_adds_the_counts() -> None:
     assert delta.new.cov_m2[0] < delta.old.cov_m2[0]
     assert delta.new.observation_count == 24
     assert delta.new.version == 2
+
+
+@pytest.mark.parametrize("shift_m", [(0.0, 0.0, 0.05), (0.0, 0.0, 0.16), (0.11, 0.09, 0.0), (0.06, 0.0, 0.04)])
+def test_a_shift_that_all_cones_share_beyond_the_sigmas_widens_those_of_the_map(shift_m: tuple[float, ...]) -> None:
+    """Drive or map is wrong, and nothing says which: the map must allow for both."""
+    known = [feature(k, 5.0 * k, 3.0) for k in range(9)]
+    tracks = [track(k, 5.0 * k, 3.0) for k in range(9)]
+    tracks = [t.model_copy(update={"xyz_m": tuple(np.add(t.xyz_m, shift_m).tolist())}) for t in tracks]
+    beyond = np.hypot(*shift_m[:2]) > 0.1, shift_m[2] > 0.1
+    found = changes(tracks, known)[DeltaKind.CONFIRMED]
+    assert len(found) == 9
+    for delta in found:
+        assert delta.new is not None and delta.old is not None
+        sigma_m = np.sqrt(np.diag(cov_matrix(delta.new.cov_m2)))
+        off_m = np.abs(np.subtract(delta.new.xyz_m, delta.old.xyz_m))
+        assert (off_m < 1.5 * sigma_m).all()
+        assert ((sigma_m[0] > RTK), (sigma_m[2] > RTK)) == beyond
 
 
 def absent(_feature: MapFeature, _offset: object, _others: object) -> NotObserved:

@@ -194,6 +194,7 @@ def test_a_drive_that_moves_most_of_what_it_shows_is_left_to_a_person() -> None:
     [
         ((0.0, 0.0, 48.0), "heights"),
         ((0.0, 0.0, -1.0), "heights"),
+        ((0.0, 0.0, 0.25), "heights"),
         ((0.0, 0.2, 0.0), "position"),
         ((0.0, 1.3, 0.0), "replaced"),
     ],
