@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from enum import StrEnum
 from shlex import quote
-from typing import Literal
+from typing import Any, Literal
 from uuid import UUID
 
 from conetl.model.base import NonNegative, Record
@@ -53,6 +53,12 @@ class HealthCheck(Record):
         sigma = "" if self.sigma is None else f" +- {self.sigma:.2g}"
         limit = "" if self.limit is None else f" (limit {self.limit:.3g})"
         return f"{self.value:.3g}{sigma}{self.unit and f' {self.unit}'}{limit}"
+
+
+def hold_if(wrong: object, name: str, detail: str, *, value: float | None, **figures: Any) -> HealthCheck:
+    """A check that puts the drive on hold if something is wrong, and passes otherwise; figures: other fields."""
+    verdict = Verdict.HOLD if wrong else Verdict.PASS
+    return HealthCheck(name=name, verdict=verdict, detail=detail, value=value, **figures)
 
 
 AGREES = HealthCheck(

@@ -27,7 +27,7 @@ from conetl.geometry.rig import right_camera_turned
 from conetl.model.arrays import Floats
 from conetl.model.drive import MIN_DETAIL, Drive, FramePair, UnclearSquares
 from conetl.model.errors import DriveFolderError
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import HealthCheck, Verdict, hold_if
 from conetl.model.rig import SIDES, Side
 from conetl.perception.image_detail import SQUARE_PX, detail_by_octaves, local_detail
 from conetl.perception.images import ImageFileError
@@ -176,10 +176,7 @@ def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck
             "the lens is covered in part or dazzled, and cones there would seem to be gone. Clean it; accept the drive where the "
             "vehicle itself is in view there."
         )
-    return HealthCheck(
-        name="covered parts of the lenses", verdict=Verdict.HOLD if blank else Verdict.PASS, value=worst,
-        limit=_MAX_BLANK_SHARE, detail=detail,
-    )  # fmt: skip
+    return hold_if(blank, "covered parts of the lenses", detail, value=worst, limit=_MAX_BLANK_SHARE)
 
 
 def _blank_share(details: list[NDArray[np.float32]]) -> float | None:
@@ -270,11 +267,8 @@ def _check_trigger(
                 f"points fit, {own} as delivered. Correct the numbers of the images or the trigger."
             )
             break
-    return HealthCheck(
-        name=TRIGGER, verdict=Verdict.HOLD if lag else Verdict.PASS, limit=0.0,
-        value=float(lag) if lag or fitting >= _MIN_MATCHES else None,
-        unit="frames", detail=detail,
-    )  # fmt: skip
+    value = float(lag) if lag or fitting >= _MIN_MATCHES else None
+    return hold_if(lag, TRIGGER, detail, value=value, limit=0.0, unit="frames")
 
 
 def _is_fitting(found: Floats) -> bool:
@@ -293,10 +287,8 @@ def _check_columns(columns: Floats) -> HealthCheck:
             "not even the horizon may: the right images are shifted sideways, or the calibration is of another rig. See whether "
             "the images were cropped, or calibrate the rig (conetl calibrate)."
         )
-    return HealthCheck(
-        name="columns of the right images", verdict=Verdict.HOLD if share > _MAX_BEYOND_SHARE else Verdict.PASS, value=share,
-        limit=_MAX_BEYOND_SHARE, detail=detail,
-    )  # fmt: skip
+    held = share > _MAX_BEYOND_SHARE
+    return hold_if(held, "columns of the right images", detail, value=share, limit=_MAX_BEYOND_SHARE)
 
 
 def _rows_of_one_scene(offsets: Floats) -> Floats:

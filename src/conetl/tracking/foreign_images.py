@@ -14,7 +14,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import HealthCheck, hold_if
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_drive
@@ -65,10 +65,7 @@ def check_recording(
             "before and after: images of another recording are among those of this one, or frames were lost. Check names and "
             "numbers of the images."
         )
-    return HealthCheck(
-        name="images of one recording", verdict=Verdict.HOLD if found else Verdict.PASS, value=float(len(found)), limit=0.0,
-        detail=detail,
-    )  # fmt: skip
+    return hold_if(found, "images of one recording", detail, value=float(len(found)), limit=0.0)
 
 
 def _goes_elsewhere(

@@ -12,7 +12,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import MIN_DETAIL, FramePair
-from conetl.model.health import CALIBRATION, HealthCheck, Verdict
+from conetl.model.health import CALIBRATION, HealthCheck, Verdict, hold_if
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
@@ -95,11 +95,11 @@ def check_trajectory(
         _alignment(log, measured, residual),
         *([] if is_interpolated(frame_pairs) else check_mount(log, measured, good, residual)),
         *_directions(frame_pairs, log, measured),
-        HealthCheck(
-            name="stated sigmas of the poses",
-            verdict=Verdict.HOLD if trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS else Verdict.PASS,
+        hold_if(
+            trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS,
+            "stated sigmas of the poses",
+            f"{trajectory.detail[0].upper()}{trajectory.detail[1:]}.",
             value=None,
-            detail=f"{trajectory.detail[0].upper()}{trajectory.detail[1:]}.",
         ),
     ]
     return [_with_likely_cause(check, trajectory.clock, params) for check in checks]
@@ -158,9 +158,8 @@ def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: Me
             "without attitude give the heading of a vehicle that drives forwards. Leave out the part that reverses, or record "
             "attitudes."
         )
-    verdict = Verdict.HOLD if count > _MAX_REVERSED else Verdict.PASS
-    limit = float(_MAX_REVERSED)
-    return [HealthCheck(name="driving direction", verdict=verdict, value=float(count), limit=limit, detail=detail)]
+    held, limit = count > _MAX_REVERSED, float(_MAX_REVERSED)
+    return [hold_if(held, "driving direction", detail, value=float(count), limit=limit)]
 
 
 def _measured(frame_pairs: Sequence[FramePair], rig: Rig, starts: Ints) -> HealthCheck:
@@ -187,10 +186,8 @@ def _measured(frame_pairs: Sequence[FramePair], rig: Rig, starts: Ints) -> Healt
             "are not those of these images, or left and right images do not belong together. Check numbers, order and time "
             f"stamps of images and poses.{_against_itself(frame_pairs, rig)}"
         )
-    return HealthCheck(
-        name="intervals measured by visual odometry", verdict=Verdict.HOLD if lost or in_part else Verdict.PASS, value=share,
-        limit=_LEAST_MEASURED_SHARE, detail=detail,
-    )  # fmt: skip
+    name = "intervals measured by visual odometry"
+    return hold_if(lost or in_part, name, detail, value=share, limit=_LEAST_MEASURED_SHARE)
 
 
 def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
@@ -239,22 +236,19 @@ def _agreement(
             f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
             f"median.{_against_itself(frame_pairs, rig) or _in_common(observed, logged, degrees, share)}"
         )
-    return HealthCheck(
-        name="visual odometry against GNSS/INS", verdict=Verdict.HOLD if held else Verdict.PASS, value=share,
-        limit=_MAX_REFUSED_SHARE, detail=detail,
-    )  # fmt: skip
+    return hold_if(held, "visual odometry against GNSS/INS", detail, value=share, limit=_MAX_REFUSED_SHARE)
 
 
 def _not_adjusted(measured: MeasuredMotions, residual: Floats) -> HealthCheck:
     """Of poses that no adjustment fits to the images: each motion may agree with an inaccurate log that all contradict."""
     observed = measured.next_SE3_first[:, :3, 3]
     images_m, log_m = (float(np.linalg.norm(part, axis=1).sum()) for part in (observed, observed - residual[:, 3:]))
-    return HealthCheck(
-        name="adjustment of the poses", verdict=Verdict.HOLD, value=None,
-        detail=f"No poses fit both images and GNSS/INS: the images show a path of {images_m:.0f} m, GNSS/INS one of "
+    detail = (
+        f"No poses fit both images and GNSS/INS: the images show a path of {images_m:.0f} m, GNSS/INS one of "
         f"{log_m:.0f} m. Check the rate and the beginning of the images' time stamps (videos may state another rate than that of "
-        "the recording), the log, and the calibration.",
-    )  # fmt: skip
+        "the recording), the log, and the calibration."
+    )
+    return hold_if(True, "adjustment of the poses", detail, value=None)
 
 
 def _in_common(observed: Floats, logged: Floats, degrees: float, share: float) -> str:
@@ -357,9 +351,7 @@ def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) ->
     both = both[:, (np.linalg.norm(both, axis=2) > _DRIVEN_M).all(axis=0)]
     count, lengths_m = both.shape[1], np.linalg.norm(both, axis=2, keepdims=True)
     if count < _LEAST_INTERVALS:
-        return HealthCheck(
-            name=ALIGNMENT, verdict=Verdict.PASS, value=None, detail="The vehicle drives too little to tell."
-        )
+        return hold_if(False, ALIGNMENT, "The vehicle drives too little to tell.", value=None)
     shown, logged = both / lengths_m * np.sign(both[1, :, 2:])  # also of a vehicle that reverses
     turns = shown - logged
     aside, ahead = np.median(turns, axis=0), np.median(logged, axis=0)
@@ -383,7 +375,5 @@ def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) ->
             "metre driven, or the alignment of cameras and GNSS/INS is wrong. Process its log anew, calibrate the alignment "
             "anew, or state its sigmas (sigmas in drive.yaml)."
         )
-    return HealthCheck(
-        name=ALIGNMENT, verdict=Verdict.HOLD if held else Verdict.PASS, value=round(float(off_deg), 3),
-        limit=round(float(limit_deg), 3), unit="degrees", detail=detail,
-    )  # fmt: skip
+    off_deg, limit_deg = np.round([off_deg, limit_deg], 3).tolist()
+    return hold_if(held, ALIGNMENT, detail, value=off_deg, limit=limit_deg, unit="degrees")

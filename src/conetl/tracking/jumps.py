@@ -19,7 +19,7 @@ from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import HealthCheck, hold_if
 from conetl.model.rig import Rig
 
 JUMPS = "jumps of the poses"
@@ -62,10 +62,7 @@ def check_jumps(
             "right is unknown. Process the GNSS/INS log anew; do not deliver the parts as drives of their own, unless something "
             "else shows that their positions are right."
         )
-    return HealthCheck(
-        name=JUMPS, verdict=Verdict.HOLD if worst_m else Verdict.PASS, value=worst_m, limit=_LEAST_M, unit="m",
-        detail=detail,
-    )  # fmt: skip
+    return hold_if(worst_m, JUMPS, detail, value=worst_m, limit=_LEAST_M, unit="m")
 
 
 def check_slow_jumps(
@@ -106,10 +103,7 @@ def check_slow_jumps(
             f"GNSS/INS moves by {value_m:.1f} m against the images between frame pairs {frames[0]} and {frames[1]}, more than "
             "its stated sigmas allow: a jump that its filter has spread. Process the GNSS/INS log anew, or state its true sigmas."
         )
-    return HealthCheck(
-        name="slow jumps of the poses", verdict=Verdict.HOLD if value_m else Verdict.PASS, value=value_m, limit=limit_m,
-        unit="m", detail=detail,
-    )  # fmt: skip
+    return hold_if(value_m, "slow jumps of the poses", detail, value=value_m, limit=limit_m, unit="m")
 
 
 def check_turn_jumps(
@@ -153,7 +147,5 @@ def check_turn_jumps(
             f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, and the images "
             "do not: the attitudes on one side are wrong. Process the GNSS/INS log anew."
         )
-    return HealthCheck(
-        name="jumps of the attitude", verdict=Verdict.HOLD if worst else Verdict.PASS, value=float(np.degrees(worst)),
-        limit=float(np.degrees(_TURN_RAD)), unit="degrees", detail=detail,
-    )  # fmt: skip
+    value, limit_deg = np.degrees([worst, _TURN_RAD]).tolist()
+    return hold_if(worst, "jumps of the attitude", detail, value=value, limit=limit_deg, unit="degrees")

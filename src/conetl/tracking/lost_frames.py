@@ -11,7 +11,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
 from conetl.geometry.packing import vec3
 from conetl.model.drive import FramePair
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import HealthCheck, hold_if
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.perception.visual_odometry import follow_drive
@@ -60,10 +60,7 @@ def check_lost_frames(
             "as GNSS/INS, and all later ones are of other poses than their numbers say. Correct the numbers or time stamps of "
             "the images."
         )
-    return HealthCheck(
-        name="frames lost by both cameras", verdict=Verdict.HOLD if found else Verdict.PASS, value=float(len(found)),
-        limit=0.0, detail=detail,
-    )  # fmt: skip
+    return hold_if(found, "frames lost by both cameras", detail, value=float(len(found)), limit=0.0)
 
 
 def _moves_by(

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Bools, Floats
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import HealthCheck, hold_if
 from conetl.tracking.clock import robust_fit
 
 #: What is known beforehand (one sigma) of roll, pitch, yaw (rad), of right, down, forward (m), and of the scale of the motions.
@@ -56,7 +56,5 @@ def _judged(name: str, value: float, sigma: float, least: float, unit: str, how:
             "calibration and GNSS/INS: correct body_SE3_left in rig.yaml (mount in drive.yaml; KITTI: calib_imu_to_velo.txt), or "
             "the axes and antenna position of the GNSS/INS log."
         )
-    return HealthCheck(
-        name=name, verdict=Verdict.HOLD if held else Verdict.PASS, value=round(float(value), 3), sigma=round(float(sigma), 3),
-        limit=round(float(limit), 3), unit=unit, detail=detail,
-    )  # fmt: skip
+    value, sigma, limit = np.round([value, sigma, limit], 3).tolist()
+    return hold_if(held, name, detail, value=value, sigma=sigma, limit=limit, unit=unit)
