@@ -51,6 +51,23 @@ def test_refined_poses_of_1_hz_positions_are_honest(sigma_m: float, most_m: floa
     assert np.median(rms_m) < most_m
 
 
+def test_the_heading_of_a_few_scattering_positions_is_honest() -> None:
+    """Four seconds: an adjusted heading lies nearer to four records than the vehicle's does."""
+    runs, squares = 60, 0.0
+    for seed in range(runs):
+        drive, error_m = record(seed, sigma_m=1e-6, seconds=4.0), np.random.default_rng(seed).normal(0, 0.3, (84, 3))
+        true, sigma = drive.track.map_SE3_body.copy(), drive.track.sigma.copy()
+        true[:, :3, 3] += error_m[: len(true)] * (1.0, 1.0, 1.5)
+        sigma[:, :3] = 0.3, 0.3, 0.45
+        drive = replace(drive, track=drive.track._replace(map_SE3_body=true, sigma=sigma))
+        result = refine_trajectory(drive.frame_pairs(0.0), RIG, drive.motions, PARAMS)
+        middle = result.frame_pairs[len(result.frame_pairs) // 2].pose
+        squares += (
+            pose_errors(result.frame_pairs, drive.truth)[len(result.frame_pairs) // 2, 5] / middle.sigma_rpy_rad[2]
+        ) ** 2
+    assert squares < chi2.ppf(0.999, runs)
+
+
 @pytest.mark.parametrize("rad_per_m", [-5e-5, 5e-5])
 def test_odometry_that_turns_alike_in_all_intervals_is_honest(rad_per_m: float) -> None:
     """Rendered and real images turn visual odometry about the optical axis by up to 0.006 degrees per metre."""

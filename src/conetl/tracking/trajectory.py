@@ -239,7 +239,9 @@ def _white_share(
     if not 0 < lag < len(error_m):
         return params.gnss_white_share
     kept = np.exp(-apart_s / params.gnss_correlation_s)
-    change2 = np.mean(((error_m[lag:] - error_m[:-lag]) / log.sigma_p[lag:]) ** 2) / 2
+    # Heading and slope were fitted to few records: Student's variance of what is left.
+    freedom = max(3 * (len(error_m) / lag - 1) - 4, 0.5)
+    change2 = np.mean(((error_m[lag:] - error_m[:-lag]) / log.sigma_p[lag:]) ** 2) / 2 * (freedom + 4) / freedom
     return float(np.sqrt(np.clip((change2 - (1 - kept)) / kept, params.gnss_white_share**2, 1.0)))
 
 
