@@ -160,6 +160,17 @@ def _logs() -> list[WrongRecording]:
         ),
         *(WrongRecording(f"clock {ms:+d} ms", clock(ms), cause=_CLOCK) for ms in (-500, 500)),
         WrongRecording("variances as sigmas", files=images.log(lambda p: [p[0] ** 2], 23, 24), cause="a variance"),
+        *(
+            WrongRecording(f"positions {how}", files=images.log(change, 0, 2), cause="contradict GNSS/INS")
+            for how, change in {
+                "to 6 decimals of a degree": lambda p: [round(v, 6) for v in p], "as float32": lambda p: np.float32(p).tolist(),
+            }.items()
+        ),
+        *(
+            WrongRecording(f"{name} of other sign", files=images.log(lambda p: [-p[0]], k, k + 1), cause="contradict GNSS/INS")
+            for k, name in {3: "roll", 4: "pitch"}.items()
+        ),
+        WrongRecording("heading from north", files=images.log(lambda p: [np.pi / 2 - p[0]], 5, 6), cause="away from where"),
         WrongRecording("poses in reverse", reversed_poses, cause="reverse order", fast=True),
         WrongRecording("GNSS frozen", frozen_place(), cause="is it frozen", fast=True),
         WrongRecording("GNSS frozen from the middle on", frozen_place(0.5), cause="GNSS/INS"),

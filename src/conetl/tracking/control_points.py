@@ -31,6 +31,8 @@ NAME = "control points"
 _GATE_CHI2 = 16.3
 #: Where GNSS/INS may be wrong by so much more than it states (m, 1 sigma), so many points have to agree on it.
 _FREE_M, _LEAST_AGREEING = 1.0, 3
+#: Points that lie so near to where GNSS/INS has them in plan (m), but not in height, may be wrong themselves.
+_SAME_PLAN_M = 0.1
 #: At most about so many points are tried as the one from which the others are predicted.
 _MOST_SEEDS = 12
 #: Another assignment that fits worse by less than this (chi-square) may be the right one.
@@ -295,12 +297,16 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> He
         )
         return _unused(f"The {count} fit to the cones in more than one way: {advice}.")
     detail = f"{used} of {count} have a cone and agree: the poses are adjusted to them."
+    verdict = Verdict.WARN if wrong else Verdict.PASS if as_stated else Verdict.CORRECTED
     if not as_stated:
         off_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
-        detail += f" GNSS/INS is {np.linalg.norm(off_m):.2f} m off them, more than it states: check the datum of both."
+        off, advice = f"{np.linalg.norm(off_m):.2f} m off them", "check the datum of both"
+        if np.hypot(*off_m[:2]) < _SAME_PLAN_M:
+            verdict, off = Verdict.HOLD, f"{off} in height only"
+            advice = "were feet surveyed, not tips, with the right pole and height system? If so, accept the drive"
+        detail += f" GNSS/INS is {off}, more than it states: {advice}."
     if wrong:
         detail += f" Not used, because the others contradict them: {named}."
-    verdict = Verdict.WARN if wrong else Verdict.PASS if as_stated else Verdict.CORRECTED
     return HealthCheck(name=NAME, verdict=verdict, value=float(used), detail=detail)
 
 

@@ -151,9 +151,11 @@ def test_swapped_axes_are_found():
 def test_warnings_of_a_layer_far_away_or_at_other_heights():
     low, high = np.array(CENTRE[:2]), np.array(CENTRE[:2]) + 50
     assert geo.check_near("a", low, high, GROUND) == []
-    assert "is 9 km" in geo.check_near("a", low + 9_000 / 2**0.5, high + 9_000, GROUND)[0]
+    assert "is 8,965 m" in geo.check_near("a", low + 9_000 / 2**0.5, high + 9_000, GROUND)[0]
+    assert "is 200 m" in geo.check_near("a", low + np.array([0.0, 200.0]), high + 9_000, GROUND)[0]  # ED50
     road = GROUND.ground_m + np.array([0.0, 1.0, 0.02])
     assert geo.check_heights("a", road, GROUND) == []
+    assert "1.2 m above" in geo.check_heights("a", road - [0.0, 0.0, -1.2], GROUND)[0]
     assert "--height-offset 47.6" in geo.check_heights("a", road - [0.0, 0.0, 47.62], GROUND)[0]
 
 

@@ -24,12 +24,12 @@ from conetl.model.errors import InputError
 _AREA_MARGIN_DEG = 0.5
 #: PROJ's confidence (percent) that a CRS is one of EPSG's.
 _EPSG_CONFIDENCE = 25
-#: Layers farther from every drive are warned of.
-FAR_M = 1_000.0
+#: Rows of a map farther from everything are warned of, and layers so far from every drive: ED50 is 200 m from ETRS89.
+FAR_M, _LAYER_FAR_M = 1_000.0, 100.0
 #: Points within this distance of the path give the height of the road, ...
 _ROAD_WITHIN_M = 6.0
 #: ... and are warned of from this difference to the drives' heights.
-_HEIGHT_DIFFERS_M = 2.0
+_HEIGHT_DIFFERS_M = 1.0
 
 
 class LayerCrs(NamedTuple):
@@ -199,11 +199,9 @@ def check_near(name: str, low_m: Floats, high_m: Floats, ground: MapGround) -> l
         return []
     xy = ground.ground_m[:, :2]
     distance = float(np.linalg.norm(np.maximum(np.maximum(low_m - xy, xy - high_m), 0.0), axis=1).min())
-    if distance <= FAR_M:
+    if distance <= _LAYER_FAR_M:
         return []
-    return [
-        f"{name}: is {distance / 1000:,.0f} km from the nearest drive of this map. Is it the right file, CRS and map?"
-    ]
+    return [f"{name}: is {distance:,.0f} m from the nearest drive of this map. Is it the right file, CRS and map?"]
 
 
 def check_heights(name: str, xyz_m: Floats, ground: MapGround) -> list[str]:
