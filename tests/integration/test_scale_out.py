@@ -37,6 +37,7 @@ from flows.artifacts import progress_artifact
 from flows.tasks import PrefectExecutor, task_runner
 from tests.dask_cluster import dask_workers
 from tests.integration.small_drives import SAMPLES, cut_drive
+from tests.mutants.recordings import Mutant, jump, turned
 from tests.object_storage import BUCKET, object_storage
 
 
@@ -89,6 +90,21 @@ def test_matches_are_the_same_from_images_in_memory_and_read_again(chunks: list[
         assert any(match.refined for match in matches)
         written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})
     assert written[0] == written[1]
+
+
+def test_corrected_poses_find_again_what_their_images_showed(chunks: list[Chunk], tmp_path: Path) -> None:
+    """Positions change neither detections nor matches, attitudes do: of the rows that are searched, and of the way up."""
+    chunk = chunks[0].model_copy(update={"results_folder": tmp_path})
+    found = detect(chunk, 0, chunk.rig)
+    written = {path.name for path in tmp_path.iterdir()}
+
+    def again(mutant: Mutant) -> Detected:
+        drive = mutant(read_drive(Path(chunk.frame_pairs[0].left_path).parents[2])[0])
+        return detect(chunk.model_copy(update={"frame_pairs": drive.frame_pairs[:2]}), 0, chunk.rig)
+
+    assert again(jump(0.5, 0)) == found and {path.name for path in tmp_path.iterdir()} == written
+    assert again(turned(0.0, 0.0, 2.0)) == found and len(list(tmp_path.iterdir())) == len(written) + 1
+    assert again(turned(0.0, 3.0, 0.0)) != found
 
 
 def test_what_is_found_along_with_detections_is_what_its_own_step_finds(chunks: list[Chunk], tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "23"
+RESULTS_VERSION = "24"
 
 
 class Chunk(Record):
@@ -63,6 +63,13 @@ def parts_of(chunk: Chunk) -> list[slice]:
     count = len(chunk.frame_pairs)
     half = (count + 1) // 2
     return [slice(first, min(first + half, count)) for first in range(0, count, half)]
+
+
+def images_key(chunk: Chunk, rig: Rig | None = None) -> str:
+    """Hash of the images and rig (the chunk's own or another one), without the poses: corrected ones change no image."""
+    shown = {"frame_index", "left_path", "right_path", "left_sha256", "right_sha256"}
+    pairs = (pair.model_dump_json(include=shown) for pair in chunk.frame_pairs)
+    return result_key((rig or chunk.rig).model_dump_json(), *pairs)
 
 
 def geometry_key(chunk: Chunk, rig: Rig | None = None) -> str:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
+from conetl.model.arrays import Floats
 from conetl.model.drive import Detection, FramePair, ImageDetail, StereoMatch
 from conetl.model.errors import ModelFileError
 from conetl.model.params import params_sha256
@@ -27,7 +28,7 @@ from conetl.perception.image_detail import fine_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, images_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
 from conetl.pipeline.markings import find_marking_points, marking_points
 from conetl.pipeline.odometry import Odometry, follow, motions
@@ -82,7 +83,7 @@ def detect(chunk: Chunk, part: int, rig: Rig | None, along: Along = NOTHING, tic
 def _detections(chunk: Chunk, part: int, rig: Rig | None, along: Iterator[object], tick: Tick) -> Path:
     """Detections of a part; along: takes one step for every frame pair."""
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
-    params, reconcile = chunk.params.detection, chunk.params.reconcile
+    params, reconcile, first_rows = chunk.params.detection, chunk.params.reconcile, _first_rows(chunk)
     key = result_key(
         RESULTS_VERSION,
         "detect",
@@ -91,8 +92,8 @@ def _detections(chunk: Chunk, part: int, rig: Rig | None, along: Iterator[object
         params_sha256(chunk.params.match),
         f"{reconcile.removal_min_frames} pairs, {reconcile.visible_min_height_px} px, {reconcile.visible_border_px} px, "
         f"{chunk.params.track.max_cone_height_m} m",
-        geometry_key(chunk),
-        str(part),
+        images_key(chunk),
+        f"rows {first_rows}, part {part}",
     )
     if has_result(chunk.results_folder, key) and has_result(chunk.results_folder, _detail_key(key)):
         detected = result_path(chunk.results_folder, key)
@@ -101,7 +102,6 @@ def _detections(chunk: Chunk, part: int, rig: Rig | None, along: Iterator[object
             _match_part(chunk, part, detected, rig)
         return detected
     set_up_worker()
-    first_rows = _first_rows(chunk)
     found: list[_PairFound] = []
     for middle, block in blocks_of(len(pairs), chunk.params):
         fetch_pairs([pairs[k] for k in block])
@@ -242,8 +242,7 @@ def _match(
 ) -> tuple[list[StereoMatch], list[Rejection]]:
     """Stereo matches of one frame pair. images: of sides that have detections; None where they have to be read again."""
     ours, theirs, params = by_side["left"], by_side["right"], chunk.params.match
-    # Up of the map, as the left camera sees it at this instant.
-    up = map_SE3_left(pair.pose, rig)[2, :3]
+    up = _up(pair, rig)
     if params.refine and images is None:
         if not match_pair(ours, theirs, rig, params, up_left=up)[0]:
             images = {}  # decoding costs time: only where boxes alone say that something matches
@@ -255,9 +254,15 @@ def _match(
 
 def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
     """Of the matches of one part by themselves."""
+    ups = b"".join(_up(pair, rig).tobytes() for pair in chunk.frame_pairs).hex()
     return result_key(
-        RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), geometry_key(chunk, rig)
+        RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), images_key(chunk, rig), ups
     )
+
+
+def _up(pair: FramePair, rig: Rig) -> Floats:
+    """Up of the map, as the left camera sees it at this instant."""
+    return map_SE3_left(pair.pose, rig)[2, :3]
 
 
 def _first_rows(chunk: Chunk) -> dict[Side, int]:
