@@ -10,13 +10,13 @@ from typing import Any
 from uuid import UUID, uuid5
 
 import numpy as np
-from numpy.typing import NDArray
 from prefect import artifacts
 from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
 from conetl.db.receipt_store import RemovedCone, StepTime
 from conetl.files.names import as_markdown
+from conetl.model.arrays import Image
 from conetl.model.drive import DriveRecords
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import ChangeLine, IngestReport
@@ -162,10 +162,10 @@ def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
         worst[position.frame_index] = max(worst[position.frame_index], position.residual_rms_px)
     chosen = sorted(worst, key=lambda index: -worst[index])[:_SHOWN_FRAMES]
     pairs = {pair.frame_index: pair for pair in records.drive.frame_pairs}
-    rows: list[tuple[NDArray[np.uint8], NDArray[np.uint8], str]] = []
+    rows: list[tuple[Image, Image, str]] = []
     sides: tuple[Side, Side] = ("left", "right")
     for index in chosen:
-        drawn: list[NDArray[np.uint8]] = []
+        drawn: list[Image] = []
         try:
             for side in sides:
                 boxes = [

@@ -8,3 +8,5 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
+#: (H, W) grey or (H, W, 3) BGR.
+Image = NDArray[np.uint8]

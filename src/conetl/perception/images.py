@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.files.storage import is_present, is_remote, object_bytes, recall, remember
+from conetl.model.arrays import Image
 from conetl.model.errors import StorageError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import MAX_IMAGE_PIXELS
@@ -204,7 +205,7 @@ def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> I
     return check_image_bytes(read_bytes(path), name, expected_size)
 
 
-def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey: bool = False) -> NDArray[np.uint8]:
+def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey: bool = False) -> Image:
     """Image as (height, width, 3) uint8 in blue, green, red order; grey and 16-bit images are converted.
 
     grey: as (height, width) of brightness; of a JPEG its own, which spares the decoder a third of its work.
@@ -216,9 +217,7 @@ def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey
     return decode_image(read_bytes(path), path.name, expected_size, grey=grey)
 
 
-def decode_image(
-    data: bytes, name: str, expected_size: tuple[int, int] | None = None, *, grey: bool = False
-) -> NDArray[np.uint8]:
+def decode_image(data: bytes, name: str, expected_size: tuple[int, int] | None = None, *, grey: bool = False) -> Image:
     """Like `read_image`, of a file's bytes; `name` is for ImageFileError."""
     check_image_bytes(data, name, expected_size)
     image = _decoded(data, name, (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -238,7 +237,7 @@ def _decoded(data: bytes, name: str, flags: int) -> NDArray[Any]:
     return np.asarray(image)
 
 
-def read_upright_image(path: Path) -> NDArray[np.uint8]:
+def read_upright_image(path: Path) -> Image:
     """Any single image as a person sees it: (height, width, 3) uint8 in blue, green, red order.
 
     Orientation tags (EXIF) are applied; grey and CMYK become colour; transparent parts become grey; 16-bit images are

@@ -16,11 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.perception.decoding import NetworkBoxes, intersection_over_union, without_parts
 from conetl.perception.model_card import ReScoringPass, SmallObjectPass
-
-Image = NDArray[np.uint8]
 
 #: Columns of a candidate that hold x and y in turn; column 4 is the score, column CLASS the class.
 COORDINATES = (0, 1, 2, 3, 5, 6, 7, 8)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.rig import right_camera_turned
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.drive import MIN_DETAIL, Drive, FramePair, UnclearSquares
 from conetl.model.errors import DriveFolderError
 from conetl.model.health import HealthCheck, Verdict, hold_if
@@ -64,7 +64,7 @@ class _Features(NamedTuple):
 
     points_px: Floats = np.empty((0, 2))
     """(N, 2) corners, px of the whole image."""
-    descriptors: NDArray[np.uint8] = np.empty((0, 32), np.uint8)
+    descriptors: Image = np.empty((0, 32), np.uint8)
     detail: NDArray[np.float32] = np.empty((0, 0), np.float32)
     """`local_detail`."""
     octaves: NDArray[np.float32] = np.empty((2, 0, 0), np.float32)

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.motion.stereo_motion import MotionStatus, RelativeMotion, estimate_motion
 from conetl.geometry.motion.stereo_tracks import cameras_of, relative_motion
 from conetl.geometry.pose import to_matrix3
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.drive import FramePair, Pose
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
@@ -31,7 +30,7 @@ _REACH_M, _REACH_RAD = 3.0, 0.15
 
 
 def measure_motions(
-    times_ns: Sequence[int], rig: Rig, read: Callable[[int, Side], NDArray[np.uint8]], first: int = 0
+    times_ns: Sequence[int], rig: Rig, read: Callable[[int, Side], Image], first: int = 0
 ) -> list[RelativeMotion]:
     """Motions of the left camera between images about 0.1 s apart, from the one numbered `first` on, for at most 2.5 minutes.
 
@@ -56,7 +55,7 @@ def measure_motions(
         while state[0] + 1 < len(pairs):
             yield state[0], state[0] + 1, asked[0]
 
-    def image(pair: FramePair, side: Side) -> NDArray[np.uint8]:
+    def image(pair: FramePair, side: Side) -> Image:
         return read(pair.frame_index, side)
 
     state, failures, tried, before = [0], 0, 0, None

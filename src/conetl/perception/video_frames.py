@@ -23,13 +23,13 @@ from av.video.plane import VideoPlane
 from av.video.reformatter import ColorRange, Interpolation, VideoReformatter
 from numpy.typing import NDArray
 
+from conetl.model.arrays import Image
 from conetl.model.errors import InputError, StorageError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import MAX_IMAGE_PIXELS
 from conetl.perception.images import ImageFileError
 from conetl.perception.video import FrameRef, Region, frame_sha256, open_video, packet_sha256, video_stream
 
-Image = NDArray[np.uint8]
 #: Decoders that stay open between two reads, and bytes of decoded frames that stay in memory: searches read the middle of five
 #: pairs first, and odometry and detector read the same pairs at about the same time.
 _MAX_DECODERS, _KEPT_BYTES = 8, 256 * 2**20

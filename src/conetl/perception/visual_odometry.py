@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from conetl.geometry.motion.stereo_motion import StereoCameras, project, triangulate
 from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Bools, Floats, Image
 from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSize, read_working_images, working_size
 
-Bytes = NDArray[np.uint8]
 Points = NDArray[np.float32]
 _Found = tuple[Floats, Floats, float, NoMeasurement | None]
 
@@ -156,7 +155,7 @@ def _stereo_points(
 
 def _expected_points(
     left: Points, right: Points, working: WorkingSize, cameras: StereoCameras, expected: Floats, window_px: int
-) -> tuple[Points, NDArray[np.bool_]]:
+) -> tuple[Points, Bools]:
     """Expected image points in the next pair of static points, by the expected motion, and which are inside the image.
 
     (N, 2, 2): left and right image point; the row of the right one is that of the left.
@@ -168,7 +167,7 @@ def _expected_points(
     return guess, placed & ahead & inside & _clear_of_padding(guess[:, 0], working, "left", window_px)
 
 
-def _corners(half: Bytes, params: TrajectoryParams) -> Points:
+def _corners(half: Image, params: TrajectoryParams) -> Points:
     """Corners (N, 2) of an image given at half its size: the best few of each cell of a grid."""
     response = cv2.cornerMinEigenVal(half, 5)
     highest = cv2.dilate(response, np.ones((5, 5), np.uint8))
@@ -207,7 +206,7 @@ def _disparity(images: WorkingImages, corners: Points, working: WorkingSize) -> 
     return np.where(raw >= 16 * farthest, raw / 16 * 4, np.nan)
 
 
-def _lowered(image: Bytes, rows: float) -> Bytes:
+def _lowered(image: Image, rows: float) -> Image:
     """An image moved down by `rows`; unchanged below a twentieth of a row."""
     if abs(rows) < 0.05:
         return image
@@ -217,14 +216,14 @@ def _lowered(image: Bytes, rows: float) -> Bytes:
 
 
 def _flow(
-    source: Bytes,
-    target: Bytes,
+    source: Image,
+    target: Image,
     points: Points,
     guess: NDArray[np.floating],
     levels: int,
     window_px: int,
     stop: tuple[int, int, float] = _STOP,
-) -> tuple[Points, NDArray[np.bool_]]:
+) -> tuple[Points, Bools]:
     """Image points (N, 2) in another image, from a guess on the `levels`-th pyramid level, and which were found."""
     if not len(points):
         return points, np.zeros(0, dtype=bool)
@@ -245,14 +244,12 @@ def _least_disparity(working: WorkingSize, params: TrajectoryParams) -> float:
     return params.min_disparity_px * float(working.scale[0])
 
 
-def _on_equal_rows(
-    left: Points, right: Points, shift: NDArray[np.floating], params: TrajectoryParams
-) -> NDArray[np.bool_]:
+def _on_equal_rows(left: Points, right: Points, shift: NDArray[np.floating], params: TrajectoryParams) -> Bools:
     """Which points (N, 2) of both images lie on the same row of the rig; shift (N, 2): their shift at infinity."""
     return np.asarray(np.abs(right[:, 1] - left[:, 1] + shift[:, 1]) <= params.epipolar_tolerance_px)
 
 
-def _clear_of_padding(points: Points, working: WorkingSize, side: Side, window_px: int) -> NDArray[np.bool_]:
+def _clear_of_padding(points: Points, working: WorkingSize, side: Side, window_px: int) -> Bools:
     """(N,) whether windows are clear of the padding, whose streaks do not move with the car."""
     return np.asarray((points <= working.seen_px(side) - 0.5 - window_px / 2).all(axis=1))
 

@@ -13,18 +13,17 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
 from conetl.geometry.rig import camera_of, infinity_shift_px
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.drive import FramePair
 from conetl.model.rig import Rig, Side
 from conetl.perception.images import ImageFileError
 
-Bytes = NDArray[np.uint8]
 #: Reads one rectified image of a frame pair, grey or in blue, green, red order; raises ImageFileError.
-ImageReader = Callable[[FramePair, Side], Bytes]
+ImageReader = Callable[[FramePair, Side], Image]
 
 #: Grey values of an image must spread at least this much for anything to be followed.
 _LEAST_CONTRAST = 3.0
@@ -71,11 +70,11 @@ class WorkingImages:
     """Both images of one frame pair, grey, at working size; both at a quarter of it, the left one, without its padding, at
     half of it, too."""
 
-    left: Bytes
-    right: Bytes
-    half_left: Bytes
-    quarter_left: Bytes
-    quarter_right: Bytes
+    left: Image
+    right: Image
+    half_left: Image
+    quarter_left: Image
+    quarter_right: Image
 
 
 def working_size(rig: Rig, max_width_px: int) -> WorkingSize:
@@ -89,7 +88,7 @@ def working_size(rig: Rig, max_width_px: int) -> WorkingSize:
 
 def read_working_images(pair: FramePair, read: ImageReader, working: WorkingSize) -> WorkingImages | NoMeasurement:
     """One frame pair at working size, or the reason why it cannot be used."""
-    grey: list[Bytes] = []
+    grey: list[Image] = []
     try:
         for side in ("left", "right"):
             image = read(pair, side)
@@ -117,7 +116,7 @@ def _stored_size(rig: Rig, side: Side) -> tuple[int, int]:
     return camera.width_px, camera.height_px
 
 
-def _at_size(image: Bytes, working: WorkingSize) -> Bytes:
+def _at_size(image: Image, working: WorkingSize) -> Image:
     """A grey image padded to the common size, then reduced. The border is repeated: a step in
     brightness would give corners that stay where they are."""
     right, below = working.common_px[0] - image.shape[1], working.common_px[1] - image.shape[0]
@@ -129,13 +128,13 @@ def _at_size(image: Bytes, working: WorkingSize) -> Bytes:
     return np.asarray(cv2.resize(image, working.size_px, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _seen(image: Bytes, seen_px: Floats) -> Bytes:
+def _seen(image: Image, seen_px: Floats) -> Image:
     """An image without its padding: its whole pixels of the first `seen_px` along u and v."""
     width, height = np.minimum(seen_px, image.shape[::-1]).astype(int).tolist()
     return image[: max(height, 1), : max(width, 1)]
 
 
-def _halved(image: Bytes) -> Bytes:
+def _halved(image: Image) -> Image:
     """Means of two by two pixels without a last odd row or column: OpenCV is 30 times faster at a ratio of exactly two."""
     height, width = (size // 2 for size in image.shape)
     if not height or not width:

@@ -10,13 +10,10 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.drive import Detection, FramePair, ImageDetail, StereoMatch
 from conetl.model.errors import ModelFileError
 from conetl.model.params import params_sha256
@@ -156,7 +153,7 @@ def _search(
     everywhere: bool,
 ) -> _PairFound:
     """Detections, and matches where the rig is known, of one frame pair; the right image where partners can be, or everywhere."""
-    images: dict[Side, NDArray[np.uint8]] = {}
+    images: dict[Side, Image] = {}
     by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
     details: list[ImageDetail] = []
     rejections: list[Rejection] = []
@@ -178,7 +175,7 @@ def _search(
 
 def _detect(
     chunk: Chunk, pair: FramePair, side: Side, first_row: int, region: Region | None
-) -> tuple[NDArray[np.uint8] | None, list[Detection], list[Rejection]]:
+) -> tuple[Image | None, list[Detection], list[Rejection]]:
     """One image, None where it cannot be decoded, and what was found in it from a row on, in a part of it (None: everywhere)."""
     params = chunk.params.detection
     try:
@@ -238,7 +235,7 @@ def _match(
     pair: FramePair,
     by_side: Mapping[Side, Sequence[Detection]],
     rig: Rig,
-    images: Mapping[Side, NDArray[np.uint8]] | None = None,
+    images: Mapping[Side, Image] | None = None,
 ) -> tuple[list[StereoMatch], list[Rejection]]:
     """Stereo matches of one frame pair. images: of sides that have detections; None where they have to be read again."""
     ours, theirs, params = by_side["left"], by_side["right"], chunk.params.match

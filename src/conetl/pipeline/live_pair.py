@@ -12,10 +12,10 @@ from typing import NamedTuple
 from uuid import uuid4
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.db.connection import Connection
 from conetl.db.live_store import WatchedDrive, write_live
+from conetl.model.arrays import Image
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, FramePair, Track
 from conetl.model.errors import StorageError
@@ -62,7 +62,7 @@ class LiveDrive:
 class SearchedImage(NamedTuple):
     """What one image of a pair shows."""
 
-    found: tuple[NDArray[np.uint8], list[Detection]]
+    found: tuple[Image, list[Detection]]
     """The image, and its cones."""
     ended_s: float
     """Monotonic s."""

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import spaced
+from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, params_sha256
@@ -58,7 +58,7 @@ def find_marking_points(chunk: Chunk, part: int, rig: Rig) -> Iterator[None]:
     save_result(chunk.results_folder, key, found, [])
 
 
-def _both_images(pair: FramePair, rig: Rig) -> tuple[NDArray[np.uint8], NDArray[np.uint8]] | None:
+def _both_images(pair: FramePair, rig: Rig) -> tuple[Image, Image] | None:
     try:
         return read_pair_image(pair, "left", rig), read_pair_image(pair, "right", rig)
     except ImageFileError:

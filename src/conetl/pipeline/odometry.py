@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_between, motions_of
+from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair, StereoMatch
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
@@ -256,7 +256,7 @@ def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:
         in_order[k].frame_index: in_order[k : k + _PAIRS_AT_ONCE] for k in range(0, len(in_order), _PAIRS_AT_ONCE)
     }
 
-    def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
+    def read(pair: FramePair, side: Side) -> Image:
         if side == "left":
             fetch_pairs(batches.get(pair.frame_index, ()))
         return read_pair_image(pair, side, rig, grey=True)

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, up_in_left_camera
+from conetl.model.arrays import Image
 from conetl.model.drive import Detection, FramePair, StereoMatch
 from conetl.model.feature_classes import CONE
 from conetl.model.params import DetectionParams, IngestParams, TrackParams
@@ -30,7 +28,7 @@ def search_image(
     detector: Detector,
     params: DetectionParams,
     pair: FramePair | None,
-) -> tuple[NDArray[np.uint8], list[Detection]]:
+) -> tuple[Image, list[Detection]]:
     """One image and the objects in it. pair: with its pose, the area above the horizon is skipped. Raises ImageFileError."""
     image = read_rig_image(path, rig, side)
     first_row = 0
@@ -48,7 +46,7 @@ def search_image(
 class MatchedPair(NamedTuple):
     """Detections and matches of one pair; images, detections: left and right."""
 
-    images: list[NDArray[np.uint8]]
+    images: list[Image]
     detections: list[list[Detection]]
     matches: list[StereoMatch]
     rejections: list[Rejection]
@@ -83,7 +81,7 @@ def match_images(
 
 
 def match_searched(
-    found: Sequence[tuple[NDArray[np.uint8], list[Detection]]], rig: Rig, params: IngestParams, pair: FramePair | None
+    found: Sequence[tuple[Image, list[Detection]]], rig: Rig, params: IngestParams, pair: FramePair | None
 ) -> MatchedPair:
     """Match what `search_image` found in the left and the right image of a pair."""
     (left_image, left), (right_image, right) = found

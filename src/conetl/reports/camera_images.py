@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.arrays import Image
 from conetl.model.errors import InputError
 from conetl.model.rig import Rig, Side
 from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.video import frame_of
 
-Image = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
 """x, y (top-left corner), width, height in pixels of the rectified image, counted from its edge."""
 #: Width and height of what is shown of an object, in those of its box.

@@ -12,12 +12,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from conetl.files.atomic import atomic_text_file
 from conetl.geometry.calibration import tables
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.geometry.calibration.stereo_calibration import StereoCalibration
+from conetl.model.arrays import Image
 from conetl.model.drive import Drive
 from conetl.model.health import HealthCheck
 from conetl.model.rejections import Rejection
@@ -154,7 +154,7 @@ def _draw_drive_path(axes: Axes, drive: Drive, summary: DriveSummary) -> None:
     )
 
 
-def _middle_pair(drive: Drive) -> tuple[int, list[NDArray[np.uint8]]]:
+def _middle_pair(drive: Drive) -> tuple[int, list[Image]]:
     """Frame index and images of the readable pair nearest to the middle (of a bag only the first is unpacked), [] without one."""
     pairs = drive.frame_pairs
     for i in sorted(range(len(pairs)), key=lambda i: abs(i - len(pairs) // 2)):

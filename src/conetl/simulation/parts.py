@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.simulation import meshes, textures
 from conetl.simulation.meshes import Mesh
 from conetl.simulation.scenario import ORANGE, Colour, Cone, RoadObject
-from conetl.simulation.textures import Image
 
 _GREY = (0.50, 0.51, 0.52)
 _RUBBER = (0.10, 0.10, 0.10)

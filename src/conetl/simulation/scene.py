@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.errors import InputError
 from conetl.simulation import meshes, scenario, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
@@ -194,7 +194,7 @@ def exposure_gain(radiance: NDArray[np.float32], brightness: float = 1.0) -> flo
 
 def develop(
     radiance: NDArray[np.float32], gain: float, rng: np.random.Generator, *, blur_sigma_px: float = BLUR_SIGMA_PX
-) -> NDArray[np.uint8]:
+) -> Image:
     """8-bit BGR image (H, W, 3) of linear RGB radiance: blur, exposure, shot and read noise, soft shoulder, sRGB curve."""
     light = cv2.GaussianBlur(np.maximum(radiance, 0.0) * np.float32(gain), (0, 0), blur_sigma_px).astype(np.float64)
     light = np.where(light < 0.6, light, 0.6 + 0.4 * (1.0 - np.exp(-(light - 0.6) / 0.4)))
@@ -204,7 +204,7 @@ def develop(
     return np.asarray(srgb[..., ::-1] * 255.0 + 0.5).astype(np.uint8)
 
 
-def encode_jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+def encode_jpeg(image: Image, quality: int) -> bytes:
     """JPEG bytes of a BGR image."""
     done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.markings import MarkingColour
 from conetl.simulation.scenario import Colour, Cone, RoadMarking
 
-Image = NDArray[np.uint8]
 Bytes = tuple[int, int, int]
 _SIZE_PX = 256
 WHITE = (235, 235, 230)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import Detection
 from conetl.model.feature_classes import CONE, width_over_height
 from conetl.model.params import ReconcileParams
 from conetl.model.rig import Camera
 
-Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in pixels"""
 _NEAREST_M = 0.5
@@ -31,7 +30,7 @@ def apparent_boxes(foot_m: Floats, tip_m: Floats, camera: Camera, category: str 
     return np.column_stack([u - half, y0, u + half, y1])
 
 
-def are_in_view(boxes: Floats, camera: Camera, params: ReconcileParams) -> NDArray[np.bool_]:
+def are_in_view(boxes: Floats, camera: Camera, params: ReconcileParams) -> Bools:
     """(N,) whether boxes (N, 4) are tall enough and wholly inside the image; False for NaN."""
     x0, y0, x1, y1 = boxes.T
     border = params.visible_border_px

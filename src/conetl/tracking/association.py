@@ -16,17 +16,16 @@ from itertools import count
 from math import dist, inf
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.small_arrays import nearest
+from conetl.model.arrays import Floats
 from conetl.model.drive import Position
 from conetl.model.feature_classes import exclude_each_other
 from conetl.model.params import TrackParams
 
-Floats = NDArray[np.float64]
 #: Cost of a forbidden pair in the assignment; far above any gate.
 _FORBIDDEN = 1e6
 #: Iterations and tolerance of the largest distance between two positions of one cone.

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial.transform import Rotation
@@ -21,9 +20,9 @@ from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.geometry.packing import vec3
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
 
-Floats = NDArray[np.float64]
 #: Offsets that are tried, s.
 _TRIED_S = np.arange(-0.4, 0.41, 0.04)
 #: Both signals are smoothed by this many intervals, so that interpolation smooths the noise of the log no further: it would draw

@@ -11,18 +11,17 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.motion.position_spline import at_times, position_spline, turn_rate
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.small_arrays import nearest
+from conetl.model.arrays import Bools, Floats
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.clock import robust_fit, smoothed
 
-Floats = NDArray[np.float64]
 #: Step of both signals and of the offsets that are tried (s).
 _STEP_S = 0.1
 #: Both signals are smoothed by so many steps: turns of a vehicle last longer, noise does not.
@@ -210,7 +209,7 @@ def _by_lag(target: Floats, padded: Floats, sigma: Floats | None) -> tuple[Float
     at_once = max(_MOST_PIECES // (2 * len(target)), 1)
     for first in range(0, len(windows), at_once):
         rest = np.abs(windows[first : first + at_once] - target.T)
-        common: NDArray[np.bool_] = np.isfinite(rest[:, 0]) & np.isfinite(rest[:, 1])
+        common: Bools = np.isfinite(rest[:, 0]) & np.isfinite(rest[:, 1])
         count[first : first + at_once] = common.sum(axis=1)
         some = common.sum(axis=1) > 0
         rest = np.where(common[some][:, None], rest[some], np.nan)

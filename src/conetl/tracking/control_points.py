@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.consistency import left_out_nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrices, vec3
+from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import FramePair, Position, StereoMatch, SurveyedPoint
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import IngestParams
@@ -25,7 +25,6 @@ from conetl.tracking.drive_refinement import cone_groups, refine_with_cones
 from conetl.tracking.error_propagation import moved_by_poses, moved_cov, outline_errors, pose_cov
 from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, RefinementOutcome
 
-Floats = NDArray[np.float64]
 NAME = "control points"
 #: Chi-square of 3 degrees of freedom at 0.001: beyond it a point contradicts the others.
 _GATE_CHI2 = 16.3
@@ -240,7 +239,7 @@ def _off_cov(cones: _Cones, survey: Floats, chosen: dict[int, int]) -> Floats:
     return cov
 
 
-def _chi2(cones: _Cones, survey: Floats, off: Floats, near: NDArray[np.bool_], chosen: dict[int, int]) -> Floats:
+def _chi2(cones: _Cones, survey: Floats, off: Floats, near: Bools, chosen: dict[int, int]) -> Floats:
     """(N, G) of each point on each cone near it, given those that are chosen; infinite for others."""
     mean, cov = _expected(cones, survey, off, chosen)
     points, at = np.nonzero(near)

@@ -10,7 +10,6 @@ from functools import lru_cache, partial
 from uuid import NAMESPACE_OID, UUID, uuid5
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
@@ -19,6 +18,7 @@ from conetl.geometry.motion.chain_solver import cross_covariance, joint_covarian
 from conetl.geometry.motion.pose_graph import POSE, motion_jacobians
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.small_arrays import cross_matrix
+from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import FramePair, Pose, Position
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import TrajectoryParams
@@ -27,7 +27,6 @@ from conetl.tracking.association import MotionError
 from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.trajectory import RefinedTrajectory, log_errors
 
-Floats = NDArray[np.float64]
 #: F frame indices, rising and unique -> (6F, 6F) covariance of their poses: easting, northing, height (m), roll, pitch, yaw (rad)
 #: of the first frame, of the second ...
 PoseCov = Callable[[Sequence[int]], Floats]
@@ -144,7 +143,7 @@ def moved_by_poses(xyz_m: Floats, poses: Sequence[Pose]) -> Floats:
     )
 
 
-def moved_cov(jacobian: Floats, rank: NDArray[np.intp], cov: Floats) -> Floats:
+def moved_cov(jacobian: Floats, rank: Ints, cov: Floats) -> Floats:
     """(3N, 3N) m^2: joint covariance of N points by the errors of F poses.
 
     jacobian (N, 3, 6): of each point by the pose of its own frame; rank (N,): the index of that frame; cov (6F, 6F).

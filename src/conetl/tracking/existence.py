@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.rig import left_SE3_right
 from conetl.geometry.small_arrays import nearest
+from conetl.model.arrays import Floats
 from conetl.model.detector_evidence import (
     DetectorEvidence,
     box_log_ratio,
@@ -34,8 +34,6 @@ from conetl.model.params import IngestParams
 from conetl.model.rig import Camera, Rig, Side
 from conetl.tracking.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
 from conetl.tracking.matching.epipolar_search import is_within, right_region
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.small_arrays import cross_matrix
-from conetl.model.arrays import Floats, Ints
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import MIN_DETAIL, FramePair
 from conetl.model.health import CALIBRATION, HealthCheck, Verdict, hold_if
 from conetl.model.params import TrajectoryParams
@@ -219,7 +218,7 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
 
 
 def _agreement(
-    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_], residual: Floats
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools, residual: Floats
 ) -> HealthCheck:
     """Whether the motions agree with the log within the errors of both."""
     refused = int((~good).sum())

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
@@ -17,7 +16,7 @@ from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.geometry.motion.steps import step_misfit
 from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck, hold_if
 from conetl.model.rig import Rig
@@ -35,9 +34,7 @@ _SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
 _LEAST_STEP_S = 1e-3
 
 
-def check_jumps(
-    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_]
-) -> HealthCheck:
+def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
     """Intervals that no accepted motion confirms, and in which the log moves otherwise than their neighbours."""
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
     times_s = np.maximum.accumulate(times_s + _LEAST_STEP_S * np.arange(len(times_s)))
@@ -69,7 +66,7 @@ def check_slow_jumps(
     frame_pairs: Sequence[FramePair],
     log: LoggedPoses,
     measured: MeasuredMotions,
-    good: NDArray[np.bool_],
+    good: Bools,
     residual: Floats,
 ) -> HealthCheck:
     """Whether the log moves against the images within some intervals, by more than its errors change in that time.
@@ -106,9 +103,7 @@ def check_slow_jumps(
     return hold_if(value_m, "slow jumps of the poses", detail, value=value_m, limit=limit_m, unit="m")
 
 
-def check_turn_jumps(
-    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: NDArray[np.bool_]
-) -> HealthCheck:
+def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
     """Intervals that no accepted motion confirms, and in which the log turns otherwise than the images or the intervals around.
 
     A measured motion that is wrong is refused too: then it is the one that differs from its neighbours.

@@ -11,10 +11,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.arrays import Floats
 from conetl.model.detector_evidence import DetectorEvidence
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.params import IngestParams
@@ -23,7 +23,6 @@ from conetl.model.rig import Rig
 from conetl.tracking.association import Chain, extend_chains, misfit_of
 from conetl.tracking.tracks import BoxKey, boxes_in_use, drive_data, fuse_group
 
-Floats = NDArray[np.float64]
 #: Number of frames that are kept.
 KEPT_FRAMES = 400
 #: Nearest positions of a group that are adjusted together; last frame pairs of the drive that count for its existence.

@@ -14,7 +14,6 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from conetl.geometry import pose as se3
@@ -30,11 +29,11 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import body_SE3_camera, right_camera_turned
+from conetl.model.arrays import Floats
 from conetl.model.base import Record, Vec3
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import CalibrationCovariance, Rig, SharedErrors
 
-Floats = NDArray[np.float64]
 _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
 #: The tangential coefficient of brown and rational lenses that moves columns by (3 x^2 + y^2) of it.
 _DECENTRING = "lens.3"

@@ -7,12 +7,12 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import jacobian_of
 from conetl.geometry.intersection import fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.model.arrays import Floats
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, evidence_of
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
@@ -23,7 +23,6 @@ from conetl.tracking.association import MotionError, chain_positions
 from conetl.tracking.error_propagation import class_error_id, common_cov, moved_by_calibration, outline_jacobian
 from conetl.tracking.existence import existence_probability
 
-Floats = NDArray[np.float64]
 #: Frame, side and number of a detection.
 BoxKey = tuple[int, Side, int]
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
@@ -29,13 +28,13 @@ from conetl.geometry.motion.pose_graph import (
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix, vec3
+from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import FramePair, Pose, Position
 from conetl.model.health import HealthCheck
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.clock import ClockOffset
 
-Floats = NDArray[np.float64]
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
 _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S = 1e-4, 1e-6, 1e-3
 #: Visual odometry turns about the optical axis by so much per metre (one sigma) in all intervals alike: points are followed less
@@ -283,7 +282,7 @@ def measured_motions(
     )
 
 
-def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: float) -> NDArray[np.bool_]:
+def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: float) -> Bools:
     """(M,): which measured intervals are plausible.
 
     An interval is refused if it contradicts GNSS/INS beyond its errors, or if it alone departs from its neighbours while

@@ -16,18 +16,16 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.model.arrays import Floats
 from conetl.model.drive import Pose, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_sigma_px, shared_disparity_px
-
-Floats = NDArray[np.float64]
 
 #: Weight of the stated variances in degrees of freedom, from their differences between drives: on rendered drives the
 #: logarithms of the factors scatter by 0.35 (standard deviation), those of chi-square with n degrees of freedom by sqrt(2 / n).

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.stereo_calibration import MIN_CORNERS
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 
 Ints = NDArray[np.int64]
-Grey = NDArray[np.uint8]
+Grey = Image
 
 #: A blurred edge is at most this wide (contrast over steepest slope, px); what is wider is refused.
 MAX_EDGE_WIDTH_PX = 6.0

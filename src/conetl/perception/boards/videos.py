@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.errors import CalibrationError, InputError
 from conetl.model.rig import SIDES, Side
 from conetl.perception.boards.images import ImagePair
@@ -90,7 +89,7 @@ def pairs_in_videos(
     files = [videos.left] if videos.layout else [videos.left, videos.right]
     in_step = [_in_step(video) for video in files]
     total = sum(map(len, in_step))
-    smalls: list[NDArray[np.uint8]] = []
+    smalls: list[Image] = []
     for video, numbers in zip(files, in_step, strict=True):
         before = sum(map(len, smalls))
         smalls.append(_small_images(video, numbers, lambda done, before=before: on_frame(before + done, total)))  # type: ignore[misc]
@@ -129,10 +128,10 @@ def _in_step(video: VideoIndex) -> list[int]:
     return [int(n) for n in after - (instants - times_s[after - 1] < times_s[after] - instants)]
 
 
-def _small_images(video: VideoIndex, numbers: Sequence[int], count: Callable[[int], None]) -> NDArray[np.uint8]:
+def _small_images(video: VideoIndex, numbers: Sequence[int], count: Callable[[int], None]) -> Image:
     """(N, pixels) small grey images of frames by number."""
     wanted = {video.pts[number] for number in numbers}
-    found: dict[int, NDArray[np.uint8]] = {}
+    found: dict[int, Image] = {}
     size = (_WIDTH_PX, max(1, round(_WIDTH_PX * video.height_px / video.width_px)))
     for pts, image in frames_between(video.path, min(wanted), max(wanted)):
         if pts in wanted:
@@ -142,7 +141,7 @@ def _small_images(video: VideoIndex, numbers: Sequence[int], count: Callable[[in
     return np.array([found.get(video.pts[number], blank) for number in numbers])
 
 
-def _motion(small: NDArray[np.uint8]) -> Floats:
+def _motion(small: Image) -> Floats:
     """(N,) how much each image differs from the one before it and the one after it, the larger; infinite at both ends."""
     steps = np.array([_difference(a, b) for a, b in pairwise(small)])
     motion = np.full(len(small), np.inf)
@@ -179,7 +178,7 @@ def _offset_s(videos: Videos, left: Floats, right: Floats) -> float:
     return peak * _STEP_S
 
 
-def _still_and_distinct(small: NDArray[np.uint8], motion: Floats) -> list[int]:
+def _still_and_distinct(small: Image, motion: Floats) -> list[int]:
     """Numbers of the still images, one of each window, the stillest first as long as they differ; in order."""
     finite = motion[np.isfinite(motion)]
     quietest = float(np.percentile(finite, 10)) if finite.size else 0.0
@@ -192,5 +191,5 @@ def _still_and_distinct(small: NDArray[np.uint8], motion: Floats) -> list[int]:
     return sorted(picked)
 
 
-def _difference(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+def _difference(a: Image, b: Image) -> float:
     return float(cv2.absdiff(a, b).mean())

@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.small_arrays import nearest
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image, Ints
 from conetl.model.params import MarkingParams
 from conetl.model.rig import Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
 from conetl.perception.markings.road_plane import RoadPlane, find_road, right_from_parallel
 
-Ints = NDArray[np.intp]
 Grid = NDArray[np.float32]
 
 #: Columns of the grid on the road: fine enough for the nearest rows, of which a pixel is about as wide.
@@ -95,9 +94,7 @@ class _Bands(NamedTuple):
         return (self.rise + self.fall) / 2
 
 
-def find_points(
-    frame_index: int, left: NDArray[np.uint8], right: NDArray[np.uint8], rig: Rig, params: MarkingParams
-) -> MarkingPoints:
+def find_points(frame_index: int, left: Image, right: Image, rig: Rig, params: MarkingParams) -> MarkingPoints:
     """All points of lane markings that one frame pair of colour images (H, W, 3) shows; none where it shows no road."""
     grey_left, grey_right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (left, right))
     road = find_road(grey_left, grey_right, rig)
@@ -161,7 +158,7 @@ def _road_grid(road: RoadPlane, rig: Rig, params: MarkingParams) -> _RoadGrid:
     return _RoadGrid(rows, depth, _STEP_M * camera.fx_px / depth, np.arange(-half, half + 1.0), plane)
 
 
-def _resampled(image: NDArray[np.uint8], u: Grid, v: Grid) -> tuple[NDArray[np.uint8], Grid]:
+def _resampled(image: Image, u: Grid, v: Grid) -> tuple[Image, Grid]:
     """The colours (R, C, 3) and grey levels (R, C) of an image at points; NaN in the grey levels outside of it.
 
     Grey levels are means of red and green: in blue, yellow paint is no brighter than the road.
@@ -276,7 +273,7 @@ def _road_height_beside(road: RoadPlane, grid: _RoadGrid, row: Ints, edge_px: Fl
     return found
 
 
-def _tints(colours: NDArray[np.uint8], bands: _Bands, chosen: Ints) -> tuple[Floats, Floats]:
+def _tints(colours: Image, bands: _Bands, chosen: Ints) -> tuple[Floats, Floats]:
     """(N,) logarithms of how much brighter than the road the paint is in blue, and in red, each against green.
 
     Ratios of paint to road do not depend on the white balance; of white paint they are equal in all colours.

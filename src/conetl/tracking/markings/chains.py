@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from conetl.model.arrays import Ints
 from conetl.tracking.markings.located import LocatedPoints
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 _BIN_M, _CELL_M = 0.5, 0.02
 #: Smoothing of the density across the path: what points of one marking scatter.

@@ -6,17 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.camera import rays
 from conetl.geometry.linear_reference import project, smoothed, spaced, stations
 from conetl.geometry.rig import map_SE3_left
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import Drive
 from conetl.model.rig import Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 #: The path is given by points so far apart, smoothed so much: a vehicle sways within its lane. Points nearer than this to the one
 #: before are left out.
@@ -53,7 +50,7 @@ class LocatedPoints:
     weight: Floats
     """(N,) inverse variances, up to a common factor."""
 
-    def some(self, chosen: Ints | NDArray[np.bool_]) -> LocatedPoints:
+    def some(self, chosen: Ints | Bools) -> LocatedPoints:
         """Those points only."""
         return LocatedPoints(
             self.line_m, self.frames, self.frame_station_m, self.map_SE3_left, self.frame[chosen],

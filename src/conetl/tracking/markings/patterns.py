@@ -10,17 +10,15 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtri
 
 from conetl.geometry.linear_reference import locate
 from conetl.geometry.small_arrays import robust_std
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.markings import MarkingPattern
 from conetl.model.rig import Rig
 from conetl.tracking.markings.located import LocatedPoints
-
-Floats = NDArray[np.float64]
 
 #: Cells along the chain, and the sigma by which their shares of hits are smoothed.
 _CELL_M, _SMOOTHING_M = 0.1, 0.15
@@ -50,7 +48,7 @@ class Searched(NamedTuple):
     """N rows of all frame pairs that cross a chain inside of both images, one array (N,) each."""
 
     station_m: Floats
-    hit: NDArray[np.bool_]
+    hit: Bools
     """Whether paint was found there."""
     weight: Floats
     """1 over the square of the depth (m): a row far away covers more of the road."""
@@ -127,7 +125,7 @@ def pieces_of(searched: Searched, min_length_m: float) -> list[PatternPiece]:
     return [piece for piece in pieces if piece is not None and piece.painted_m >= min_length_m]
 
 
-def _shares(cell: NDArray[np.intp], searched: Searched, count: int) -> tuple[Floats, Floats]:
+def _shares(cell: Ints, searched: Searched, count: int) -> tuple[Floats, Floats]:
     """Smoothed share of hits in each of `count` cells, whose last is followed by the first, and the weight of the rows in it."""
     values = np.stack([np.bincount(cell, one, count) for one in (searched.weight, searched.weight * searched.hit)])
     seen, hits = gaussian_filter1d(values, _SMOOTHING_M / _CELL_M, mode="wrap")
@@ -150,7 +148,7 @@ class _Run(NamedTuple):
         return self.end_m - self.start_m
 
 
-def _runs(at: Floats, share: Floats, known: NDArray[np.bool_], least: float) -> list[_Run]:
+def _runs(at: Floats, share: Floats, known: Bools, least: float) -> list[_Run]:
     """Runs of paint, their ends where the share of hits crosses `least`; where nothing was observed a run continues.
 
     at, share, known (C,): station of each cell, its share of hits, and whether it was observed.

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, shared_cov
 from conetl.geometry.linear_reference import directions_at, locate
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.small_arrays import robust_std
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import Drive, FramePair
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.markings import Marking, MarkingColour, MarkingTrack, marking_existence
@@ -26,8 +26,6 @@ from conetl.tracking.error_propagation import PoseCov, constant_and_change, move
 from conetl.tracking.markings.chains import chains_of
 from conetl.tracking.markings.located import LocatedPoints, locate_points
 from conetl.tracking.markings.patterns import PatternPiece, pieces_of, searched_rows
-
-Floats = NDArray[np.float64]
 
 #: Huber's bound, in sigmas, and rounds of the robust fit.
 _ROBUST, _ROUNDS = 2.0, 4
@@ -63,13 +61,13 @@ class _Course(NamedTuple):
     """(K,) along the drive's path; so the following across it, positive to its left, and in the map's height."""
     offset_m: Floats
     height_m: Floats
-    frames: NDArray[np.intp]
+    frames: Ints
     """(F,) numbers of the frame pairs that observed it."""
     shares: Floats
     """(K, F) weight of each of them in each vertex; each row's sum is 1."""
     noise_m2: Floats
     """(K, 2, 2) covariance of offset and height from the scatter of the points."""
-    kept: NDArray[np.bool_]
+    kept: Bools
     """(N,) the points that are no outliers."""
 
 

@@ -20,17 +20,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.small_arrays import median
+from conetl.model.arrays import Floats, Image
 from conetl.model.rig import Camera
 from conetl.tracking.matching.cone_outline import Outline
 from conetl.tracking.matching.cone_pixels import BodyPixels, SplinePatch, cone_pixels
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_cov
 from conetl.tracking.matching.plate_pixels import Plate, plate_pixels
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 _MIN_CORRELATION = 0.75
 _MAX_ITERATIONS = 24
@@ -73,8 +70,8 @@ class AreaMatch:
 
 
 def match_area(
-    left: NDArray[np.uint8],
-    right: NDArray[np.uint8],
+    left: Image,
+    right: Image,
     outline: Outline | Plate,
     disparity_px: float,
     search_px: float,
@@ -106,7 +103,7 @@ def match_area(
 
 
 def _whole_pixel_disparity(
-    pixels: BodyPixels, right: NDArray[np.uint8], guess: float, search_px: float, at_infinity_px: float, row_offset: int
+    pixels: BodyPixels, right: Image, guess: float, search_px: float, at_infinity_px: float, row_offset: int
 ) -> int | None:
     """Best whole-pixel disparity; None at the limit of the search, below the threshold, or outside the image."""
     reach = int(np.ceil(search_px)) + 1
@@ -134,7 +131,7 @@ def _whole_pixel_disparity(
 
 
 def _least_squares(
-    pixels: BodyPixels, right: NDArray[np.uint8], start: float, at_infinity_px: float, row_offset_px: float
+    pixels: BodyPixels, right: Image, start: float, at_infinity_px: float, row_offset_px: float
 ) -> AreaMatch | None:
     """Gauss-Newton on all unknowns; gain and offset of each colour are eliminated in stacked step."""
     beyond = pixels.beyond

@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats, Image
 from conetl.model.drive import Detection
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
-
-Floats = NDArray[np.float64]
 
 #: Search ranges of the half width of a body, at the tip and at the foot, as shares of the width of its box. The predicted values
 #: (`FeatureClass.body`) and these are from the sample drives and one real street.
@@ -73,7 +71,7 @@ def expected_outline(detection: Detection) -> Outline:
     )  # fmt: skip
 
 
-def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
+def find_outline(image: Image, detection: Detection) -> Outline:
     """The outline of a detection's cone in its image (H, W, 3), uint8."""
     expected = expected_outline(detection)
     width = detection.w_px

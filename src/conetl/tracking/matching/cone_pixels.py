@@ -15,14 +15,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from conetl.model.arrays import Bools, Floats, Image, Ints
 from conetl.model.rig import Camera
 from conetl.tracking.matching.cone_outline import Outline
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 _MIN_PIXELS = 24
 _MAX_PIXELS = 1200
@@ -74,7 +71,7 @@ class Beyond(NamedTuple):
     """(e, 2, channels) grey values in the left image"""
 
 
-def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> BodyPixels | None:
+def cone_pixels(left: Image, outline: Outline, camera: Camera, up: Floats) -> BodyPixels | None:
     """The pixels inside the outline, with the disparity surface over them; None if there are too few pixels."""
     height = outline.foot_row - outline.tip_row
     first = max(int(np.ceil(outline.tip_row + _ROWS[0] * height)), 0)
@@ -113,7 +110,7 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
     )  # fmt: skip
 
 
-def some_rows(inside: NDArray[np.bool_]) -> tuple[Ints, Ints] | None:
+def some_rows(inside: Bools) -> tuple[Ints, Ints] | None:
     """Rows and columns of the pixels in a mask, of a large one in every so many rows alone; None if there are too few."""
     every = max(int(np.ceil(inside.sum() / _MAX_PIXELS)), 1)
     inside[np.arange(len(inside)) % every != 0] = False  # neighbouring rows of a near object are redundant
@@ -121,7 +118,7 @@ def some_rows(inside: NDArray[np.bool_]) -> tuple[Ints, Ints] | None:
     return None if len(rows) < _MIN_PIXELS else (rows, columns)
 
 
-def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats, rows: Ints) -> Beyond | None:
+def _beyond(left: Image, outline: Outline, camera: Camera, up: Floats, rows: Ints) -> Beyond | None:
     """Background beside both edges of every row; None if it is outside the image."""
     y = rows.astype(np.float64)
     axis, radius = outline.axis(y), outline.radius(y)
@@ -136,7 +133,7 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
     return Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
 
 
-def smooth(image: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
+def smooth(image: Image, rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
     """Grey values (rows, columns, channels) blurred like `SplinePatch` at whole pixels, and their slopes along columns and
     rows."""
     top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, image.shape[0] - 1)
@@ -218,7 +215,7 @@ class SplinePatch(NamedTuple):
     column0: int
 
     @staticmethod
-    def of(image: NDArray[np.uint8], row0: float, row1: float, column0: float, column1: float) -> SplinePatch | None:
+    def of(image: Image, row0: float, row1: float, column0: float, column1: float) -> SplinePatch | None:
         """The part with rows and columns between two limits; None if it would leave the image at the sides."""
         first, last = int(np.floor(column0)) - 2, int(np.floor(column1)) + 4
         if first < 0 or last > image.shape[1]:

@@ -7,10 +7,8 @@ and its slopes count in the normal matrix as if they determined the disparity, m
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
+from conetl.model.arrays import Floats, Ints
 
 #: Least factor on the variance for correlated neighbours. On the sample drives residuals correlate by 0.52 side by side and by
 #: 0.09 two pixels apart, along rows and along columns, by the blur of interpolation and lens: (1 + 2 * 0.61) squared. Half of

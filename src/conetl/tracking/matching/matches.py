@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from conetl.geometry.camera import project, rays
 from conetl.geometry.rig import infinity_shift_px
+from conetl.model.arrays import Image
 from conetl.model.base import Vec2
 from conetl.model.drive import Detection, StereoMatch
 from conetl.model.feature_classes import FEATURE_CLASSES
@@ -28,7 +29,6 @@ from conetl.tracking.matching.cone_outline import Outline, find_outline
 from conetl.tracking.matching.covariance import with_shared_part
 from conetl.tracking.matching.plate_pixels import Plate, find_plate
 
-Image = NDArray[np.uint8]
 Number = TypeVar("Number", float, NDArray[np.float64])
 #: Below this disparity the height of an object is undetermined.
 LEAST_DISPARITY_PX = 0.5
