@@ -122,8 +122,11 @@ def desk(office: Desk, database_url: str) -> Desk:
 
 
 @pytest.fixture
-def small_drive(tmp_path: Path) -> Path:
-    return cut_drive(SAMPLES[0], tmp_path / "small", frames=range(4, 20))
+def small_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In the same folder for each test, and so by the same paths: what one test has found in its images the others read."""
+    folder = tmp_path_factory.getbasetemp() / "small-drives"
+    shutil.rmtree(folder, ignore_errors=True)
+    return cut_drive(SAMPLES[0], folder / "small", frames=range(4, 20))
 
 
 def truth_changes(drive: Path) -> dict[str, int]:
@@ -325,7 +328,7 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     shift_poses(lower, height_m=-0.6)
     desk.ingest(lower)
     [remark] = desk.ingest(small_drive).remarks
-    assert remark.startswith("On hold now: drive lower (changeset 1). Its cones lie 0.6 m lower")
+    assert remark.startswith("On hold now: drive lower (changeset 1). Its cones lie 0.60 m lower")
 
     jumping = cut_drive(SAMPLES[2], tmp_path / "jumping", frames=range(4, 20))
     shift_poses(jumping, lat_deg=4e-5, first=8)
