@@ -25,7 +25,7 @@ from conetl.model.drive import Detection, FramePair
 from conetl.model.map_records import Decisions, Delta, DeltaKind, FeatureVersion, MapFeature, MissSummary
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.rig import Side
-from conetl.tracking.apparent_boxes import hidden_share
+from conetl.tracking.matching.apparent_boxes import hidden_share
 from tests.synthetic.world import (
     ORIGIN_M,
     START_NS,

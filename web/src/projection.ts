@@ -7,7 +7,7 @@ import { ellipse95 } from "./overlays";
 export type Point = [number, number];
 
 const NEAREST_M = 0.3;
-/** Width of a cone's base plate and of its tip over its height, as in src/conetl/tracking/apparent_boxes.py. */
+/** Width of a cone's base plate and of its tip over its height, as in src/conetl/model/feature_classes.py. */
 const [BASE_SHARE, TIP_SHARE] = [0.55, 0.08];
 /** Depths (m) between which an epipolar line is drawn. */
 const DEPTHS_M = [0.7, 400] as const;

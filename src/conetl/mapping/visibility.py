@@ -26,7 +26,7 @@ from conetl.model.map_records import MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import MarkingParams, ReconcileParams
 from conetl.model.rig import SIDES, Camera, Rig, Side
-from conetl.tracking.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
+from conetl.tracking.matching.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
 
 #: Cones farther from a location than this do not explain detections at it.
 _NEIGHBOUR_M = 6.0

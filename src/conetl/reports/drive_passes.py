@@ -24,7 +24,7 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import ReconcileParams
 from conetl.model.rig import Rig, Side
 from conetl.reports.camera_images import Box
-from conetl.tracking.apparent_boxes import apparent_boxes
+from conetl.tracking.matching.apparent_boxes import apparent_boxes
 
 #: Farther from a cone no detector sees it.
 _WITHIN_M = 60.0

@@ -32,7 +32,7 @@ from conetl.model.drive import Detection, Position
 from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
 from conetl.model.rig import Camera, Rig, Side
-from conetl.tracking.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
+from conetl.tracking.matching.apparent_boxes import Box, apparent_boxes, are_in_view, hidden_share, iou
 from conetl.tracking.matching.epipolar_search import is_within, right_region
 
 

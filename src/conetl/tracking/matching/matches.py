@@ -23,7 +23,7 @@ from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import MatchParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Camera, Rig
-from conetl.tracking.apparent_boxes import hidden_share
+from conetl.tracking.matching.apparent_boxes import hidden_share
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import Outline, find_outline
 from conetl.tracking.matching.covariance import with_shared_part

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from conetl.model.drive import Detection
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.rig import Camera
-from conetl.tracking.apparent_boxes import nearer_boxes
+from conetl.tracking.matching.apparent_boxes import nearer_boxes
 from conetl.tracking.matching.cone_pixels import Beyond, BodyPixels, smooth, some_rows
 
 Floats = NDArray[np.float64]
