@@ -39,7 +39,7 @@ _FILE_OPTIONS = frozenset({"left", "right", "timestamps", "right-timestamps", "t
 _COMMENTS = {
     "images": "the videos or folders of images",
     "trajectory": "the GNSS/INS log",
-    "mount": "left camera as seen from the antenna or IMU of the trajectory",
+    "mount": "left camera as seen from antenna or IMU; if its angles may be off by 1 degree: sigmas: {pitch_deg: 1}",
     "sigmas": "of the trajectory, which states none",
     "clock": "of the images against the trajectory; found from turns and changes of speed",
 }
