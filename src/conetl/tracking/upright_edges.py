@@ -31,8 +31,9 @@ _PART_S, _IMAGES = 10.0, 12
 _LEAST_PX, _END_PX, _UNEVEN_RAD = 20.0, 0.7, np.radians(0.25)
 #: Edges are searched within so much of the vertical by course and odometry; upright ones are within so much of each other (rad).
 _SEARCH_RAD, _NEAR_RAD = np.radians(8.0), np.radians(0.6)
-#: At least so many are upright, and such a share of those that are searched: of edges of all directions it is 0.08.
-_LEAST_EDGES, _LEAST_SHARE = 40, 0.2
+#: At least so many are upright, and such a share of those that are searched: of edges of all directions it is 0.08, and up to
+#: 0.25 in clips whose halves contradict each other.
+_LEAST_EDGES, _LEAST_SHARE = 40, 0.3
 #: An edge is seen in many images, and houses lean (rad, one sigma): it counts as one in so many, and no roll is known better.
 _ALIKE, _LEANS_RAD = 10.0, np.radians(0.25)
 #: What a course says of roll and pitch, and what is known where edges show nothing (rad, one sigma).
