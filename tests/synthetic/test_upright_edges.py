@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.model.arrays import Image
 from conetl.model.drive import FramePair
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Side
@@ -24,7 +24,6 @@ from tests.synthetic.good_drives import PARAMS, RIG
 from tests.synthetic.odometry import motions_of, pose_errors
 from tests.synthetic.sparse_drive import record
 
-Image = NDArray[np.uint8]
 CAMERA = RIG.left
 
 

@@ -11,13 +11,12 @@ from contextlib import suppress
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.rig import camera_of
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Image
 from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Camera, Rig
@@ -83,7 +82,7 @@ def _tilted(pair: FramePair, map_R_left: Floats, body_R_left: Floats, tilt: Floa
     return pair.model_copy(update={"pose": pair.pose.model_copy(update=more)})
 
 
-def edges_near(image: NDArray[np.uint8], camera: Camera, map_R_left: Floats, map_R_middle: Floats) -> Floats:
+def edges_near(image: Image, camera: Camera, map_R_left: Floats, map_R_middle: Floats) -> Floats:
     """(N, 4) edges near the vertical: angle against it (rad), its derivatives by turns of the camera in the middle of the part
     about its optical axis and its x axis, and its sigma (rad)."""
     lines = cv2.createLineSegmentDetector().detect(image)[0]
