@@ -129,7 +129,7 @@ def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray
     assert largest_m(read_drive(folder)[0], cones, tmp_path) < 0.02
     log = video_drives.LOGS["RTKLIB .pos"]
     alone = video_drives.with_log(folder, tmp_path / "positions", log, video_drives.known_of(whole))
-    assert largest_m(read_drive(alone)[0], cones, tmp_path) < 0.02, "upright edges show the roll"
+    assert largest_m(read_drive(alone)[0], cones, tmp_path) < 0.025, "upright edges show the roll"
 
 
 @pytest.fixture(scope="module")
