@@ -125,3 +125,12 @@ def test_a_camera_that_looks_to_the_side_shows_no_roll() -> None:
     rig = RIG.model_copy(update=own)
     motions = motions_of(truth, rig, np.random.default_rng(1), PARAMS)
     assert with_roll(pairs, rig, motions, reader(truth @ aside, 1), PARAMS) == tuple(pairs)
+
+
+def test_a_recording_that_pauses_has_fewer_images_than_parts() -> None:
+    truth, motions, pairs = rolled(1, 3.0)
+    later = [
+        pair.model_copy(update={"captured_at_ns": pair.captured_at_ns + 900 * 10**9 * (k > 4)})
+        for k, pair in enumerate(pairs)
+    ]
+    assert len(with_roll(later[:10], RIG, motions[:9], reader(truth, 1), PARAMS)) == 10

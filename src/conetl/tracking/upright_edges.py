@@ -52,10 +52,10 @@ def with_roll(
         return tuple(frame_pairs)
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
     axes, camera, found = refined.map_SE3_left[:, :3, :3], camera_of(rig, "left"), []
-    for part in np.array_split(np.arange(len(times_s)), max(round(times_s[-1] / _PART_S), 1)):
+    for part in np.array_split(np.arange(len(times_s)), np.clip(round(times_s[-1] / _PART_S), 1, len(times_s))):
         middle, edges = axes[part[len(part) // 2]], [np.empty((0, 4))]
         for k in sorted(set(np.linspace(part[0], part[-1], _IMAGES).round().astype(int))):
-            with suppress(ImageFileError):
+            with suppress(ImageFileError, cv2.error):
                 edges.append(edges_near(read(frame_pairs[k], "left"), camera, axes[k], middle))
         tilt, cov = tilt_of(np.concatenate(edges))
         turns = middle[:, [2, 0]]
