@@ -27,6 +27,7 @@ from conetl.tracking.matching.apparent_boxes import hidden_share
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import Outline, find_outline
 from conetl.tracking.matching.covariance import with_shared_part
+from conetl.tracking.matching.ends import board_edges, ground_row
 from conetl.tracking.matching.plate_pixels import Plate, find_plate
 
 Number = TypeVar("Number", float, NDArray[np.float64])
@@ -48,6 +49,9 @@ _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0)
 #: Share of the box's width by which a foot errs along the rows if a nearer object hides all of the box's lower half. Measured on
 #: the sample drives and mixed worlds 4 and 5.
 _FOOT_HIDDEN = 0.3
+#: Sigma across the rows of the end of a box whose object ends on ground that is not visible, as a share of its height: boxes of
+#: successive frames err alike, so that ten of them have the error of one. Chosen on eight rendered drives.
+_BOX_END = 0.09
 #: Ratio of the scatter of feet to the difference of both images, which have errors in common.
 _BOTH_ALIKE = 1.5
 #: Prior weight of the stated scatter, in matches; limit of a difference in sigmas; limits of the factor.
@@ -78,10 +82,9 @@ def match_pair(
     areas: dict[tuple[int, int], AreaMatch | None] = {}
     costs = np.full((len(left_whole), len(right_whole)), np.inf)
     middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole])
+    shifts = infinity_shift_px(rig, middles).tolist()
     outlines: list[Outline | Plate | None] = [None] * len(left_whole)
-    for i, (a, (at_infinity_px, rows_up)) in enumerate(
-        zip(left_whole, infinity_shift_px(rig, middles).tolist(), strict=True)
-    ):
+    for i, (a, (at_infinity_px, rows_up)) in enumerate(zip(left_whole, shifts, strict=True)):
         for j, b in enumerate(right_whole):
             alike = _compare_boxes(a, b, at_infinity_px, -rows_up, rig, params)
             if alike is None:
@@ -104,7 +107,20 @@ def match_pair(
     for index, (i, j) in enumerate(pairs):
         a, b = left_whole[i], right_whole[j]
         hidden = (_hidden_foot(a, left) + _hidden_foot(b, right)) / 2
-        matches.append(_stereo_match(index, a, b, float(costs[i, j]), areas[i, j], outlines[i], hidden, rig, up_left))
+        shown, area = FEATURE_CLASSES[a.category].end, areas[i, j]
+        ends, row_px = (a, b), None
+        if images is not None and area is not None and shown == "edges":
+            ends = board_edges(images[0], a), board_edges(images[1], b)
+        elif images is not None and area is not None and shown == "ground":
+            at_infinity_px, rows_up = shifts[i]
+            row_px = ground_row(
+                images, a, left, area.disparity_px,
+                camera=rig.left, up=up_left, at_infinity_px=at_infinity_px, row_offset_px=-rows_up,
+            )  # fmt: skip
+        match = _stereo_match(index, a, b, ends, float(costs[i, j]), area, outlines[i], hidden, rig, up_left)
+        if shown == "ground":
+            match = _with_foot_at(match, None if row_px is None else row_px - shifts[i][1] / 2)
+        matches.append(match)
     return matches, rejections
 
 
@@ -237,6 +253,7 @@ def _stereo_match(
     index: int,
     a: Detection,
     b: Detection,
+    ends: tuple[Detection, Detection],
     cost: float,
     area: AreaMatch | None,
     outline: Outline | Plate | None,
@@ -246,10 +263,11 @@ def _stereo_match(
 ) -> StereoMatch:
     """The record of a match.
 
-    area, outline: what both images, and the left one, show of it. hidden: share of the lower half of the boxes behind others.
+    ends: a and b, with the edges that the images show. area, outline: what both images, and the left one, show of it. hidden:
+    share of the lower half of the boxes behind others.
     """
-    foot_left, tip_left, centre_left = _foot_tip_centre(a, rig.left, up)
-    foot_right, tip_right, centre_right = _foot_tip_centre(b, rig.right, up)
+    foot_left, tip_left, centre_left = _foot_tip_centre(ends[0], rig.left, up)
+    foot_right, tip_right, centre_right = _foot_tip_centre(ends[1], rig.right, up)
     pointing_sigma = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.w_px + b.w_px) / 2
     width, height = (a.w_px + b.w_px) / 2, (a.h_px + b.h_px) / 2
     across, along, of_cone = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * height, pointing_sigma / 2**0.5, 0.0
@@ -287,6 +305,18 @@ def _stereo_match(
         sigma_outline_px=of_cone,
         refined=area is not None,
         cost=cost,
+    )
+
+
+def _with_foot_at(match: StereoMatch, row_px: float | None) -> StereoMatch:
+    """The match with the mean row of its feet, where the ground shows it; their difference remains, as the scatter of boxes."""
+    (left_u, left_v), (right_u, right_v) = match.foot_left_uv_px, match.foot_right_uv_px
+    if row_px is None:
+        loose = _BOX_END * (match.left.h_px + match.right.h_px) / 2
+        return match.model_copy(update={"sigma_v_px": float(np.hypot(match.sigma_v_px, loose))})
+    lower_px = row_px - (left_v + right_v) / 2
+    return match.model_copy(
+        update={"foot_left_uv_px": (left_u, left_v + lower_px), "foot_right_uv_px": (right_u, right_v + lower_px)}
     )
 
 
