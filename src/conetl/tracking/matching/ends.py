@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.camera import rays
-from conetl.model.records import Camera, Detection
+from conetl.model.drive import Detection
+from conetl.model.rig import Camera
 from conetl.tracking.apparent_boxes import nearer_boxes
 from conetl.tracking.matching.area_matching import match_area
 from conetl.tracking.matching.plate_pixels import Plate
