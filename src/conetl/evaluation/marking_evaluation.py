@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from conetl.evaluation.accuracy import calibration_of, pose_and_calibration, pose_parts
+from conetl.evaluation.accuracy import calibration_of, pose_and_calibration
 from conetl.evaluation.markings import (
     NEES_PARTS,
     MarkingErrors,
@@ -27,10 +27,10 @@ from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
 from conetl.model.markings import MarkingTrack
 from conetl.reports.html import Section
-from conetl.tracking.error_propagation import PoseCov
+from conetl.tracking.error_propagation import PoseCov, constant_and_change
 
-#: Distance at which markings are measured well, where the pose's error is taken from.
-_TYPICAL_RANGE_M = 8.0
+#: Depths between which markings are measured, and where they are measured well.
+_VIEW_M, _TYPICAL_RANGE_M = (4.0, 16.0), 8.0
 _FIGURES = (
     "", "visible m", "found m", "complete", "correct", "double", "lateral median", "95 %", "height median", "95 %", "width",
     "dash", "gap", "pattern right", "colour right",
@@ -119,16 +119,22 @@ def _covariances(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -
     """Of all vertices of a drive, as `marking_consistency` takes them: their own errors, which poses that change within the drive
     correlate, and those common to the drive.
 
-    The pose is that from which a vertex was about 8 m ahead, where markings are measured well.
+    A vertex moves with the poses from which it was in view, near ones most, as in its fit.
     """
     vertices = np.array([vertex for track in tracks for vertex in track.marking.vertices_m]).reshape(-1, 3)
-    left = np.array([map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs])
+    pairs = drive.frame_pairs
+    left = np.array([map_SE3_left(pair.pose, drive.rig) for pair in pairs])
     ahead = np.einsum("nfi,fi->nf", vertices[:, None] - left[:, :3, 3], left[:, :3, 2])
-    chosen = [drive.frame_pairs[f] for f in np.abs(ahead - _TYPICAL_RANGE_M).argmin(axis=1)]
-    jacobian, sigmas = pose_and_calibration(vertices, [pair.pose for pair in chosen], drive.rig)
-    constant, change = pose_parts(jacobian[:, :, :6], [pair.frame_index for pair in chosen], sigmas**2, poses)
+    seen = (ahead > _VIEW_M[0]) & (ahead < _VIEW_M[1])
+    seen[np.arange(len(seen)), np.abs(ahead - _TYPICAL_RANGE_M).argmin(axis=1)] = True
+    weight = np.where(seen, np.maximum(ahead, _VIEW_M[0]) ** -2.0, 0.0)
+    weight /= weight.sum(axis=1, keepdims=True)
+    by_frame = np.stack([pose_and_calibration(vertices, [pair.pose] * len(vertices), drive.rig)[0] for pair in pairs])
+    moved = weight.T[:, :, None, None] * by_frame
+    constant, change = constant_and_change(poses([pair.frame_index for pair in pairs]))
+    by_pose = moved[..., :6].transpose(1, 2, 0, 3).reshape(3 * len(vertices), -1)
     own = on_diagonal(cov_matrices([cov for track in tracks for cov in track.image_cov_m2]))
-    return own + change, jacobian, block_diag(constant, calibration_of(drive.rig))
+    return own + by_pose @ change @ by_pose.T, moved.sum(axis=0), block_diag(constant, calibration_of(drive.rig))
 
 
 def _row(name: str, figures: MarkingFigures) -> tuple[object, ...]:

@@ -1,8 +1,8 @@
 """Points of lane markings of one drive -> tracks: their course, attributes and covariances.
 
 The course is piecewise linear between vertices at equal distances along the drive's path, fitted to the points' offsets and
-heights by robust least squares with a small penalty on bends, which continues it across gaps. So a vertex is a weighted mean of
-points of several frame pairs, and errors of poses and calibration move it with the same weights.
+heights by robust least squares with a small penalty on its bend and changes of it, which continues it across gaps. So a vertex
+is a weighted mean of points of several frame pairs, and errors of poses and calibration move it with the same weights.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ from conetl.tracking.markings.patterns import PatternPiece, pieces_of, searched_
 _ROBUST, _ROUNDS = 2.0, 4
 #: A course is fitted to so many points at least.
 _LEAST_POINTS = 6
-#: Weight of the squared bend (m per vertex) of a course against that of one point.
-_STIFFNESS = 3.0
+#: Weights of the squared bend (m per vertex) of a course, and of its change, against that of one point: the bend alone would
+#: straighten the ends of curves. Chosen on twelve rendered drives.
+_BEND, _CHANGE = 0.9, 3.0
 #: Sigmas of what all points of one frame pair have in common (glare, shadows, the motion during exposure), and of what all points
 #: of a marking have (shape of its edges, disparities).
 _FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
@@ -88,7 +89,7 @@ def fuse_markings(
         own = points.some(chain)
         if not _is_flat(own, params) or len(np.unique(own.frame)) < params.min_frames:
             continue
-        rough = _fit_course(own, float(own.station_m[0]), float(own.station_m[-1]), params.vertex_spacing_m)
+        rough = _fit_course(own, float(own.road_station_m[0]), float(own.road_station_m[-1]), params.vertex_spacing_m)
         if rough is None:
             continue
         own = own.some(rough.kept)
@@ -111,12 +112,13 @@ def _is_flat(points: LocatedPoints, params: MarkingParams) -> bool:
 
 def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: float) -> _Course | None:
     """Course of the points of one marking between two stations; None where it is too short or they are too few."""
-    inside = (points.station_m >= start_m - spacing_m / 2) & (points.station_m <= end_m + spacing_m / 2)
+    # Stations of the stereo points have errors of their depth: those at the end of a course would be the ones too far away.
+    inside = (points.road_station_m >= start_m - spacing_m / 2) & (points.road_station_m <= end_m + spacing_m / 2)
     count = max(round((end_m - start_m) / spacing_m), 1) + 1
     if inside.sum() < _LEAST_POINTS or end_m - start_m < spacing_m:
         return None
     knots = np.linspace(start_m, end_m, count)
-    position = np.clip((points.station_m[inside] - start_m) / (knots[1] - knots[0]), 0, count - 1 - 1e-9)
+    position = np.clip((points.road_station_m[inside] - start_m) / (knots[1] - knots[0]), 0, count - 1 - 1e-9)
     first = position.astype(np.intp)
     part = position - first
     hats = np.zeros((len(first), count))
@@ -124,7 +126,8 @@ def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: 
     observed = np.stack([points.offset_m[inside], points.xyz_m[inside, 2]], axis=1)
     prior = points.weight[inside] / np.median(points.weight[inside])
     bend = np.diff(np.eye(count), n=2, axis=0)
-    penalty = _STIFFNESS * bend.T @ bend + 1e-9 * np.eye(count)
+    change = np.diff(bend, axis=0)
+    penalty = _BEND * bend.T @ bend + _CHANGE * change.T @ change + 1e-9 * np.eye(count)
     robust = np.ones(len(first))
     for _ in range(_ROUNDS):
         weight = prior * robust
