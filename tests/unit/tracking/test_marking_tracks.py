@@ -176,7 +176,7 @@ def test_kerbs_and_what_is_seldom_seen_are_no_markings() -> None:
 
 
 def test_lines_end_on_their_course_although_depths_of_far_points_are_uncertain() -> None:
-    """The last vertex of a bend, seen from afar alone, is neither too low, as are points that look too far away, nor straight on."""
+    """The last vertex of a bend, seen from afar alone: neither too low, as points that look too far away are, nor straight on."""
     last = []
     for seed in range(6):
         (track,) = fused({-1.5: everywhere}, seed=seed, depth_px=0.6)
