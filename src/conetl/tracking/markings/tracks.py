@@ -37,8 +37,11 @@ _BEND, _CHANGE = 0.9, 3.0
 #: Sigmas of what all points of one frame pair have in common (glare, shadows, the motion during exposure), and of what all points
 #: of a marking have (shape of its edges, disparities).
 _FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
-#: Sigma of the paint's own course against a straight line, and its share of the bend at a vertex.
-_COURSE_SIGMA_M, _BEND_SHARE = 0.0015, 0.15
+#: Sigma across a marking of its worn edges, as a share of the scatter of its width; share of the bend at a vertex that is error.
+_WORN_SHARE, _BEND_SHARE = 0.3, 0.15
+#: Share of the variance of the points about the course that vertices show, beside the errors above. Measured, as the share of worn
+#: edges, on twelve rendered drives.
+_NOISE_SHARE = 0.6
 #: Frame pairs of less weight than this share of the largest do not move a vertex.
 _LEAST_SHARE = 0.02
 #: Largest scatter of the points about the course (m) and of the widths (share).
@@ -147,7 +150,7 @@ def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: 
     core = size < 3 * _ROBUST
     scatter = (scaled[core].T * weight[core]) @ scaled[core] / weight[core].sum() if core.any() else np.eye(2)
     spread = inverse @ (normal - penalty) @ inverse
-    noise = np.diagonal(spread)[:, None, None] * scatter
+    noise = _NOISE_SHARE * np.diagonal(spread)[:, None, None] * scatter
     kept = np.zeros(len(points.station_m), dtype=bool)
     kept[np.flatnonzero(inside)[core]] = True
     return _Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
@@ -185,7 +188,7 @@ def _track(
     if robust_std(residual) > _MAX_SCATTER_M or width_scatter > _MAX_WIDTH_SCATTER * width:
         return None
     xyz = np.column_stack([locate(points.line_m, course.station_m, course.offset_m), course.height_m])
-    own_cov, pose_part, calibrated = _covariances(points, course, xyz, drive, pairs, poses)
+    own_cov, pose_part, calibrated = _covariances(points, course, xyz, _WORN_SHARE * width_scatter, drive, pairs, poses)
     middle = len(xyz) // 2
     contrast = float(np.median(own.columns.contrast))
     seen = [pairs[points.frames[number].frame_index].captured_at_ns for number in frames]
@@ -216,7 +219,13 @@ def _track(
 
 
 def _covariances(
-    points: LocatedPoints, course: _Course, xyz: Floats, drive: Drive, pairs: dict[int, FramePair], poses: PoseCov
+    points: LocatedPoints,
+    course: _Course,
+    xyz: Floats,
+    worn_m: float,
+    drive: Drive,
+    pairs: dict[int, FramePair],
+    poses: PoseCov,
 ) -> tuple[Floats, tuple[Floats, Floats], Floats]:
     """Of K vertices: (K, 3, 3) m^2 from the images; the same from all errors of the poses, and from the part of them that the
     frame pairs do not share; (K, 3, C) derivatives by the calibration's parameters."""
@@ -234,8 +243,8 @@ def _covariances(
         seen[:, 2] = np.maximum(seen[:, 2], 1.0)
         inner = min(max(k, 1), count - 2)  # the ends bend like their neighbours
         bend = course.offset_m[max(inner - 1, 0) : inner + 2]
-        unlike_a_line = np.ptp(np.diff(bend)) * _BEND_SHARE if len(bend) == 3 else _COURSE_SIGMA_M
-        own[k] += (_COURSE_SIGMA_M**2 + unlike_a_line**2) * np.outer(across[k], across[k])
+        unlike_a_line = np.ptp(np.diff(bend)) * _BEND_SHARE if len(bend) == 3 else worn_m
+        own[k] += (worn_m**2 + unlike_a_line**2) * np.outer(across[k], across[k])
         own[k] += _image_errors(left, seen, shares, axes[k], rig.left.fx_px, rig.left.fx_px * rig.baseline_m)
         members = [pairs[points.frames[number].frame_index] for number in frames]
         moved = shares[:, None, None] * moved_by_poses(
