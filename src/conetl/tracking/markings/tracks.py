@@ -38,10 +38,10 @@ _BEND, _CHANGE = 0.9, 3.0
 #: of a marking have (shape of its edges, disparities).
 _FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
 #: Sigma across a marking of its worn edges, as a share of the scatter of its width; share of the bend at a vertex that is error.
-_WORN_SHARE, _BEND_SHARE = 0.3, 0.15
-#: Share of the variance of the points about the course that vertices show, beside the errors above. Measured, as the share of worn
-#: edges, on twelve rendered drives.
-_NOISE_SHARE = 0.6
+_WORN_SHARE, _BEND_SHARE = 0.15, 0.15
+#: Share of the variance of the points about the course that vertices show beside the errors above. Most likely, as the share of
+#: worn edges, on twelve rendered drives.
+_NOISE_SHARE = 0.8
 #: Frame pairs of less weight than this share of the largest do not move a vertex.
 _LEAST_SHARE = 0.02
 #: Largest scatter of the points about the course (m) and of the widths (share).
