@@ -9,20 +9,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.camera import rays
+from conetl.model.arrays import Floats, Image
 from conetl.model.drive import Detection
 from conetl.model.rig import Camera
-from conetl.tracking.apparent_boxes import nearer_boxes
+from conetl.tracking.matching.apparent_boxes import nearer_boxes
 from conetl.tracking.matching.area_matching import match_area
 from conetl.tracking.matching.plate_pixels import Plate
 
-Floats = NDArray[np.float64]
-#: Half width of the part of a board whose mean colours are compared, as a share of the box; sigma of the box's edges, as a share
-#: of its height; pixels on both sides of the largest change that belong to it. Chosen, as the others here, on eight rendered
-#: drives (docs/explanation/accuracy.md).
-_INNER, _EDGE_SHARE, _BLUR_PX = 0.3, 0.06, 2
+#: The part of a board whose mean colours are compared, as shares of the box; sigma of the box's edges, as a share of its height;
+#: pixels on both sides of the largest change that belong to it. Chosen, as the others here, on eight rendered drives
+#: (docs/explanation/accuracy.md).
+_INNER, _EDGE_SHARE, _BLUR_PX = (0.2, 0.8), 0.06, 2
 #: The ground that is matched, as shares of the box: half width, which leaves out the feet, and rows above and below its end; the
 #: search for its disparity, as a share of the object's.
 _GROUND, _GROUND_SEARCH = (0.3, 0.03, 0.15), 0.15
@@ -30,20 +29,13 @@ _GROUND, _GROUND_SEARCH = (0.3, 0.03, 0.15), 0.15
 _LEAST_DOWNWARDS, _LEAST_ROWS = 0.02, 7
 
 
-def board_edges(image: NDArray[np.uint8], detection: Detection) -> Detection:
+def board_edges(image: Image, detection: Detection) -> Detection:
     """The detection with the edges of its board, which is upright and level, in its image (H, W, 3) instead of its box's."""
-    middle_px = detection.x_px + detection.w_px / 2, detection.y_px + detection.h_px / 2
-    inner = [
-        slice(max(int(middle - _INNER * size), 0), int(middle + _INNER * size) + 1)
-        for middle, size in zip(middle_px, (detection.w_px, detection.h_px), strict=True)
-    ]
-    ends = []
-    for profile, start, size in (
-        (image[inner[1]].mean(axis=0), detection.x_px, detection.w_px),
-        (image[:, inner[0]].mean(axis=1), detection.y_px, detection.h_px),
-    ):
-        ends.append([_largest_change(profile, end, detection.h_px) for end in (start, start + size)])
-    (left, right), (top, bottom) = ends
+    x, y, w, h = detection.x_px, detection.y_px, detection.w_px, detection.h_px
+    across = image[int(y + _INNER[0] * h) : int(y + _INNER[1] * h) + 1].mean(axis=0)
+    down = image[:, int(x + _INNER[0] * w) : int(x + _INNER[1] * w) + 1].mean(axis=1)
+    left, right = (_largest_change(across, end, h) for end in (x, x + w))
+    top, bottom = (_largest_change(down, end, h) for end in (y, y + h))
     return detection.model_copy(update={"x_px": left, "w_px": right - left, "y_px": top, "h_px": bottom - top})
 
 
@@ -65,7 +57,7 @@ def _largest_change(profile: Floats, end_px: float, height_px: float) -> float:
 
 
 def ground_row(
-    images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    images: tuple[Image, Image],
     detection: Detection,
     others: Sequence[Detection],
     disparity_px: float,
