@@ -1,6 +1,6 @@
 """Export a checkpoint to ONNX with its sidecar, and check that the runtime gives what PyTorch gave.
 
-    python training/export.py RUN/last.pt --out RUN/conetl-road-9.onnx --version 9.0
+    python training/export.py RUN/last.pt --out RUN/conetl-road-10.onnx --version 10.0
 
 The exported network takes pictures of one size as they lie in memory, (P, H, W, 3) BGR 0 to 255: what would have to be done to
 them before is folded into the first convolution.
@@ -102,11 +102,20 @@ def main() -> None:
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--version", required=True)
+    parser.add_argument(
+        "--scores", type=float, nargs=2, default=(1.0, 0.0), metavar=("FACTOR", "OFFSET"),
+        help="what the logits of scores are multiplied by, and what is added (Platt scaling on sources left out)",
+    )  # fmt: skip
     args = parser.parse_args()
     network = ConeNet()
     network.load_state_dict(torch.load(args.checkpoint, map_location="cpu", weights_only=True)["average"])
     network.eval()
     fuse_batch_norms(network)
+    factor, offset = args.scores
+    with torch.no_grad():
+        for score in network.score:
+            score.weight *= factor
+            score.bias.mul_(factor).add_(offset)
     picture = torch.rand(1, 96, 160, 3)
     names = [name for stride in STRIDES for name in (f"stride{stride}", f"stride{stride}_cells")]
     axes = {"picture": {0: "pictures", 1: "height", 2: "width"}} | {name: {0: f"{name}_count"} for name in names}

@@ -130,15 +130,15 @@ class Detector(nn.Module):
 
 
 class ConeNet(Detector):
-    """The network that is shipped: 1.50 million parameters."""
+    """The network that is shipped: 1.41 million parameters."""
 
     def __init__(self) -> None:
         widths = (32, 64, 64, 96)
         super().__init__(widths)
         self.stem = conv(3, 16, 3, 2)
-        self.stage4 = nn.Sequential(conv(16, 32, 3, 2), SplitBlock(32, 1))
+        self.stage4 = conv(16, 32, 3, 2)
         self.stage8 = nn.Sequential(conv(32, 64, 3, 2), SplitBlock(64, 2))
-        self.stage16 = nn.Sequential(conv(64, 128, 3, 2), SplitBlock(128, 3))
+        self.stage16 = nn.Sequential(conv(64, 128, 3, 2), SplitBlock(128, 2))
         self.stage32 = nn.Sequential(conv(128, 256, 3, 2), SplitBlock(256, 1), PoolPyramid(256))
         self.down32 = conv(256, 96, 1)
         self.side16, self.top16 = conv(128, 64, 1), conv(96, 64, 1)

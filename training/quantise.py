@@ -1,6 +1,6 @@
 """fp32 network -> int8 (QDQ, static), with the ranges seen on training pictures.
 
-    python training/quantise.py RUN/conetl-road-9.onnx --cones DIR --renders DIR --out data/models/conetl-road-9.onnx
+    python training/quantise.py RUN/conetl-road-10.onnx --cones DIR --renders DIR --out data/models/conetl-road-10.onnx
 
 Weights per channel, and in 7 bits: processors without VNNI add two 8-bit products in 16 bits and would overflow. The last layers
 stay fp32, as the sides of boxes suffer most from rounding. The quantised network takes the picture's bytes as they are.

@@ -1,6 +1,6 @@
 """A checkpoint to train on from, out of the shipped int8 network: for pictures of one's own, without a training from scratch.
 
-    python training/restore.py data/models/conetl-road-9.onnx --cones DIR --out RUN/start.pt
+    python training/restore.py data/models/conetl-road-10.onnx --cones DIR --out RUN/start.pt
     python training/train.py --start RUN/start.pt ...
 
 Weights are the 8-bit ones, as floats. The shipped network has its batch norms folded into its convolutions; here each of them

@@ -14,7 +14,7 @@ from conetl.model.detector_evidence import DetectorEvidence, Share
 from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.heads import SideDistributionHead, YoloHead
 
-DEFAULT_MODEL = "conetl-road-9.onnx"
+DEFAULT_MODEL = "conetl-road-10.onnx"
 #: Warning for a model without `evidence` in its sidecar.
 NOT_MEASURED = (
     "the model's sidecar does not say what its scores mean (key `evidence`): existence probabilities rest on a general guess; "

