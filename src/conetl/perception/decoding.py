@@ -17,29 +17,30 @@ from conetl.model.arrays import Floats
 
 #: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y, class
 COLUMNS = 10
-#: Candidates (N, 10), and the score below which the network may have omitted some (`omitted_below`).
+#: Candidates (N, 10), and the score below which the network may have omitted some.
 NetworkBoxes = tuple[Floats, float]
 
 
 def decode_cells(
     outputs: Sequence[NDArray[Any]],
-    size_px: tuple[int, int],
+    images_and_size: tuple[int, int, int],
     strides_px: Sequence[int],
     bins: int,
     score_threshold: float,
     *,
     foot_and_tip: bool = False,
     class_count: int = 1,
-) -> tuple[Floats, NDArray[np.int64]]:
-    """Cells of all strides -> candidates (N, 10) in pixels of the network's input, and the image (N,) of each.
+) -> tuple[Floats, NDArray[np.int64], float]:
+    """Cells of all strides -> candidates (N, 10) in pixels of the network's input, the image (N,) of each, and the highest score
+    that cells may have which the network omitted: it returns its best cells of each stride only (0 where it returns all).
 
     Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y, class. outputs: in turn values (K, 4*bins + class_count), or
     (K, 4*bins + 4 + class_count) with `foot_and_tip`, of a stride's cells, and their indices (K,) in the row-major maps of the
-    images, one after the other, each of `size_px` (height, width) over the stride; without `foot_and_tip` its four columns are
-    NaN. Each side (left, top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its
-    expectation is the distance (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the
-    middle of its lower and upper side; the last values are the logits of the classes, of which a cell has the best. Cells below
-    the threshold are left out.
+    images, one after the other, each of the input's height and width over the stride; without `foot_and_tip` its four columns
+    are NaN. images_and_size: number of images, height and width in pixels. Each side (left, top, right, bottom) is a
+    distribution over `bins` distances in strides from the cell's centre; its expectation is the distance (distribution focal
+    loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its lower and upper side; the last
+    values are the logits of the classes, of which a cell has the best. Cells below the threshold are left out.
     Raises ValueError on arrays of another head.
     """
     channels = 4 * bins + (4 if foot_and_tip else 0) + class_count
@@ -48,48 +49,32 @@ def decode_cells(
             raise ValueError(f"cells have shapes {values.shape} and {cells.shape}, expected (K, {channels}) and (K,)")
     counts = [len(cells) for cells in outputs[1::2]]
     numbers, cells_at = np.concatenate(outputs[::2]), np.concatenate(outputs[1::2])
-    scores = 1.0 / (1.0 + np.exp(-_best_logits(numbers, class_count).astype(np.float64)))
+    # Along rows of a few numbers numpy takes six times as long.
+    best = np.ascontiguousarray(numbers[:, -class_count:].T).max(axis=0)
+    scores = 1.0 / (1.0 + np.exp(-best.astype(np.float64)))
+    number, height_px, width_px = images_and_size
+    omitted = 0.0
+    for of_stride, stride_px in zip(np.split(scores, np.cumsum(counts)[:-1]), strides_px, strict=True):
+        if 0 < len(of_stride) < number * (height_px // stride_px) * (width_px // stride_px):
+            omitted = max(omitted, float(of_stride.min()))
     kept = np.flatnonzero(scores >= score_threshold)
-    scores, cells_at, stride_px = scores[kept], cells_at[kept], np.repeat(strides_px, counts)[kept]
+    scores, cells_at, strides = scores[kept], cells_at[kept], np.repeat(strides_px, counts)[kept]
     numbers = numbers[kept].astype(np.float64).T
     classes = numbers[-class_count:].argmax(axis=0)
-    in_row, in_column = size_px[1] // stride_px, size_px[0] // stride_px
+    in_row, in_column = width_px // strides, height_px // strides
     images, cells_at = np.divmod(cells_at, in_row * in_column)
     rows, columns = np.divmod(cells_at, in_row)
     logits = numbers[: 4 * bins].reshape(4, bins, -1)
     weights = np.exp(logits - logits.max(axis=1, keepdims=True))
-    left, top, right, bottom = (weights * np.arange(bins)[None, :, None]).sum(1) / weights.sum(1) * stride_px
-    x_px, y_px = (columns + 0.5) * stride_px, (rows + 0.5) * stride_px
+    left, top, right, bottom = (weights * np.arange(bins)[None, :, None]).sum(1) / weights.sum(1) * strides
+    x_px, y_px = (columns + 0.5) * strides, (rows + 0.5) * strides
     x0, y0, x1, y1 = x_px - left, y_px - top, x_px + right, y_px + bottom
     ends = np.full((4, len(scores)), np.nan)
     if foot_and_tip:
         shares, middle = numbers[4 * bins : 4 * bins + 4], (x0 + x1) / 2
         ends[0], ends[1] = middle + shares[0] * (x1 - x0), y1 - shares[1] * (y1 - y0)
         ends[2], ends[3] = middle + shares[2] * (x1 - x0), y0 + shares[3] * (y1 - y0)
-    return np.stack((x0, y0, x1, y1, scores, *ends, classes), axis=1), images
-
-
-def omitted_below(
-    outputs: Sequence[NDArray[Any]],
-    images_and_size: tuple[int, int, int],
-    strides_px: Sequence[int],
-    class_count: int = 1,
-) -> float:
-    """The highest score of cells that the network may have omitted: it returns its best cells of each stride only.
-
-    outputs: as of `decode_cells`. images_and_size: number of images, height and width in pixels. 0 where it returns all cells.
-    """
-    images, height_px, width_px = images_and_size
-    best = 0.0
-    for values, stride_px in zip(outputs[::2], strides_px, strict=True):
-        if 0 < len(values) < images * (height_px // stride_px) * (width_px // stride_px):
-            best = max(best, float(1.0 / (1.0 + np.exp(-float(_best_logits(values, class_count).min())))))
-    return best
-
-
-def _best_logits(values: NDArray[Any], class_count: int) -> NDArray[Any]:
-    """(K,) the best of the last `class_count` columns of (K, C); along rows of a few numbers numpy takes six times as long."""
-    return np.asarray(np.ascontiguousarray(values[:, -class_count:].T).max(axis=0))
+    return np.stack((x0, y0, x1, y1, scores, *ends, classes), axis=1), images, omitted
 
 
 def intersection_over_union(box: Floats, boxes: Floats) -> Floats:

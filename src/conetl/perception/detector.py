@@ -325,9 +325,8 @@ def run_network(
     rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
     head, omitted = card.head, 0.0
     if isinstance(head, SideDistributionHead):
-        omitted = decoding.omitted_below(outputs, (len(images_bgr), rows, columns), head.strides_px, head.class_count)
-        boxes, images = decoding.decode_cells(
-            outputs, (rows, columns), head.strides_px, head.side_bins, score_threshold,
+        boxes, images, omitted = decoding.decode_cells(
+            outputs, (len(images_bgr), rows, columns), head.strides_px, head.side_bins, score_threshold,
             foot_and_tip=head.foot_and_tip, class_count=head.class_count,
         )  # fmt: skip
         seen = [decoding.suppress_overlaps(boxes[images == number], nms_iou) for number in range(len(images_bgr))]
@@ -340,6 +339,6 @@ def run_network(
         else:
             seen = [decoding.suppress_overlaps(boxes, nms_iou)]
     if classes is not None:
-        seen = [each[np.isin(each[:, -1], classes)] for each in seen]
+        seen = [each[[number in classes for number in each[:, -1].tolist()]] for each in seen]
     scales = np.array((scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y, 1.0))
     return [(each / scales, omitted) for each in seen]

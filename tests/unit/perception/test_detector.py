@@ -44,7 +44,7 @@ def test_decode_reads_one_cell_exactly() -> None:
     for side, distance in enumerate((1, 2, 3, 0)):  # left, top, right, bottom in strides
         values[0, side * 4 + distance] = 60.0
     second_row_third_of_five = np.array([1 * 5 + 2])
-    found, _ = decoding.decode_cells([values, second_row_third_of_five], (24, 40), (8,), 4, 0.5)
+    found, *_ = decoding.decode_cells([values, second_row_third_of_five], (1, 24, 40), (8,), 4, 0.5)
     # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
     np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
     assert np.isnan(found[:, 5:9]).all() and (found[:, 9] == 0).all()
@@ -56,47 +56,45 @@ def test_decode_reads_foot_and_tip() -> None:
     for side in range(4):
         values[0, side * 4 + 2] = 60.0  # two strides to each side: the box is 16 px wide around (6, 2) at stride 4
     values[0, 16:20] = (0.25, 0.125, -0.25, 0.0625)
-    ((found,), _) = decoding.decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.5, foot_and_tip=True)
+    ((found,), *_) = decoding.decode_cells([values, np.array([1])], (1, 8, 8), (4,), 4, 0.5, foot_and_tip=True)
     # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
     np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
     np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
     np.testing.assert_allclose(found[5:9], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
-    assert len(decoding.decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.74, foot_and_tip=True)[0]) == 0
+    assert len(decoding.decode_cells([values, np.array([1])], (1, 8, 8), (4,), 4, 0.74, foot_and_tip=True)[0]) == 0
 
 
 def test_decode_gives_a_cell_the_class_of_its_best_score() -> None:
     values = np.zeros((2, 4 * 4 + 3), np.float32)
     values[:, -3:] = ((-2.0, 1.0, 0.5), (2.0, -1.0, 0.0))
-    found, _ = decoding.decode_cells([values, np.array([0, 3])], (8, 8), (4,), 4, 0.5, class_count=3)
+    found, _, omitted = decoding.decode_cells([values, np.array([0, 3])], (1, 8, 8), (4,), 4, 0.5, class_count=3)
     np.testing.assert_allclose(found[:, 4], 1 / (1 + np.exp([-1.0, -2.0])), atol=1e-6)
     np.testing.assert_array_equal(found[:, 9], [1, 0])
-    assert decoding.omitted_below([values, np.array([0, 3])], (1, 8, 8), (4,), 3) == pytest.approx(
-        1 / (1 + np.exp(-1.0))
-    )
+    assert omitted == pytest.approx(1 / (1 + np.exp(-1.0)))
 
 
 def test_decode_takes_the_mean_between_two_bins() -> None:
     values = np.full((1, 17), -60.0, np.float32)
     values[0, -1] = 3.0
     values[0, [1, 2, 4 + 1, 8 + 1, 12 + 1]] = 0.0  # left: halfway between 1 and 2 strides; other sides: 1
-    found, _ = decoding.decode_cells([values, np.array([0])], (4, 4), (4,), 4, 0.5)
+    found, *_ = decoding.decode_cells([values, np.array([0])], (1, 4, 4), (4,), 4, 0.5)
     np.testing.assert_allclose(found[0, :4], [2 - 6, 2 - 4, 2 + 4, 2 + 4], atol=1e-6)
 
 
 def test_decode_drops_scores_below_the_threshold_and_keeps_the_order_of_cells() -> None:
     values = np.zeros((3, 17), np.float32)
     values[:, -1] = (2.0, -1.0, 1.0)
-    found, _ = decoding.decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 0.5)
+    found, *_ = decoding.decode_cells([values, np.array([0, 15, 5])], (1, 16, 16), (4,), 4, 0.5)
     np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
     np.testing.assert_allclose(found[:, :2].mean(axis=0), [4 - 6, 4 - 6], atol=1e-6)  # sides of 1.5 strides each
-    assert decoding.decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 1.0)[0].shape == (0, 10)
+    assert decoding.decode_cells([values, np.array([0, 15, 5])], (1, 16, 16), (4,), 4, 1.0)[0].shape == (0, 10)
 
 
 def test_decode_tells_images_and_strides_apart() -> None:
     values = np.zeros((2, 17), np.float32)
     values[:, -1] = (2.0, 1.0)
     fine, coarse = [values, np.array([9, 3])], [values[:1], np.array([2])]  # images of 2 x 4 and of 1 x 2 cells
-    found, images = decoding.decode_cells([*fine, *coarse], (8, 16), (4, 8), 4, 0.5)
+    found, images, _ = decoding.decode_cells([*fine, *coarse], (2, 8, 16), (4, 8), 4, 0.5)
     np.testing.assert_array_equal(images, [1, 0, 1])
     np.testing.assert_allclose((found[:, :2] + found[:, 2:4]) / 2, [[6, 2], [14, 2], [4, 4]], atol=1e-6)
     np.testing.assert_allclose(found[:, 2] - found[:, 0], [12, 12, 24], atol=1e-6)  # 1.5 strides to each side
@@ -105,7 +103,7 @@ def test_decode_tells_images_and_strides_apart() -> None:
 @pytest.mark.parametrize(("values", "cells"), [((6, 2), 6), ((3, 17), 2)])
 def test_decode_refuses_cells_of_another_head(values: tuple[int, int], cells: int) -> None:
     with pytest.raises(ValueError, match="expected"):
-        decoding.decode_cells([np.zeros(values, np.float32), np.zeros(cells, np.int64)], (32, 32), (8,), 4, 0.5)
+        decoding.decode_cells([np.zeros(values, np.float32), np.zeros(cells, np.int64)], (1, 32, 32), (8,), 4, 0.5)
 
 
 def draw_cone(image: np.ndarray, x: float, foot: float, height: float) -> None:
