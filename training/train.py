@@ -31,7 +31,7 @@ from drawn_cones import draw_cone
 from drawn_objects import DRAW, draw_object
 from loss import detection_loss
 from network import ConeNet, Detector
-from teacher import Teacher, distillation_loss
+from teacher import Teacher, distillation_loss, trained_teacher
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import DataLoader, IterableDataset
@@ -152,6 +152,9 @@ def read_arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=1, help="processes that make samples")
     parser.add_argument(
         "--teacher", default="", help="ImageNet weights of the backbone of a larger network to learn from"
+    )
+    parser.add_argument(
+        "--taught-by", default="", help="checkpoint of a run with a teacher, which now teaches and learns no more"
     )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
@@ -279,7 +282,13 @@ def main() -> None:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     learners = make_learners(args, device)
     args.start_step = go_on(Path(args.resume), learners, device) if args.resume else 0
-    loader = iter(DataLoader(Batches(args), batch_size=None, num_workers=args.workers, prefetch_factor=6))
+    teacher: Detector | None = learners[TEACHER].average if TEACHER in learners else None
+    if args.taught_by:
+        teacher = trained_teacher(Path(args.taught_by)).to(device, memory_format=torch.channels_last)
+    batches = DataLoader(
+        Batches(args), batch_size=None, num_workers=args.workers, prefetch_factor=6, pin_memory=device == "cuda"
+    )
+    loader = iter(batches)
 
     started = saved = time.monotonic()
     step, sums = args.start_step, dict[str, Tensor]()
@@ -293,9 +302,9 @@ def main() -> None:
             learner.network.train()
             maps = maps_of(learner.network, images, args.bf16)
             loss, parts = detection_loss(maps, *truth)
-            if name == SHIPPED and TEACHER in learners:
+            if name == SHIPPED and teacher is not None:
                 with torch.no_grad():
-                    teaching = maps_of(learners[TEACHER].average, images, args.bf16)
+                    teaching = maps_of(teacher, images, args.bf16)
                 parts["distillation"] = distillation_loss(maps, teaching)
                 loss = loss + min(1.0, 4 * share) * parts["distillation"]
             learner.learn(loss, rate, step)
