@@ -210,8 +210,13 @@ def test_the_scatter_of_feet_is_that_between_the_images(spread: float, low: floa
         for _ in range(300)
     ]
     changed = with_measured_spread([*noisy, plain])
-    assert low <= changed[0].sigma_v_px / match.sigma_v_px <= high
-    assert changed[0].sigma_pointing_px / match.sigma_pointing_px == changed[0].sigma_v_px / match.sigma_v_px
+    factor = changed[0].sigma_pointing_px / match.sigma_pointing_px
+    assert low <= factor <= high
+    assert np.median([m.sigma_v_px for m in changed[:-1]]) == pytest.approx(factor * match.sigma_v_px)
     assert changed[0].sigma_u_px == match.sigma_u_px
     assert changed[-1] == plain
     assert with_measured_spread([match]) == [match]
+    # One box that ends 12 px lower in one image is not known better than that.
+    lower = match.model_copy(update={"foot_right_uv_px": (u, v + 17.0)})
+    *others, last = with_measured_spread([*noisy[:30], lower])
+    assert last.sigma_v_px > 10 / 2**0.5 > np.median([m.sigma_v_px for m in others])

@@ -135,16 +135,20 @@ def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
     if len(feet) < 2:
         return list(matches)
     apart = np.array([m.foot_left_uv_px[1] - m.foot_right_uv_px[1] for m in feet])
-    ratio = (apart - np.median(apart)) / (2**0.5 * np.array([m.sigma_v_px for m in feet]))
-    measured = _BOTH_ALIKE**2 * float(np.mean(np.minimum(np.abs(ratio), _LARGEST_RATIO) ** 2))
+    apart -= np.median(apart)
+    sigmas = np.array([m.sigma_v_px for m in feet])
+    ratio = np.abs(apart) / (2**0.5 * sigmas)
+    measured = _BOTH_ALIKE**2 * float(np.mean(np.minimum(ratio, _LARGEST_RATIO) ** 2))
     factor = ((_USUAL_MATCHES + len(feet) * measured) / (_USUAL_MATCHES + len(feet))) ** 0.5
     factor = float(np.clip(factor, *_SPREAD_BOUNDS))
-    return [
-        m.model_copy(update={"sigma_v_px": m.sigma_v_px * factor, "sigma_pointing_px": m.sigma_pointing_px * factor})
-        if _has_feet(m)
-        else m
-        for m in matches
-    ]
+    # Where the rows contradict each other, as with a box that reaches over a nearer object, no row is better known than that.
+    sigmas *= factor
+    sigmas = np.where(ratio > factor * _LARGEST_RATIO, np.abs(apart) / 2**0.5, sigmas)
+    scaled = (
+        m.model_copy(update={"sigma_v_px": sigma, "sigma_pointing_px": m.sigma_pointing_px * factor})
+        for m, sigma in zip(feet, sigmas.tolist(), strict=True)
+    )
+    return [next(scaled) if _has_feet(m) else m for m in matches]
 
 
 def _has_feet(match: StereoMatch) -> bool:
