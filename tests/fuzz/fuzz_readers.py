@@ -120,7 +120,7 @@ def run_case(reader: Any, valid: Valid, rng: random.Random, keep: Path | None = 
     path, scratch, files = valid
     names = [*files]
     weights = [4 if is_text(files[name]) else 1 for name in names]
-    changed = set(rng.choices(names, weights, k=rng.choice((1, 1, 1, 2))))
+    changed = sorted(set(rng.choices(names, weights, k=rng.choice((1, 1, 1, 2)))))
     for file in changed:
         file.write_bytes(mutated(rng, files[file]))
         if keep is not None:

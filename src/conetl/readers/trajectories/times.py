@@ -164,10 +164,9 @@ def _minute_ns(year: int, month: int, day: int, hour: int, minute: int, offset: 
     else:
         tz = datetime.strptime(f"{offset}00" if len(str(offset)) == 3 else str(offset), "%z").tzinfo  # type: ignore[assignment]
     local = datetime(year, month, day, hour, minute, tzinfo=tz)
-    try:
-        return int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * SECOND_NS
-    except OverflowError:  # year 1 east of Greenwich, year 9999 west of it
-        raise ValueError(f"expected a time from 2000 on, found {year:04d}-{month:02d}-{day:02d}") from None
+    if not 1970 <= year < 2262:  # 64 bits of nanoseconds end in 2262
+        raise ValueError(f"expected a time from 2000 to 2261, found {year:04d}-{month:02d}-{day:02d}")
+    return int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * SECOND_NS
 
 
 def decimal_ns(text: str, digits: int = 9) -> int:
