@@ -143,22 +143,13 @@ def confirmed(
             cov_m2=tuple(new_cov.get(k, old_cov[k]) for k in rows.tolist()),
             **_attributes(shape, old.observation_count, drive.tracks[seen.track].marking, seen.frames),
         )
-        new = _feature(
-            old.feature_id,
-            old.version + 1,
-            marking,
-            new_jacobian.get(middle, old.shared_jacobian),
-            evidence[j],
-            category=old.category,
-            observation_count=old.observation_count + seen.frames,
-            first_seen_ns=old.first_seen_ns,
-            last_seen_ns=max(old.last_seen_ns, seen.last_ns),
-        )
+        jacobian = new_jacobian.get(middle, old.shared_jacobian)
+        own = _feature(old.feature_id, old.version + 1, old.category, marking, jacobian, seen, evidence[j])
         deltas[j] = Delta(
             kind=DeltaKind.CONFIRMED,
             feature_id=old.feature_id,
             old=old,
-            new=new,
+            new=seen_again(old, own),
             changed_at_ns=seen.first_ns,
             shift_m=float(np.hypot(*(vertices_m[middle] - on_map.vertices_m[middle])[:2])),
             evidence=evidence[j],
@@ -259,31 +250,19 @@ def _of_drive(
         cov, jacobians = in_map_frame(cov, relative, jacobians, drive.shift_errors)
     vertices_m = tuple(map(vec3, found.at(drive.lines.vertices_m) - drive.shift_m))
     marking = track.marking.model_copy(update={"vertices_m": vertices_m, "cov_m2": tuple(cov)})
-    return _feature(
-        feature_id,
-        version,
-        marking,
-        jacobians[len(cov) // 2],
-        evidence,
-        category=track.category,
-        observation_count=seen.frames,
-        first_seen_ns=seen.first_ns,
-        last_seen_ns=seen.last_ns,
-    )
+    return _feature(feature_id, version, track.category, marking, jacobians[len(cov) // 2], seen, evidence)
 
 
 def _feature(
     feature_id: UUID,
     version: int,
+    category: str,
     marking: Marking,
     shared_jacobian: SharedErrorJacobian | None,
+    seen: StretchSighting,
     evidence: ExistenceEvidence,
-    *,
-    category: str,
-    observation_count: int,
-    first_seen_ns: int,
-    last_seen_ns: int,
 ) -> MapFeature:
+    """A stretch as one drive observed it."""
     middle = len(marking.vertices_m) // 2
     return sound(
         MapFeature,
@@ -296,9 +275,9 @@ def _feature(
         cone_height_m=_PAINT_M,
         cone_height_sigma_m=_PAINT_SIGMA_M,
         existence_probability=evidence.existence_probability,
-        observation_count=observation_count,
-        first_seen_ns=first_seen_ns,
-        last_seen_ns=last_seen_ns,
+        observation_count=seen.frames,
+        first_seen_ns=seen.first_ns,
+        last_seen_ns=seen.last_ns,
         shared_jacobian=shared_jacobian,
         marking=marking,
     )
