@@ -7,6 +7,7 @@ linearly with the number of cones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,16 @@ _CLASSES_APART_M = 1e8
 _FORBIDDEN = 1e6
 #: Cost of a pair at the edge of the gate, and of leaving a track and a feature unpaired: chi-square of 3 sigma.
 _GATE_COST = 9.0
+
+
+class Comparison(NamedTuple):
+    """The tracks of a drive, or of an imported map, and the features of the map around it."""
+
+    tracks: Sequence[Track]
+    features: Sequence[MapFeature]
+    map_xyz_m: Floats
+    """(T, 3): the tracks in map coordinates."""
+    params: ReconcileParams
 
 
 def common_offset(
@@ -86,20 +97,14 @@ def common_offset(
     return offset_m, drive_var / total_var
 
 
-def pair(
-    map_xyz_m: Floats,
-    tracks: Sequence[Track],
-    features: Sequence[MapFeature],
-    offset_m: Floats,
-    weight: float,
-    params: ReconcileParams,
-) -> dict[int, int]:
+def pair(c: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
     """Feature index -> track index of those that are the same cone at the same position.
 
-    map_xyz_m (T, 3): the tracks in map coordinates, less the drive's share `weight` of `offset_m`. Of all one-to-one
-    assignments the one of least cost: squared distance over that of the gate, `_GATE_COST` for a track and a feature that stay
-    unpaired. Leaving two unpaired may be cheaper than shifting a whole row by one.
+    The map coordinates are less the drive's share `weight` of `offset_m`. Of all one-to-one assignments the one of least cost:
+    squared distance over that of the gate, `_GATE_COST` for a track and a feature that stay unpaired. Leaving two unpaired may
+    be cheaper than shifting a whole row by one.
     """
+    tracks, features, map_xyz_m, params = c
     if not tracks or not features:
         return {}
     # With a known offset only the errors that the drive does not share count; otherwise all do.
@@ -122,40 +127,27 @@ def pair(
     return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], unpaired_cost=_GATE_COST)
 
 
-def moves(
-    map_xyz_m: Floats,
-    tracks: Sequence[Track],
-    free_tracks: Sequence[int],
-    features: Sequence[MapFeature],
-    vanished: Sequence[int],
-    params: ReconcileParams,
-) -> dict[int, int]:
+def moves(c: Comparison, free_tracks: Sequence[int], vanished: Sequence[int]) -> dict[int, int]:
     """Feature index -> track index of moved cones: as many as possible, over the least total distance."""
     if not free_tracks or not vanished:
         return {}
-    j, i, distance = _alike_nearby(map_xyz_m, tracks, free_tracks, features, vanished, params)
+    j, i, distance = _alike_nearby(c, free_tracks, vanished)
     return assign(j, i, distance)
 
 
-def moves_by_earlier_drives(
-    map_xyz_m: Floats,
-    tracks: Sequence[Track],
-    observed: Mapping[int, int],
-    features: Sequence[MapFeature],
-    vanished: Sequence[int],
-    params: ReconcileParams,
-) -> dict[int, int]:
+def moves_by_earlier_drives(c: Comparison, observed: Mapping[int, int], vanished: Sequence[int]) -> dict[int, int]:
     """Feature index -> index of the feature that it was moved to by the time of an earlier drive, to which only the new
     position was visible.
 
     Like `moves`, among the `observed` features (feature -> track index) that were founded after the vanished one was last
     observed; features observed at the same time are two cones.
     """
+    features = c.features
     since_ns = min((features[j].last_seen_ns for j in vanished), default=0)
     feature_of = {i: k for k, i in observed.items() if features[k].first_seen_ns > since_ns}
     if not feature_of or not vanished:
         return {}
-    j, i, distance = _alike_nearby(map_xyz_m, tracks, sorted(feature_of), features, vanished, params)
+    j, i, distance = _alike_nearby(c, sorted(feature_of), vanished)
     founded_ns = np.array([features[feature_of[track]].first_seen_ns for track in i.tolist()], np.int64)
     last_seen_ns = np.array([features[row].last_seen_ns for row in j.tolist()], np.int64)
     since = founded_ns > last_seen_ns
@@ -163,14 +155,10 @@ def moves_by_earlier_drives(
 
 
 def _alike_nearby(
-    map_xyz_m: Floats,
-    tracks: Sequence[Track],
-    of_tracks: Sequence[int],
-    features: Sequence[MapFeature],
-    of_features: Sequence[int],
-    params: ReconcileParams,
+    c: Comparison, of_tracks: Sequence[int], of_features: Sequence[int]
 ) -> tuple[Indices, Indices, Floats]:
     """Feature and track indices, and distances in metres, of all pairs between which a cone may have been moved."""
+    tracks, features, map_xyz_m, params = c
     rows, columns = np.array(of_features), np.array(of_tracks)
     feature_xyz_m = np.array([features[j].xyz_m for j in of_features])
     j, i = near_pairs(feature_xyz_m[:, :2], map_xyz_m[columns, :2], params.moved_max_m)

@@ -14,7 +14,15 @@ from uuid import UUID
 
 import numpy as np
 
-from conetl.mapping.association import common_offset, moves, moves_by_earlier_drives, near_pairs, pair, xyz_of
+from conetl.mapping.association import (
+    Comparison,
+    common_offset,
+    moves,
+    moves_by_earlier_drives,
+    near_pairs,
+    pair,
+    xyz_of,
+)
 from conetl.mapping.deltas import added, changed, confirmed, ended, moved_and_merged, not_observed
 from conetl.mapping.existence_update import is_gone, missed, observed
 from conetl.mapping.fusion import tracks_in_map_frame
@@ -55,8 +63,9 @@ def reconcile(
     offset_m, weight = common_offset(tracks, features, params)
     shift_m = weight * offset_m
     map_xyz_m = xyz_of(tracks) - shift_m
-    pairs = pair(map_xyz_m, tracks, features, offset_m, weight, params)
-    merged = _mergers(features, pairs, tracks, pinned, params)
+    c = Comparison(tracks, features, map_xyz_m, params)
+    pairs = pair(c, offset_m, weight)
+    merged = _mergers(c, pairs, pinned)
     deltas = [
         ended(
             DeltaKind.MERGED,
@@ -78,9 +87,9 @@ def reconcile(
     loose = {j: evidence for j, (_, evidence) in unobserved.items() if features[j].feature_id not in pinned}
     vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
-    moved = moves(map_xyz_m, tracks, free, features, vanished, params)
+    moved = moves(c, free, vanished)
     free = sorted(set(free).difference(moved.values()))
-    halves = _halves(map_xyz_m, tracks, free, features, pairs, params)
+    halves = _halves(c, free, pairs)
     evidence_for = {
         j: observed(features[j], summaries.get(features[j].feature_id), tracks[i])
         for j, i in {**pairs, **moved}.items()
@@ -95,7 +104,7 @@ def reconcile(
     own = tracks_in_map_frame([*free, *(track_of[j] for j in anew)], tracks, features, pairs, weight)
     loose_pairs = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
     left = [j for j in vanished if j not in moved]
-    moved_to = moves_by_earlier_drives(map_xyz_m, tracks, loose_pairs, features, left, params)
+    moved_to = moves_by_earlier_drives(c, loose_pairs, left)
     feature_by_id = {features[k].feature_id: features[j] for j, k in moved_to.items()}
     for delta in confirmed(as_before, features, tracks, evidence_for):
         old = feature_by_id.get(delta.feature_id)
@@ -167,15 +176,10 @@ def _founding(tracks: Sequence[Track], paired: Collection[int], params: Reconcil
     return [i for i in free if i not in doubtful]
 
 
-def _mergers(
-    features: Sequence[MapFeature],
-    pairs: Mapping[int, int],
-    tracks: Sequence[Track],
-    pinned: Collection[UUID],
-    params: ReconcileParams,
-) -> dict[int, int]:
+def _mergers(c: Comparison, pairs: Mapping[int, int], pinned: Collection[UUID]) -> dict[int, int]:
     """Unobserved feature -> the nearest observed one whose base plate overlaps its own: they are one cone."""
-    certain = [j for j in sorted(pairs) if tracks[pairs[j]].observation_count >= params.removal_min_frames]
+    features = c.features
+    certain = [j for j in sorted(pairs) if c.tracks[pairs[j]].observation_count >= c.params.removal_min_frames]
     unseen = [j for j, feature in enumerate(features) if j not in pairs and feature.feature_id not in pinned]
     xyz_m = xyz_of(features)
     found: dict[int, tuple[float, int]] = {}
@@ -189,18 +193,12 @@ def _mergers(
     return {other: kept for other, (_, kept) in found.items()}
 
 
-def _halves(
-    map_xyz_m: Floats,
-    tracks: Sequence[Track],
-    free_tracks: Sequence[int],
-    features: Sequence[MapFeature],
-    pairs: Mapping[int, int],
-    params: ReconcileParams,
-) -> dict[int, int]:
+def _halves(c: Comparison, free_tracks: Sequence[int], pairs: Mapping[int, int]) -> dict[int, int]:
     """Track index -> index of the feature of which it is one half.
 
     The feature is in the middle between this track and its own one, and one image shows both cones.
     """
+    tracks, features, map_xyz_m, params = c
     paired_features = sorted(pairs)
     own_m = map_xyz_m[[pairs[j] for j in paired_features], :2]
     found: dict[int, int] = {}

@@ -11,7 +11,7 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.mapping.association import pair
+from conetl.mapping.association import Comparison, pair
 from conetl.mapping.changes import height_differs
 from conetl.mapping.deltas import changed, confirmed
 from conetl.mapping.existence_update import confirming
@@ -89,7 +89,7 @@ def _pair(
     others = [j for j in range(len(features)) if j not in pairs]
     own = [tracks[i] for i in free]
     xyz_m = np.array([track.xyz_m for track in own]).reshape(-1, 3)
-    near = pair(xyz_m, own, [features[j] for j in others], _NO_OFFSET_M, 0.0, params)
+    near = pair(Comparison(own, [features[j] for j in others], xyz_m, params), _NO_OFFSET_M, 0.0)
     return pairs | {others[column]: free[row] for column, row in near.items()}
 
 

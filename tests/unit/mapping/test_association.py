@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from conetl.mapping.association import assign, common_offset, near_pairs, pair
+from conetl.mapping.association import Comparison, assign, common_offset, near_pairs, pair
 from conetl.mapping.changes import reconcile
 from conetl.mapping.existence_update import summarize_miss
 from conetl.model.drive import Track
@@ -45,7 +45,7 @@ def test_a_row_is_paired_cone_by_cone_despite_the_drives_offset(seed: int) -> No
     estimated, weight = common_offset(tracks, features, PARAMS)
     assert estimated[:2] == pytest.approx(offset, abs=0.1)
     map_xyz_m = np.array([t.xyz_m for t in tracks]) - weight * estimated
-    pairs = pair(map_xyz_m, tracks, features, estimated, weight, PARAMS)
+    pairs = pair(Comparison(tracks, features, map_xyz_m, PARAMS), estimated, weight)
     assert {j: tracks[i].track_index for j, i in pairs.items()} == {i: i for i in observed}
 
 
@@ -67,7 +67,7 @@ def test_many_cones_are_compared_without_a_full_matrix() -> None:
     offset, weight = common_offset(tracks, features, PARAMS)
     assert offset[:2] == pytest.approx((0.4, -0.3), abs=1e-6)
     map_xyz_m = np.array([t.xyz_m for t in tracks]) - weight * offset
-    pairs = pair(map_xyz_m, tracks, features, offset, weight, PARAMS)
+    pairs = pair(Comparison(tracks, features, map_xyz_m, PARAMS), offset, weight)
     assert pairs == {i: i for i in range(len(positions))}
 
 
