@@ -8,7 +8,6 @@ checked when it is read.
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -78,7 +77,7 @@ class _Couples:
     """Names of images by folder and stem."""
 
     def new(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
-        """Couples of which an image is new. changed: as in `ArrivingDrive.new_pairs`."""
+        """Couples of which an image is new. changed: as in `_Arriving`."""
         paths = None if changed is None else list(changed)
         fresh: set[str] = set()
         for folder in (self.left, self.right):
@@ -114,8 +113,14 @@ def _names(folder: Path) -> set[str]:
 
 
 @dataclass(kw_only=True)
-class ArrivingDrive(ABC):
-    """One drive that is being recorded."""
+class _Arriving:
+    """One drive that is being recorded; `ArrivingPlain` and `ArrivingKitti` answer the same questions.
+
+    new_pairs: pairs that have arrived since the last call; changed: changed files, None: list all folders. order: sort key in the
+    order of recording, whose number is BEHIND until it is known, and then does not change. rig: the rectified one, None until its
+    files exist. frame_pair: the pair with its pose, and the EPSG code of its map, None until its pose exists; map_srid: of the
+    map, if it exists. Raises PairError where pose or time are wrong.
+    """
 
     root: Path
     settings: DriveYaml
@@ -126,28 +131,9 @@ class ArrivingDrive(ABC):
     def drive_id(self) -> str:
         return self.settings.id_of(self.root)
 
-    @abstractmethod
-    def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
-        """Pairs that have arrived since the last call. changed: changed files; None: list all folders."""
-
-    @abstractmethod
-    def order(self, pair: ArrivingPair) -> tuple[int, str]:
-        """Sort key in the order of recording; the number is BEHIND until it is known, and then does not change."""
-
-    @abstractmethod
-    def rig(self) -> Rig | None:
-        """The rectified rig; None until its files exist."""
-
-    @abstractmethod
-    def frame_pair(self, pair: ArrivingPair, map_srid: int | None) -> tuple[FramePair, int] | None:
-        """The pair with its pose, and the EPSG code of its map; None until its pose exists.
-
-        map_srid: of the map, if it exists. Raises PairError where pose or time are wrong.
-        """
-
 
 @dataclass(kw_only=True)
-class ArrivingPlain(ArrivingDrive):
+class ArrivingPlain(_Arriving):
     """A plain folder; its pairs are ordered by the rows of trajectory.csv, those without a row come last."""
 
     rows: Rows
@@ -219,7 +205,7 @@ class ArrivingStamps:
 
 
 @dataclass(kw_only=True)
-class ArrivingKitti(ArrivingDrive):
+class ArrivingKitti(_Arriving):
     """A folder in KITTI's layout."""
 
     folder: Path
@@ -296,6 +282,9 @@ class ArrivingKitti(ArrivingDrive):
             return parse_timestamp(line, self.settings.timestamps_timezone)
         except ValueError as error:
             raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {error}") from error
+
+
+ArrivingDrive = ArrivingPlain | ArrivingKitti
 
 
 def _require_set_clock(captured: int) -> None:
