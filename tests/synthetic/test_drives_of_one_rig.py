@@ -18,6 +18,7 @@ from conetl.geometry.calibration.covariance import calibration_jacobian, jacobia
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
+from conetl.mapping.deltas import Terms
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
@@ -82,9 +83,7 @@ def after(drives: Sequence[Sequence[Track]]) -> list[MapFeature]:
     """The map that the drives make."""
     standing: dict[object, MapFeature] = {}
     for number, tracks in enumerate(drives):
-        for delta in reconcile(
-            tracks, list(standing.values()), lambda *_: None, PARAMS, founding_key=f"drive {number}"
-        ):
+        for delta in reconcile(tracks, list(standing.values()), lambda *_: None, Terms(PARAMS, f"drive {number}")):
             assert delta.new is not None
             standing[delta.feature_id] = delta.new
     return list(standing.values())

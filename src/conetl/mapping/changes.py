@@ -23,14 +23,14 @@ from conetl.mapping.association import (
     pair,
     xyz_of,
 )
-from conetl.mapping.deltas import added, changed, confirmed, ended, moved_and_merged, not_observed
+from conetl.mapping.deltas import Terms, added, changed, confirmed, ended, moved_and_merged, not_observed
 from conetl.mapping.existence_update import is_gone, missed, observed
 from conetl.mapping.fusion import tracks_in_map_frame
 from conetl.mapping.visibility import NotObserved
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
 from conetl.model.feature_classes import exclude_each_other, width_over_height
-from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.params import ReconcileParams
 
 #: (feature, offset_m, others_m) -> evidence that the feature is absent; see `visibility.check_visibility`.
@@ -45,19 +45,13 @@ def reconcile(
     tracks: Sequence[Track],
     features: Sequence[MapFeature],
     check_visibility: VisibilityCheck,
-    params: ReconcileParams,
-    *,
-    founding_key: str,
-    pinned: Collection[UUID] = (),
-    summaries: Mapping[UUID, MissSummary] | None = None,
+    terms: Terms,
 ) -> list[Delta]:
     """Deltas that bring the map from before the drive to after it; the order of tracks and features does not matter.
 
-    features: the map as the drives recorded before this one left it. founding_key: map name and content of the drive, from which
-    the ids of new features follow. pinned: features that are neither moved nor removed. summaries: of the misses since the
-    features' versions.
+    features: the map as the drives recorded before this one left it.
     """
-    summaries = summaries or {}
+    params, founding_key, pinned, summaries = terms
     tracks = _without_doubles(sorted(tracks, key=lambda track: track.members[0]))
     features = sorted(features, key=attrgetter("feature_id.int"))
     offset_m, weight = common_offset(tracks, features, params)

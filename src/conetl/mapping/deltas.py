@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
 from uuid import UUID, uuid5
 
 import numpy as np
@@ -14,8 +16,21 @@ from conetl.model.arrays import Floats
 from conetl.model.base import sound
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.params import ReconcileParams
 
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
+
+
+class Terms(NamedTuple):
+    """What each comparison of a drive, or of an imported map, with the map depends on besides both."""
+
+    params: ReconcileParams
+    founding_key: str
+    """Map name and content of the drive or import, from which the ids of new features follow."""
+    pinned: Collection[UUID] = ()
+    """Features that are neither moved nor removed nor given another height."""
+    summaries: Mapping[UUID, MissSummary] = MappingProxyType({})
+    """Of the misses since the features' versions."""
 
 
 def added(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: str, half_of: UUID | None) -> Delta:

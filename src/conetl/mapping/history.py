@@ -19,6 +19,7 @@ from conetl.geometry.packing import stacked
 from conetl.mapping.agreement import contradiction, is_confirmed, marking_contradiction
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import VisibilityCheck, reconcile
+from conetl.mapping.deltas import Terms
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
 from conetl.mapping.markings import ViewCheck, reconcile_markings
@@ -170,39 +171,15 @@ def apply_drive(
     around, drive = _around(current, drive), _classified(drive, decisions.classified)
     points, lines = ([one for one in around if (one.marking is not None) == is_line] for is_line in (False, True))
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
+    terms = Terms(drive.params, drive.founding_key, pinned, summaries)
     if drive.imported:
-        deltas = reconcile_imported(
-            drive.imported,
-            points,
-            drive.params,
-            at_ns=drive.key[0],
-            founding_key=drive.founding_key,
-            known=known,
-            pinned=pinned,
-            summaries=summaries,
-        )
+        deltas = reconcile_imported(drive.imported, points, terms, at_ns=drive.key[0], known=known)
     else:
-        deltas = reconcile(
-            drive.tracks,
-            points,
-            drive.check_visibility,
-            drive.params,
-            founding_key=drive.founding_key,
-            pinned=pinned,
-            summaries=summaries,
-        )
+        deltas = reconcile(drive.tracks, points, drive.check_visibility, terms)
         line_deltas: list[Delta] = []
         if drive.markings or lines:
-            line_deltas = reconcile_markings(
-                drive.markings,
-                lines,
-                drive.check_view,
-                drive.params,
-                offset=common_offset(sorted(drive.tracks, key=lambda track: track.members[0]), points, drive.params),
-                founding_key=drive.founding_key,
-                pinned=pinned,
-                summaries=summaries,
-            )
+            offset = common_offset(sorted(drive.tracks, key=lambda track: track.members[0]), points, drive.params)
+            line_deltas = reconcile_markings(drive.markings, lines, drive.check_view, terms, offset=offset)
         hold = None
         if drive.changeset_id not in decisions.accepted:
             hold = None if is_confirmed(deltas, drive.key[0]) else drive.doubt

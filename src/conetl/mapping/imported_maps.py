@@ -6,17 +6,17 @@ Unlike a drive, an imported map has no common offset that could be separated fro
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from uuid import UUID, uuid5
 
 import numpy as np
 
 from conetl.mapping.association import Comparison, pair
 from conetl.mapping.changes import height_differs
-from conetl.mapping.deltas import changed, confirmed
+from conetl.mapping.deltas import Terms, changed, confirmed
 from conetl.mapping.existence_update import confirming
 from conetl.model.drive import Track
-from conetl.model.map_records import Delta, DeltaKind, ImportedFeature, MapFeature, MissSummary
+from conetl.model.map_records import Delta, DeltaKind, ImportedFeature, MapFeature
 from conetl.model.params import ReconcileParams
 
 _NAMESPACE = UUID("c2a5b3a1-6c2f-4f1e-9a53-7c1d2b6f0d44")
@@ -26,21 +26,17 @@ _NO_OFFSET_M = np.zeros(3)
 def reconcile_imported(
     statements: Sequence[ImportedFeature],
     features: Sequence[MapFeature],
-    params: ReconcileParams,
+    terms: Terms,
     *,
     at_ns: int,
-    founding_key: str,
     known: Collection[UUID] = (),
-    pinned: Collection[UUID] = (),
-    summaries: Mapping[UUID, MissSummary] | None = None,
 ) -> list[Delta]:
     """Deltas of an imported map that is valid at the instant `at_ns`; the order of statements and features does not matter.
 
     features: the present ones nearby. A new feature keeps its id unless that is `known` already (of a feature that is gone, or
-    elsewhere): then the id follows from `founding_key` and the imported id. pinned: features that are confirmed, but neither
-    moved nor given another height. summaries: of the misses since the features' versions.
+    elsewhere): then the id follows from `founding_key` and the imported id.
     """
-    summaries = summaries or {}
+    params, founding_key, pinned, summaries = terms
     statements = sorted(statements, key=lambda statement: statement.feature.feature_id)
     features = sorted(features, key=lambda feature: feature.feature_id)
     tracks = [_as_track(statement.feature, at_ns) for statement in statements]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.mapping import marking_deltas
-from conetl.mapping.deltas import not_observed
+from conetl.mapping.deltas import Terms, not_observed
 from conetl.mapping.existence_update import confirming, is_gone, missed
 from conetl.mapping.fusion import offset_errors
 from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
@@ -81,19 +81,15 @@ def reconcile_markings(
     markings: Sequence[MarkingTrack],
     stretches: Sequence[MapFeature],
     check_view: ViewCheck,
-    params: ReconcileParams,
+    terms: Terms,
     *,
     offset: tuple[Floats, float],
-    founding_key: str,
-    pinned: Collection[UUID] = (),
-    summaries: Mapping[UUID, MissSummary] | None = None,
 ) -> list[Delta]:
     """Deltas that bring the lane markings of the map from before the drive to after it; no order matters.
 
-    offset: of the drive's cones (`association.common_offset`); where its weight is 0, that of the lines is used. Other arguments
-    as for `changes.reconcile`.
+    offset: of the drive's cones (`association.common_offset`); where its weight is 0, that of the lines is used.
     """
-    summaries = summaries or {}
+    params, founding_key, pinned, summaries = terms
     c = _compared(markings, stretches, params, offset)
     drive, features = c.drive, c.features
     states = _states(c, check_view, params)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from conetl.mapping.agreement import _blind, contradiction, far_displacement, imported_displacement
 from conetl.mapping.changes import reconcile
+from conetl.mapping.deltas import Terms
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
 from conetl.model.map_records import DeltaKind, MapFeature
@@ -53,7 +54,7 @@ def finding(
     """What a drive that sees cones at `places` (N, 3) finds against a map with cones at `before`."""
     tracks, known = tracks_at(places, sigma_m, seed), features_at(before, sigma_m)
     unseen = NotObserved(20, START_NS + DAY_NS, -6.0) if in_view else None
-    deltas = reconcile(tracks, known, lambda *_: unseen, PARAMS, founding_key="d")
+    deltas = reconcile(tracks, known, lambda *_: unseen, Terms(PARAMS, "d"))
     found = contradiction(tracks, known, deltas, PARAMS)
     backwards = contradiction(tracks[::-1], known[::-1], deltas[::-1], PARAMS)
     assert found == backwards, "the order matters"

@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from conetl.mapping.association import Comparison, assign, common_offset, near_pairs, pair
 from conetl.mapping.changes import reconcile
+from conetl.mapping.deltas import Terms
 from conetl.mapping.existence_update import summarize_miss
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
@@ -130,7 +131,7 @@ def test_misses_of_several_drives_remove_from_the_first_miss_on() -> None:
             return NotObserved(8, at_ns, -0.9)
 
         summaries = {cone.feature_id: summary} if summary else {}
-        (delta,) = reconcile([], [cone], check_visibility, PARAMS, founding_key="d", summaries=summaries)
+        (delta,) = reconcile([], [cone], check_visibility, Terms(PARAMS, "d", summaries=summaries))
         assert delta.evidence is not None
         if delta.kind is DeltaKind.REMOVED:
             break

@@ -10,7 +10,7 @@ import pytest
 from conetl.geometry.packing import cov_matrix
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
-from conetl.mapping.deltas import confirmed
+from conetl.mapping.deltas import Terms, confirmed
 from conetl.mapping.existence_update import observed
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
@@ -48,7 +48,7 @@ def changes(
     def check(unseen: MapFeature, _offset: object, _others: object) -> NotObserved | None:
         return None if unseen.feature_id.int in hidden else NotObserved(frames_empty, START_NS + DAY_NS, ratio)
 
-    deltas = reconcile(tracks, features, check, PARAMS, founding_key="d")
+    deltas = reconcile(tracks, features, check, Terms(PARAMS, "d"))
     return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
 
 
@@ -148,8 +148,8 @@ def absent(_feature: MapFeature, _offset: object, _others: object) -> NotObserve
 def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
     features = [feature(0, *ROW[0]), feature(1, *ROW[1])]
     tracks = [track(0, ROW[1][0], ROW[1][1] + 1.5)]
-    free = reconcile(tracks, features, absent, PARAMS, founding_key="d")
-    pinned = reconcile(tracks, features, absent, PARAMS, founding_key="d", pinned={UUID(int=0), UUID(int=1)})
+    free = reconcile(tracks, features, absent, Terms(PARAMS, "d"))
+    pinned = reconcile(tracks, features, absent, Terms(PARAMS, "d", pinned={UUID(int=0), UUID(int=1)}))
     assert {d.kind for d in free} == {DeltaKind.REMOVED, DeltaKind.MOVED}
     assert {d.kind for d in pinned} == {DeltaKind.ADDED, DeltaKind.MISSED}
 
@@ -157,8 +157,8 @@ def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
 def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     features = [feature(i, *at) for i, at in enumerate(ROW)]
     tracks = [track(i, x + 0.05, y) for i, (x, y) in enumerate(ROW[1:])]
-    one = reconcile(tracks, features, absent, PARAMS, founding_key="d")
-    assert one == reconcile(tracks[::-1], features[::-1], absent, PARAMS, founding_key="d")
+    one = reconcile(tracks, features, absent, Terms(PARAMS, "d"))
+    assert one == reconcile(tracks[::-1], features[::-1], absent, Terms(PARAMS, "d"))
 
 
 def test_a_moved_cone_that_was_founded_again_is_merged() -> None:
