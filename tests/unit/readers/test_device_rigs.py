@@ -84,30 +84,20 @@ def test_a_zed_file_with_one_resolution_needs_no_size(tmp_path: Path) -> None:
     agrees_with_opencv(read_rig(path))
 
 
+ZED = zed_text()
 BAD_ZED = {
-    "no size": (lambda text: text, None, r"images of 2208x1242 \(2K\), 1280x720 \(HD\); name that.*--image-size"),
-    "other size": (lambda text: text, (640, 480), "none is 640x480"),
-    "negative": (
-        lambda text: text.replace("=274", "=-274"),
-        SIZE,
-        "'STEREO.Baseline' must be 10 millimetres .*, found -274",
-    ),
-    "metres": (lambda text: text.replace("Baseline=274", "Baseline=0.274 #"), SIZE, "millimetres or more, found 0.274"),
-    "degrees": (lambda text: text.replace("RX_HD=0", "RX_HD=9"), SIZE, "RX_HD.*small angles in radians"),
-    "no angle": (lambda text: text.replace("CV_HD", "CV_QHD"), SIZE, "'STEREO.cv_hd' is missing"),
-    "no camera": (lambda text: text.replace("RIGHT_CAM", "RIGHT"), SIZE, "expected the sections LEFT_CAM_HD"),
-    "no lens": (lambda text: text.replace("k1", "q1"), SIZE, "'LEFT_CAM_HD.k1' must be in one of"),
-    "twice": (lambda text: text.replace("[STEREO]", "[STEREO]\nTY=1"), SIZE, "no INI file: .*already exists"),
-    "no sections": (lambda text: "fx=1\n", SIZE, "no INI file"),
-    "words": (lambda text: text.replace("cx=", "cx=about "), SIZE, "'LEFT_CAM_HD.cx' must be numbers"),
+    "no size": (ZED, r"images of 2208x1242 \(2K\), 1280x720 \(HD\); name that.*--image-size"),
+    "other size": (ZED, "none is 640x480", (640, 480)),
+    "negative": (ZED.replace("=274", "=-274"), "'STEREO.Baseline' must be 10 millimetres .*, found -274", SIZE),
+    "metres": (ZED.replace("Baseline=274", "Baseline=0.274 #"), "millimetres or more, found 0.274", SIZE),
+    "degrees": (ZED.replace("RX_HD=0", "RX_HD=9"), "RX_HD.*small angles in radians", SIZE),
+    "no angle": (ZED.replace("CV_HD", "CV_QHD"), "'STEREO.cv_hd' is missing", SIZE),
+    "no camera": (ZED.replace("RIGHT_CAM", "RIGHT"), "expected the sections LEFT_CAM_HD", SIZE),
+    "no lens": (ZED.replace("k1", "q1"), "'LEFT_CAM_HD.k1' must be in one of", SIZE),
+    "twice": (ZED.replace("[STEREO]", "[STEREO]\nTY=1"), "no INI file: .*already exists", SIZE),
+    "no sections": ("fx=1\n", "no INI file", SIZE),
+    "words": (ZED.replace("cx=", "cx=about "), "'LEFT_CAM_HD.cx' must be numbers", SIZE),
 }
-
-
-@pytest.mark.parametrize("name", BAD_ZED)
-def test_a_bad_zed_file(tmp_path: Path, name: str) -> None:
-    edit, size, message = BAD_ZED[name]
-    (tmp_path / "SN1.conf").write_text(edit(zed_text()))
-    complaint(tmp_path / "SN1.conf", message, image_size=size)
 
 
 # --------------------------------------------------------------------------- OAK
@@ -171,8 +161,14 @@ def test_oak_fisheyes(tmp_path: Path) -> None:
     agrees_with_opencvs_fisheye(read_rig(path, pair=("B", "C")))
 
 
-def oak_camera(socket: int, edit: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]], None]:
-    return lambda content: edit(content["cameraData"][socket][1])
+def edited(edit: Callable[[dict[str, Any]], None]) -> str:
+    content = oak_content()
+    edit(content)
+    return json.dumps(content)
+
+
+def oak_camera(socket: int, edit: Callable[[dict[str, Any]], None]) -> str:
+    return edited(lambda content: edit(content["cameraData"][socket][1]))
 
 
 BAD_OAK = {
@@ -182,19 +178,9 @@ BAD_OAK = {
     "no chain": (oak_camera(1, change("extrinsics/toCameraSocket", -1)), "CAM_B.extrinsics' does not lead to CAM_C"),
     "panorama": (oak_camera(2, change("cameraType", 2)), "CAM_C.cameraType' 2 is not supported"),
     "no rotation": (oak_camera(1, change("extrinsics/rotationMatrix", np.ones((3, 3)).tolist())), "is not a rotation"),
-    "not calibrated": (lambda content: content.update(cameraData=[]), "has 0 calibrated cameras"),
+    "not calibrated": (edited(lambda content: content.update(cameraData=[])), "has 0 calibrated cameras"),
     "no size": (oak_camera(1, change("width", None)), "cameraData.CAM_B.width' is missing"),
 }  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BAD_OAK)
-def test_a_bad_oak_file(tmp_path: Path, name: str) -> None:
-    edit, message = BAD_OAK[name]
-    content = oak_content()
-    edit(content)
-    path = tmp_path / "calib.json"
-    path.write_text(json.dumps(content))
-    complaint(path, message)
 
 
 # --------------------------------------------------------------------------- Metashape
@@ -268,11 +254,14 @@ BAD_METASHAPE = {
 }
 
 
-@pytest.mark.parametrize("name", BAD_METASHAPE)
-def test_a_bad_metashape_file(tmp_path: Path, name: str) -> None:
-    text, message = BAD_METASHAPE[name]
-    (tmp_path / "cameras.xml").write_text(text)
-    complaint(tmp_path / "cameras.xml", message)
+BAD = {"SN1.conf": BAD_ZED, "calib.json": BAD_OAK, "cameras.xml": BAD_METASHAPE}
+
+
+@pytest.mark.parametrize(("name", "fault"), [(name, fault) for name, faults in BAD.items() for fault in faults])
+def test_a_bad_file_of_a_device(tmp_path: Path, name: str, fault: str) -> None:
+    text, message, *image_size = BAD[name][fault]
+    (tmp_path / name).write_text(text)
+    complaint(tmp_path / name, message, image_size=image_size[0] if image_size else None)
 
 
 # --------------------------------------------------------------------------- more than two cameras
