@@ -18,6 +18,8 @@ from conetl.readers.base_layers.point_tiles import (
     first_in_voxels,
     in_z_order,
     join,
+    read_cells,
+    spill,
     tile_side_m,
     tiles_of,
     top_level,
@@ -95,11 +97,14 @@ def test_a_level_is_spaced_as_its_tiles_say_and_lies_inside_them():
         assert tile.points <= max(LEAF_POINTS, GRID * GRID * 4)
 
 
-def test_tiles_do_not_depend_on_how_the_cells_were_cut_into_chunks():
-    cloud = street(20_000)
-    once = list(tiles_of(cells_of(cloud), 4, 0.1))
-    twice = list(tiles_of(cells_of(Cloud(cloud.xyz_m.copy(), cloud.shade.copy())), 4, 0.1))
-    assert once == twice
+def test_tiles_do_not_depend_on_how_the_points_were_cut_into_chunks(tmp_path):
+    cloud, found = street(20_000), []
+    for parts in (1, 7):
+        folder = tmp_path / str(parts)
+        folder.mkdir()
+        chunks = (cloud.take(some) for some in np.array_split(np.arange(20_000), parts))
+        found.append(list(tiles_of(read_cells(folder, spill(chunks, folder, 0.1, "x").cells), 4, 0.1)))
+    assert found[0] == found[1]
 
 
 def test_the_top_level_covers_the_cloud():
