@@ -303,6 +303,7 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "drive.yaml with an unknown key": (settings("drive: x"), DriveFolderError, "drive: unknown key"),
     "drive.yaml that is no mapping": (settings("- x"), DriveFolderError, "expected keys"),
     "unknown time zone": (settings("timestamps_timezone: Mars/Olympus"), DriveFolderError, "not a time zone"),
+    "map CRS of too many digits": (settings("map_srid: 25832000"), DriveFolderError, "map_srid: expected less than 1000000"),
     "map CRS in degrees": (settings("map_srid: 4326"), DriveFolderError, "not a projected CRS"),
     "Web Mercator": (settings("map_srid: 3857"), DriveFolderError, "stretches lengths"),
     "negative sigma": (settings("sigmas: {yaw_deg: -1}"), DriveFolderError, "sigmas.yaw_deg: "),

@@ -141,7 +141,7 @@ class DriveYaml(Record):
     rig_id: str | None = Field(default=None, min_length=1)
     pair: tuple[str, str] | None = None
     """Left and right of the cameras of a rig.yaml with more than two."""
-    map_srid: int | None = Field(default=None, gt=0)
+    map_srid: int | None = Field(default=None, gt=0, lt=1_000_000)
     timestamps_timezone: str = "UTC"
     """IANA name of the time stamps' zone."""
     cameras: Cameras = Cameras()
