@@ -18,6 +18,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # names, or run programs. It reads this when pyogrio is imported for the first time.
 os.environ.setdefault("OGR_SKIP", "OGR_VRT,GDALG,GPSBabel,ADBC,WFS,CSW,OAPIF,OGCAPI")
 
+# Official builds of onnxruntime report models and machines to its maker from 1.29 on. It reads this when it is loaded.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+
 if TYPE_CHECKING:
     from conetl.model.drive import Detection, Drive, Position, StereoMatch, Track
     from conetl.model.errors import ConetlError, InputError, ServiceError

@@ -7,6 +7,8 @@ import hashlib
 import json
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -36,6 +38,18 @@ KITTI_LEFT = SHARED_DATA / "kitti_2011_09_26_drive_0005_sync" / "image_02" / "da
 @pytest.fixture(scope="module")
 def detector() -> Detector:
     return load_detector()
+
+
+def test_onnxruntime_sends_no_telemetry(tmp_path: Path) -> None:
+    """Official builds from 1.29 on do; they prepare that with an identifier of the machine and a cache in the home folder."""
+    given = {name: value for name, value in os.environ.items() if name not in ("CI", "ORT_DISABLE_TELEMETRY")}
+    command = "from conetl import load_detector; load_detector()"
+    subprocess.run(
+        [sys.executable, "-c", command],
+        check=True,
+        env=given | dict.fromkeys(("HOME", "XDG_CACHE_HOME"), str(tmp_path)),
+    )
+    assert list(tmp_path.rglob("*")) == []
 
 
 def test_decode_reads_one_cell_exactly() -> None:
