@@ -1,6 +1,6 @@
 """Every kind of recording against the images it was made of: the same drives as videos and bags, with logs of many formats.
 
-The sample drives, and KITTI where it is in the shared data, are encoded anew; `analyse` must find the same cones. Differences
+The sample drives, and KITTI where it is in the shared data, are re-encoded; `analyse` must find the same cones. Differences
 are those of the positions on sample drives, and of the distances between pairs of cones on KITTI, whose GNSS is accurate to
 0.4 m. The log of a video has a record at each of its frames. Time (processor time, and by the clock) is that of reading and
 analysing with the first log of a container: later ones find the detections of the same frames. Then positions alone at 1 Hz,

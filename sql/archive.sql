@@ -39,7 +39,7 @@ where m.map_id = %(map_id)s;
 
 -- name: tables
 -- The tables that hold one map beside conetl.map, parents first. Not among them: what is shown while a drive is recorded.
--- Columns: table_name; columns (without identity columns, which the database numbers anew, and without map_id or
+-- Columns: table_name; columns (without identity columns, which the database renumbers, and without map_id or
 -- map_name); map_column (that one of both that it has, or null); condition (parameters map_id, map_name); sorting (by the
 -- identity column, so that the new numbers rise as the old ones did, or null).
 select

@@ -80,7 +80,7 @@ where h.changeset_id = %(changeset_id)s and h.by_map and upper_inf(h.system_peri
 
 -- name: hold_events
 -- What happened to drives that are or were on hold, in order. A hold that ends with an acceptance, or gives way to one with
--- another cause, is no event of its own; nor is one with other figures of the same check. Parameters: map_name; since, until (timestamptz, null: all). Columns: as HoldEvent.
+-- another cause, is not an event of its own; nor is one with other figures of the same check. Parameters: map_name; since, until (timestamptz, null: all). Columns: as HoldEvent.
 with held as (
     select distinct h.changeset_id, c.changeset_no, d.drive_id
     from conetl.hold h

@@ -170,7 +170,7 @@ def read_more_cones(root: Path, left_out: frozenset[str] = frozenset()) -> list[
 
 
 def read_left_out(root: Path, left_out: str) -> list[Image]:
-    """The pictures of those sources and clips, named with commas between them."""
+    """The pictures of those sources and clips, separated by commas."""
     names = set(left_out.split(","))
     return [p for p in read_more_cones(root) if names & {p.source, p.name.rsplit("_", 1)[0]}]
 

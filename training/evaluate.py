@@ -210,7 +210,7 @@ def main() -> None:
     parser.add_argument("--clips", type=Path)
     parser.add_argument("--cones", type=Path)
     parser.add_argument("--more-cones", type=Path)
-    parser.add_argument("--left-out", default="", help="sources and clips, with commas between them")
+    parser.add_argument("--left-out", default="", help="sources and clips, separated by commas")
     parser.add_argument("--labelled", type=Path)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()

@@ -190,7 +190,7 @@ def random_camera(rng: np.random.Generator) -> tuple[PinholeCamera, np.ndarray]:
 
 
 def random_world(rng: np.random.Generator) -> World:
-    """0 to 10 cones up to 40 m ahead, and things that are no cones in most scenes."""
+    """0 to 10 cones up to 40 m ahead, and things that are not cones in most scenes."""
     road = Road(
         right_m=rng.uniform(-6.5, -4.0), left_m=rng.uniform(2.5, 5.5), start_m=-30.0, end_m=110.0,
         markings=_random_markings(rng),

@@ -138,7 +138,7 @@ def read_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cones", required=True)
     parser.add_argument("--more-cones", default="", help="further labelled sources")
-    parser.add_argument("--leave-out", default="", help="sources and clips not to train on, with commas between them")
+    parser.add_argument("--leave-out", default="", help="sources and clips not to train on, separated by commas")
     parser.add_argument("--clips", default="", help="the work-zone clips, whose labels lie in labels/")
     parser.add_argument("--renders", default="")
     parser.add_argument("--unlabelled", default="", help="what find_unlabelled.py wrote")

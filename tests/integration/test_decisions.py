@@ -178,7 +178,7 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, a
     restored = revert(conn, str(reverted.decision_id), map_name="default")
     assert restored.kind == "withdraw"
     assert valid_time_map(conn) == everything
-    with pytest.raises(InputError, match="not in force"):
+    with pytest.raises(InputError, match="no longer active"):
         revert(conn, str(reverted.decision_id), map_name="default")
 
 

@@ -255,7 +255,7 @@ def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path,
     assert report.counts[DeltaKind.REMOVED] == 0
     before = desk.final_tables()
     assert len(before["frame_pair"]) == 16 + 4
-    with pytest.raises(DriveFolderError, match="not one of 16 frame pairs has two images that can be decoded"):
+    with pytest.raises(DriveFolderError, match="none of 16 frame pairs has two images that can be decoded"):
         desk.ingest(last)
     assert desk.final_tables() == before
 
@@ -286,7 +286,7 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
 
 
 def test_images_that_are_on_the_map_with_another_log_are_refused(desk: Desk, small_drive: Path) -> None:
-    """Of another GNSS, 0.8 m off by its log, dated and compressed anew: what they show is in the same pixels."""
+    """Of another GNSS, 0.8 m off by its log, dated and recompressed: what they show is in the same pixels."""
     desk.ingest(small_drive)
     again = cut_drive(SAMPLES[0], small_drive.with_name("another log"), "2026-03-06", frames=range(4, 20))
     for number, record in enumerate(sorted((again / "oxts" / "data").iterdir())):

@@ -228,7 +228,7 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     receipts = small()
     state, reason = receipts.pop(POISONED)
     assert state == "failed"
-    assert "not one usable pose" in reason
+    assert "no usable pose" in reason
     assert sorted(receipts) == [f"2026-04-{n:02d}{SMALL}" for n in (1, 2)]
     assert {state for state, _ in receipts.values()} <= {"committed", "known"}
     on_map = desk.rows("select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1")

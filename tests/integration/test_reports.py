@@ -172,7 +172,7 @@ def failed(header: str, state: str, **values: Any) -> Receipt:
 
 def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
     for receipt in (
-        failed("1", "started"), failed("1", "failed", reason=f"not one usable pose {EVIL}"), failed("2", "started"),
+        failed("1", "started"), failed("1", "failed", reason=f"no usable pose {EVIL}"), failed("2", "started"),
         failed("3", "failed", reason="it will pass"), failed("3", "started"),
         failed("3", "committed", changeset_id=latest.changeset_id, seconds=12.0, content_sha256="0" * 64),
     ):  # fmt: skip
@@ -192,7 +192,7 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     assert facts.size_at(since) == 0
     assert [row["warnings"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
     for told in (
-        "2 drives failed", "not one usable pose", "1 cone vanished", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
+        "2 drives failed", "no usable pose", "1 cone vanished", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
     ):  # fmt: skip
         assert told in page
 

@@ -121,7 +121,7 @@ def test_a_drive_without_a_whole_right_image_looks_at_nothing(
     drive = _with_covered("image_02", tmp_path)
     for path in (drive / "image_03" / "data").iterdir():
         spoil_huffman_table(path)
-    with pytest.raises(DriveFolderError, match=r"not one of \d+ frame pairs"):
+    with pytest.raises(DriveFolderError, match=r"none of \d+ frame pairs"):
         _removed_by(drive, sample_settings, results)
 
 

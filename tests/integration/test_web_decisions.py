@@ -76,7 +76,7 @@ def test_pin_and_unpin_every_cone_that_stands_by_the_version_of_its_history(clie
     again = post(client, request_for(feature, "pin"), 409)
     assert "already" in again["detail"] and again["now"]["version"] == feature["version"]
     withdrawn(client, done)
-    assert "is not in force any more" in post(
+    assert "is no longer active" in post(
         client, {"kind": "withdraw", "decision_id": done["decision_id"], "decided_by": "Ada", "reason": "again"}, 409
     )["detail"]  # fmt: skip
 

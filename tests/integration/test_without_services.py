@@ -71,7 +71,7 @@ def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts
     assert {name: drive["state"] for name, drive in drives.items()} == {
         "2026-05-01_poisoned": "failed", "2026-05-02_good": "committed", "M\\xfcnchen": "failed",
     }  # fmt: skip
-    assert "not one usable pose" in str(drives["2026-05-01_poisoned"]["reason"])
+    assert "no usable pose" in str(drives["2026-05-01_poisoned"]["reason"])
     assert "not UTF-8" in str(drives["M\\xfcnchen"]["reason"])
     assert code == 2
     with closing(connect(database_url)) as conn:

@@ -105,13 +105,13 @@ def test_what_is_done_is_left_alone_and_only_what_failed_is_tried_again(
     samples.commit(conn, samples.added(samples.feature()), key="a")
     drives = headers(5)
     receipt(drives[0], "committed", changeset_id=changeset_id(conn), seconds=50.0, may_pass=False)
-    receipt(drives[1], "failed", reason="not one usable pose", may_pass=False)
+    receipt(drives[1], "failed", reason="no usable pose", may_pass=False)
     receipt(drives[2], "started")
     receipt(drives[3], "committed", changeset_id=changeset_id(conn), analysis_sha256="ab" * 32, may_pass=False)
     made = plan(drives)
     assert [action for _, action in actions(made)] == ["skip", "ingest", "ingest", "ingest", "ingest"]
     why = [line.why for line in made.lines]
-    assert "not one usable pose" in why[1]
+    assert "no usable pose" in why[1]
     assert "interrupted" in why[2]
     assert "other parameters" in why[3]
     assert why[4] == "new"
@@ -122,7 +122,7 @@ def test_what_is_done_is_left_alone_and_only_what_failed_is_tried_again(
 
 def test_a_schedule_leaves_alone_what_failed_until_it_changes(plan: Any, receipt: Any) -> None:
     drives = headers(4)
-    receipt(drives[0], "failed", reason="not one usable pose", may_pass=False)
+    receipt(drives[0], "failed", reason="no usable pose", may_pass=False)
     receipt(drives[1], "crashed", reason="signal 9", may_pass=True)
     for _ in range(3):
         receipt(drives[2], "crashed", reason="signal 9", may_pass=True)
@@ -204,10 +204,10 @@ def test_a_lock_says_who_lives(conn: Any, database_url: str, plan: Any, receipt:
 
 
 def test_receipts_are_files_too(receipt: Any, tmp_path: Path) -> None:
-    receipt(headers(1)[0], "failed", reason="not one usable pose", may_pass=False)
+    receipt(headers(1)[0], "failed", reason="no usable pose", may_pass=False)
     (path,) = (tmp_path / "default").glob("d0000-*.json")
     kept = json.loads(path.read_text())
-    assert (kept["state"], kept["reason"], kept["attempts"]) == ("failed", "not one usable pose", 1)
+    assert (kept["state"], kept["reason"], kept["attempts"]) == ("failed", "no usable pose", 1)
 
 
 def test_the_writer_may_add_receipts_and_not_change_them(database_url: str, receipt: Any) -> None:
@@ -283,7 +283,7 @@ def test_a_full_disk_costs_the_copy_of_a_receipt_and_nothing_else(
 
     with monkeypatch.context() as failing:
         failing.setattr(os, "fsync", full)
-        receipt(drive, "failed", reason="not one usable pose", may_pass=False)
+        receipt(drive, "failed", reason="no usable pose", may_pass=False)
     assert (
         latest_receipts(conn, map_name="default", headers=[drive.header_sha256])[drive.header_sha256].state == "failed"
     )

@@ -82,7 +82,7 @@ class Score:
     """What the map made of what happened."""
 
     confusion: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """(what happened, what the map says after the day's drives) of cones; 'nothing' happened to what is no cone. 'hidden':
+    """(what happened, what the map says after the day's drives) of cones; 'nothing' happened to what is not a cone. 'hidden':
     no drive of the day had the place from which the cone went in plain view in `WELL_SEEN_FRAMES` frame pairs."""
     removed_well_seen: int = 0
     """Cones taken away whose spot the day's first drive had in view in `WELL_SEEN_FRAMES` frame pairs and more."""

@@ -30,7 +30,7 @@ from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, what
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 ParamsOption = Annotated[
-    Path | None, typer.Option("--params", help="YAML file of parameters; see `src/conetl/model/params.py`.")
+    Path | None, typer.Option("--params", help="YAML file of parameters; they are listed in docs/reference/api.md.")
 ]
 MapSridOption = Annotated[
     int | None, typer.Option("--map-srid", min=1, help="EPSG code of the map; default: the drive's UTM zone.")

@@ -51,7 +51,7 @@ def init(
     right: Annotated[str | None, typer.Option(help="File or folder of the right camera.")] = None,
     layout: Annotated[
         str | None,
-        typer.Option(help="Of one file with both images: left-right, right-left, top-bottom, bottom-top."),
+        typer.Option(help="Where both images are in one file: left-right, right-left, top-bottom, bottom-top."),
     ] = None,
     start: Annotated[
         str | None,
@@ -65,7 +65,7 @@ def init(
     ] = None,
     timestamps: Annotated[
         str | None,
-        typer.Option(help="File with the time of every left image, one per line, if their names are no times."),
+        typer.Option(help="File with the time of every left image, one per line, if their names are not times."),
     ] = None,
     right_timestamps: Annotated[
         str | None, typer.Option(help="The same for the right images, if their times differ.")
@@ -123,7 +123,7 @@ def init(
         _finish(folder, f"{folder} is a drive already ({kind.NAME}); nothing has to be written.", {}, as_json)
         return
     if (root / DRIVE_YAML).exists() and not force:
-        raise InputError(f"{root / DRIVE_YAML} exists: edit it, or write it anew with --force")
+        raise InputError(f"{root / DRIVE_YAML} exists: edit it, or rewrite it with --force")
     options = {
         "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory,
         "date": date, "time": log_time, "crs": crs, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
@@ -137,7 +137,7 @@ def init(
     for key in part:
         kept.get("images", {}).pop(key, None)
     if kept and not as_json:
-        say(f"  kept from {DRIVE_YAML}: {_listed(kept)}; delete the file to begin anew")
+        say(f"  kept from {DRIVE_YAML}: {_listed(kept)}; delete the file to start over")
     answers = _of_zed(root, as_json=as_json) | answers_in(kept) | given
     kept["images"] = kept.get("images", {}) | part
     asks = sys.stdin.isatty() and not yes and not as_json
@@ -169,7 +169,7 @@ def _earlier(root: Path) -> dict[str, Any]:
     try:
         return read_drive_yaml(root).model_dump(mode="json", exclude_unset=True)
     except DriveFolderError as error:
-        complain(f"{error}\nThe file is written anew without it.")
+        complain(f"{error}\nThe file is rewritten without it.")
         return {}
 
 

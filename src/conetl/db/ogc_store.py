@@ -75,7 +75,7 @@ class MapDirectory:
 async def read_page(
     conn: asyncpg.Connection, kind: str, text: Mapping[str, str], arguments: Sequence[object]
 ) -> tuple[bytes, int]:
-    """Items of one page as JSON with commas between them, and how many; kind: features or changes; text: its placeholders."""
+    """Items of one page as JSON separated by commas, and how many; kind: features or changes; text: its placeholders."""
     row = await conn.fetchrow(_filled(text, f"ogc.{kind}_page"), *arguments)
     return (row["items"] or "").encode(), row["returned"]
 

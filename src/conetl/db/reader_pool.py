@@ -73,7 +73,7 @@ class ReaderPool:
     def exporting(self) -> Iterator[Connection]:
         """A read-only connection for a long answer, one at a time. Raises DatabaseError while another one takes longer."""
         if not self._exports.acquire(timeout=WAIT_S):
-            raise DatabaseError("Another download is being made: try again in a moment.")
+            raise DatabaseError("Another download is in progress: try again in a moment.")
         try:
             with closing(open_reader(self._url, EXPORT_TIMEOUT)) as conn:
                 yield conn

@@ -233,8 +233,8 @@ def given_others(errors: PointErrors, chosen: Bools) -> PointErrors:
     """The errors of a mask (N,) less what the others of the drive show of the common errors (the conditional distribution, e.g.
     Koch 1999, ch. 2.5.3).
 
-    So the error of GNSS/INS, one draw for the whole drive, does not decide about each class anew. Errors common to the chosen
-    ones alone stay common; of the rest, what the others leave unknown becomes part of their own.
+    So the error of GNSS/INS, one draw for the whole drive, does not count again for each class. Errors common to the chosen ones
+    alone stay common; of the rest, what the others leave unknown becomes part of their own.
     """
     precision, rows = np.linalg.inv(errors.joint_cov_m2()), np.repeat(chosen, 3)
     own, alone = select(errors, chosen), ~errors.common_jacobian[~chosen].any(axis=(0, 1))

@@ -78,7 +78,7 @@ def read_truth(path: Path) -> list[TruthRow]:
     required = [name for name, field in TruthRow.model_fields.items() if field.is_required()]
     if not set(required) <= set(columns):
         raise InputError(
-            f"truth {path}: expected the columns {', '.join(required)}, with commas between; found {', '.join(columns)[:200]}"
+            f"truth {path}: expected the columns {', '.join(required)}, separated by commas; found {', '.join(columns)[:200]}"
         )
     truth = []
     for number, row in enumerate(rows, 2):

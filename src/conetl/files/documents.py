@@ -120,7 +120,7 @@ def first_line(error: BaseException) -> str:
 
 
 class XmlFile(FileIO):
-    """An XML file of any size, read in large blocks: expat reads an unfinished tag anew with every block."""
+    """An XML file of any size, read in large blocks: expat reads an unfinished tag again with every block."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         """The next block, whatever its size should be. Raises ValueError where a whole block has no tag."""

@@ -1,7 +1,7 @@
 """Whether a drive contradicts the map as a whole: all its cones lower, aside or turned, or too many of the map's cones gone; or
 its lane markings, where a drive that shows no cone has nothing else that its position can be compared with.
 
-Such a drive is one finding for a person, not nine moved cones. The checks are part of the fold, so that they are decided anew
+Such a drive is one finding for a person, not nine moved cones. The checks are part of the fold, so that they are decided again
 when an earlier drive arrives; docs/explanation/health.md has their limits.
 """
 
@@ -83,7 +83,7 @@ def contradiction(
     )
     displaced = _displaced(sure, features, kinds, params) if sure and features else None
     displaced = displaced or _standing_elsewhere(sure, features, params)
-    return displaced or _scattered(kinds, "cones", "the zone was set up anew") or _blind(kinds, params)
+    return displaced or _scattered(kinds, "cones", "the zone was set up again") or _blind(kinds, params)
 
 
 def marking_contradiction(
@@ -94,7 +94,7 @@ def marking_contradiction(
     stretches: those of the map around the drive; deltas: what `reconcile_markings` made of both.
     """
     kinds = Counter(delta.kind for delta in deltas)
-    moved = _scattered(kinds, _STRETCHES, "the road was painted anew")
+    moved = _scattered(kinds, _STRETCHES, "the road was repainted")
     return moved or _displaced_markings(markings, stretches, params) or _replaced(kinds)
 
 
@@ -405,7 +405,7 @@ def _displaced_markings(
         return None
     detail = (
         f"Its lane markings lie {aside_m:.2f} m beside those of the map, at a stated {sigma_m:.2f} m: one of the two has a wrong "
-        "position, or the road was painted anew. Check base station, datum and antenna offset of the drive."
+        "position, or the road was repainted. Check base station, datum and antenna offset of the drive."
     )
     return _held("position", aside_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
@@ -415,7 +415,7 @@ def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
     stayed, moved = kinds[DeltaKind.CONFIRMED], kinds[DeltaKind.MOVED]
     added, removed = kinds[DeltaKind.ADDED], kinds[DeltaKind.REMOVED]
     if min(removed, added) >= _LEAST_PAIRS and min(removed, added) + moved > stayed:
-        cause = "its position is wrong, or the road was painted anew. Check base station, datum and antenna offset."
+        cause = "its position is wrong, or the road was repainted. Check base station, datum and antenna offset."
     elif removed >= _LEAST_PAIRS and removed > stayed + moved + added:
         cause = "a lens was smeared or covered, or the paint is gone. Look at its images."
     else:

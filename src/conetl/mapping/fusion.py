@@ -35,7 +35,7 @@ MOST_CALIBRATIONS = 8
 #: Least variance of the independent part, one micrometre squared: Jacobians are rounded, and two estimates with calibration
 #: errors only get equal weights.
 _LEAST_INDEPENDENT_M2 = 1e-12
-#: Differences beyond this, in plan or in height, are no chance (0.7 and 0.16 % of honest ones).
+#: Differences beyond this, in plan or in height, are not chance (0.7 and 0.16 % of honest ones).
 _COVERED_CHI2 = 10.0
 
 

@@ -112,7 +112,7 @@ def replay_drives(
     """The map made by the drives, whatever order they are given in.
 
     given: versions and misses of other drives, which are not compared again, with the keys of these drives. Their valid periods
-    and suppression are computed anew.
+    and suppression are recomputed.
     """
     history = MapHistory()
     current: dict[UUID, FeatureVersion] = {}

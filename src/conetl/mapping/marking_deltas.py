@@ -160,7 +160,7 @@ def confirmed(
 def moved(
     feature: MapFeature, found: Feet, seen: StretchSighting, drive: LineDrive, evidence: ExistenceEvidence
 ) -> Delta:
-    """A stretch that was painted anew: the drive's marking beside it, where its vertices were."""
+    """A stretch that was repainted: the drive's marking beside it, where its vertices were."""
     new = _of_drive(found, seen, drive, feature.feature_id, feature.version + 1, evidence)
     return Delta(
         kind=DeltaKind.MOVED,

@@ -3,7 +3,7 @@
 A lane marking on the map is a row of stretches of at most 10 m, each a feature. The drive's offset is taken out, then each vertex
 of a stretch looks across its direction for a marking of the drive (`marking_lines.py`). A vertex is missed if the drive had it in
 view and no marking is there. A stretch is confirmed by two observed vertices unless half of its vertices are missed. Of those,
-one with a free marking beside it was painted anew (moved); one whose existence probability falls far enough is removed, and what
+one with a free marking beside it was repainted (moved); one whose existence probability falls far enough is removed, and what
 was observed of it is founded again (split). Parts of the drive's markings that no stretch claims are added.
 """
 

@@ -1,7 +1,7 @@
 """What a box, or its absence, says about a cone: figures of one detector, measured on labelled images.
 
 `training/calibrate_scores.py` writes them into the model's sidecar (`perception/model_card.py`); without them `UNMEASURED`
-holds. The alternative to a cone is a *lookalike*: an object that is no cone but got a box and will get others (a tail lamp, a
+holds. The alternative to a cone is a *lookalike*: an object that is not a cone but got a box and will get others (a tail lamp, a
 bollard). Scores are the network's own (`Detection.score`); P(cone | box) is a `calibrated_probability`.
 """
 

@@ -40,7 +40,7 @@ FrameIndex = Annotated[int, Field(ge=0, le=MAX_FRAME_INDEX)]
 class Interpolated(Record):
     """What interpolation between sparse records (1 Hz) adds to the sigmas of a pose.
 
-    The frame pairs between two records share it: they are no measurements of their own.
+    The frame pairs between two records share it: they are not measurements of their own.
     """
 
     sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]

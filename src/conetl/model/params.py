@@ -152,8 +152,8 @@ class ReconcileParams(Params):
     marking_gate_m: Positive = 0.25
     """Lane markings nearer than this across their direction, after the drive's common offset, are the same one."""
     marking_moved_max_m: Positive = 1.0
-    """A lane marking that is not observed although visible, and a new one at most this far beside it, are one that was painted
-    anew."""
+    """A lane marking that is not observed although visible, and a new one at most this far beside it, are one that was
+    repainted."""
     marking_least_m: Positive = 2.5
     """Parts of a drive's lane marking that the map lacks are added from this length on: the ends of markings are found to about
     the distance of their vertices."""
@@ -333,7 +333,7 @@ class WorkZoneParams(Params):
     segment_penalty: Positive = 14.0
     """Chi-square that one more bend in a row must explain."""
     min_taper_slope: Positive = 0.01
-    """Gentler slopes are no taper: at 75 mph MUTCD requires 1:75."""
+    """Gentler slopes are not tapers: at 75 mph MUTCD requires 1:75."""
     min_taper_shift_m: Positive = 0.75
     lane_width_m: tuple[Positive, Positive] = (2.3, 5.0)
     """Least and largest distance of two lane lines with a lane between them."""

@@ -85,7 +85,7 @@ def without_unread(
     kept = tuple(pair for pair in drive.frame_pairs if pair.frame_index not in lost)
     if not kept:
         raise DriveFolderError(
-            f"{drive.source_path}: not one of {len(drive.frame_pairs)} frame pairs has two images that can be decoded; "
+            f"{drive.source_path}: none of {len(drive.frame_pairs)} frame pairs has two images that can be decoded; "
             f"the first: {undecoded[0].record}: {undecoded[0].detail}"
         )
     return drive.model_copy(update={"frame_pairs": kept}), [d for d in detections if d.frame_index not in lost]

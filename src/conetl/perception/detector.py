@@ -81,7 +81,7 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1, providers
     options.log_severity_level = 3
     try:
         session = onnxruntime.InferenceSession(content, options, providers=ordered)
-    except Exception as error:  # onnxruntime raises a dozen unrelated kinds for a file that is no network
+    except Exception as error:  # onnxruntime raises a dozen unrelated kinds for a file that is not a network
         raise ModelFileError(f"{path}: onnxruntime cannot load it as a network: {error}") from error
     if unusable := [name for name in ordered if name not in session.get_providers()]:
         raise InputError(
@@ -302,7 +302,7 @@ def run_network(
     """Candidates (N, 10) of each of several images of one size, in pixels of the image and not clipped to it.
 
     At most MAX_BATCH images per run, one where the network takes single images. classes: indices of those to return (None: all);
-    the others suppress overlaps all the same, so that a drum is no cone.
+    the others suppress overlaps all the same, so that a drum is not a cone.
     """
     at_once = MAX_BATCH if detector.several else 1
     if len(images_bgr) > at_once:

@@ -161,7 +161,7 @@ def decode_head(
 
     Only boxes whose score reaches the threshold are given, in the network's order. Boxes that are not finite or have no area
     are dropped; boxes may reach beyond the image. Raises ModelFileError where the outputs are not what the head reads: other
-    shapes, a grid that does not fit the input, or scores that are no probabilities.
+    shapes, a grid that does not fit the input, or scores that are not probabilities.
     """
     check_outputs(head, [output.shape for output in outputs])
     first = [output[0] for output in outputs]

@@ -129,7 +129,7 @@ def _inspect_jpeg(data: bytes) -> ImageHeader:
         position += 2 + length
     # Some cameras pad the file; the end marker must still be the last thing that means anything.
     if not data[position:].rstrip(b"\x00\r\n ").endswith(b"\xff\xd9"):
-        raise ImageTruncatedError("the JPEG lacks its end marker (FF D9): the file was cut off")
+        raise ImageTruncatedError("the JPEG lacks its end marker (FF D9): the file is truncated")
     if size is None:
         raise ImageFormatError("the JPEG has no frame header")
     return _header("jpeg", *size)
@@ -327,8 +327,8 @@ def _asking(path: Path) -> Iterator[None]:
                 RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {reason}; make it readable"
             ) from error
         raise StorageError(
-            f"{path}: the storage does not give this image ({reason}). Look at the disk, the network file system or its tickets, "
-            "and run the same command again. Nothing was written."
+            f"{path}: this image cannot be read from the storage ({reason}). Check the disk, the network file system and "
+            "its tickets, and run the same command again. Nothing was written."
         ) from error
 
 

@@ -43,8 +43,8 @@ def read_rig_image(path: Path, rig: Rig, side: Side) -> NDArray[np.uint8]:
 def read_pair_image(pair: FramePair, side: Side, rig: Rig, *, grey: bool = False) -> NDArray[np.uint8]:
     """Like `read_rig_image`, of the image of a frame pair as it was when its drive was read; from memory where its bytes are.
 
-    grey: as (height, width). Raises ImageFileError where these bytes are no image of the rig, StorageError where they cannot be
-    read any more.
+    grey: as (height, width). Raises ImageFileError where these bytes are not an image of the rig, StorageError where they can
+    no longer be read.
     """
     path, sha256 = pair.image(side)
     stored = stored_camera(rig, side)

@@ -55,7 +55,7 @@ _MAX_BEYOND_SHARE = 0.02
 #: A square shows nothing below this share of the detail of the sharper ones; so many of the lower half may.
 _BLANK, _SHARP_QUANTILE, _MAX_BLANK_SHARE = 0.05, 0.8, 0.1
 #: A square is unclear below this ratio of fine to coarse structure, or this share of that ratio, or of the fine structure, in
-#: the other image; so are those connected with it below the larger limits. Noise of grey levels is no structure.
+#: the other image; so are those connected with it below the larger limits. Noise of grey levels is not structure.
 _BLURRED, _BLURRED_BESIDE, _FAINT_BESIDE, _NOISE = (0.6, 0.75), (0.68, 0.74), (0.4, 0.5), 0.3
 
 
@@ -111,14 +111,14 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     if abs(off_px) > _CORRECTED_ROWS_PX:
         detail = (
             f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones, too far to be corrected. See "
-            "whether they were cropped, or calibrate the rig anew (conetl calibrate)."
+            "whether they were cropped, or recalibrate the rig (conetl calibrate)."
         )
         return drive, [*checks, judged(verdict=Verdict.HOLD, detail=detail)]
     if abs(off_px) <= _FINE_ROWS_PX:
         return drive, [*checks, judged(verdict=Verdict.PASS, detail="Both images have the same rows.")]
     detail = (
         f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones: the right camera was turned by that. "
-        "Calibrate the rig anew (conetl calibrate), or see whether the images were cropped."
+        "Recalibrate the rig (conetl calibrate), or see whether the images were cropped."
     )
     turned = right_camera_turned(drive.rig, np.array([off_px / drive.rig.right.fy_px, 0.0, 0.0]))
     return drive.model_copy(update={"rig": turned}), [*checks, judged(verdict=Verdict.CORRECTED, detail=detail)]

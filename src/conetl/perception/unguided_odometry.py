@@ -23,7 +23,7 @@ from conetl.perception.visual_odometry import follow_spans
 _WIDTH_PX, _RATE_HZ, _MOST_INTERVALS = 640, 10.0, 1500
 #: Speeds that are tried where no motion is known (m/s).
 _TRIED_M_S = (0.0, 5.0, 10.0, 18.0, 28.0)
-#: After an interval that could not be measured speeds are tried anew, but not in each of many: a covered lens costs no minutes.
+#: After an interval that could not be measured speeds are tried again, but not in each of many: a covered lens costs no minutes.
 _TRY_EVERY = 10
 #: A motion may differ by so much from the one before (m, rad).
 _REACH_M, _REACH_RAD = 3.0, 0.15

@@ -104,7 +104,7 @@ def region_of(video: VideoIndex, layout: Layout | None, side: Side) -> Region | 
 def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
     """The frames of a video file. Nothing is decoded, but the whole file is read.
 
-    hashed: with the hash of every packet. Raises InputError where the file is no video, is cut off before its index, or has no
+    hashed: with the hash of every packet. Raises InputError where the file is not a video, ends before its index, or has no
     usable time stamps.
     """
     with open_video(path) as container:
@@ -117,7 +117,9 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
                     continue
                 found[pts] = packet_sha256(packet, pts) if hashed else b""
                 if len(found) > MAX_FRAMES:
-                    raise InputError(f"{path}: more than {MAX_FRAMES:,} frames: cut the recording into several drives")
+                    raise InputError(
+                        f"{path}: more than {MAX_FRAMES:,} frames: split the recording into several drives"
+                    )
         except av.FFmpegError as error:
             raise InputError(
                 f"{path}: the video cannot be read to its end ({error.strerror}): copy it again"
@@ -154,7 +156,7 @@ def video_facts(path: Path) -> VideoFacts:
 def open_video(path: Path) -> InputContainer:
     """An open video file, to be closed. Raises InputError."""
     if path.exists() and not path.is_file():
-        raise InputError(f"{path}: this is no file")  # a pipe would wait for its other end
+        raise InputError(f"{path}: this is not a file")  # a pipe would wait for its other end
     try:
         container = av.open(str(path), options=_OPTIONS, metadata_errors="replace")
     except (av.FFmpegError, OSError) as error:
@@ -177,7 +179,7 @@ def open_video(path: Path) -> InputContainer:
 
 
 def _images_in_time(container: InputContainer) -> list[VideoStream]:
-    """The video streams that are no cover art."""
+    """The video streams that are not cover art."""
     return [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
 
 

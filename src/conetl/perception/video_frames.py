@@ -253,7 +253,7 @@ class _Decoder:
         return entries[k].timestamp if k >= 0 else pts
 
     def leads_to(self, pts: int) -> bool:
-        """Whether a frame is reached from here without a detour: it is near, or there is no key frame on the way."""
+        """Whether a frame is reached from here by decoding on: it is near, or there is no key frame on the way."""
         if self.at is None or self.at >= pts:
             return False
         return (pts - self.at) * self._base <= _NEAR_S or self._key_frame(pts) <= self.at

@@ -33,7 +33,7 @@ class VideoLag(NamedTuple):
 
     offset_s: float
     period_s: float
-    """Between two frames; the offset is no whole number of them where the cameras were not triggered together."""
+    """Between two frames; the offset is not a whole number of them where the cameras were not triggered together."""
     windows: tuple[tuple[float, float], ...]
     """Time in the left file and offset (s), of every part of the recording that shows one by itself."""
 

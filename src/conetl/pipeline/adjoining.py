@@ -203,7 +203,7 @@ def _motion(rig: Rig, pairs: Sequence[FramePair]) -> _Motion | None:
 def _contradiction(other_id: str, off_m: float) -> HealthCheck:
     detail = (
         f"It and drive {other_id}, recorded right before or after it by the same cameras, lie {off_m:.1f} m apart where one "
-        "continues the other: GNSS/INS jumps there, and which of them is right is unknown. Process the GNSS/INS log anew and "
+        "continues the other: GNSS/INS jumps there, and which of them is right is unknown. Reprocess the GNSS/INS log and "
         "deliver the wrong one again, or accept the one that is right. If two vehicles made them, give the rig of one a rig_id "
         "of its own in its drive.yaml (rig_id: NAME), and ingest that drive again."
     )

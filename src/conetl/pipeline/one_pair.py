@@ -61,7 +61,7 @@ class LocatedPair(NamedTuple):
     cones: list[CameraPosition]
     """By distance."""
     objects: list[CameraPosition]
-    """What is no cone, by distance."""
+    """What is not a cone, by distance."""
     misfits: list[CameraPosition]
     """Objects whose height is not that of their category."""
     unmatched: dict[Side, int]

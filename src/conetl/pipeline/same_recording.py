@@ -64,7 +64,7 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
 def refuse_same_images(records: DriveRecords, settings: Settings, database: MapDatabase) -> None:
     """Raise MapMismatchError where the images of a drive are on the map already, with any log, stamps and compression.
 
-    No vehicle sees objects again in the same pixels, image by image; an image that is compressed anew moves boxes by some.
+    No vehicle sees objects again in the same pixels, image by image; an image that is recompressed moves boxes by some.
     """
     drive = records.drive
     if len(drive.frame_pairs) < _LEAST_PAIRS:
@@ -129,7 +129,7 @@ def is_redated(
     least_path_m: float = _LEAST_PATH_M,
 ) -> bool:
     """Whether the left camera of a drive was where that of other frame pairs was, and looked the same way, at times that are all
-    off by one time: as of another zone, with other leap seconds, or dated anew; whatever the numbers of the frames.
+    off by one time: as of another zone, with other leap seconds, or re-dated; whatever the numbers of the frames.
 
     `_LEAST_SHARE` of the frames of the shorter recording, at least `_LEAST_PAIRS` over `least_path_m`, must be frames of the
     other, displaced alike: to `uneven_m` (RMS).

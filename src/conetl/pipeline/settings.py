@@ -20,7 +20,7 @@ from conetl.files.storage import as_path, is_remote
 from conetl.model.errors import InputError
 from conetl.model.map_records import MAP_NAME
 
-#: Variables that are no settings: of compose.yaml, of conetl's services, of tests, and those that Kubernetes sets for a service.
+#: Variables that are not settings: of compose.yaml, of conetl's services, of tests, and those that Kubernetes sets for a service.
 _NO_SETTING = re.compile(
     "CONETL_(VERSION|HOST|DRIVES|THREADS|SERVICE_TOKEN|SHARED_DATA|SCREENSHOTS|STREAMS|RENEW_MESSAGES|(.*_)?(SERVICE_HOST|PORT)(_.*)?)"
 )
@@ -134,7 +134,7 @@ def read_settings(map_name: str | None = None) -> Settings:
 
 
 def ignored_variables(names: Iterable[str]) -> list[str]:
-    """Of the names of environment variables those that look like settings and are none, with the setting that may be meant."""
+    """Of the names of environment variables those that look like settings but are not, with the setting that may be meant."""
     known = [f"CONETL_{name.upper()}" for name in Settings.model_fields]
     unknown = [n for n in names if n.startswith("CONETL_") and n not in known and not _NO_SETTING.fullmatch(n)]
     near = {name: get_close_matches(name, known, n=1, cutoff=0.7) for name in unknown}

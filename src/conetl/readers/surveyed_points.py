@@ -69,7 +69,7 @@ def _with_heights(table: MapTable) -> Floats:
         try:
             xyz[:, 2] = [np.nan if value is None else float(value) for value in column]
         except (TypeError, ValueError) as error:
-            raise InputError(f"{table.path}: a height is no number: {shown(str(error))}") from error
+            raise InputError(f"{table.path}: a height is not a number: {shown(str(error))}") from error
     return xyz
 
 
@@ -84,7 +84,7 @@ def _sigmas(table: MapTable, sigma_m: float | None, path: Path) -> Floats:
             else np.array([[float(v) for v in table.columns[name]] for name in _SIGMAS]).T
         )
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: a sigma is no number: {shown(str(error))}") from error
+        raise InputError(f"{path}: a sigma is not a number: {shown(str(error))}") from error
     if not ((found > 0) & np.isfinite(found)).all():
         raise InputError(f"{path}: sigmas must be above 0 m")
     return found

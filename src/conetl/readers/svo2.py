@@ -87,7 +87,7 @@ def copy_video(path: Path, target: Path) -> None:
             for number, (_, _, message) in enumerate(reader.iter_messages([topic])):
                 data = _stream(message, path)
                 if number >= MAX_FRAMES:
-                    raise DriveFolderError(f"{path}: more than {MAX_FRAMES:,} frames: cut the recording into several")
+                    raise DriveFolderError(f"{path}: more than {MAX_FRAMES:,} frames: split the recording into several")
                 if stream is None:
                     try:
                         with av.open(BytesIO(data), options={"format_whitelist": "h264,hevc"}) as probed:

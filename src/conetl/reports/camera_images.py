@@ -40,7 +40,7 @@ def image_file(source_path: str, image_path: str) -> Path:
     folder, frame = Path(source_path).resolve(), frame_of(image_path)
     path = (folder / (frame.path if frame else image_path)).resolve()  # an absolute path stays absolute
     if (frame is None and path.suffix.lower() not in IMAGE_SUFFIXES) or not path.is_relative_to(folder):
-        raise ImageMissingError(f"{Path(image_path).name} is no image inside the folder of its drive")
+        raise ImageMissingError(f"{Path(image_path).name} is not an image inside the folder of its drive")
     if not path.is_file():
         name = path.relative_to(folder).as_posix()
         raise ImageMissingError(f"the image {name} is missing: restore the drive to {folder}")
@@ -134,7 +134,7 @@ def pairs_jpeg(rows: Sequence[tuple[Image, Image, str]]) -> bytes:
 
 
 def draw_boxes(image_bgr: Image, boxes: NDArray[np.float64], categories: Sequence[str] = ("traffic_cone",)) -> Image:
-    """A copy of an image with boxes, scores, feet and tips, and the class of what is no cone; arguments as in
+    """A copy of an image with boxes, scores, feet and tips, and the class of what is not a cone; arguments as in
     `write_annotated_image`.
     """
     image = image_bgr.copy()

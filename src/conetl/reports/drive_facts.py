@@ -135,7 +135,7 @@ def find_drive(conn: Connection, name: str, *, map_name: str) -> CommittedChange
     by_id = [c for c in found if c.drive_id == name]
     chosen = next((c for c in by_id if c.counts), None) or next(iter(by_id or by_number), None)
     if chosen is None:
-        raise InputError(f"the map {map_name} has no drive and no changeset {name}: `conetl map log` lists them")
+        raise InputError(f"the map {map_name} has no drive and no changeset {name}: see `conetl map log`")
     return chosen
 
 

@@ -239,7 +239,7 @@ def _changed(first: tuple[Cone, ...]) -> tuple[tuple[Cone, ...], dict[str, str]]
 
 
 def _surroundings() -> tuple[RoadObject, ...]:
-    """Objects on all three days, red-and-white and orange ones that are no cones among them."""
+    """Objects on all three days, red-and-white and orange ones that are not cones among them."""
     grey, green, plaster = (0.55, 0.56, 0.57), (0.17, 0.27, 0.12), (0.78, 0.72, 0.60)
     behind = math.pi
     return (

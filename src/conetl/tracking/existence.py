@@ -1,6 +1,6 @@
 """Probability that a group of positions is a cone: log-likelihood ratios of all images in which it should be visible.
 
-The alternative to a cone is a lookalike, an object that is no cone but has boxes now and then. Both were measured for the
+The alternative to a cone is a lookalike, an object that is not a cone but has boxes now and then. Both were measured for the
 detector in use (`model/detector_evidence.py`):
 
 - prior odds: expected cones over false boxes, per image;

@@ -60,7 +60,7 @@ _BENDS_M_S2, _SCATTER_SHARE, _BEND_SIGMAS = 8.0, 0.5, np.sqrt(6 * np.log(4))
 
 _LONGER = (
     "the calibration's baseline, focal length or lens is wrong (raw or rectified images?), or GNSS/INS drifts. Calibrate the rig "
-    "(conetl calibrate) or process its log anew."
+    "(conetl calibrate) or reprocess its log."
 )
 
 
@@ -130,7 +130,7 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
     }.get(calibration.outcome, Verdict.PASS)
     detail = f"{calibration.detail[0].upper()}{calibration.detail[1:]}."
     if verdict is Verdict.HOLD:
-        detail += " Calibrate the rig anew (conetl calibrate), or see whether the images were cropped or shifted."
+        detail += " Recalibrate the rig (conetl calibrate), or see whether the images were cropped or shifted."
     return [HealthCheck(name=CALIBRATION, verdict=verdict, value=None, detail=detail)]
 
 
@@ -201,7 +201,7 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
     if bend_m > _BENDS_M_S2 * step_s**2 and scatter_m > _SCATTER_SHARE * stated_m:
         return (
             f" By the log positions scatter by {scatter_m:.2f} m from one record to the next, at stated sigmas of "
-            f"{stated_m:.2f} m: process the log anew, or state its true sigmas (sigmas in drive.yaml)."
+            f"{stated_m:.2f} m: reprocess the log, or state its true sigmas (sigmas in drive.yaml)."
         )
     path_m = float(np.linalg.norm(steps_m, axis=1).sum())
     duration_s = (frame_pairs[-1].captured_at_ns - frame_pairs[0].captured_at_ns) * 1e-9
@@ -279,7 +279,7 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
     detail = f"The clocks agree ({text})."
     applied = clock.is_applied(params.clock_sigma_s)
     if applied:
-        # An offset within what was known of the clocks, as of videos whose beginning was searched, is no fault of the recorder.
+        # An offset within what was known of the clocks, as of videos whose beginning was searched, is not the recorder's fault.
         advice = "Correct the synchronisation of the recorder."
         if abs(clock.offset_s) <= 3 * params.clock_sigma_s:
             advice = f"The clocks were known to {1e3 * params.clock_sigma_s:.0f} ms."
@@ -324,7 +324,7 @@ def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
         if off_m > max(limit_m, worst.value or 0.0):
             detail = (
                 f"GNSS/INS drifts by {off_m:.1f} m against the images within {times_s[j] - times_s[i]:.0f} s, at a stated "
-                f"sigma of {float(sigma_m[axis]):.2f} m for that: process its log anew, or state its true sigmas."
+                f"sigma of {float(sigma_m[axis]):.2f} m for that: reprocess its log, or state its true sigmas."
             )
             worst = worst.model_copy(
                 update={"verdict": Verdict.HOLD, "value": off_m, "limit": limit_m, "detail": detail}
@@ -371,8 +371,8 @@ def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) ->
         detail = (
             f"The images show the vehicle moving {off_deg:.1f} degrees {('aside', 'up or down')[axis]} of where GNSS/INS has it "
             f"move, at a stated sigma of {np.degrees(sigmas[axis]):.2f}: GNSS/INS drifts by {100 * abs(aside[axis]):.1f} cm per "
-            "metre driven, or the alignment of cameras and GNSS/INS is wrong. Process its log anew, calibrate the alignment "
-            "anew, or state its sigmas (sigmas in drive.yaml)."
+            "metre driven, or the alignment of cameras and GNSS/INS is wrong. Reprocess its log, recalibrate the "
+            "alignment, or state its sigmas (sigmas in drive.yaml)."
         )
     off_deg, limit_deg = np.round([off_deg, limit_deg], 3).tolist()
     return hold_if(held, ALIGNMENT, detail, value=off_deg, limit=limit_deg, unit="degrees")

@@ -56,7 +56,7 @@ def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMo
         first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
         detail = (
             f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, and the images do not: which side is "
-            "right is unknown. Process the GNSS/INS log anew; do not deliver the parts as drives of their own, unless something "
+            "right is unknown. Reprocess the GNSS/INS log; do not deliver the parts as drives of their own, unless something "
             "else shows that their positions are right."
         )
     return hold_if(worst_m, JUMPS, detail, value=worst_m, limit=_LEAST_M, unit="m")
@@ -98,7 +98,7 @@ def check_slow_jumps(
     if value_m:
         detail = (
             f"GNSS/INS moves by {value_m:.1f} m against the images between frame pairs {frames[0]} and {frames[1]}, more than "
-            "its stated sigmas allow: a jump that its filter has spread. Process the GNSS/INS log anew, or state its true sigmas."
+            "its stated sigmas allow: a jump that its filter has spread. Reprocess the GNSS/INS log, or state its true sigmas."
         )
     return hold_if(value_m, "slow jumps of the poses", detail, value=value_m, limit=limit_m, unit="m")
 
@@ -140,7 +140,7 @@ def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: Measu
         frames = frame_pairs[first].frame_index, frame_pairs[first + 1].frame_index
         detail = (
             f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, and the images "
-            "do not: the attitudes on one side are wrong. Process the GNSS/INS log anew."
+            "do not: the attitudes on one side are wrong. Reprocess the GNSS/INS log."
         )
     value, limit_deg = np.degrees([worst, _TURN_RAD]).tolist()
     return hold_if(worst, "jumps of the attitude", detail, value=value, limit=limit_deg, unit="degrees")

@@ -175,7 +175,7 @@ def open_archive(path: Path) -> Archive:
         ) from error
     if len(header) < _HEADER_BYTES or header[:8] != b"PMTiles\x03":
         os.close(file)
-        raise InputError(f"--basemap {path} is no PMTiles file of version 3")
+        raise InputError(f"--basemap {path} is not a PMTiles file of version 3")
     try:
         return Archive(path, file, header)
     except StorageError as error:

@@ -20,7 +20,7 @@ class PassFrame(Answer):
     """From the left camera to the foot."""
     state: Literal["observed", "empty", "occupied", "hidden"]
     """observed: the drive's observation of the feature; empty: the position was visible, and no cone was observed; occupied: a
-    detection that is no part of the feature; hidden: by a nearer detection, or the image shows too little."""
+    detection that is not part of the feature; hidden: by a nearer detection, or the image shows too little."""
     camera_xyz_m: Vec3
 
 

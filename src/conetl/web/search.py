@@ -147,7 +147,7 @@ def fit_projection(srid: int, origin_m: tuple[float, float, float], centre_m: tu
     misses = (_terms(map_unit) @ to_degrees - degree_unit, _terms(degree_unit) @ to_metres - map_unit)
     worst_m = RADIUS_M * max(float(np.abs(miss).max()) for miss in misses)
     if not worst_m <= TOLERANCE_M:
-        raise ValueError(f"EPSG:{srid} bends too much there")
+        raise ValueError(f"EPSG:{srid} is too distorted there")
     return m.MapProjection(
         centre_m=list(centre_m), radius_m=RADIUS_M, lon_deg=float(lon0), lat_deg=float(lat0), degree=_DEGREE,
         unit_per_degree=_scale(lat0).tolist(), to_degrees=to_degrees.T.tolist(), to_metres=to_metres.T.tolist(),

@@ -54,7 +54,7 @@ def find_rows(
 ) -> list[ConeRow]:
     """The rows of cones (C,), longest first; stations_m must not decrease.
 
-    axis_sigma_m: lateral sigma of the axis; smaller shifts are no tapers. traffic_sign: +1 where traffic passes to the left of
+    axis_sigma_m: lateral sigma of the axis; smaller shifts are not tapers. traffic_sign: +1 where traffic passes to the left of
     the row, -1 to the right, 0 unknown (then converging means to the left).
     """
     left = np.arange(len(stations_m))

@@ -42,7 +42,7 @@ def test_temporary_errors_may_pass(error: Exception) -> None:
 @pytest.mark.parametrize(
     "error",
     [
-        errors.DriveFolderError("not one usable pose"),
+        errors.DriveFolderError("no usable pose"),
         errors.CalibrationError("P_rect_03 is missing"),
         errors.MapMismatchError("another CRS"),
         caused(errors.CalibrationError("no such file"), FileNotFoundError(errno.ENOENT, "no such file")),

@@ -218,7 +218,7 @@ def test_other_files_are_rejected_by_name(tmp_path, text, name):
 @pytest.mark.parametrize("start", [b'<osm a="', b"<osm><!--", b""])
 @pytest.mark.parametrize("name", ["a.osm", "a.xodr"])
 def test_a_tag_without_an_end_is_refused_before_it_is_read_again_and_again(tmp_path, name, start):
-    """Expat reads an unfinished tag anew with every block: 20 MB took ten seconds."""
+    """Expat reads an unfinished tag again with every block: 20 MB took ten seconds."""
     path = tmp_path / name
     path.write_bytes(start + b"a" * 20_000_000)
     with pytest.raises(InputError, match=rf"{name}: .*without a tag"):

@@ -298,7 +298,7 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "no time stamps": (lambda d: remove(d, "image_02/timestamps.txt"), DriveFolderError, "image_02/timestamps.txt is missing"),
     "all poses bad": (lambda d: [change_oxts(i, 0, "nan")(d) for i in range(FRAMES)], DriveFolderError, "lat_deg: "),
     "all images bad": (
-        lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "not one of 6 frame pairs can be used",
+        lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "none of 6 frame pairs can be used",
     ),
     "drive.yaml with an unknown key": (settings("drive: x"), DriveFolderError, "drive: unknown key"),
     "drive.yaml that is no mapping": (settings("- x"), DriveFolderError, "expected keys"),

@@ -213,7 +213,7 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     (root / "times.txt").write_text("\n".join(f"{p.captured_at_ns}" for p in sample.frame_pairs))
     made = init(root, "--start", "2026-03-02 09:41:07Z")
     said = str(made.exception)
-    assert "names of the images in left (0000.jpg to 0015.jpg) are no times" in said and "--timestamps: " in said
+    assert "names of the images in left (0000.jpg to 0015.jpg) are not times" in said and "--timestamps: " in said
     assert "images.start is for videos" in said and not (root / "drive.yaml").exists()
     made = init(root, "--timestamps", "time.txt")
     assert "--timestamps time.txt: there is no such file" in str(made.exception)
@@ -576,13 +576,13 @@ def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path
     assert after["images"]["start"] == "2026-03-02 09:41:07.010000000Z" and after["images"]["right_offset_s"] == 0.0
     (copy / "drive.yaml").write_text("images: [\n")
     made = init(copy, "--force", "--right", "r.mp4")
-    assert "written anew without it" in made.output and "kept" not in made.output
+    assert "rewritten without it" in made.output and "kept" not in made.output
     (copy / "drive.yaml").write_text("images: [\n")
     options = ["--right", "r.mp4", "--start", start, "--right-offset", "0"]
     made = CliRunner().invoke(app, ["init", str(copy), "--json", "--force", *options])
     assert made.exit_code == 0, made.stderr
     assert json.loads(made.stdout)["settings"]["images"]["right"] == "r.mp4"
-    assert "written anew without it" in made.stderr
+    assert "rewritten without it" in made.stderr
 
 
 def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_images(
@@ -666,7 +666,7 @@ def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:
     os.mkfifo(copy / "left.mp4")
     with pytest.raises(DriveFolderError, match="the left camera's images are not clear"):
         read_drive(copy)
-    with pytest.raises(InputError, match="this is no file"):
+    with pytest.raises(InputError, match="this is not a file"):
         video_facts(copy / "left.mp4")
 
 

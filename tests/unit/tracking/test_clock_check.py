@@ -1,4 +1,4 @@
-"""What the check of the clocks advises: a searched offset that the analysis refines is no fault of the recorder."""
+"""What the check of the clocks advises: a searched offset that the analysis refines is not a fault of the recorder."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ def drop(
     with open_map(map_name) as (conn, info):
         dropped = drop_base_layer(conn, info.map_name, layer)
     if not dropped:
-        raise InputError(f"the map {info.map_name} has no base layer {layer}: `conetl base list` lists them")
+        raise InputError(f"the map {info.map_name} has no base layer {layer}: see `conetl base list`")
     facts = {"layer": layer, "files": len(dropped)}
     ui.answer(as_json, facts, f"Removed layer {layer} with {ui.counted(len(dropped), 'file')}.")
 

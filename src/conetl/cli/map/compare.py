@@ -139,7 +139,7 @@ def instants_of(conn: Connection, map_name: str, name: str) -> tuple[datetime | 
     if _is_number(name):
         changesets = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == int(name)]
         if not changesets:
-            raise InputError(f"the map {map_name} has no changeset {name}: `conetl map log` lists them")
+            raise InputError(f"the map {map_name} has no changeset {name}: see `conetl map log`")
         return None, changesets[0].committed_at
     return ui.parse_instant(name), None
 

@@ -101,7 +101,7 @@ def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> N
 
 
 def decisions(map_name: ui.MapOption = None, as_json: ui.JsonOption = False) -> None:
-    """List the decisions in force."""
+    """List the active decisions."""
     with open_map(map_name) as (conn, info):
         found = list_decisions(conn, map_name=info.map_name)
         numbers = {one.changeset_id: one.changeset_no for one in list_changesets(conn, map_name=info.map_name)}

@@ -117,7 +117,7 @@ def log(
         else:
             found = find_features(conn, feature, map_name=name)
             if not found:
-                raise InputError(f"the map {name} has no feature {feature}: `conetl map show` lists them")
+                raise InputError(f"the map {name} has no feature {feature}: see `conetl map show`")
             if len(found) > 1:
                 raise InputError(f"{feature!r} is ambiguous: give more characters of the id")
             entries = feature_log(conn, found[0])

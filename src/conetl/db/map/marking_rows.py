@@ -41,7 +41,7 @@ def marking_of(row: Row) -> Marking | None:
 
 def marking_columns(srid: int, markings: Sequence[Marking | None]) -> dict[str, CopyColumn]:
     """Columns of the shape of lines; NULL in the rows of point objects."""
-    if not any(markings):  # of the millions of versions that are no line, none is looked at a second time
+    if not any(markings):  # of the millions of versions that are not lines, none is looked at a second time
         return dict.fromkeys(("line", "line_cov", *_ATTRIBUTES), binary.nulls(len(markings)))
     return {
         "line": binary.byteas([None if m is None else _line(m, srid) for m in markings]),

@@ -23,7 +23,7 @@ from conetl.model.arrays import Bools, Floats, Ints
 _ACCELERATION_M_S2, _LASTS_S = np.array([1.8, 1.8, 0.3]), 1.5
 #: Before the first record speed is unknown (m/s, one sigma), and positions differ by as much as this (m).
 _ANY_SPEED_M_S, _ANYWHERE_M = 40.0, 1e4
-#: Over a longer gap (s) nothing is known: the estimate begins anew after it.
+#: Over a longer gap (s) nothing is known: the estimate starts over after it.
 LONGEST_GAP_S = 60.0
 #: Records nearer in time than this to one that is used are left out (s): the slow error hardly changes between them.
 _LEAST_STEP_S = 0.19

@@ -239,7 +239,7 @@ def _refine(
     pose: Floats,
     min_inliers: int,
 ) -> tuple[MotionStatus, Floats, Bools, Floats | None]:
-    """Iteratively reweighted Gauss-Newton over the inliers, which are chosen anew in the first iterations.
+    """Iteratively reweighted Gauss-Newton over the inliers, which are chosen again in the first iterations.
 
     Returns status, motion, inliers and covariance, as `StereoMotion`.
     """

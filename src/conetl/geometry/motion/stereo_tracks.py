@@ -1,7 +1,7 @@
 """Points followed between two frame pairs, and the motions computed from them.
 
-Points need images (`perception/visual_odometry.py`), motions only the points and the rig, so that another calibration of the rig
-needs no images.
+Points need images (`perception/visual_odometry.py`), motions only the points and the rig: with another calibration they are
+computed again without images.
 """
 
 from __future__ import annotations

@@ -102,7 +102,9 @@ def parse_board(text: str) -> Board:
             raise InputError(f"board '{text}': OpenCV has no dictionary DICT_{dictionary}; one is 5X5_100")
         marker_m = _length_m(fields[2], text)
         if not marker_m < size_m:
-            raise InputError(f"board '{text}': a marker is smaller than its square, found {fields[2]} in {fields[1]}")
+            raise InputError(
+                f"board '{text}': the markers must be smaller than the squares, found {fields[2]} in {fields[1]}"
+            )
         return Board("charuco", cols, rows, size_m, marker_m=marker_m, dictionary=dictionary)
     try:
         spacing = float(fields[2])
@@ -253,7 +255,7 @@ def _lattice(cols: int, rows: int) -> Floats:
 def _length_m(text: str, spec: str) -> float:
     match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)(mm|cm|m)", text)
     if match is None or float(match[1]) <= 0:
-        raise InputError(f"board '{spec}': '{text}' is no length; {_SPEC_HELP}")
+        raise InputError(f"board '{spec}': '{text}' is not a length; {_SPEC_HELP}")
     return float(match[1]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[match[2]]
 
 

@@ -58,7 +58,7 @@ class MarkingPoints(Record):
         return self
 
     def columns(self) -> PointColumns:
-        """The points."""
+        """All points: one array (N,) per column."""
         return PointColumns(*np.frombuffer(self.points, "<f8").reshape(-1, len(PointColumns._fields)).T)
 
     def searched(self) -> Floats:

@@ -142,7 +142,7 @@ def revert(
                     raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
         elif target.kind == WITHDRAW or not target.active:
-            raise ConflictError(f"decision {target.id} is not in force any more: make it again instead")
+            raise ConflictError(f"decision {target.id} is no longer active: record it again instead")
         else:
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
         decision = next((d for d in store.list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
@@ -179,7 +179,7 @@ def accept_drive(
         ]
         held = [known for known in found if known.hold is not None]
         if not held:
-            state = _not_held(conn, found[0]) if found else "`conetl drive held` lists them"
+            state = _not_held(conn, found[0]) if found else "see `conetl drive held`"
             raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: {state}")
         if len(held) > 1:
             raise InputError(f"{len(held)} drives {drive} are on hold: give the number that `conetl drive held` lists")
@@ -316,9 +316,9 @@ def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflic
 def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:
     found = find_features(conn, beginning, map_name=map_name)
     if not found:
-        raise InputError(f"there is no feature {beginning} on the map {map_name}: `conetl map show` lists them")
+        raise InputError(f"there is no feature {beginning} on the map {map_name}: see `conetl map show`")
     if len(found) > 1:
-        raise InputError(f"{beginning} is the beginning of several features' ids: give more of it")
+        raise InputError(f"several feature ids begin with {beginning}: give more characters")
     version = replays.read_open_version(conn, map_name, found[0])
     if version is None:
         raise InputError(f"feature {found[0]} was on the map once, and was removed since: see `conetl map log`")
@@ -337,5 +337,5 @@ def _target(conn: Connection, map_name: str, beginning: str) -> Decidable:
             f"the map {map_name} has no changeset or decision {beginning}: see `conetl map log` and `conetl map decisions`"
         )
     if len(found) > 1:
-        raise InputError(f"{beginning} is the beginning of several ids: give more of it")
+        raise InputError(f"several ids begin with {beginning}: give more characters")
     return found[0]

@@ -73,7 +73,7 @@ def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
             yield Cloud(xyz[keep], _shade(intensity, brightest)[keep])
     if read != expected:
         raise InputError(
-            f"{path}: the header states {expected:,} points, the file has {read:,}. It is cut off or damaged: copy it again"
+            f"{path}: the header states {expected:,} points, the file has {read:,}. It is truncated or damaged: copy it again"
         )
 
 
@@ -93,7 +93,7 @@ def _reading(path: Path) -> Iterator[None]:
     except BaseException as error:  # pyo3's PanicException is not an Exception
         text = str(error)[:MAX_SHOWN]
         raise InputError(
-            f"{path}: the points cannot be read ({text}). Expected a complete LAS or LAZ file; this one is cut off or damaged: "
+            f"{path}: the points cannot be read ({text}). Expected a complete LAS or LAZ file; this one is truncated or damaged: "
             "copy it again"
         ) from error
 
@@ -147,5 +147,5 @@ def _check_header(path: Path) -> None:
         if count * record_bytes > size:
             raise InputError(
                 f"{path}: the header states {count:,} {what}, which do not fit into {size:,} bytes. It is "
-                "cut off or damaged: copy it again"
+                "truncated or damaged: copy it again"
             )

@@ -126,7 +126,7 @@ def bag_files(path: Path) -> Path | None:
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
-    """The bag of `bag_files`. Raises DriveFolderError where it is cut off or damaged."""
+    """The bag of `bag_files`. Raises DriveFolderError where it is truncated or damaged."""
     with ExitStack() as opened:
         with library_errors(path):
             if path.is_dir() or path.suffix == ROS1_SUFFIX:

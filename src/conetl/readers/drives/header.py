@@ -37,7 +37,7 @@ class DriveHeader:
     """UTC; None where the times are unknown: then `problem` is the reason, or the clock of a bag's recorder was not set."""
     problem: str | None
     problem_may_pass: bool = False
-    """The storage failed, which is no property of the drive."""
+    """The storage failed, which is not a property of the drive."""
 
     @property
     def shown_path(self) -> str:

@@ -245,7 +245,7 @@ def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, o
     records, bad = _read_oxts(source)
     if not records:
         shown = "".join(f", for example {number:010d}.txt: {text}" for number, text in [*bad.items()][:1])
-        raise DriveFolderError(f"{folder}: not one usable pose in oxts/data{shown}")
+        raise DriveFolderError(f"{folder}: no usable pose in oxts/data{shown}")
     start = records[min(records)]
     srid = checked_srid(source.map_srid, start.lat_deg, start.lon_deg, folder)
     times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}

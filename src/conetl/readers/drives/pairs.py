@@ -168,7 +168,7 @@ def drive_of_pairs(
     """The drive of the usable pairs by frame_index, with its rejections. Raises DriveFolderError where no pair is left."""
     if not usable:
         first = f"; the first: {rejections[0].record}: {rejections[0].detail}" if rejections else ""
-        raise DriveFolderError(f"{source.root}: not one of {expected} frame pairs can be used{first}")
+        raise DriveFolderError(f"{source.root}: none of {expected} frame pairs can be used{first}")
     pairs = tuple(
         FramePair(
             frame_index=number, left_path=str(left.path), right_path=str(right.path), captured_at_ns=captured, pose=pose,

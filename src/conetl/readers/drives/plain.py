@@ -136,7 +136,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     good = [row for row in rows.values() if isinstance(row, Row)]
     if not good:
         first = next((str(row) for row in rows.values()), "the file has no rows")
-        raise DriveFolderError(f"{path / TRAJECTORY}: not one usable pose: {first}")
+        raise DriveFolderError(f"{path / TRAJECTORY}: no usable pose: {first}")
     srid = checked_srid(source.map_srid, good[0].lat_deg, good[0].lon_deg, path)
     with named(path, DriveFolderError):
         poses = {row.stem: pose_of_row(row, srid, settings.sigmas) for row in good}

@@ -239,7 +239,7 @@ def _trajectory(
         records, bad = found.records[topic], found.bad[topic]
         if not records:
             first = next(iter(bad.values()), "there are none")
-            raise DriveFolderError(f"{path}: {topic}: not one usable pose: {first}")
+            raise DriveFolderError(f"{path}: {topic}: no usable pose: {first}")
         times = sorted(records)
         recorded, sigmas = zip(*(records[t] for t in times), strict=True)
         return poses.Samples(topic, times, np.array(recorded), np.array(sigmas), bad)

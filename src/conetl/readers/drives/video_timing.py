@@ -204,7 +204,7 @@ def _named(camera: CameraImages, source: Source) -> list[Image]:
         raise UnknownTimeError(
             "timestamps",
             source.root,
-            f"the names of the images in {camera.name} ({found}) are no times since 1970"
+            f"the names of the images in {camera.name} ({found}) are not times since 1970"
             + ("; images.start is for videos" if source.settings.images.start is not None else ""),
             f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
             "right_timestamps where the right ones have others",

@@ -164,7 +164,8 @@ def _collection_of_sequence(path: Path) -> bytes:
             row = json.loads(record)
         except ValueError as error:
             raise InputError(
-                f"{path}, row {number}: this is not a GeoJSON feature ({error}): the file is cut or broken; nothing was written"
+                f"{path}, row {number}: this is not a GeoJSON feature ({error}): the file is truncated or damaged; nothing was "
+                "written"
             ) from None
         if not (isinstance(row, dict) and row.get("type") == "Feature"):
             raise InputError(f"{path}, row {number}: expected a GeoJSON Feature; nothing was written")
@@ -301,7 +302,7 @@ def _check_flatgeobuf_header(path: Path) -> None:
     (size,) = struct.unpack("<I", start[8:])
     if size + 12 > path.stat().st_size:
         raise InputError(
-            f"{path} states a header of {size} bytes, but has only {path.stat().st_size}: it is cut or broken"
+            f"{path} states a header of {size} bytes, but has only {path.stat().st_size}: it is truncated or damaged"
         )
 
 
@@ -314,7 +315,9 @@ def _check_claim(path: Path, count: int, noun: str, columns: int) -> None:
         )
     # Equal values compress to almost nothing; but geometries differ.
     if count * _MIN_ROW_BYTES > path.stat().st_size + 4096:
-        raise InputError(f"{path} states {count} {noun}, but has only {path.stat().st_size} bytes: it is cut or broken")
+        raise InputError(
+            f"{path} states {count} {noun}, but has only {path.stat().st_size} bytes: it is truncated or damaged"
+        )
 
 
 def _too_many(path: Path) -> InputError:

@@ -79,7 +79,9 @@ def _sections(path: Path) -> Sections:
     try:
         parser.read_string(read_limited(path), source=path.name[:MAX_SHOWN])
     except Error as error:
-        raise CalibrationError(f"{path}: this is no INI file: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
+        raise CalibrationError(
+            f"{path}: this is not an INI file: {' '.join(str(error).split())[:MAX_SHOWN]}"
+        ) from error
     return {name.upper(): dict(parser.items(name)) for name in parser.sections()}
 
 
@@ -211,6 +213,6 @@ def _check(rectification: Node, right_SE3_left: Floats) -> None:
     worst = max(float(np.abs(right_R @ right_SE3_left[:3, :3] - left_R).max()), float(np.abs(along[1:]).max()))
     if not worst <= _MAX_CONTRADICTION:
         raise rectification.bad(
-            f"contradicts the extrinsics by {worst:.3g} rad: one of them is of another calibration. Calibrate the device anew, "
+            f"contradicts the extrinsics by {worst:.3g} rad: one of them is of another calibration. Recalibrate the device, "
             "or delete this key if the extrinsics are right"
         )

@@ -159,7 +159,7 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         if kind >> 16:  # a small element: its length is before its type
             start, end, kind = at + 4, at + 4 + (kind >> 16), kind & 0xFFFF
         if end > len(data):
-            raise ValueError("it is cut off")
+            raise ValueError("it is truncated")
         yield kind, data[start:end]
         at = end if kind == _COMPRESSED else end + -end % 8
 

@@ -90,7 +90,7 @@ def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
     if not group.transformers or not group.best_available:
         raise DriveFolderError(
             f"drive.yaml: trajectory.frame, map_frame: PROJ has no transformation from {shown(source.name)} to "
-            f"{shown(target.name)} at {lat:.1f}, {lon:.1f} degrees: transform the positions before"
+            f"{shown(target.name)} at {lat:.1f}, {lon:.1f} degrees: transform the positions first"
         )
     return group.transformers[0]
 

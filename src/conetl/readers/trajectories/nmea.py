@@ -114,7 +114,7 @@ class _Log:
             self.turn.extend(values)
 
     def _at(self, time_of_day_ns: int) -> int:
-        """Time of a sentence; a time of day that begins anew is on the next day, late sentences are on the day before."""
+        """Time of a sentence; a time of day that starts over is on the next day, late sentences are on the day before."""
         step = time_of_day_ns - self.last_ns if self.last_ns >= 0 else 0
         if step > DAY_NS - LATE_NS:
             return (self.day - 1) * DAY_NS + time_of_day_ns

@@ -149,7 +149,7 @@ def assembled(
         # A bad line of another time, such as a header, is not the cause.
         cause = "" if found_ns and not bad else first_problem
         raise DriveFolderError(
-            f"{path}: not one usable pose: {cause or 'there are no records' + of_images(between_ns, found_ns)}"
+            f"{path}: no usable pose: {cause or 'there are no records' + of_images(between_ns, found_ns)}"
         )
     times = np.concatenate([piece.times_ns for piece in kept])
     order = np.argsort(times, kind="stable")

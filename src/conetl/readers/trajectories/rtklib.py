@@ -88,7 +88,7 @@ def _layout(header: str, data: str, first_line: int, path: Path) -> TableLayout:
 
 
 def _by_quality(values: Mapping[str, Floats], found: Records) -> Records:
-    """Without records that are no solution, with the least sigmas of single ones."""
+    """Without records that are not solutions, with the least sigmas of single ones."""
     quality = values.get("quality")
     if quality is None:
         return found

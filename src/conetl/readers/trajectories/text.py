@@ -15,7 +15,7 @@ from conetl.model.errors import DriveFolderError
 MAX_TEXT_BYTES = 8 << 30
 """20 million records of 400 characters."""
 MAX_LINE = 20_000
-"""Characters of a line; more are no record of a trajectory."""
+"""Characters of a line; a longer one is not a record of a trajectory."""
 _BLOCK = 4 << 20
 _HEAD = 65_536
 

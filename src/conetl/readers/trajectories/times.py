@@ -31,7 +31,7 @@ SECOND_NS = 1_000_000_000
 DAY_NS = 86_400 * SECOND_NS
 WEEK_NS = 7 * DAY_NS
 EARLIEST_NS = 1_199_145_600_000_000_000
-"""2008-01-01. A clock that was not set starts in 1970 or 1980, and a receiver whose GPS week began anew after 1024 weeks dates
+"""2008-01-01. A clock that was not set starts in 1970 or 1980, and a receiver whose GPS week rolled over after 1024 weeks dates
 what it records until August 2027 before this; no drive is that old."""
 MAX_AHEAD_NS = DAY_NS
 """A day: this computer's clock may be wrong, too, by a time zone."""
@@ -62,7 +62,7 @@ def clock_problem(time_ns: int, earliest_ns: int = EARLIEST_NS) -> str | None:
     """What is wrong with the clock of a time, None where nothing is. To be put after "the time"."""
     if time_ns < earliest_ns:
         year = np.datetime64(earliest_ns, "ns").astype("datetime64[Y]")
-        return f"is before {year}: the clock was not set, or its GPS week began anew (1024 weeks too early)"
+        return f"is before {year}: the clock was not set, or its GPS week rolled over (1024 weeks too early)"
     if time_ns > time.time_ns() + MAX_AHEAD_NS:
         return "is more than a day in the future: another clock"
     return None
@@ -212,7 +212,7 @@ class TimeFormat(NamedTuple):
 
     @property
     def period_ns(self) -> int:
-        """After which times of a week or a day begin anew."""
+        """After which times of a week or a day start over."""
         return DAY_NS if self.kind == "day" else WEEK_NS
 
 
@@ -281,7 +281,7 @@ TimeReader = Callable[[Sequence[str], Sequence[str] | None], tuple[Times, dict[i
 def time_reader(clock: TimeFormat) -> TimeReader:
     """A function of the texts of consecutive times and of their GPS weeks: UTC ns (N,), and what is wrong by index.
 
-    Times of a week or a day without one of their own that begin anew belong to the next one: if two times were in the last 14th
+    Times of a week or a day without one of their own that start over belong to the next one: if two times were in the last 14th
     and the next is in the first 14th, so that one wild time does not move all that follow.
     """
     start_ns, period_ns = clock.start_ns, clock.period_ns

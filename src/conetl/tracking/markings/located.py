@@ -46,7 +46,7 @@ class LocatedPoints:
     """(N,) of these points from the path, positive to its left."""
     road_station_m: Floats
     road_offset_m: Floats
-    """(N,) of where the left ray meets the plane of the road: less noise, but wrong where the road is no plane."""
+    """(N,) of where the left ray meets the plane of the road: less noise, but wrong where the road is not a plane."""
     weight: Floats
     """(N,) inverse variances, up to a common factor."""
 

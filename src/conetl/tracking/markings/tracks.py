@@ -72,7 +72,7 @@ class _Course(NamedTuple):
     noise_m2: Floats
     """(K, 2, 2) covariance of offset and height from the scatter of the points."""
     kept: Bools
-    """(N,) the points that are no outliers."""
+    """(N,) the points that are not outliers."""
 
 
 def fuse_markings(

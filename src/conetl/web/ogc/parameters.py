@@ -68,7 +68,7 @@ async def one_collection(
     map_name, _, kind = collectionId.rpartition(".")
     found = await _maps(request, map_name) if kind in COLLECTIONS and map_name.isprintable() else []
     if not found:
-        raise NotFound(f"There is no collection {collectionId}: /collections lists them.")
+        raise NotFound(f"There is no collection {collectionId}: see /collections.")
     latest = found[0].last_committed_at  # all queries of a request see one state
     pinned = replace(instants, known_at=instants.known_at or latest, known_end=instants.known_end or latest)
     return collection_of(kind, found[0], pinned)
