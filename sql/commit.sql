@@ -65,9 +65,7 @@ create temporary table delta_stage on commit drop as
 select
     feature_id, kind, old_version, true as is_change, track_index, changed_at_ns, changed_at, shift_m,
     other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty,
-    present, suppressed, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
-    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count, first_seen_ns, last_seen_ns,
-    calibrations, shared_jacobian_m, line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m
+    present, suppressed, {{state columns}}
 from conetl.delta
 join conetl.feature_version using (cell, feature_id)
 with no data;
@@ -149,19 +147,13 @@ with closed as (
     returning v.*
 )
 insert into conetl.feature_version (
-    cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
-    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
-    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m,
-    line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m
+    cell, feature_id, version, map_id, srid, changeset_id, present, {{state columns}},
+    valid_from_ns, valid_period, system_period, suppressed
 )
 select
-    v.cell, v.feature_id, v.version, v.map_id, v.srid, v.changeset_id, v.present, v.category, v.geom,
-    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    v.centre_geom, v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count,
-    v.first_seen_ns, v.last_seen_ns, v.valid_from_ns,
+    v.cell, v.feature_id, v.version, v.map_id, v.srid, v.changeset_id, v.present, {{state columns of v}}, v.valid_from_ns,
     tstzrange(lower(v.valid_period), greatest(s.changed_at, lower(v.valid_period) + interval '1 microsecond')),
-    tstzrange(%(committed_at)s, null), v.suppressed, v.calibrations, v.shared_jacobian_m,
-    v.line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m
+    tstzrange(%(committed_at)s, null), v.suppressed
 from closed v
 join delta_stage s using (feature_id)
 order by v.cell, v.feature_id;
@@ -170,20 +162,15 @@ order by v.cell, v.feature_id;
 -- The new versions, open in both periods; each begins at least a microsecond after the one that it follows.
 -- Parameters: map_id; srid; changeset_id; committed_at (timestamptz).
 insert into conetl.feature_version (
-    cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
-    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
-    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m,
-    line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m
+    cell, feature_id, version, map_id, srid, changeset_id, present, {{state columns}},
+    valid_from_ns, valid_period, system_period, suppressed
 )
 select
     coalesce(o.cell, (select f.cell from conetl.feature f where f.feature_id = s.feature_id and f.map_id > 0)),
-    s.feature_id, coalesce(o.version, 0) + 1, %(map_id)s, %(srid)s, %(changeset_id)s, s.present, s.category, s.geom,
-    s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,
-    s.centre_geom, s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count,
-    s.first_seen_ns, s.last_seen_ns, greatest(s.changed_at_ns, o.valid_from_ns + 1000),
+    s.feature_id, coalesce(o.version, 0) + 1, %(map_id)s, %(srid)s, %(changeset_id)s, s.present, {{state columns of s}},
+    greatest(s.changed_at_ns, o.valid_from_ns + 1000),
     tstzrange(greatest(s.changed_at, o.valid_from + interval '1 microsecond'), null), tstzrange(%(committed_at)s, null),
-    s.suppressed, s.calibrations, s.shared_jacobian_m,
-    s.line, s.line_cov, s.width_m, s.width_sigma_m, s.colour, s.pattern, s.dash_m, s.gap_m
+    s.suppressed
 from delta_stage s
 left join open_version o using (feature_id)
 where s.is_change

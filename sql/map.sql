@@ -102,13 +102,7 @@ evidence as (
     group by v.feature_id
 )
 select
-    v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
-    array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
-    array[ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom)] as centre_xyz_m,
-    v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability) as existence_probability,
-    v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m) as shared_jacobian,
-    ST_AsBinary(v.line, 'NDR') as line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    {{feature columns of v}}, coalesce(e.existence_after, v.existence_probability) as existence_probability,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
     coalesce(e.seen_count, 0) as seen_count, coalesce(e.missed_count, 0) as missed_count
 from v
@@ -170,12 +164,7 @@ order by v.feature_id, v.version;
 -- included. Parameters: map_name; feature_id (null: all); valid_until (timestamptz; 'infinity' = all).
 -- Columns: as FeatureVersion, valid_to_ns to the microsecond.
 select
-    v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
-    array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
-    array[ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom)] as centre_xyz_m,
-    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m) as shared_jacobian,
-    ST_AsBinary(v.line, 'NDR') as line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    {{feature columns of v}}, v.existence_probability,
     v.changeset_id, v.present or v.suppressed as present, v.suppressed, v.valid_from_ns,
     case
         when upper_inf(v.valid_period) then null

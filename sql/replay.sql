@@ -54,12 +54,7 @@ and ST_DWithin(d.area, ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing
 -- The features that stand around a drive's path now, suppressed ones included: what the drive is compared with where no
 -- later drive has been. Parameters: drive_uuid. Columns: as FeatureVersion.
 select distinct on (v.feature_id)
-    v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
-    array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
-    array[ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom)] as centre_xyz_m,
-    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m) as shared_jacobian,
-    ST_AsBinary(v.line, 'NDR') as line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    {{feature columns of v}}, v.existence_probability,
     v.changeset_id, true as present, v.suppressed, v.valid_from_ns, null::bigint as valid_to_ns
 from conetl.drive d
 cross join lateral conetl.pieces(d.area) piece
@@ -111,12 +106,7 @@ with around as materialized (
     where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
 )
 select
-    v.feature_id, v.version, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m,
-    array[v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz] as cov_m2,
-    array[ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom)] as centre_xyz_m,
-    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m) as shared_jacobian,
-    ST_AsBinary(v.line, 'NDR') as line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m,
+    {{feature columns of v}}, v.existence_probability,
     v.changeset_id, v.present or v.suppressed as present, v.suppressed, v.valid_from_ns,
     lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)) as valid_to_ns,
     v.version_row_id, d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
@@ -166,9 +156,7 @@ order by x.changeset_id, x.feature_id;
 -- is_open is false.
 create temporary table version_stage on commit drop as
 select
-    feature_id, version, changeset_id, present, suppressed, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
-    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count, first_seen_ns, last_seen_ns,
-    calibrations, shared_jacobian_m, line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m,
+    feature_id, version, changeset_id, present, suppressed, {{state columns}},
     valid_from_ns, lower(valid_period) as valid_from, upper(valid_period) as valid_to, true as is_open
 from conetl.feature_version
 with no data;
@@ -204,19 +192,13 @@ where x.delta_row_id = any(%(row_ids)s);
 -- name: insert_staged_versions
 -- Write the staged versions with a system period from now on. Parameters: map_id; srid; committed_at (timestamptz).
 insert into conetl.feature_version (
-    cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
-    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
-    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m,
-    line, line_cov, width_m, width_sigma_m, colour, pattern, dash_m, gap_m
+    cell, feature_id, version, map_id, srid, changeset_id, present, {{state columns}},
+    valid_from_ns, valid_period, system_period, suppressed
 )
 select
-    f.cell, s.feature_id, s.version, %(map_id)s, %(srid)s, s.changeset_id, s.present, s.category, s.geom,
-    s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,
-    s.centre_geom, s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count,
-    s.first_seen_ns, s.last_seen_ns, s.valid_from_ns,
+    f.cell, s.feature_id, s.version, %(map_id)s, %(srid)s, s.changeset_id, s.present, {{state columns of s}}, s.valid_from_ns,
     tstzrange(s.valid_from, case when not s.is_open then s.valid_to end), tstzrange(%(committed_at)s, null),
-    s.suppressed, s.calibrations, s.shared_jacobian_m,
-    s.line, s.line_cov, s.width_m, s.width_sigma_m, s.colour, s.pattern, s.dash_m, s.gap_m
+    s.suppressed
 from version_stage s
 left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less
 order by f.cell, s.feature_id, s.version;

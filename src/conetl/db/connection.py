@@ -53,6 +53,8 @@ COPY_CHUNK_BYTES = 1 << 20
 CopyBlock: TypeAlias = tuple[str, BytesIO]
 """A COPY statement and the rows that are ready to be sent."""
 _NAME = re.compile(r"^-- name: (\w+)\n", re.MULTILINE)
+#: A list of columns in `sql/columns.sql`, and the alias of the table that has them.
+_COLUMNS = re.compile(r"\{\{(\w+) columns(?: of (\w+))?\}\}")
 REPORT_AFTER_S = 5.0
 REPORT_EVERY_S = 60.0
 _log = logging.getLogger(__name__)
@@ -305,13 +307,18 @@ def sql_directory() -> Path:
 
 @cache
 def statements(topic: str) -> dict[str, str]:
-    """All statements of a topic by name, in the order of the file, with the comments that follow their names."""
+    """All statements of a topic by name, in the order of the file, with the comments that follow their names; lists of shared
+    columns are filled in."""
     path = sql_directory() / f"{topic}.sql"
     try:
         _, *parts = _NAME.split(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DatabaseError(f"{path} cannot be read ({error.strerror}): install conetl again.") from error
-    return {name: text.strip() for name, text in zip(parts[::2], parts[1::2], strict=True)}
+    return {name: _COLUMNS.sub(_columns, text.strip()) for name, text in zip(parts[::2], parts[1::2], strict=True)}
+
+
+def _columns(found: re.Match[str]) -> str:
+    return statements("columns")[found[1]].replace("x.", f"{found[2]}." if found[2] else "")
 
 
 def load_sql(name: str) -> str:
