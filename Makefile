@@ -8,7 +8,7 @@ export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: help setup demo up down test lint check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-changes bench-map bench-fleet bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch bench-health bench-mutants bench-recordings fuzz lock
+.PHONY: $(shell sed -nE 's/^([a-z-]+):.*/\1/p' $(firstword $(MAKEFILE_LIST)))
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from conetl import Track, analyse, read_drive
+from conetl import Track, analyse, cov_matrix, read_drive
 
 SAMPLE = Path(__file__).resolve().parents[1] / "data" / "drives" / "2026-03-02_taper_pass1"
 
@@ -28,10 +28,10 @@ def main(folder: Path = SAMPLE, plot: Path = Path("first_map.png")) -> Sequence[
     )
     axes.plot(*np.array([pair.pose.map_t_body_m[:2] for pair in found.drive.frame_pairs]).T, color="0.6")
     for track in found.tracks:
-        xx, xy, _, yy, _, zz = track.cov_m2
-        east, north, up = np.sqrt([xx, yy, zz])
+        cov_m2 = cov_matrix(track.cov_m2)
+        east, north, up = np.sqrt(cov_m2.diagonal())
         print(f"{track.xyz_m[0]:.3f} {track.xyz_m[1]:.3f} {track.xyz_m[2]:.3f}  +- {east:.3f} {north:.3f} {up:.3f} m")
-        variances, axes_of_ellipse = np.linalg.eigh([[xx, xy], [xy, yy]])
+        variances, axes_of_ellipse = np.linalg.eigh(cov_m2[:2, :2])
         angle = np.degrees(np.arctan2(axes_of_ellipse[1, 1], axes_of_ellipse[0, 1]))
         width, height = 20 * np.sqrt(variances[::-1])  # ten sigmas to each side, to be seen
         axes.add_patch(Ellipse(track.xyz_m[:2], width, height, angle=angle, color="tab:orange"))

@@ -22,6 +22,7 @@ os.environ.setdefault("OGR_SKIP", "OGR_VRT,GDALG,GPSBabel,ADBC,WFS,CSW,OAPIF,OGC
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 if TYPE_CHECKING:
+    from conetl.geometry.packing import cov_matrix
     from conetl.model.drive import Detection, Drive, Position, StereoMatch, Track
     from conetl.model.errors import ConetlError, InputError, ServiceError
     from conetl.model.ingest_report import IngestReport
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from conetl.tracking.positions import locate_positions
 
 _MODULES = {
+    "conetl.geometry.packing": ("cov_matrix",),
     "conetl.model.drive": ("Detection", "Drive", "Position", "StereoMatch", "Track"),
     "conetl.model.errors": ("ConetlError", "InputError", "ServiceError"),
     "conetl.model.ingest_report": ("IngestReport",),
@@ -57,8 +59,8 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 __all__ = [
     "AnalysedDrive", "CommittedDrive", "ConetlError", "Detection", "Drive", "IngestParams", "IngestReport", "InputError",
-    "Position", "Rig", "ServiceError", "Settings", "StereoMatch", "Track", "analyse", "commit", "detect_image", "ingest",
-    "load_detector", "locate_positions", "match_pair", "publish", "read_drive",
+    "Position", "Rig", "ServiceError", "Settings", "StereoMatch", "Track", "analyse", "commit", "cov_matrix", "detect_image",
+    "ingest", "load_detector", "locate_positions", "match_pair", "publish", "read_drive",
 ]  # fmt: skip
 
 

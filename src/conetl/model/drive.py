@@ -131,7 +131,7 @@ class Drive(Record):
     map_srid: int
     content_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
     """Hash over names and bytes of all files read, images included."""
-    frame_pairs: tuple[FramePair, ...] = Field(min_length=1)
+    frame_pairs: tuple[FramePair, ...] = Field(min_length=1, repr=False)
     expected_frame_count: int = Field(gt=0)
     """Number of frame pairs in the folder, rejected ones included."""
     clock_sigma_s: Positive | None = None

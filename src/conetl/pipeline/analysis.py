@@ -37,7 +37,7 @@ from conetl.tracking.trajectory import RefinedTrajectory
 from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class AnalysedDrive:
     """The records of every step, and how the drive's poses and its calibration were refined."""
 
@@ -47,6 +47,9 @@ class AnalysedDrive:
     params: IngestParams
     health: tuple[HealthCheck, ...] = ()
     """Checks of the recording."""
+
+    def __repr__(self) -> str:
+        return f"<AnalysedDrive {self.drive.drive_id}: {len(self.tracks)} tracks; trajectory: {self.trajectory.detail}>"
 
     @property
     def drive(self) -> Drive:

@@ -46,13 +46,13 @@ def publish_files(
     publish(committed, settings, database, times)
 
 
-def read(folder: Path, map_srid: int | None, images_folder: Path) -> tuple[Drive, list[Rejection]]:
+def read(folder: Path | str, map_srid: int | None, images_folder: Path) -> tuple[Drive, list[Rejection]]:
     """Read a drive folder."""
     return read_drive(folder, map_srid=map_srid, images_folder=images_folder)
 
 
 def ingest(
-    folder: Path,
+    folder: Path | str,
     params: IngestParams | None = None,
     settings: Settings | None = None,
     *,

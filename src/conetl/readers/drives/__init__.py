@@ -34,16 +34,17 @@ def find_format(path: Path) -> DriveFormat | None:
 
 
 def drive_format(path: Path) -> str | None:
-    """Name of the format: kitti, plain, euroc, bag or video; None for anything else."""
+    """`NAME` of the format; None for anything else."""
     found = find_format(path)
     return None if found is None else found.NAME
 
 
 def read_drive(
-    path: Path, *, map_srid: int | None = None, images_folder: Path | None = None, headers_only: bool = False
+    path: Path | str, *, map_srid: int | None = None, images_folder: Path | None = None, headers_only: bool = False
 ) -> tuple[Drive, list[Rejection]]:
     """A drive and the frame pairs that were rejected.
 
+    path: a drive folder, a bag, or the address of a drive in object storage (s3://bucket/drive).
     map_srid: EPSG code of the map that the drive is for; default drive.yaml's, else the UTM zone of the first pose.
     images_folder: where the images of a bag are unpacked to, by the hash of their bytes; no other format needs it.
     headers_only: check images by their first and last bytes only. This is quick, but does not find damage in between, and
