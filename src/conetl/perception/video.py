@@ -117,9 +117,7 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
                     continue
                 found[pts] = packet_sha256(packet, pts) if hashed else b""
                 if len(found) > MAX_FRAMES:
-                    raise InputError(
-                        f"{path}: more than {MAX_FRAMES:,} frames: split the recording into several drives"
-                    )
+                    raise InputError(f"{path}: more than {MAX_FRAMES:,} frames: split it into several drives")
         except av.FFmpegError as error:
             raise InputError(
                 f"{path}: the video cannot be read to its end ({error.strerror}): copy it again"

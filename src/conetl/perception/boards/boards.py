@@ -102,9 +102,7 @@ def parse_board(text: str) -> Board:
             raise InputError(f"board '{text}': OpenCV has no dictionary DICT_{dictionary}; one is 5X5_100")
         marker_m = _length_m(fields[2], text)
         if not marker_m < size_m:
-            raise InputError(
-                f"board '{text}': the markers must be smaller than the squares, found {fields[2]} in {fields[1]}"
-            )
+            raise InputError(f"board '{text}': markers must be smaller than squares, found {fields[2]} in {fields[1]}")
         return Board("charuco", cols, rows, size_m, marker_m=marker_m, dictionary=dictionary)
     try:
         spacing = float(fields[2])

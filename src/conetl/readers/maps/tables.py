@@ -164,8 +164,7 @@ def _collection_of_sequence(path: Path) -> bytes:
             row = json.loads(record)
         except ValueError as error:
             raise InputError(
-                f"{path}, row {number}: this is not a GeoJSON feature ({error}): the file is truncated or damaged; nothing was "
-                "written"
+                f"{path}, row {number}: this is not a GeoJSON feature ({error}): truncated or damaged; nothing was written"
             ) from None
         if not (isinstance(row, dict) and row.get("type") == "Feature"):
             raise InputError(f"{path}, row {number}: expected a GeoJSON Feature; nothing was written")
@@ -315,9 +314,7 @@ def _check_claim(path: Path, count: int, noun: str, columns: int) -> None:
         )
     # Equal values compress to almost nothing; but geometries differ.
     if count * _MIN_ROW_BYTES > path.stat().st_size + 4096:
-        raise InputError(
-            f"{path} states {count} {noun}, but has only {path.stat().st_size} bytes: it is truncated or damaged"
-        )
+        raise InputError(f"{path} states {count} {noun}, but has {path.stat().st_size} bytes: truncated or damaged")
 
 
 def _too_many(path: Path) -> InputError:

@@ -79,9 +79,7 @@ def _sections(path: Path) -> Sections:
     try:
         parser.read_string(read_limited(path), source=path.name[:MAX_SHOWN])
     except Error as error:
-        raise CalibrationError(
-            f"{path}: this is not an INI file: {' '.join(str(error).split())[:MAX_SHOWN]}"
-        ) from error
+        raise CalibrationError(f"{path}: not an INI file: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
     return {name.upper(): dict(parser.items(name)) for name in parser.sections()}
 
 
