@@ -77,7 +77,6 @@ def trajectory_format(path: Path) -> FormatName | None:
         return "sbet" if sbet.looks_like(path.stat().st_size, head) else None
     text = head.decode(encoding_of(head), errors="replace").replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")[: -1 if len(head) < path.stat().st_size else None]
-    filled = [line for line in lines if line.strip()]
     if rtklib.header_of(lines) is not None:
         return "rtklib"
     if nmea.looks_like(lines):
@@ -86,9 +85,9 @@ def trajectory_format(path: Path) -> FormatName | None:
         return "gpx"
     if inertial_explorer.looks_like(lines):
         return "inertial_explorer"
-    if local.looks_like_euroc(filled):
+    if local.looks_like_euroc(lines):
         return "euroc"
-    if local.looks_like_tum(filled):
+    if local.looks_like_tum(lines):
         return "tum"
     return "table" if delimited.looks_like(lines) else None
 
