@@ -239,6 +239,11 @@ def test_a_report_says_that_no_lane_markings_were_found_where_they_were_searched
     assert "No lane markings found; none changed on the map." in capsys.readouterr().out
     print_report(report(categories=("lane_marking",), markings=2, line_counts={DeltaKind.ADDED: 3}))
     assert "2 lane markings; stretches of them: 3 added." in capsys.readouterr().out
+    left = "too doubtful or too near to another one to be added"
+    print_report(report(categories=("lane_marking",), markings=1))
+    assert f"1 lane marking, 1 of them {left}; none changed on the map." in " ".join(capsys.readouterr().out.split())
+    print_report(report(categories=("lane_marking",), markings=2, line_counts={DeltaKind.REMOVED: 1}))
+    assert f"2 of them {left}; stretches of them: 1 removed." in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.fixture

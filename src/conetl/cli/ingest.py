@@ -235,17 +235,16 @@ def print_report(report: IngestReport) -> None:
     failed = ", ".join(check.name for check in holding(report.health))
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is as it was"
     noun = "object" if categories - {CONE} else "cone"
-    left = 0 if report.on_hold else report.tracks - sum(report.counts[kind] for kind in _OBSERVED)
-    why = f", {left} of them too doubtful or too near to another one to be added" if left > 0 else ""
+    left = _left_out(0 if report.on_hold else report.tracks - sum(report.counts[kind] for kind in _OBSERVED))
     ui.out.print(
         f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
-        f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}{why}."
+        f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}{left}."
     )
-    if lines:
-        ui.out.print(f"{ui.counted(report.markings, 'lane marking')}; stretches of them: {lines}.")
-    elif LANE_MARKING in report.categories and report.on_hold is None:
-        found = ui.counted(report.markings, "lane marking") if report.markings else "No lane markings found"
-        ui.out.print(f"{found}; none changed on the map.")
+    if lines or (LANE_MARKING in report.categories and report.on_hold is None):
+        found = ui.counted(report.markings, "lane marking") if report.markings or lines else "No lane markings found"
+        # Their stretches are counted, not they themselves: how many were left out is known only where all were.
+        left = _left_out(report.markings if report.line_counts.keys().isdisjoint(_OBSERVED) else 0)
+        ui.out.print(f"{found}{left}; {f'stretches of them: {lines}' if lines else 'none changed on the map'}.")
     if report.trajectory:
         ui.out.print(f"Trajectory: {report.trajectory}.")
     if report.rejections:
@@ -259,3 +258,8 @@ def print_report(report: IngestReport) -> None:
         if change.sentence not in report.remarks:
             ui.say(change.sentence)
     ui.out.print()
+
+
+def _left_out(count: int) -> str:
+    """The part of a sentence on what the drive shows and the map does not."""
+    return f", {count} of them too doubtful or too near to another one to be added" if count > 0 else ""
