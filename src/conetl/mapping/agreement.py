@@ -24,7 +24,7 @@ from conetl.mapping.marking_deltas import drive_of, lines_on_map
 from conetl.mapping.marking_lines import feet
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
-from conetl.model.health import AGREEMENT, HealthCheck, hold_if
+from conetl.model.health import AGREEMENT, HealthCheck, hold
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
@@ -240,7 +240,7 @@ def _held(what: str, value: float, detail: str, *, limit: float, sigma: float | 
     """A hold; its figures are rounded to what is meant, so that they are the same wherever they are computed again."""
     value, limit = round(value, 3), round(float(limit), 3)
     sigma = None if sigma is None else round(sigma, 3)
-    return hold_if(True, f"{AGREEMENT}: {what}", detail, value=value, sigma=sigma, limit=limit, unit=unit)
+    return hold(f"{AGREEMENT}: {what}", detail, value=value, sigma=sigma, limit=limit, unit=unit)
 
 
 def _mean_sigma_m(cov_m2: Floats) -> float:

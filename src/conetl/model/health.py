@@ -55,10 +55,15 @@ class HealthCheck(Record):
         return f"{self.value:.3g}{sigma}{self.unit and f' {self.unit}'}{limit}"
 
 
+def hold(name: str, detail: str, *, value: float | None, **figures: Any) -> HealthCheck:
+    """A check that puts the drive on hold; figures: other fields."""
+    return HealthCheck(name=name, verdict=Verdict.HOLD, detail=detail, value=value, **figures)
+
+
 def hold_if(wrong: object, name: str, detail: str, *, value: float | None, **figures: Any) -> HealthCheck:
     """A check that puts the drive on hold if something is wrong, and passes otherwise; figures: other fields."""
-    verdict = Verdict.HOLD if wrong else Verdict.PASS
-    return HealthCheck(name=name, verdict=verdict, detail=detail, value=value, **figures)
+    check = hold(name, detail, value=value, **figures)
+    return check if wrong else check.model_copy(update={"verdict": Verdict.PASS})
 
 
 AGREES = HealthCheck(

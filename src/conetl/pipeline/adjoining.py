@@ -21,7 +21,7 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive, FramePair
-from conetl.model.health import ADJOINING, HealthCheck, hold_if
+from conetl.model.health import ADJOINING, HealthCheck, hold
 from conetl.model.rig import Rig
 
 #: Drives that begin so many seconds after another ended may be parts of one recording; of longer ones nothing can be said.
@@ -207,7 +207,7 @@ def _contradiction(other_id: str, off_m: float) -> HealthCheck:
         "deliver the wrong one again, or accept the one that is right. If two vehicles made them, give the rig of one a rig_id "
         "of its own in its drive.yaml (rig_id: NAME), and ingest that drive again."
     )
-    return hold_if(True, ADJOINING, detail, value=round(off_m, 3), limit=_JUMP_M, unit="m")
+    return hold(ADJOINING, detail, value=round(off_m, 3), limit=_JUMP_M, unit="m")
 
 
 def _continuation(other_id: str) -> HealthCheck:
@@ -215,4 +215,4 @@ def _continuation(other_id: str) -> HealthCheck:
         f"It continues drive {other_id}, which is on hold because GNSS/INS jumps between it and another drive: it has the same "
         "position error, if there is one. It counts as soon as that drive does."
     )
-    return hold_if(True, ADJOINING, detail, value=None)
+    return hold(ADJOINING, detail, value=None)

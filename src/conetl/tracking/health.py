@@ -11,7 +11,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import MIN_DETAIL, FramePair
-from conetl.model.health import CALIBRATION, HealthCheck, Verdict, hold_if
+from conetl.model.health import CALIBRATION, HealthCheck, Verdict, hold, hold_if
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
@@ -247,7 +247,7 @@ def _not_adjusted(measured: MeasuredMotions, residual: Floats) -> HealthCheck:
         f"{log_m:.0f} m. Check the rate and the beginning of the images' time stamps (videos may state another rate than that of "
         "the recording), the log, and the calibration."
     )
-    return hold_if(True, "adjustment of the poses", detail, value=None)
+    return hold("adjustment of the poses", detail, value=None)
 
 
 def _in_common(observed: Floats, logged: Floats, degrees: float, share: float) -> str:
