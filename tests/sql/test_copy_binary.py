@@ -76,7 +76,7 @@ def test_points_arrays_and_times(conn):
     columns = {
         "u": copy_binary.constant_uuid(key, 2),
         "p": copy_binary.points([(1.5, -2.25, 1e-9), (3e8, 0, 7)], 32632),
-        "a": copy_binary.double_arrays([[1.0, 2.0], [0.1, -1e300]]),
+        "a": copy_binary.arrays([[1.0, 2.0], [0.1, -1e300]], ">f8"),
         "t": copy_binary.timestamps_from_ns([946_684_800_000_000_999, -1_000]),
     }
     copy_columns(conn, "g", columns)

@@ -11,7 +11,8 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -31,6 +32,8 @@ NULL_LENGTH = -1
 _POSTGRES_EPOCH_US = 946_684_800_000_000
 _UNSTORABLE = re.compile("[\x00\ud800-\udfff]")
 _EWKB_POINT_Z_SRID = 0x80000000 | 0x20000000 | 1
+#: PostgreSQL's numbers of the types integer, real, float8 and uuid.
+_ITEM_TYPES = {">i4": 23, ">f4": 700, ">f8": 701, "|V16": 2950}
 
 
 @dataclass(frozen=True)
@@ -82,15 +85,9 @@ def points(xyz_m: Sequence[Vec3], srid: int) -> CopyColumn:
     return CopyColumn(ewkb.view("V33"), np.full(len(xyz), 33, np.int32))
 
 
-def double_arrays(values: Any) -> CopyColumn:
-    """float8[] from (n, k)."""
-    array = np.asarray(values, np.float64)
-    count, width = array.shape
-    header = [("dimensions", ">i4"), ("nulls", ">i4"), ("oid", ">i4"), ("size", ">i4"), ("start", ">i4")]
-    wire = np.empty(count, [*header, ("items", [("length", ">i4"), ("value", ">f8")], width)])
-    wire["dimensions"], wire["nulls"], wire["oid"], wire["size"], wire["start"] = 1, 0, 701, width, 1
-    wire["items"]["length"], wire["items"]["value"] = 8, array
-    return CopyColumn(wire.view(f"V{wire.dtype.itemsize}"), np.full(count, wire.dtype.itemsize, np.int32))
+def arrays(values: Iterable[Any], dtype: str) -> CopyColumn:
+    """An array of any dimensions in each row: '>i4' integer[], '>f4' real[], '>f8' float8[], 'V16' uuid[]; None becomes NULL."""
+    return _variable([None if value is None else _array(np.asarray(value, dtype)) for value in values])
 
 
 def texts(values: Sequence[str | None]) -> CopyColumn:
@@ -161,6 +158,18 @@ def _encoded_blocks(columns: Mapping[str, CopyColumn]) -> Iterator[bytes]:
 
 def _blocks(items: list[bytes], length: int) -> CopyColumn:
     return CopyColumn(np.frombuffer(b"".join(items), f"V{length}"), np.full(len(items), length, np.int32))
+
+
+def _array(values: NDArray[Any]) -> bytes:
+    """As `array_send` in PostgreSQL's src/backend/utils/adt/arrayfuncs.c makes it.
+
+    Number of dimensions, whether any item is null, type of the items, then length and first index of each dimension, then the
+    items, each after its length.
+    """
+    items = np.empty(values.size, [("length", ">i4"), ("value", values.dtype)])
+    items["length"], items["value"] = values.itemsize, values.ravel()
+    head = [values.ndim, 0, _ITEM_TYPES[values.dtype.str], *(part for length in values.shape for part in (length, 1))]
+    return struct.pack(f">{len(head)}i", *head) + items.tobytes()
 
 
 def _variable(items: list[bytes | None]) -> CopyColumn:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from conetl.db.connection import Connection, read, stream, stream_values
 from conetl.db.copy_binary import json_text
 from conetl.db.map.import_store import read_statements
-from conetl.db.map.marking_rows import Row, covariances, marking_of
-from conetl.db.map.rows import jacobian_of, record_of
+from conetl.db.map.rows import Row, covariances, jacobian_of, marking_of, record_of
 from conetl.model.base import Vec3
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.drive import Detection, Drive, FramePair, Pose, Track

@@ -22,9 +22,8 @@ from conetl.db.connection import Connection
 from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
 from conetl.db.map.map_store import find_changeset, find_map, map_lock
-from conetl.db.map.marking_rows import Row
 from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
-from conetl.db.map.rows import version_of
+from conetl.db.map.rows import Row, version_of
 from conetl.model.drive import Drive
 from conetl.model.map_records import DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
 

@@ -1,40 +1,40 @@
-"""Records as columns for COPY and as rows read back (unchecked), and SharedErrorJacobian in PostgreSQL's binary array format.
-
-An array: number of dimensions, whether any item is null, type of the items, then length and first index of each dimension, then
-the items, each after its length; all big-endian (`array_send` in PostgreSQL's src/backend/utils/adt/arrayfuncs.c).
-"""
+"""Records as columns for COPY, and as rows read back (unchecked), to the last bit."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from functools import lru_cache
-from itertools import chain
 from operator import attrgetter
 from typing import Any, TypeVar
 from uuid import UUID
 
 import numpy as np
+import shapely
 
 from conetl.db import copy_binary as binary
 from conetl.db.copy_binary import CopyColumn
-from conetl.db.map.marking_rows import Row, marking_columns, marking_of, matrices
 from conetl.geometry.packing import stacked
-from conetl.model.base import Record, SharedErrorJacobian, sound
+from conetl.model.base import Cov3, Record, SharedErrorJacobian, sound
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
-from conetl.model.markings import MarkingTrack
+from conetl.model.markings import Marking, MarkingTrack
 from conetl.model.rejections import Rejection
 
 R = TypeVar("R", bound=Record)
+Row = Mapping[str, Any]
 Columns = dict[str, CopyColumn]
 Encoder = Callable[[Any], CopyColumn]
 _COV_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
-_UUID_TYPE, _REAL_TYPE, _INTEGER_TYPE = 2950, 700, 23
-_UUID_BYTES, _REAL_BYTES = 16, 4
 #: Bytes before the items of an array of one dimension and of three, and the offset of the former's length.
 _HEAD_OF_ONE, _HEAD_OF_THREE, _LENGTH_AT = 20, 36, 12
 _REALS = np.dtype([("length", ">i4"), ("value", ">f4")])
+#: Bytes before the vertices in `ST_AsBinary`.
+_WKB_HEAD = 9
+#: Columns of a lane marking that are named as the attributes.
+_PAINT: dict[str, Encoder] = {
+    "width_m": binary.doubles, "width_sigma_m": binary.doubles, "colour": binary.texts, "pattern": binary.texts,
+    "dash_m": binary.doubles, "gap_m": binary.doubles,
+}  # fmt: skip
 #: Columns of a delta's row in the order of `replay.current_deltas`. new_version: the old one if a confirmation changed nothing.
 _CHANGE: dict[str, Encoder] = {
     "feature_id": binary.uuids, "kind": binary.texts, "old_version": binary.integers, "new_version": binary.integers,
@@ -72,9 +72,9 @@ def frame_pair_columns(drive_uuid: UUID, srid: int, pairs: Sequence[FramePair]) 
             pairs, integers="frame_index", texts="left_path right_path", bigints="captured_at_ns", doubles="detail"
         ),
         "geom": binary.points([p.map_t_body_m for p in poses], srid),
-        "map_r_body": binary.double_arrays(np.reshape([p.map_R_body for p in poses], (-1, 9))),
-        "sigma_enu_m": binary.double_arrays(stacked([p.sigma_enu_m for p in poses], 3)),
-        "sigma_rpy_rad": binary.double_arrays(stacked([p.sigma_rpy_rad for p in poses], 3)),
+        "map_r_body": binary.arrays(np.reshape([p.map_R_body for p in poses], (-1, 9)), ">f8"),
+        "sigma_enu_m": binary.arrays([p.sigma_enu_m for p in poses], ">f8"),
+        "sigma_rpy_rad": binary.arrays([p.sigma_rpy_rad for p in poses], ">f8"),
     }
 
 
@@ -123,7 +123,7 @@ def track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[Track]) -> Colum
         **cone_columns(srid, tracks),
         **_covariance("relative_cov", [t.relative_cov_m2 for t in tracks]),
         **_attributes(tracks, integers="track_index", doubles="residual_rms_px nearest_range_m"),
-        "members": binary.byteas([_members(sorted(track.members)) for track in tracks]),
+        "members": binary.arrays([sorted(track.members) for track in tracks], ">i4"),
     }
 
 
@@ -136,7 +136,7 @@ def marking_track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[MarkingT
             tracks, integers=integers, doubles=doubles, bigints="first_seen_ns last_seen_ns", texts="category"
         ),
         **marking_columns(srid, [track.marking for track in tracks]),
-        "relative_cov": matrices([track.relative_cov_m2 for track in tracks]),
+        "relative_cov": binary.arrays([track.relative_cov_m2 for track in tracks], ">f8"),
         **jacobian_columns([track.shared_jacobian for track in tracks]),
     }
 
@@ -261,10 +261,12 @@ def jacobian_columns(jacobians: Sequence[SharedErrorJacobian | None]) -> Columns
     """The columns calibrations (uuid[]) and shared_jacobian_m (real[][][]) of some rows."""
     if not any(jacobians):
         return {"calibrations": binary.nulls(len(jacobians)), "shared_jacobian_m": binary.nulls(len(jacobians))}
-    return {
-        "calibrations": binary.byteas([None if one is None else _calibrations(one.calibrations) for one in jacobians]),
-        "shared_jacobian_m": binary.byteas([None if one is None else _jacobian(one) for one in jacobians]),
-    }
+    ids = [None if one is None else [key.bytes for key in one.calibrations] for one in jacobians]
+    moved_m = [
+        None if one is None else np.frombuffer(one.moved_m, ">f4").reshape(len(one.calibrations), 3, -1)
+        for one in jacobians
+    ]
+    return {"calibrations": binary.arrays(ids, "V16"), "shared_jacobian_m": binary.arrays(moved_m, ">f4")}
 
 
 def jacobian_of(row: Row) -> SharedErrorJacobian | None:
@@ -272,29 +274,36 @@ def jacobian_of(row: Row) -> SharedErrorJacobian | None:
     if (wire := row["shared_jacobian"]) is None:
         return None
     both, (count,) = bytes(wire), struct.unpack_from(">i", wire, _LENGTH_AT)
-    step = 4 + _UUID_BYTES
+    step = 4 + 16
     starts = range(_HEAD_OF_ONE, _HEAD_OF_ONE + count * step, step)
     ids = tuple(UUID(bytes=both[at + 4 : at + step]) for at in starts)
     items = np.frombuffer(both, _REALS, offset=_HEAD_OF_ONE + count * step + _HEAD_OF_THREE)
     return SharedErrorJacobian(ids, items["value"].tobytes())
 
 
-def _members(members: Sequence[tuple[int, int]]) -> bytes:
-    """integer[][2] of the positions of a track."""
-    items = chain.from_iterable((4, frame_index, 4, match_index) for frame_index, match_index in members)
-    return struct.pack(f">{7 + 4 * len(members)}i", 2, 0, _INTEGER_TYPE, len(members), 1, 2, 1, *items)
+def marking_columns(srid: int, markings: Sequence[Marking | None]) -> Columns:
+    """Columns of the shape of lines; NULL in the rows of point objects."""
+    if not any(markings):  # of the millions of versions that are no line, none is looked at a second time
+        return dict.fromkeys(("line", "line_cov", *_PAINT), binary.nulls(len(markings)))
+    lines = [None if m is None else shapely.set_srid(shapely.LineString(m.vertices_m), srid) for m in markings]
+    return {
+        "line": binary.byteas(list(shapely.to_wkb(lines, include_srid=True))),
+        "line_cov": binary.arrays([None if m is None else m.cov_m2 for m in markings], ">f8"),
+        **{
+            name: encode([None if m is None else getattr(m, name) for m in markings]) for name, encode in _PAINT.items()
+        },
+    }
 
 
-@lru_cache(maxsize=1024)
-def _calibrations(calibrations: tuple[UUID, ...]) -> bytes:
-    items = (struct.pack(">i", _UUID_BYTES) + one.bytes for one in calibrations)
-    return struct.pack(">5i", 1, 0, _UUID_TYPE, len(calibrations), 1) + b"".join(items)
+def marking_of(row: Row) -> Marking | None:
+    """Columns as in `map.features_as_of` from the line to gap_m; None of point objects."""
+    if row["line"] is None:
+        return None
+    vertices_m = np.frombuffer(row["line"], "<f8", offset=_WKB_HEAD).reshape(-1, 3).tolist()
+    cov_m2 = covariances(row["line_cov"])
+    return record_of(Marking, row, vertices_m=tuple(map(tuple, vertices_m)), cov_m2=cov_m2)
 
 
-def _jacobian(jacobian: SharedErrorJacobian) -> bytes:
-    values = np.frombuffer(jacobian.moved_m, ">f4")
-    count = len(jacobian.calibrations)
-    items = np.empty(len(values), _REALS)
-    items["length"], items["value"] = _REAL_BYTES, values
-    errors = len(values) // (3 * count)
-    return struct.pack(">9i", 3, 0, _REAL_TYPE, count, 1, 3, 1, errors, 1) + items.tobytes()
+def covariances(rows: list[list[float]]) -> tuple[Cov3, ...]:
+    """Of the vertices of a line, float8[][6]."""
+    return tuple((xx, xy, xz, yy, yz, zz) for xx, xy, xz, yy, yz, zz in rows)
