@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from datetime import datetime
+from typing import Any, Literal
 from uuid import UUID
 
 import numpy as np
@@ -16,7 +17,7 @@ from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.mapping.reasons import ChangeFacts, why
 from conetl.mapping.visibility import observations_of_drive, pairs_in_view, visible_pairs
 from conetl.model.arrays import Floats
-from conetl.model.base import Vec3
+from conetl.model.base import Record, Vec3, utc_from_ns
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.drive import Pose
 from conetl.model.feature_classes import CONE, LINE_CLASSES, noun_of
@@ -44,31 +45,31 @@ _OF_ROW = (
 FrameState = Literal["observed", "empty", "occupied", "hidden"]
 
 
-class FrameInView(NamedTuple):
+class PassFrame(Record):
     """A frame pair of a drive that contains the position of a feature, or an observation of it."""
 
     frame_index: int
-    captured_at_ns: int
+    captured_at: datetime
     range_m: float
     """From the left camera to the foot."""
     state: FrameState
-    """observed: belongs to the feature's track; empty: visible, and no cone was observed; occupied: another detection is there;
-    hidden: behind a nearer detection, or the image shows too little."""
-    camera_m: Floats
-    """(3,) left camera in the map."""
+    """observed: the drive's observation of the feature; empty: the position was visible, and no cone was observed; occupied: a
+    detection that is no part of the feature; hidden: by a nearer detection, or the image shows too little."""
+    camera_xyz_m: Vec3
+    """Left camera; in the map's CRS, in answers of the server from the map's origin."""
 
 
-class PassFacts(NamedTuple):
+class DrivePass(Record):
     """One drive past a feature."""
 
     changeset_no: int
     drive_id: str
     drive_uuid: UUID
-    captured_from_ns: int
+    captured_from: datetime
     counts: bool
     kind: DeltaKind | None
-    """What the drive did to the feature; None where it judged nothing."""
-    frames: tuple[FrameInView, ...]
+    """What the drive did to the feature; null where it judged nothing."""
+    frames: tuple[PassFrame, ...]
     """In the order of the recording."""
 
 
@@ -82,7 +83,7 @@ def passes_of(
     category: str,
     drive_uuids: Collection[UUID] | None = None,
     max_drives: int,
-) -> list[PassFacts]:
+) -> list[DrivePass]:
     """The drives that have the position of a feature in view, the latest first. drive_uuids: only these.
 
     As `check_visibility` decided, but for the drive's common offset, which is not stored: a count may differ by a frame pair.
@@ -94,8 +95,9 @@ def passes_of(
         kind, frames = observed.get(row["drive_uuid"]) or (None, set[int]())
         in_view = _frames_in_view(conn, row, feature_id, np.array(xyz_m), cone_height_m, category, frames)
         if in_view:
-            known = {name: row[name] for name in PassFacts._fields if name not in ("kind", "frames")}
-            found.append(PassFacts(**known, kind=DeltaKind(kind) if kind else None, frames=in_view))
+            known = {name: row[name] for name in ("changeset_no", "drive_id", "drive_uuid", "counts")}
+            at = utc_from_ns(row["captured_from_ns"])
+            found.append(DrivePass(**known, captured_from=at, kind=DeltaKind(kind) if kind else None, frames=in_view))
     return found
 
 
@@ -107,7 +109,7 @@ def _frames_in_view(
     height_m: float,
     category: str,
     observed: Collection[int],
-) -> tuple[FrameInView, ...]:
+) -> tuple[PassFrame, ...]:
     rig, params = Rig.model_validate(header["rig"]), ReconcileParams.model_validate(header["reconcile"])
     figures = header["absence_figures"]
     easting_m, northing_m = float(foot_m[0]), float(foot_m[1])
@@ -126,12 +128,12 @@ def _frames_in_view(
     states |= {row: "observed" for row, frame in enumerate(drive.frames) if frame in observed}
     cameras_m = drive.map_SE3_left[:, :3, 3]
     return tuple(
-        FrameInView(
+        PassFrame(
             frame_index=drive.frames[row],
-            captured_at_ns=int(drive.captured_at_ns[row]),
+            captured_at=utc_from_ns(int(drive.captured_at_ns[row])),
             range_m=float(np.linalg.norm(cameras_m[row] - foot_m)),
             state=states[row],
-            camera_m=cameras_m[row],
+            camera_xyz_m=tuple(cameras_m[row].tolist()),
         )
         for row in sorted(states)
     )

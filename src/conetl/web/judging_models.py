@@ -7,34 +7,8 @@ from typing import Literal
 from uuid import UUID
 
 from conetl.model.base import Matrix3, Vec3
-from conetl.model.map_records import DeltaKind
+from conetl.reports.drive_passes import DrivePass
 from conetl.web.models import Answer, Box, Listing
-
-
-class PassFrame(Answer):
-    """A frame pair of a drive that contains the position of a feature."""
-
-    frame_index: int
-    captured_at: datetime
-    range_m: float
-    """From the left camera to the foot."""
-    state: Literal["observed", "empty", "occupied", "hidden"]
-    """observed: the drive's observation of the feature; empty: the position was visible, and no cone was observed; occupied: a
-    detection that is not part of the feature; hidden: by a nearer detection, or the image shows too little."""
-    camera_xyz_m: Vec3
-
-
-class DrivePass(Answer):
-    """One drive past a feature."""
-
-    changeset_no: int
-    drive_id: str
-    drive_uuid: UUID
-    captured_from: datetime
-    counts: bool
-    kind: DeltaKind | None
-    """What the drive did to the feature; null where it judged nothing."""
-    frames: list[PassFrame]
 
 
 class Passes(Listing):

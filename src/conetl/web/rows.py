@@ -13,8 +13,8 @@ from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.base import Vec3, utc_from_ns
 from conetl.model.drive import Pose
 from conetl.model.rig import Rig, Side
-from conetl.reports import drive_passes as reports
-from conetl.web.judging_models import DrivePass, FrameBox, FrameView, PassFrame
+from conetl.reports.drive_passes import DrivePass
+from conetl.web.judging_models import FrameBox, FrameView
 from conetl.web.models import Answer, Box, Decision, HistoryItem, MarkingShape, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
@@ -126,16 +126,15 @@ def frame_view(row: Row, side: Side, boxes: Sequence[Row], problem: str | None, 
     )
 
 
-def drive_pass(found: reports.PassFacts, origin_m: Vec3) -> DrivePass:
-    """One drive past a feature."""
-    frames = [
-        answer(
-            PassFrame, frame._asdict(), origin_m, range_m=round(frame.range_m, 3),
-            camera_xyz_m=offset(frame.camera_m.tolist(), origin_m),
+def drive_pass(found: DrivePass, origin_m: Vec3) -> DrivePass:
+    """One drive past a feature, with offsets from the origin."""
+    shown = tuple(
+        frame.model_copy(
+            update={"range_m": round(frame.range_m, 3), "camera_xyz_m": offset(frame.camera_xyz_m, origin_m)}
         )
         for frame in found.frames
-    ]  # fmt: skip
-    return answer(DrivePass, found._asdict(), origin_m, frames=frames)
+    )
+    return found.model_copy(update={"frames": shown})
 
 
 def pose_of(row: Row, prefix: str = "") -> Pose:
