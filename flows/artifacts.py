@@ -72,21 +72,17 @@ def publish_drive(
     files, report = publish(committed, settings, database, times), committed.report
     drive = as_markdown(report.drive_id)
     _show_files(committed, files, settings)
-    artifacts.create_table_artifact(summary_rows(report), key="summary", description=f"Drive {drive}: {report.status}")
-    if report.changes:
-        rows = [_change_row(line) for line in report.changes]
-        artifacts.create_table_artifact(rows, key="changes", description=f"Changes by drive {drive}")
-    if report.health:
-        checks = [check.model_dump(mode="json") for check in report.health]
-        artifacts.create_table_artifact(checks, key="health", description=f"Health checks of drive {drive}")
-    if report.rejections:
-        reasons = [
-            {"reason": str(reason).replace("_", " "), "records": count} for reason, count in report.rejections.items()
-        ]
-        total = sum(report.rejections.values())
-        artifacts.create_table_artifact(
-            reasons, key="rejections", description=f"{total} records of drive {drive} are in quarantine"
-        )
+    total = sum(report.rejections.values())
+    reasons = [{"reason": reason.replace("_", " "), "records": count} for reason, count in report.rejections.items()]
+    tables = {
+        "summary": (summary_rows(report), f"Drive {drive}: {report.status}"),
+        "changes": ([_change_row(line) for line in report.changes], f"Changes by drive {drive}"),
+        "health": ([check.model_dump(mode="json") for check in report.health], f"Health checks of drive {drive}"),
+        "rejections": (reasons, f"{total} records of drive {drive} are in quarantine"),
+    }
+    for key, (rows, description) in tables.items():
+        if rows:
+            artifacts.create_table_artifact(rows, key=key, description=description)
     _show_worst_frames(analysed.records, whole=settings.images == "full")
     notify(report, database, send_events)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 from uuid import UUID
@@ -10,7 +11,7 @@ from uuid import UUID
 from prefect import artifacts
 
 from conetl.files.names import as_markdown, minutes
-from conetl.model.health import what_to_do
+from conetl.model.health import HeldDrive, HoldEvent, what_to_do
 from conetl.pipeline.backfill_plan import reasons
 
 if TYPE_CHECKING:
@@ -55,17 +56,12 @@ def show_summary(standing: Standing) -> None:
         f"done in {standing.seconds:.0f} s, {standing.parallel} at a time "
         f"({'by workers' if standing.where == 'workers' else 'in this process'}).",
         "",
-        "| plan | drives |",
-        "|---|---|",
-        *(f"| {as_markdown(reason)} | {count} |" for reason, count in reasons(plan)),
+        *_table("plan, drives", [(as_markdown(reason), count) for reason, count in reasons(plan)]),
     ]
     if standing.failed:
-        lines += ["", "| failed | recorded in | reason |", "|---|---|---|"]
-        lines += [
-            f"| {as_markdown(r.drive_id)} | {as_markdown(r.drive_path)} | {as_markdown(r.reason)} |"
-            for r in standing.failed[:_SHOWN_ROWS]
-        ]
-        lines += ["", "Run the same backfill again to try the failed drives again; what is on the map is left alone."]
+        rows = [map(as_markdown, (r.drive_id, r.drive_path, r.reason)) for r in standing.failed[:_SHOWN_ROWS]]
+        lines += _table("failed, recorded in, reason", rows)
+        lines.append("Run the same backfill again to try the failed drives again; what is on the map is left alone.")
     artifacts.create_markdown_artifact(
         "\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives"
     )
@@ -75,28 +71,27 @@ def _held_lines(standing: Standing) -> list[str]:
     """The drives on hold, and what happened to them during the batch; nothing without any."""
     lines: list[str] = []
     if standing.held:
-        lines += [
-            f"## {len(standing.held)} on hold",
-            "",
-            "| drive | check | measured | what to do |",
-            "|---|---|---|---|",
-        ]
-        lines += [
-            f"| {as_markdown(drive.drive_id)} (changeset {drive.changeset_no}) | {check.name} | {check.figures} | "
-            f"{as_markdown(check.detail)} {as_markdown(what_to_do(drive.changeset_no))} |"
+        held = [
+            (_named(drive), check.name, check.figures, as_markdown(f"{check.detail} {what_to_do(drive.changeset_no)}"))
             for drive in standing.held[:_SHOWN_ROWS]
             for check in drive.checks
         ]
-        lines.append("")
+        lines += [f"## {len(standing.held)} on hold", "", *_table("drive, check, measured, what to do", held)]
     if standing.hold_events:
-        lines += ["| time (UTC) | drive | holds and releases |", "|---|---|---|"]
-        lines += [
-            f"| {event.at:%Y-%m-%d %H:%M:%S} | {as_markdown(event.drive_id)} (changeset {event.changeset_no}) | "
-            f"{as_markdown(event.sentence)} |"
-            for event in standing.hold_events[:_SHOWN_ROWS]
-        ]
-        lines.append("")
+        shown = standing.hold_events[:_SHOWN_ROWS]
+        events = [(f"{one.at:%Y-%m-%d %H:%M:%S}", _named(one), as_markdown(one.sentence)) for one in shown]
+        lines += _table("time (UTC), drive, holds and releases", events)
     return lines
+
+
+def _named(drive: HeldDrive | HoldEvent) -> str:
+    return f"{as_markdown(drive.drive_id)} (changeset {drive.changeset_no})"
+
+
+def _table(headings: str, rows: Iterable[Iterable[object]]) -> list[str]:
+    """Lines of a table in Markdown, and an empty one. headings: with commas between them."""
+    head = headings.split(", ")
+    return [*(f"| {' | '.join(map(str, row))} |" for row in (head, ["---"] * len(head), *rows)), ""]
 
 
 def _write_table(standing: Standing) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -260,6 +261,29 @@ def counted_by_class(classes: Mapping[str, int]) -> str:
         for name, count in sorted(classes.items())
     )
     return ", ".join(nouns) or counted(0, "cone")
+
+
+def parse_size(
+    option: str,
+    text: str | None,
+    unit: str,
+    low: float,
+    high: float,
+    example: str,
+    number: Callable[[str], float] = float,
+) -> tuple[Any, Any] | None:
+    """Width and height like 240x160, each from low to high. Raises InputError."""
+    if text is None:
+        return None
+    try:
+        width, height = (number(part) for part in text.strip().lower().split("x"))
+    except ValueError:
+        width = height = math.nan
+    if not (low <= width <= high and low <= height <= high):
+        raise InputError(
+            f"{option} {text}: expected width x height in {unit}, {low:g} to {high:g} each, like {example}"
+        )
+    return width, height
 
 
 def parse_instant(text: str | None) -> datetime | None:

@@ -11,7 +11,7 @@ from contextlib import closing
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import typer
 
@@ -67,16 +67,25 @@ def up(
     with processes.services_lock(home), spinner("Starting") as show:
         services = {name: s for name, s in processes.read_services(home).items() if processes.is_running(s)}
         if "prefect" not in services:
-            processes.require_free_port(host, port, "Prefect", "--port")
+            processes.free_port(host, port, "Prefect", "--port").close()
         if "view" not in services:
-            processes.require_free_port("127.0.0.1", view_port, "the web view", "--view-port")
+            processes.free_port("127.0.0.1", view_port, "the web view", "--view-port").close()
         show("Starting PostGIS")
         url = database_url(settings)
         with closing(connect(url)) as conn:
             migrate_once(conn)
         settings.inbox.mkdir(parents=True, exist_ok=True)
-        wanted = _Wanted(host, port, view_port, workers, decisions)
-        done = _start_services(settings, services, url, wanted, show)
+        done = _start_services(
+            settings,
+            services,
+            url,
+            show,
+            host=host,
+            port=port,
+            view_port=view_port,
+            workers=workers,
+            decisions=decisions,
+        )
     if as_json:
         print_json({**_status(settings), **done})
         return
@@ -91,24 +100,15 @@ def up(
     say("`conetl status` shows their state, `conetl down` stops them.")
 
 
-class _Wanted(NamedTuple):
-    """What a person chose for services that do not run yet."""
-
-    host: str
-    port: int
-    view_port: int
-    workers: int
-    decisions: bool
-
-
 def _start_services(
-    settings: Settings, services: dict[str, processes.Service], url: str, wanted: _Wanted, show: Callable[[str], object]
-) -> dict[str, Any]:
+    settings: Settings, services: dict[str, processes.Service], url: str, show: Callable[[str], object], *,
+    host: str, port: int, view_port: int, workers: int, decisions: bool,
+) -> dict[str, Any]:  # fmt: skip
     """Add the missing ones to `services`, each as soon as those it requires are ready; all are ready at the end."""
-    home, workers = settings.home.resolve(), wanted.workers
+    home = settings.home.resolve()
     login = prefect_login(home)
-    address = str(services["prefect"].address) if "prefect" in services else _address(wanted.host, wanted.port)
-    view = str(services["view"].address) if "view" in services else f"http://127.0.0.1:{wanted.view_port}"
+    address = str(services["prefect"].address) if "prefect" in services else _address(host, port)
+    view = str(services["view"].address) if "view" in services else f"http://127.0.0.1:{view_port}"
     processes.require_access(f"{address}/api", login, SERVER_AUTH)
     environment = {**os.environ, **_environment(settings, home, f"{address}/api", login, view, workers)}
 
@@ -124,7 +124,7 @@ def _start_services(
     # Starting is mostly importing on one core: independent services start at the same time.
     ensure(
         "prefect",
-        processes.server_command(wanted.host, wanted.port),
+        processes.server_command(host, port),
         address,
         PREFECT_SERVER_DATABASE_CONNECTION_URL=_prefect_url(settings, url),
         **prefect_server_environment(home, address),
@@ -132,8 +132,8 @@ def _start_services(
         PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL="ERROR",
     )
     conetl = [sys.executable, "-c", "from conetl.cli import main; main()"]
-    decisions = ["--decisions"] if wanted.decisions else []
-    ensure("view", [*conetl, "view", "--port", str(wanted.view_port), *decisions], view)
+    writing = ["--decisions"] if decisions else []
+    ensure("view", [*conetl, "view", "--port", str(view_port), *writing], view)
     os.environ.update(environment)  # Prefect reads its environment when it is imported, below
     from flows import register
     from flows.runs import recover

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +18,7 @@ from conetl.model.errors import InputError
 from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.services.http_protocol import BoundedProtocol
+from conetl.services.processes import free_port
 from conetl.web.app import STATIC, create_app
 from conetl.web.basemap import base_map
 from conetl.web.decisions import Writer
@@ -83,7 +83,7 @@ def view(
     writer = decision_writer(settings, url, on_request=decisions, token_file=writer_token_file)
     token = view_token(settings.home) if login else None
     address = f"http://127.0.0.1:{port}/"
-    with closing(_listen(port)) as listener:
+    with closing(free_port("127.0.0.1", port, "the web view", "--port")) as listener:
         server: uvicorn.Server | None = None
         app = create_app(
             url, settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
@@ -112,17 +112,3 @@ def decision_writer(settings: Settings, url: str, *, on_request: bool, token_fil
     else:
         return None
     return Writer(token, url, settings)
-
-
-def _listen(port: int) -> socket.socket:
-    """A listening socket on loopback. Raises InputError if the port is in use."""
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind(("127.0.0.1", port))
-    except OSError as error:
-        listener.close()
-        raise InputError(
-            f"port {port} of this machine cannot be used ({error.strerror}): choose another port (--port)"
-        ) from error
-    return listener

@@ -246,11 +246,12 @@ def copy_out(conn: Connection, sql: str, parameters: Mapping[str, Any], sink: IO
         return int(cursor.rowcount)
 
 
-def copy_in(conn: Connection, table_and_columns: str, source: IO[bytes], name: str) -> None:
-    """Load rows in COPY's text format, inside the open transaction. Raises InputError, with the name, if they do not fit."""
+def copy_in(conn: Connection, table_and_columns: str, source: IO[bytes], name: str, options: str = "") -> None:
+    """Load rows in COPY's text format, or that of its options, inside the open transaction. Raises InputError, with the name, if
+    they do not fit."""
     try:
         with conn.cursor() as cursor:
-            cursor.copy_expert(f"copy {table_and_columns} from stdin", source, COPY_CHUNK_BYTES)
+            cursor.copy_expert(f"copy {table_and_columns} from stdin {options}", source, COPY_CHUNK_BYTES)
     except (psycopg2.IntegrityError, psycopg2.DataError) as error:
         raise InputError(
             f"{name}: does not fit into this database ({_first_line(error)}); nothing was written"

@@ -12,9 +12,10 @@ drive with a file per table (columns: `records_of_...` in `sql/retention.sql`).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -24,7 +25,6 @@ from pyarrow import csv
 
 from conetl.db import connection as db
 from conetl.db.connection import Connection
-from conetl.db.copy_binary import CopyColumn, booleans, constant_uuid, doubles, integers, texts
 from conetl.db.map.map_store import map_transaction
 from conetl.files.atomic import atomic_files
 from conetl.files.parquet_store import read_table, write_table
@@ -33,12 +33,6 @@ from conetl.model.errors import InputError, MapMismatchError
 _RAW_TABLES = ("detection", "stereo_match", "position")
 #: By PostgreSQL's number of a type: bool, int4, text, float8, uuid.
 _ARROW_TYPES = {16: pa.bool_(), 23: pa.int32(), 25: pa.string(), 701: pa.float64(), 2950: pa.string()}
-_ENCODERS: dict[pa.DataType, Callable[[Any], CopyColumn]] = {
-    pa.bool_(): booleans,
-    pa.int32(): integers,
-    pa.string(): texts,
-    pa.float64(): doubles,
-}
 
 
 @dataclass(frozen=True)
@@ -164,16 +158,14 @@ def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, 
             )
         stage = f"create temporary table record_stage as select * from ({_query_of(table)}) q with no data"
         db.execute(conn, stage, {"drive_uuid": drive_uuid})
-        columns = {name: _ENCODERS[column.type](column.to_pylist()) for name, column in _columns(records)}
-        db.copy_columns(conn, "record_stage", columns | {"drive_uuid": constant_uuid(drive_uuid, len(records))})
+        rows_as_csv = BytesIO()
+        csv.write_csv(records, rows_as_csv, csv.WriteOptions(include_header=False))
+        rows_as_csv.seek(0)
+        target = f"record_stage ({', '.join(records.column_names)})"
+        db.copy_in(conn, target, rows_as_csv, str(path / table), options="(format csv)")
         db.query(conn, f"retention.restore_{table}")
         db.execute(conn, "drop table record_stage")
     db.query(conn, "retention.mark_restored", drive_uuid=drive_uuid)
-
-
-def _columns(records: pa.Table) -> list[tuple[str, pa.ChunkedArray]]:
-    named = zip(records.schema.names, records.columns, strict=True)
-    return [(name, column) for name, column in named if name != "drive_uuid"]
 
 
 def parse_age(text: str) -> float:

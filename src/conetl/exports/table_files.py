@@ -21,8 +21,6 @@ from conetl.model.errors import InputError
 
 GEOMETRY = "geometry"
 LINES_LAYER = "lane_markings"
-#: ISO WKB of a point with z.
-_POINT_Z = 1001
 _MILLISECONDS = pa.timestamp("ms", tz="UTC")
 _SIDES = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 _BBOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES])
@@ -132,22 +130,14 @@ def _geometries_of(source: ExportSource) -> Iterator[tuple[pa.RecordBatch, pa.Ar
     """Batches of the properties alone, each with its geometries as well-known binary, and their lowest and highest coordinates,
     (n, 3) each, in the CRS of the source."""
     for batch in source.batches:
-        properties = batch.select(source.property_names)
         if source.lines:
             vertices_m, rows = source.vertices_m(batch)
             vertices_m = to_crs(vertices_m, source.info.srid, *source.epsg)
-            lines = shapely.linestrings(vertices_m, indices=rows)
+            wkb = shapely.to_wkb(shapely.linestrings(vertices_m, indices=rows), flavor="iso")
             firsts = np.flatnonzero(np.diff(rows, prepend=-1))
             lows_m, highs_m = (extreme.reduceat(vertices_m, firsts) for extreme in (np.minimum, np.maximum))
-            yield properties, pa.array(shapely.to_wkb(lines, flavor="iso"), pa.binary()), lows_m, highs_m
         else:
-            xyz_m = np.stack([np.asarray(batch.column(n)) for n in (*POSITION_NAMES[:2], "ground_height_m")], axis=1)
-            yield properties, _wkb_points(xyz_m), xyz_m, xyz_m
-
-
-def _wkb_points(xyz_m: Floats) -> pa.Array:
-    """(n, 3) as ISO well-known binary, little-endian (29 bytes each)."""
-    wkb = np.empty(len(xyz_m), [("order", "u1"), ("type", "<u4"), ("xyz", "<f8", 3)])
-    wkb["order"], wkb["type"], wkb["xyz"] = 1, _POINT_Z, xyz_m
-    offsets = (np.arange(len(xyz_m) + 1) * wkb.dtype.itemsize).astype(np.int32)
-    return pa.Array.from_buffers(pa.binary(), len(xyz_m), [None, pa.py_buffer(offsets), pa.py_buffer(wkb)])
+            names = (*POSITION_NAMES[:2], "ground_height_m")
+            lows_m = highs_m = np.stack([np.asarray(batch.column(name)) for name in names], axis=1)
+            wkb = shapely.to_wkb(shapely.points(lows_m), flavor="iso")
+        yield batch.select(source.property_names), pa.array(wkb, pa.binary()), lows_m, highs_m

@@ -175,18 +175,19 @@ def wait_healthy(service: Service, is_healthy: Callable[[], bool], timeout_s: fl
         time.sleep(0.2)  # each check costs the starting service time
 
 
-def require_free_port(host: str, port: int, what: str, option: str) -> None:
-    """Raise InputError if a program already listens on the port."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise InputError(
-                f"port {port} of {host}, for {what}, cannot be used ({error.strerror}): stop the program that uses it, or choose "
-                f"another port with {option}"
-            ) from error
+def free_port(host: str, port: int, what: str, option: str) -> socket.socket:
+    """A socket that is bound to the port. Raises InputError if a program already listens there."""
+    bound = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        bound.bind((host, port))
+    except OSError as error:
+        bound.close()
+        raise InputError(
+            f"port {port} of {host}, for {what}, cannot be used ({error.strerror}): stop the program that uses it, or choose "
+            f"another port with {option}"
+        ) from error
+    return bound
 
 
 def _die_with_parent() -> None:

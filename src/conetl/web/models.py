@@ -8,7 +8,8 @@ from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict
 
-from conetl.model.base import Matrix3, Vec3
+from conetl.db.map.results import ChangesetFacts
+from conetl.model.base import Cov3, Matrix3, Vec3
 from conetl.model.map_records import DeltaKind
 from conetl.model.markings import MarkingColour, MarkingPattern
 
@@ -76,41 +77,15 @@ class MapProjection(Answer):
     """Two lists: those of x and of y."""
 
 
-class TimelineItem(Answer):
+class TimelineItem(ChangesetFacts):
     """One changeset: one drive."""
 
-    changeset_no: int
-    changeset_id: UUID
-    drive_id: str
-    drive_uuid: UUID
     captured_from: datetime
     captured_to: datetime
     valid_at: datetime
     """An instant just after the drive: the map of this instant includes all changes by the drive."""
-    committed_at: datetime
-    effective_at: datetime
-    """From then on its changes are on the map: the commit, or the release of a drive that was on hold."""
     known_before: datetime
     """The last instant of the database before `effective_at`."""
-    added_count: int
-    confirmed_count: int
-    moved_count: int
-    removed_count: int
-    missed_count: int
-    height_changed_count: int
-    split_count: int
-    merged_count: int
-    line_counts: dict[DeltaKind, int]
-    """Changes of stretches of lane markings, of each kind that there is; the counts above are of point objects."""
-    frame_pair_count: int
-    detection_count: int
-    track_count: int
-    rejection_count: int
-    code_version: str
-    counts: bool
-    """False if it is on hold or was reverted, or a later analysis or delivery of the same recording replaced it."""
-    hold: str | None
-    """Why it is on hold; null unless it is."""
 
 
 class Timeline(Answer):
@@ -121,19 +96,22 @@ class Timeline(Answer):
     """Oldest first."""
 
 
-class Feature(Answer):
-    feature_id: UUID
+class FeatureState(Answer):
     version: int
     category: str
     xyz_m: Vec3
-    sigma_m: float
-    """Along the major axis of the horizontal error ellipse."""
     cone_height_m: float
     existence_probability: float
     observation_count: int
     last_seen_at: datetime
     changeset_no: int
-    """Of the changeset that wrote this version."""
+    """Of the changeset that wrote this version; in a history, of the drive."""
+
+
+class Feature(FeatureState):
+    feature_id: UUID
+    sigma_m: float
+    """Along the major axis of the horizontal error ellipse."""
 
 
 class MarkingShape(Answer):
@@ -179,24 +157,16 @@ class Changes(Listing):
     markings: list[StretchChange]
 
 
-class HistoryItem(Answer):
+class HistoryItem(FeatureState):
     """What one drive did to a feature: the version after it, and the evidence up to it."""
 
-    version: int
-    category: str
-    xyz_m: Vec3
-    cov_m2: tuple[float, float, float, float, float, float]
-    cone_height_m: float
+    cov_m2: Cov3
     cone_height_sigma_m: float
-    existence_probability: float
-    observation_count: int
     first_seen_at: datetime
-    last_seen_at: datetime
     seen_count: int
     """Drives that observed it."""
     missed_count: int
     """Drives that did not observe it although it was visible."""
-    changeset_no: int
     drive_id: str
     drive_uuid: UUID
     captured_from: datetime

@@ -7,6 +7,7 @@ from datetime import timedelta
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel
 
 from conetl.db.map.results import CommittedChangeset
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
@@ -15,10 +16,10 @@ from conetl.model.drive import Pose
 from conetl.model.rig import Rig, Side
 from conetl.reports.drive_passes import DrivePass
 from conetl.web.judging_models import FrameBox, FrameView
-from conetl.web.models import Answer, Box, Decision, HistoryItem, MarkingShape, Sighting, TimelineItem
+from conetl.web.models import Box, Decision, HistoryItem, MarkingShape, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
-A = TypeVar("A", bound=Answer)
+A = TypeVar("A", bound=BaseModel)
 #: Decimals of offsets: a tenth of a millimetre.
 _DECIMALS = 4
 #: PostgreSQL's timestamps count microseconds; periods are half-open.

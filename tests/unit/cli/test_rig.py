@@ -79,7 +79,7 @@ def test_size_and_unit_of_a_file_that_has_none(tmp_path: Path) -> None:
     [
         (("--to", "colmap"), "--to colmap: known formats"),
         (("--to", "rig", "--image-size", "big"), "--image-size big"),
-        (("--to", "rig", "--scale-to", "0x0"), "--scale-to 0x0: expected width and height"),
+        (("--to", "rig", "--scale-to", "0x0"), "--scale-to 0x0: expected width x height"),
         (("--to", "rig", "--scale-to", "1920x1080"), "--scale-to 1920x1080: .*another aspect ratio"),
         (("--to", "rig", "--pair", "cam0"), "--pair cam0: expected the names"),
     ],

@@ -104,4 +104,4 @@ def test_a_port_in_use_is_reported_with_the_option(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with pytest.raises(InputError, match="--port"):
-            processes.require_free_port("127.0.0.1", taken.getsockname()[1], "Prefect", "--port")
+            processes.free_port("127.0.0.1", taken.getsockname()[1], "Prefect", "--port")

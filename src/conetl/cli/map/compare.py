@@ -261,7 +261,7 @@ def picture(
     if changes is not None and (at is not None or known_at is not None):
         raise InputError("--changes names both states: leave --at and --known-at out")
     valid_at, known = ui.parse_instant(at), ui.parse_instant(known_at)
-    size_mm = _size(size)
+    size_mm = ui.parse_size("--size", size, "millimetres", 60, 1200, "240x160")
     with open_map(map_name) as (conn, info):
         name = info.map_name
         if changes is None:
@@ -311,18 +311,6 @@ def _footer(
     elif last:
         parts.append(f"last change of the database {last:%Y-%m-%d %H:%M} UTC")
     return " · ".join([*parts, "grid north · conetl"])
-
-
-def _size(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    try:
-        width, height = (float(part) for part in text.lower().split("x"))
-    except ValueError:
-        width = height = math.nan
-    if not (60 <= width <= 1200 and 60 <= height <= 1200):
-        raise InputError(f"--size {text}: expected width x height in millimetres, 60 to 1200 each, like 240x160")
-    return width, height
 
 
 def _bbox(text: str, srid: int) -> Bbox:

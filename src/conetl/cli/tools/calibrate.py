@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from conetl.cli.console import JsonOption, err, print_json, print_table, progress_bar, say
+from conetl.cli.console import JsonOption, err, parse_size, print_json, print_table, progress_bar, say
 from conetl.geometry.calibration.stereo_calibration import MODELS, BoardShape, calibrate_stereo, rig_of
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, CalibrationError, InputError
@@ -89,7 +89,7 @@ def calibrate(
     from conetl.reports.inspection_images import calibration_as_dict, write_calibration_report
 
     drawn = parse_board(board)
-    sensor = None if sensor_mm is None else _sensor(sensor_mm)
+    sensor = parse_size("--sensor-mm", sensor_mm, "millimetres", 0.1, 200, "23.5x15.6")
     folder, videos = sources[0], _videos(sources, layout)
     filmed = _pairs_of_videos(videos, layout, offset_s) if videos else None
     pairs = _pairs(folder, pairing, left_pattern, right_pattern) if filmed is None else filmed
@@ -173,16 +173,6 @@ def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) 
     if left is not None and right is not None:
         return board_images.pairs_by_pattern(folder, left, right)
     return board_images.pairs_even_odd(folder) if pairing == "even-odd" else board_images.pairs_in_folders(folder)
-
-
-def _sensor(text: str) -> tuple[float, float]:
-    try:
-        width, height = (float(part) for part in text.lower().split("x"))
-    except ValueError:
-        width = height = 0.0
-    if not (0.1 < width < 200 and 0.1 < height < 200):
-        raise InputError(f"--sensor-mm '{text}': expected width x height in millimetres, for example 23.5x15.6")
-    return width, height
 
 
 def _check_found(images: board_images.BoardImages, board: Board) -> None:

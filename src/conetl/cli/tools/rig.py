@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,7 @@ import numpy as np
 import typer
 from scipy.spatial.transform import Rotation
 
-from conetl.cli.console import JsonOption, answer, print_json, print_table, say
+from conetl.cli.console import JsonOption, answer, parse_size, print_json, print_table, say
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectify
 from conetl.model.errors import InputError
@@ -178,12 +177,7 @@ def _usage(rig: Rig) -> str:
 
 
 def _size(option: str, text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    found = re.fullmatch(r"([1-9]\d{0,5})x([1-9]\d{0,5})", text.strip().lower())
-    if not found:
-        raise InputError(f"{option} {text}: expected width and height in pixels like 1242x375")
-    return int(found[1]), int(found[2])
+    return parse_size(option, text, "pixels", 1, 99_999, "1242x375", number=int)
 
 
 def _pair(text: str | None) -> tuple[str, str] | None:

@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID
 
+from conetl.model.base import Record
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import Classification, Delta, DeltaKind, DriveOrder, FeatureVersion, Location, MapFeature
 
@@ -40,17 +41,13 @@ class RunInfo:
     """Sentences about trajectory and calibration, and the identity of the code (`pipeline/commit.py`)."""
 
 
-@dataclass(frozen=True)
-class CommittedChangeset:
-    """One changeset as the database holds it."""
+class ChangesetFacts(Record):
+    """What the database and the web view state of a changeset."""
 
     changeset_no: int
     changeset_id: UUID
     drive_id: str
     drive_uuid: UUID
-    idempotency_key: str
-    params_sha256: str
-    model_sha256: str
     code_version: str
     committed_at: datetime
     effective_at: datetime
@@ -67,17 +64,25 @@ class CommittedChangeset:
     """Changes of stretches of lane markings, of each kind that there is; the counts before are of point objects."""
     frame_pair_count: int
     detection_count: int
-    match_count: int
-    position_count: int
     track_count: int
-    marking_count: int
     rejection_count: int
-    captured_from_ns: int
-    captured_to_ns: int
     counts: bool
     """False if the drive is on hold or was reverted, or a later analysis or delivery of the same recording replaced it."""
     hold: str | None
     """Why the drive is on hold; None unless it is."""
+
+
+class CommittedChangeset(ChangesetFacts):
+    """One changeset as the database holds it."""
+
+    idempotency_key: str
+    params_sha256: str
+    model_sha256: str
+    match_count: int
+    position_count: int
+    marking_count: int
+    captured_from_ns: int
+    captured_to_ns: int
 
 
 @dataclass(frozen=True)
