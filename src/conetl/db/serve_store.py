@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-import numpy as np
-
-from conetl.db.connection import Connection, latest_or, read, stream_values
-from conetl.model.arrays import Floats
-from conetl.model.params import ReconcileParams
+from conetl.db.connection import Connection, latest_or, read
 
 Row = dict[str, Any]
 
@@ -52,27 +48,6 @@ def read_features(
     return read_rows(conn, "serving.features", map_name=map_name, max_rows=max_rows, **instants)
 
 
-def read_changes_between(
-    conn: Connection,
-    map_name: str,
-    before: tuple[datetime | None, datetime | None],
-    after: tuple[datetime | None, datetime | None],
-    *,
-    moved_from_m: float,
-    max_rows: int,
-) -> list[Row]:
-    """How the map differs between two (valid, known) instants (None: latest); from `moved_from_m` on a feature was moved, a lane
-    marking from the distance at which the fold takes it for another one."""
-    instants = {
-        "from_valid_at": latest_or(before[0]),
-        "from_known_at": latest_or(before[1]),
-        "to_valid_at": latest_or(after[0]),
-        "to_known_at": latest_or(after[1]),
-    }
-    distances = {"moved_from_m": moved_from_m, "line_moved_from_m": ReconcileParams().marking_gate_m}
-    return read_rows(conn, "serving.changes_between", map_name=map_name, max_rows=max_rows, **distances, **instants)
-
-
 def read_feature_history(
     conn: Connection, map_name: str, feature_id: UUID, known_at: datetime | None = None
 ) -> list[Row]:
@@ -91,20 +66,6 @@ def read_base_tile(conn: Connection, map_name: str, sha256: str) -> bytes | None
     return bytes(rows[0]["payload"]) if rows else None
 
 
-def drives_past(
-    conn: Connection,
-    map_name: str,
-    xy_m: tuple[float, float],
-    *,
-    drive_uuids: Collection[UUID] | None = None,
-    max_rows: int,
-) -> list[Row]:
-    """The drives whose area contains a position (map CRS), the latest first; drive_uuids: only these."""
-    only = None if drive_uuids is None else list(drive_uuids)
-    position = {"easting_m": xy_m[0], "northing_m": xy_m[1]}
-    return read_rows(conn, "judging.drives_past", map_name=map_name, drive_uuids=only, max_rows=max_rows, **position)
-
-
 def observed_frames(conn: Connection, map_name: str, feature_id: UUID) -> dict[UUID, tuple[str, set[int]]]:
     """Kind of the change and frame indices of the observations of a feature, by drive."""
     found: dict[UUID, tuple[str, set[int]]] = {}
@@ -113,17 +74,6 @@ def observed_frames(conn: Connection, map_name: str, feature_id: UUID) -> dict[U
         if row["frame_index"] is not None:
             frames.add(row["frame_index"])
     return found
-
-
-def tracks_near(
-    conn: Connection, drive_uuid: UUID, xy_m: tuple[float, float], radius_m: float, feature_id: UUID
-) -> Floats:
-    """(M, 3) tracks of a drive around a position, in the drive's map frame, without the one of the feature."""
-    parameters = {
-        "drive_uuid": drive_uuid, "easting_m": xy_m[0], "northing_m": xy_m[1], "radius_m": radius_m, "feature_id": feature_id,
-    }  # fmt: skip
-    rows = stream_values(conn, "The tracks of a drive cannot be read", "judging.tracks_near", **parameters)
-    return np.array(list(rows), dtype=np.float64).reshape(-1, 3)
 
 
 def track_ranges(

@@ -10,7 +10,7 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db import serve_store as store
-from conetl.db.connection import Connection
+from conetl.db.connection import Connection, stream_values
 from conetl.db.map.drive_store import read_view
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import camera_of, map_SE3_camera
@@ -89,9 +89,10 @@ def passes_of(
     As `check_visibility` decided, but for the drive's common offset, which is not stored: a count may differ by a frame pair.
     """
     observed = store.observed_frames(conn, map_name, feature_id)
-    rows = store.drives_past(conn, map_name, xyz_m[:2], drive_uuids=drive_uuids, max_rows=max_drives)
+    only = None if drive_uuids is None else list(drive_uuids)
+    past = {"easting_m": xyz_m[0], "northing_m": xyz_m[1], "drive_uuids": only, "max_rows": max_drives}
     found = []
-    for row in rows:
+    for row in store.read_rows(conn, "judging.drives_past", map_name=map_name, **past):
         kind, frames = observed.get(row["drive_uuid"]) or (None, set[int]())
         in_view = _frames_in_view(conn, row, feature_id, np.array(xyz_m), cone_height_m, category, frames)
         if in_view:
@@ -112,15 +113,18 @@ def _frames_in_view(
 ) -> tuple[PassFrame, ...]:
     rig, params = Rig.model_validate(header["rig"]), ReconcileParams.model_validate(header["reconcile"])
     figures = header["absence_figures"]
-    easting_m, northing_m = float(foot_m[0]), float(foot_m[1])
-    view = read_view(conn, header["drive_uuid"], (easting_m, northing_m, _WITHIN_M))
+    drive_uuid, easting_m, northing_m = header["drive_uuid"], float(foot_m[0]), float(foot_m[1])
+    view = read_view(conn, drive_uuid, (easting_m, northing_m, _WITHIN_M))
     if not view.frame_pairs:
         return ()
     drive = observations_of_drive(
         rig, view.frame_pairs, view.detections, view.spots,
         AbsenceFigures.model_validate(figures) if figures else UNMEASURED_ABSENCE,
     )  # fmt: skip
-    others_m = store.tracks_near(conn, header["drive_uuid"], (easting_m, northing_m), _NEIGHBOUR_M, feature_id)
+    near = {"easting_m": easting_m, "northing_m": northing_m, "radius_m": _NEIGHBOUR_M, "feature_id": feature_id}
+    what = "The tracks of a drive cannot be read"
+    rows = stream_values(conn, what, "judging.tracks_near", drive_uuid=drive_uuid, **near)
+    others_m = np.array(list(rows), np.float64).reshape(-1, 3)
     visible = {pair.row: pair.occupied for pair in visible_pairs(foot_m, height_m, others_m, drive, params, category)}
     states: dict[int, FrameState] = {}
     for row in pairs_in_view(foot_m, height_m, drive, params, category)[0].tolist():

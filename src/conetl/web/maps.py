@@ -9,6 +9,7 @@ from uuid import UUID
 from fastapi import APIRouter, HTTPException, Query, Request, Response
 
 from conetl.db import serve_store as store
+from conetl.db.connection import latest_or
 from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
 from conetl.model.base import Vec3, utc_from_ns
@@ -81,12 +82,15 @@ def changes_between(
     to_known_at: Instant = None,
     moved_from_m: Annotated[float, Query(ge=0.01, le=100.0, allow_inf_nan=False)] = _MOVED_FROM_M,
 ) -> m.Changes:
-    """Differences of the map between two instants; a feature moved if its position changed by `moved_from_m` or more."""
+    """Differences of the map between two instants; a feature moved if its position changed by `moved_from_m` or more, a lane
+    marking from the distance at which another drive's is taken for another one."""
     origin = origin_of(conn, map_name)
-    before, after = (from_valid_at, from_known_at), (to_valid_at, to_known_at)
-    rows = store.read_changes_between(
-        conn, map_name, before, after, moved_from_m=moved_from_m, max_rows=MAX_FEATURES + 1
-    )
+    rows = store.read_rows(
+        conn, "serving.changes_between", map_name=map_name, max_rows=MAX_FEATURES + 1, moved_from_m=moved_from_m,
+        line_moved_from_m=ReconcileParams().marking_gate_m,
+        from_valid_at=latest_or(from_valid_at), from_known_at=latest_or(from_known_at),
+        to_valid_at=latest_or(to_valid_at), to_known_at=latest_or(to_known_at),
+    )  # fmt: skip
     found, truncated = cut(rows, MAX_FEATURES)
     return _changes(found, origin, truncated=truncated)
 

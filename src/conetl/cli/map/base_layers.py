@@ -33,17 +33,15 @@ def import_files(
     kind: Annotated[Literal["points", "lines"] | None, typer.Option(help="Reject files of the other kind.")] = None,
     crs: Annotated[
         str | None,
-        typer.Option("--crs", help="CRS of the files, e.g. 25832, if they do not state it or state it wrongly."),
+        typer.Option(help="CRS of the files, e.g. 25832, if they do not state it or state it wrongly."),
     ] = None,
-    layer: Annotated[str | None, typer.Option("--layer", help="Name of the layer; default: the file name.")] = None,
+    layer: Annotated[str | None, typer.Option(help="Name of the layer; default: the file name.")] = None,
     voxel: Annotated[
-        float, typer.Option("--voxel", min=0.01, max=10.0, help="Keep one point per cube of this size, in metres.")
+        float, typer.Option(min=0.01, max=10.0, help="Keep one point per cube of this size, in metres.")
     ] = 0.05,
     height_offset: Annotated[
         float,
-        typer.Option(
-            "--height-offset", min=-10_000, max=10_000, help="Add this to heights, in metres, e.g. the geoid's."
-        ),
+        typer.Option(min=-10_000, max=10_000, help="Add this to heights, in metres, e.g. the geoid's."),
     ] = 0.0,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,

@@ -150,7 +150,7 @@ def check_points(
     ],
     crs: Annotated[
         str | None,
-        typer.Option("--crs", help="CRS of the file, if it states none, e.g. EPSG:25832 or EPSG:25832+7837."),
+        typer.Option(help="CRS of the file, if it states none, e.g. EPSG:25832 or EPSG:25832+7837."),
     ] = None,
     heights: Annotated[
         str | None, typer.Option(help="Heights of the file: ellipsoidal (default), or a system like EPSG:5773.")
@@ -162,7 +162,7 @@ def check_points(
     within_m: Annotated[
         float, typer.Option(min=0.01, help="A cone stands on a point if it is at most this far away.")
     ] = 0.75,
-    as_of: Annotated[str | None, typer.Option("--as-of", help="State of the road at this time.")] = None,
+    as_of: Annotated[str | None, typer.Option(help="State of the road at this time.")] = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
@@ -235,21 +235,19 @@ def _print(checked: CheckedMap, name: str, srid: int) -> None:
 def picture(
     output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .png, .svg, .pdf.")],
     at: Annotated[
-        str | None, typer.Option("--at", help="State of the road at this time, e.g. 2026-03-02; default: latest.")
+        str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02; default: latest.")
     ] = None,
-    known_at: Annotated[
-        str | None, typer.Option("--known-at", help="Database state at this time; default: now.")
-    ] = None,
+    known_at: Annotated[str | None, typer.Option(help="Database state at this time; default: now.")] = None,
     changes: Annotated[
         tuple[str, str] | None,
-        typer.Option("--changes", metavar="A B", help="Show the changes between two changeset numbers or two times."),
+        typer.Option(metavar="A B", help="Show the changes between two changeset numbers or two times."),
     ] = None,
     bbox: Annotated[
         str | None,
-        typer.Option("--bbox", help="west,south,east,north in the map's CRS or in degrees; default: the whole map."),
+        typer.Option(help="west,south,east,north in the map's CRS or in degrees; default: the whole map."),
     ] = None,
-    size: Annotated[str | None, typer.Option("--size", help="Width x height in millimetres, e.g. 240x160.")] = None,
-    title: Annotated[str | None, typer.Option("--title", help="Title; default: the name of the map.")] = None,
+    size: Annotated[str | None, typer.Option(help="Width x height in millimetres, e.g. 240x160.")] = None,
+    title: Annotated[str | None, typer.Option(help="Title; default: the name of the map.")] = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:

@@ -39,10 +39,10 @@ def export(
         str | None, typer.Option("--format", help=f"One of {', '.join(ALL_FORMATS)}; default: by the file name.")
     ] = None,
     what: Annotated[
-        What, typer.Option("--what", help="Current features, all versions, or the changes between two times.")
+        What, typer.Option(help="Current features, all versions, or the changes between two times.")
     ] = What.FEATURES,
     as_of: Annotated[
-        str | None, typer.Option("--as-of", help="State of the road at this time, e.g. 2026-03-02T10:00+01:00.")
+        str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02T10:00+01:00.")
     ] = None,
     believed_at: Annotated[
         str | None, typer.Option("--believed-at", "--known-at", help="Database state at this time; default: now.")
@@ -55,13 +55,11 @@ def export(
     ] = None,
     crs: Annotated[
         str | None,
-        typer.Option(
-            "--crs", help="CRS of positions, and height system: EPSG:25832, EPSG:25832+7837; default: the map's."
-        ),
+        typer.Option(help="CRS of positions, and height system: EPSG:25832, EPSG:25832+7837; default: the map's."),
     ] = None,
     category: Annotated[
         str | None,
-        typer.Option("--category", help="Only objects of this class, e.g. traffic_cone or lane_marking; default: all."),
+        typer.Option(help="Only objects of this class, e.g. traffic_cone or lane_marking; default: all."),
     ] = None,
     feed: work_zones.FeedOption = None,
     publisher: work_zones.PublisherOption = None,
@@ -132,14 +130,10 @@ def _format_by_name(output: Path) -> str:
 
 def import_(
     file: Annotated[Path, typer.Argument(help="GeoJSON, CSV, GeoPackage, FlatGeobuf or GeoParquet file of points.")],
-    crs: Annotated[
-        str | None, typer.Option("--crs", help="CRS of the file if it does not state one, e.g. EPSG:25832.")
-    ] = None,
-    map_srid: Annotated[
-        int | None, typer.Option("--map-srid", help="EPSG code of the map, if this import creates it.")
-    ] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of the file if it does not state one, e.g. EPSG:25832.")] = None,
+    map_srid: Annotated[int | None, typer.Option(help="EPSG code of the map, if this import creates it.")] = None,
     surveyed_at: Annotated[
-        str | None, typer.Option("--surveyed-at", help="Time of the survey; default: the latest last_seen_at.")
+        str | None, typer.Option(help="Time of the survey; default: the latest last_seen_at.")
     ] = None,
     sigma_m: Annotated[float, typer.Option(help="Sigma of each coordinate if the file has none.")] = 0.5,
     cone_height_m: Annotated[float, typer.Option(help="Cone height if the file has none.")] = 0.5,
@@ -147,7 +141,7 @@ def import_(
     ground_height_m: Annotated[
         float | None, typer.Option(help="Ellipsoidal height of the ground if the file has none.")
     ] = None,
-    layer: Annotated[str | None, typer.Option("--layer", metavar="NAME", help="Layer to import, if several.")] = None,
+    layer: Annotated[str | None, typer.Option(metavar="NAME", help="Layer to import, if several.")] = None,
     new_ids: Annotated[
         bool, typer.Option("--new-ids", help="Create new ids instead of using those of the file.")
     ] = False,
@@ -233,9 +227,7 @@ def licence(
 
 def qgis(
     output: Annotated[Path, typer.Option("--out", help="Project to write (.qgz or .qgs).")],
-    user: Annotated[
-        str | None, typer.Option("--user", help="Database user of QGIS, e.g. with the role conetl_reader.")
-    ] = None,
+    user: Annotated[str | None, typer.Option(help="Database user of QGIS, e.g. with the role conetl_reader.")] = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -49,7 +49,7 @@ def create(
     crs: Annotated[
         str,
         typer.Option(
-            "--crs", help="Projected CRS in metres, e.g. EPSG:25832; with a height system: EPSG:25832+7837 (see below)."
+            help="Projected CRS in metres, e.g. EPSG:25832; with a height system: EPSG:25832+7837 (see below)."
         ),
     ],
     as_json: JsonOption = False,
@@ -90,7 +90,7 @@ def delete(
     name: MapArgument,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     dump: Annotated[
-        Path | None, typer.Option("--dump", help="File to keep it in; default: dumps/NAME-TIME.zip in CONETL_HOME.")
+        Path | None, typer.Option(help="File to keep it in; default: dumps/NAME-TIME.zip in CONETL_HOME.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

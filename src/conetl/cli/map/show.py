@@ -57,7 +57,7 @@ def _length_m(marking: Marking) -> float:
 def show(
     as_of: Annotated[
         str | None,
-        typer.Option("--as-of", help="State of the road at this time, e.g. 2026-03-02 or 2026-03-02T10:00+01:00."),
+        typer.Option(help="State of the road at this time, e.g. 2026-03-02 or 2026-03-02T10:00+01:00."),
     ] = None,
     provisional: Annotated[
         bool, typer.Option("--provisional", help="Show the provisional cones of drives being recorded instead.")

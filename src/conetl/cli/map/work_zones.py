@@ -58,13 +58,11 @@ def check_layout_command(
     speed_kmh: Annotated[float, typer.Option(min=5, max=200, help="Speed limit that the rules depend on.")] = 50.0,
     standard: Annotated[
         str,
-        typer.Option(
-            "--standard", help=f"Source of the rules: {', '.join(layout_check.STANDARDS)}.", show_default=True
-        ),
+        typer.Option(help=f"Source of the rules: {', '.join(layout_check.STANDARDS)}.", show_default=True),
     ] = layout_check.DEFAULT,
     rules: RulesOption = None,
     lanes: LanesOption = None,
-    as_of: Annotated[str | None, typer.Option("--as-of", help="State of the road at this time.")] = None,
+    as_of: Annotated[str | None, typer.Option(help="State of the road at this time.")] = None,
     output: Annotated[
         Path | None, typer.Option("--out", help="GeoJSON file to write, one feature per finding.")
     ] = None,

@@ -72,7 +72,6 @@ def convert(
     to: Annotated[
         str | None,
         typer.Option(
-            "--to",
             help=f"opencv (.yml, .xml, .json), kalibr, ros, matlab (.json) or rig; default for {RIG_YAML}: rig.",
         ),
     ] = None,
@@ -81,9 +80,7 @@ def convert(
     pair: PairOption = None,
     scale_to: Annotated[
         str | None,
-        typer.Option(
-            "--scale-to", help="Size of your images like 640x400, if they are scaled-down ones of the calibrated size."
-        ),
+        typer.Option(help="Size of your images like 640x400, if they are scaled-down ones of the calibrated size."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
