@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -72,37 +72,14 @@ class MapDirectory:
         return replace(known, last_committed_at=row["last_committed_at"])
 
 
-async def read_page(
-    conn: asyncpg.Connection, kind: str, text: Mapping[str, str], arguments: Sequence[object]
-) -> tuple[bytes, int]:
-    """Items of one page as JSON separated by commas, and how many; kind: features or changes; text: its placeholders."""
-    row = await conn.fetchrow(_filled(text, f"ogc.{kind}_page"), *arguments)
-    return (row["items"] or "").encode(), row["returned"]
-
-
-async def find_versions(
-    conn: asyncpg.Connection, text: Mapping[str, str], arguments: Sequence[str | float]
-) -> tuple[list[int], int | None]:
-    """Rows of the versions on one page of features in order, and the number on all pages (None: the page is empty)."""
-    rows = await conn.fetch(_filled(text, "ogc.features_found"), *arguments)
-    return [row["version_row_id"] for row in rows], rows[0]["matched"] if rows else None
-
-
-async def count_features(conn: asyncpg.Connection, text: Mapping[str, str], arguments: Sequence[str | float]) -> int:
-    """How many features there are on all pages."""
-    matched: int = await conn.fetchval(_filled(text, "ogc.features_count"), *arguments)
-    return matched
-
-
-def _filled(text: Mapping[str, str], name: str) -> str:
-    """In one pass: a condition may contain the text of a client, in which nothing is replaced."""
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: text[found[1]], load_sql(name))
-
-
-async def warm_session(conn: asyncpg.Connection) -> None:
-    """Read what the first request of a session would read: the maps and their coordinate reference systems."""
-    await conn.fetch(load_sql("ogc.warm"))
-    await conn.fetch(load_sql("ogc.maps"), "")
+async def fetch(
+    conn: asyncpg.Connection, name: str, text: Mapping[str, str], *arguments: object
+) -> list[asyncpg.Record]:
+    """Rows of a statement of sql/ogc.sql; text: its placeholders."""
+    # In one pass: a condition may contain the text of a client, in which nothing is replaced.
+    filled = re.sub(r"\{\{(\w+)\}\}", lambda found: text[found[1]], load_sql(f"ogc.{name}"))
+    rows: list[asyncpg.Record] = await conn.fetch(filled, *arguments)
+    return rows
 
 
 def rows_near(box: Degrees, served: ServedMap) -> Metres:

@@ -126,11 +126,6 @@ class AsOfCollection(PgCollection):
     instants: Instants
 
     @property
-    def _statement(self) -> str:
-        """Which statement makes a page."""
-        return "changes" if self.table == "changes" else "features"
-
-    @property
     def extent(self) -> Extent:
         """The area that the map's drives covered, from the first drive on."""
         since = self.served.since.astimezone(UTC).isoformat().replace("+00:00", "Z")
@@ -187,9 +182,7 @@ class AsOfCollection(PgCollection):
         }  # fmt: skip
         if by_place is not None:
             return await self._page_of_many(conn, text | {"by_place": by_place}, arguments, limit, offset, links)
-        items, returned = await store.read_page(
-            conn, self._statement, text, [limit, offset, *links, *arguments.values()]
-        )
+        items, returned = await self._items(conn, text, limit, offset, *links, *arguments.values())
         if returned < limit and (returned or not offset):  # the last page gives the number of all
             return Page(items, returned, offset + returned)
         if self.table != "changes":
@@ -210,18 +203,26 @@ class AsOfCollection(PgCollection):
     ) -> Page:  # fmt: skip
         """A page out of a large part of a large map: first the versions that are on it, then their items."""
         found_text = {**text, "box": _named(arguments, 3)}
-        versions, matched = await store.find_versions(conn, found_text, [limit, offset, *arguments.values()])
-        if matched is None:
+        found = await store.fetch(conn, "features_found", found_text, limit, offset, *arguments.values())
+        if not found:
             return Page(b"", 0, await self._count(conn, text, arguments) if offset else 0)
+        versions = [row["version_row_id"] for row in found]
         own = [value for name, value in arguments.items() if name not in _BOX]
         page_text = {**text, "box": "", "where": f"where version_row_id = any(${5 + len(own)}::bigint[])"}
-        items, returned = await store.read_page(conn, self._statement, page_text, [limit, 0, *links, *own, versions])
-        return Page(items, returned, matched)
+        items, returned = await self._items(conn, page_text, limit, 0, *links, *own, versions)
+        return Page(items, returned, found[0]["matched"])
+
+    async def _items(self, conn: asyncpg.Connection, text: Mapping[str, str], *arguments: object) -> tuple[bytes, int]:
+        """Items of one page as JSON with commas between them, and how many."""
+        name = "changes_page" if self.table == "changes" else "features_page"
+        [row] = await store.fetch(conn, name, text, *arguments)
+        return (row["items"] or "").encode(), row["returned"]
 
     async def _count(
         self, conn: asyncpg.Connection, text: Mapping[str, str], arguments: Mapping[str, str | float]
     ) -> int:
-        return await store.count_features(conn, {**text, "box": _named(arguments, 1)}, [*arguments.values()])
+        [row] = await store.fetch(conn, "features_count", {**text, "box": _named(arguments, 1)}, *arguments.values())
+        return int(row[0])
 
     async def features(  # type: ignore[override]  # of tipg's parameters, those of one item
         self, conn: asyncpg.Connection, *, ids_filter: list[str], properties: list[str] | None, geom_as_wkt: bool, **_: Any
@@ -300,8 +301,10 @@ def _column(name: str) -> Column:
 
 
 async def warm(conn: asyncpg.Connection) -> None:
-    """Read an empty page, so that the first page of a session takes no longer than the next ones."""
-    await store.warm_session(conn)
+    """Read the maps, their coordinate reference systems and an empty page, so that the first page of a session takes no longer
+    than the next ones."""
+    await store.fetch(conn, "warm", {})
+    await store.fetch(conn, "maps", {}, "")
     never = datetime.min.replace(tzinfo=UTC)
     nowhere = ServedMap("", 0, 0, never, (0.0, 0.0, 0.0, 0.0), never)
     await collection_of("features", nowhere, Instants()).page(conn, box=(90.0, 45.0, 90.0, 45.0), limit=1)
