@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
-from uuid import UUID
 
 import numpy as np
 
@@ -38,37 +37,6 @@ _ORDER = (
 
 
 @dataclass(frozen=True)
-class DriveChange:
-    """The change of one feature by the drive; metres of the map's CRS."""
-
-    number: int
-    """In table and plan, from 1."""
-    feature_id: UUID
-    kind: DeltaKind
-    changed_at: datetime
-    shift_m: float | None
-    track_index: int | None
-    """None where the drive did not observe it."""
-    frames_seen: int | None
-    frames_empty: int | None
-    old_xy_m: tuple[float, float] | None
-    xyz_m: tuple[float, float, float]
-    sigma_m: float
-    """Along the major axis of the horizontal error ellipse."""
-    sigma_height_m: float
-    category: str
-    cone_height_m: float
-    existence_probability: float
-    observation_count: int
-    why: str
-    """One sentence with numbers; empty of confirmations, and of what is beyond `_MAX_REASONS`."""
-
-    @property
-    def is_confirmation(self) -> bool:
-        return self.kind is DeltaKind.CONFIRMED
-
-
-@dataclass(frozen=True)
 class DriveFacts:
     """The content of the page of a drive, except the images."""
 
@@ -79,8 +47,9 @@ class DriveFacts:
     rig: Rig
     frame_pairs: list[FramePair]
     tracks: list[Track]
-    changes: tuple[DriveChange, ...]
-    """Of point objects."""
+    changes: tuple[Row, ...]
+    """Of point objects: the rows of `history.changes_of_changeset`, kind as DeltaKind, with xyz_m; number, in table and plan,
+    from 1; why, one sentence with numbers, empty of confirmations and of what is beyond `_MAX_REASONS`."""
     checks: tuple[HealthCheck, ...]
     """Of the recording as it was ingested, and of the drive against the map as it is now; () where none were stored."""
     hold_events: tuple[HoldEvent, ...]
@@ -182,7 +151,9 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         frame_pairs=frame_pairs,
         tracks=load_stored_drive(conn, changeset.drive_uuid).tracks,
         changes=tuple(
-            DriveChange(number=number, why=reasons.get(row["feature_id"], ""), **_change(row))
+            row
+            | {"number": number, "kind": DeltaKind(row["kind"]), "why": reasons.get(row["feature_id"], "")}
+            | {"xyz_m": (row["easting_m"], row["northing_m"], row["height_m"])}
             for number, row in enumerate(rows, start=1)
         ),
         checks=(*checks, *against_map),
@@ -194,13 +165,3 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         others=tuple(one for one in others if one.marking is None),
         markings=(*markings, *changes_of((), others)),
     )
-
-
-def _change(row: Row) -> Row:
-    """The values of a `DriveChange` except the number."""
-    same = {field.name: row[field.name] for field in fields(DriveChange) if field.name in row}
-    return same | {
-        "kind": DeltaKind(row["kind"]),
-        "old_xy_m": None if row["old_easting_m"] is None else (row["old_easting_m"], row["old_northing_m"]),
-        "xyz_m": (row["easting_m"], row["northing_m"], row["height_m"]),
-    }

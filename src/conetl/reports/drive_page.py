@@ -25,7 +25,7 @@ from conetl.model.rig import SIDES, Rig
 from conetl.perception.images import ImageFileError
 from conetl.reports import figures
 from conetl.reports.camera_images import SURROUNDINGS, ImageMissingError, crop_jpeg, image_file
-from conetl.reports.drive_facts import DriveChange, DriveFacts, read_drive_facts
+from conetl.reports.drive_facts import DriveFacts, Row, read_drive_facts
 from conetl.reports.figures import counted_by_kind
 from conetl.reports.html import data_uri, render, write_page
 
@@ -57,14 +57,11 @@ def write_drive_page(conn: Connection, changeset: CommittedChangeset, path: Path
 def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str) -> str:
     """The page as text."""
     facts = read_drive_facts(conn, changeset, map_name=map_name)
-    confirmed = [c for c in facts.changes if c.is_confirmation]
+    confirmed = [c for c in facts.changes if c["kind"] is DeltaKind.CONFIRMED]
     marks = [figures.PlanMark(one.category, None, one.xyz_m[:2]) for one in facts.others]
-    marks += [
-        figures.PlanMark(
-            c.category, c.kind, c.xyz_m[:2], c.old_xy_m if c.kind is DeltaKind.MOVED else None, str(c.number)
-        )
-        for c in facts.changes
-    ]
+    for c in facts.changes:
+        old_xy_m = (c["old_easting_m"], c["old_northing_m"]) if c["kind"] is DeltaKind.MOVED else None
+        marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, str(c["number"])))
     probabilities = np.array([t.existence_probability for t in facts.tracks])
     least = facts.params.get("track", {}).get("min_existence_probability")
     nearest = [(t.nearest_range_m, t.residual_rms_px) for t in facts.tracks]
@@ -77,8 +74,8 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         changeset=changeset,
         alerts=alerts(facts),
         counts=_counts(facts),
-        kinds=[(kind, sum(c.kind is kind for c in facts.changes)) for kind in DeltaKind],
-        changed=[c for c in facts.changes if not c.is_confirmation],
+        kinds=[(kind, sum(c["kind"] is kind for c in facts.changes)) for kind in DeltaKind],
+        changed=[c for c in facts.changes if c["kind"] is not DeltaKind.CONFIRMED],
         images=images_of(conn, facts, facts.changes),
         max_illustrated=MAX_ILLUSTRATED,
         confirmed=confirmed[:_MAX_CONFIRMED],
@@ -91,7 +88,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         residual_rows=_residual_rows(facts),
         existence_figure=figures.existence(probabilities, least) if facts.tracks else None,
         weakest=sorted(facts.tracks, key=lambda track: track.existence_probability)[:5],
-        number_of_track={c.track_index: c.number for c in facts.changes if c.track_index is not None},
+        number_of_track={c["track_index"]: c["number"] for c in facts.changes if c["track_index"] is not None},
         timeline=figures.timeline(steps) if steps else None,
         trajectory=_trajectory_rows(facts),
         versions=_version_rows(facts),
@@ -104,7 +101,7 @@ def alerts(facts: DriveFacts) -> list[Alert]:
 
 
 def _alerts(facts: DriveFacts) -> Iterator[Alert]:
-    kinds = Counter(c.kind for c in facts.changes)
+    kinds = Counter(c["kind"] for c in facts.changes)
     if not facts.changeset.counts:
         hold = facts.changeset.hold
         reason = "it was reverted, or the drive was analysed or delivered again."
@@ -130,13 +127,13 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(
             True, f"The median residual is {middle:.2f} px: check calibration and synchronisation of the cameras."
         )
-    if vague := [c for c in facts.changes if c.sigma_m > _SIGMA_M and not c.kind.ends]:
+    if vague := [c for c in facts.changes if c["sigma_m"] > _SIGMA_M and not c["kind"].ends]:
         yield Alert(False, f"{_cones(vague)} located no better than {_SIGMA_M} m (1 sigma): {_numbers(vague)}.")
-    if doubtful := [c for c in facts.changes if c.kind.founds and c.existence_probability < _DOUBTFUL]:
+    if doubtful := [c for c in facts.changes if c["kind"].founds and c["existence_probability"] < _DOUBTFUL]:
         yield Alert(
             False, f"{_cones(doubtful)} added with an existence probability below {_DOUBTFUL:g}: {_numbers(doubtful)}."
         )
-    if removed := [c for c in facts.changes if c.kind is DeltaKind.REMOVED]:
+    if removed := [c for c in facts.changes if c["kind"] is DeltaKind.REMOVED]:
         yield Alert(False, f"{_cones(removed)} removed from the map: {_numbers(removed)}; see the images.")
     run = facts.run_facts
     if str(run.get("trajectory_outcome", "refined")) not in _NORMAL_TRAJECTORIES:
@@ -145,12 +142,12 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(False, f"Calibration: {run.get('calibration', '')}.")
 
 
-def _cones(changes: list[DriveChange]) -> str:
+def _cones(changes: Sequence[Row]) -> str:
     return "1 cone is" if len(changes) == 1 else f"{len(changes)} cones are"
 
 
-def _numbers(changes: list[DriveChange]) -> str:
-    shown = ", ".join(str(c.number) for c in changes[:12])
+def _numbers(changes: Sequence[Row]) -> str:
+    shown = ", ".join(str(c["number"]) for c in changes[:12])
     return f"no. {shown}" + (" ..." if len(changes) > 12 else "")
 
 
@@ -230,23 +227,23 @@ class PairOfCrops:
     missing: str = ""
 
 
-def images_of(conn: Connection, facts: DriveFacts, changes: Sequence[DriveChange]) -> dict[int, list[PairOfCrops]]:
+def images_of(conn: Connection, facts: DriveFacts, changes: Sequence[Row]) -> dict[int, list[PairOfCrops]]:
     """Pairs of crops, earlier ones first, by number of the change; of at most `MAX_ILLUSTRATED`, confirmations excluded."""
-    shown = [change for change in changes if not change.is_confirmation][:MAX_ILLUSTRATED]
+    shown = [change for change in changes if change["kind"] is not DeltaKind.CONFIRMED][:MAX_ILLUSTRATED]
     drive = observations_of_drive(facts.rig, facts.frame_pairs, (), ())
-    return {change.number: _of_change(conn, facts, change, drive) for change in shown}
+    return {change["number"]: _of_change(conn, facts, change, drive) for change in shown}
 
 
-def _of_change(conn: Connection, facts: DriveFacts, change: DriveChange, drive: DriveObservations) -> list[PairOfCrops]:
+def _of_change(conn: Connection, facts: DriveFacts, change: Row, drive: DriveObservations) -> list[PairOfCrops]:
     found: list[PairOfCrops] = []
-    if not change.kind.founds:
+    if not change["kind"].founds:
         captured_from_ns = facts.changeset.captured_from_ns
-        before = {"feature_id": change.feature_id, "before_ns": captured_from_ns}
+        before = {"feature_id": change["feature_id"], "before_ns": captured_from_ns}
         for row in read(conn, _UNREAD, "reports.seen_before", **before)[:1]:
             title = f"before: {row['drive_id']}, {utc_from_ns(row['captured_from_ns']):%Y-%m-%d}"
             found.append(_sighting(conn, row["drive_uuid"], row["track_index"], title))
-    if change.track_index is not None:
-        found.append(_sighting(conn, facts.changeset.drive_uuid, change.track_index, "this drive"))
+    if change["track_index"] is not None:
+        found.append(_sighting(conn, facts.changeset.drive_uuid, change["track_index"], "this drive"))
     elif not facts.pruned_at:
         found.append(_expected(facts, change, drive))
     return found
@@ -264,10 +261,10 @@ def _sighting(conn: Connection, drive_uuid: UUID, track_index: int, title: str) 
     return _crops(title, row["source_path"], Rig.model_validate(row["rig"]), paths, boxes)
 
 
-def _expected(facts: DriveFacts, change: DriveChange, drive: DriveObservations) -> PairOfCrops:
+def _expected(facts: DriveFacts, change: Row, drive: DriveObservations) -> PairOfCrops:
     """The expected image of the object, in the pair where it is largest of those in which both images would contain it."""
     rows, heights_px, boxes = pairs_in_view(
-        np.array(change.xyz_m), change.cone_height_m, drive, ReconcileParams(), change.category
+        np.array(change["xyz_m"]), change["cone_height_m"], drive, ReconcileParams(), change["category"]
     )
     if not len(rows):
         return PairOfCrops("this drive", (), "its position is not completely in view in any image pair")

@@ -13,15 +13,15 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from conetl.cli.app import _COMMANDS, _GROUPS, EXAMPLES, app
+from conetl.cli.app import _COMMANDS, _GROUPS, app
 from conetl.cli.map.exchange import _format_by_name
 from conetl.model.errors import InputError
 
-NAMES = [(name,) for panel in _COMMANDS.values() for name in panel]
-NAMES += [(group, name) for group, (_, commands) in _GROUPS.items() for name in commands]
+COMMANDS = {(name,): found for panel in _COMMANDS.values() for name, found in panel.items()}
+COMMANDS |= {(group, name): found for group, (_, some) in _GROUPS.items() for name, found in some.items()}
 
 
-@pytest.mark.parametrize("words", NAMES, ids=" ".join)
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_every_command_has_help_and_is_listed_with_its_first_paragraph(words: tuple[str, ...]) -> None:
     group = get_command(app)
     for word in words[:-1]:
@@ -34,19 +34,15 @@ def test_every_command_has_help_and_is_listed_with_its_first_paragraph(words: tu
     assert not re.search(r"\[[a-z]", loaded.help), "Rich takes [words] for its markup"
 
 
-@pytest.mark.parametrize(
-    "words", [words for words in NAMES if _GROUPS.get(words[0]) is None or len(words) > 1], ids=" ".join
-)
+@pytest.mark.parametrize("words", [words for words, found in COMMANDS.items() if found], ids=" ".join)
 def test_every_command_has_examples_that_are_valid(words: tuple[str, ...]) -> None:
     group = get_command(app)
     for word in words[:-1]:
         group = group.get_command(None, word)  # type: ignore[attr-defined, assignment]
     command = group.get_command(None, words[-1])  # type: ignore[attr-defined]
-    for example in EXAMPLES[" ".join(words)]:
-        assert f"conetl {example}" in command.epilog
-        arguments = shlex.split(example)
-        assert tuple(arguments[: len(words)]) == words
-        assert command.make_context(words[-1], arguments[len(words) :])
+    for example in COMMANDS[words][1:]:
+        assert f"conetl {' '.join(words)} {example}".strip() in command.epilog
+        assert command.make_context(words[-1], shlex.split(example))
 
 
 def test_help_and_completion_import_no_command() -> None:
