@@ -18,6 +18,12 @@ def read_rows(conn: Connection, statement: str, **parameters: Any) -> list[Row]:
     return read(conn, "The map cannot be read", statement, **parameters)
 
 
+def read_some(conn: Connection, statement: str, most: int, **parameters: Any) -> tuple[list[Row], bool]:
+    """At most so many rows of a statement that has the parameter max_rows, and whether there are more. Raises DatabaseError."""
+    rows = read_rows(conn, statement, max_rows=most + 1, **parameters)
+    return rows[:most], len(rows) > most
+
+
 class Head(NamedTuple):
     """The latest state of a map; each part differs after a change of its kind."""
 

@@ -17,7 +17,7 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 from jsonschema import Draft7Validator, FormatChecker
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from pyproj import Geod
 from referencing import Registry
 from referencing.jsonschema import DRAFT7
@@ -26,7 +26,7 @@ from conetl.exports.text_files import coordinates
 from conetl.files.atomic import atomic_text_file
 from conetl.files.documents import read_yaml_mapping, validated
 from conetl.geometry.packing import horizontal_sigma_m
-from conetl.model.base import ns_from_utc, utc_from_ns
+from conetl.model.base import Record, ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
@@ -42,10 +42,8 @@ _formats = FormatChecker(formats=("email", "date-time"))
 Object = dict[str, Any]
 
 
-class FeedInfo(BaseModel):
+class FeedInfo(Record):
     """Publisher and road of a feed, which the map does not contain."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     publisher: str = Field(min_length=1)
     road_names: tuple[str, ...] = Field(min_length=1)

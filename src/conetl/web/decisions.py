@@ -9,13 +9,13 @@ from uuid import UUID
 
 from fastapi import APIRouter, Body, HTTPException, Query, Request
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict, Field, SecretStr, StringConstraints
+from pydantic import Field, SecretStr, StringConstraints
 
 from conetl.db.connection import Connection, connect
 from conetl.db.map.decision_store import held_drives
 from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import last_changes, read_feature_history, read_rows, review_page
-from conetl.model.base import Vec3
+from conetl.model.base import Record, Vec3
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.health import HeldDrive
 from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
@@ -56,9 +56,7 @@ _CONES: dict[str, tuple[str, dict[str, float | str]]] = {
 assert ("held", *_CONES) == get_args(m.ReviewItem.model_fields["kind"].annotation)
 
 
-class _Request(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _Request(Record):
     decided_by: Name
     """Name of the person; kept with the decision."""
     reason: Reason

@@ -13,7 +13,7 @@ from fastapi import APIRouter, HTTPException, Path, Request, Response
 from conetl.db.base_store import list_base_sources
 from conetl.db.connection import Connection
 from conetl.db.live_store import read_provisional
-from conetl.db.serve_store import read_base_tile, read_rows
+from conetl.db.serve_store import read_base_tile, read_some
 from conetl.model.base import Vec3
 from conetl.web import models as m
 from conetl.web import rows as to
@@ -37,7 +37,7 @@ def base_layers(map_name: MapName, conn: Reader, request: Request, response: Res
     layers: dict[tuple[str, Any], list[int]] = {}
     for source in list_base_sources(conn, map_name):
         layers.setdefault((source["layer_name"], source["kind"]), []).append(source["kept_count"])
-    rows, truncated = cut(read_rows(conn, "base_layers.tiles", map_name=map_name, max_rows=_MAX_TILES + 1), _MAX_TILES)
+    rows, truncated = read_some(conn, "base_layers.tiles", _MAX_TILES, map_name=map_name)
     return m.BaseLayers(
         origin_m=origin,
         layers=[
@@ -45,10 +45,7 @@ def base_layers(map_name: MapName, conn: Reader, request: Request, response: Res
             for (name, kind), counts in layers.items()
         ],
         tiles=[
-            m.BaseTile(
-                level=row["level"], points=row["points"], origin_m=to.offset(row["origin_m"], origin),
-                scale_m=tuple(row["scale_m"]), high_m=row["high_m"] - origin[2], sha256=row["sha256"],
-            )
+            m.BaseTile(**row | {"origin_m": to.offset(row["origin_m"], origin), "high_m": row["high_m"] - origin[2]})
             for row in rows
         ],
         truncated=truncated,
@@ -61,7 +58,7 @@ def base_lines(map_name: MapName, conn: Reader, request: Request, response: Resp
     origin = origin_of(conn, map_name)
     if unchanged := _unchanged(conn, map_name, origin, request, response):
         return unchanged
-    rows, truncated = cut(read_rows(conn, "base_layers.lines", map_name=map_name, max_rows=_MAX_LINES + 1), _MAX_LINES)
+    rows, truncated = read_some(conn, "base_layers.lines", _MAX_LINES, map_name=map_name)
     shapes = shapely.from_wkb([bytes(row["geom"]) for row in rows])
     lines = [
         m.BaseLine(

@@ -85,13 +85,12 @@ def changes_between(
     """Differences of the map between two instants; a feature moved if its position changed by `moved_from_m` or more, a lane
     marking from the distance at which another drive's is taken for another one."""
     origin = origin_of(conn, map_name)
-    rows = store.read_rows(
-        conn, "serving.changes_between", map_name=map_name, max_rows=MAX_FEATURES + 1, moved_from_m=moved_from_m,
+    found, truncated = store.read_some(
+        conn, "serving.changes_between", MAX_FEATURES, map_name=map_name, moved_from_m=moved_from_m,
         line_moved_from_m=ReconcileParams().marking_gate_m,
         from_valid_at=latest_or(from_valid_at), from_known_at=latest_or(from_known_at),
         to_valid_at=latest_or(to_valid_at), to_known_at=latest_or(to_known_at),
     )  # fmt: skip
-    found, truncated = cut(rows, MAX_FEATURES)
     return _changes(found, origin, truncated=truncated)
 
 
@@ -110,8 +109,8 @@ def feature_history(map_name: MapName, feature_id: UUID, conn: Reader, known_at:
 def sightings(map_name: MapName, feature_id: UUID, conn: Reader) -> m.Sightings:
     """The frame pairs in which one feature was observed, with boxes and camera."""
     origin = origin_of(conn, map_name)
-    feature = {"map_name": map_name, "feature_id": feature_id, "max_rows": _MAX_SIGHTINGS + 1}
-    found, truncated = cut(store.read_rows(conn, "serving.sightings", **feature), _MAX_SIGHTINGS)
+    feature = {"map_name": map_name, "feature_id": feature_id}
+    found, truncated = store.read_some(conn, "serving.sightings", _MAX_SIGHTINGS, **feature)
     drives = list({row["drive_uuid"] for row in found})
     rigs = store.read_rows(conn, "serving.rigs", map_name=map_name, drive_uuids=drives)
     cameras = {row["drive_uuid"]: Rig.model_validate(row["rig"]) for row in rigs}
@@ -127,8 +126,8 @@ def sightings(map_name: MapName, feature_id: UUID, conn: Reader) -> m.Sightings:
 def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader) -> m.Trajectory:
     """The path of the left camera of one drive; empty for an imported map."""
     origin = origin_of(conn, map_name)
-    drive = {"map_name": map_name, "drive_uuid": drive_uuid, "max_rows": _MAX_TRAJECTORY + 1}
-    rows, truncated = cut(store.read_rows(conn, "serving.trajectory", **drive), _MAX_TRAJECTORY)
+    drive = {"map_name": map_name, "drive_uuid": drive_uuid}
+    rows, truncated = store.read_some(conn, "serving.trajectory", _MAX_TRAJECTORY, **drive)
     drive_ids = [row["drive_id"] for row in rows[:1]] or [
         c.drive_id for c in list_changesets(conn, map_name=map_name) if c.drive_uuid == drive_uuid
     ]

@@ -8,7 +8,7 @@ from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict
 
-from conetl.db.map.results import ChangesetFacts
+from conetl.db.map.results import ChangesetFacts, DecisionFacts
 from conetl.model.base import Cov3, Matrix3, Vec3
 from conetl.model.map_records import DeltaKind
 from conetl.model.markings import MarkingColour, MarkingPattern
@@ -241,28 +241,14 @@ class Trajectory(Listing):
     xyz_m: list[Vec3]
 
 
-class Decision(Answer):
+class Decision(DecisionFacts):
     """A decision in effect."""
 
-    decision_id: UUID
-    kind: Literal["suppress", "pin", "classify", "revert", "accept", "hold"]
     xy_m: tuple[float, float] | None
-    """Centre of a suppressed or pinned area with the radius `radius_m`."""
-    radius_m: float | None
-    feature_id: UUID | None
-    """The feature that the person selected."""
-    changeset_id: UUID | None
+    """Centre of the area with the radius `radius_m`."""
     drive_id: str | None
     """Drive of a changeset that is reverted or on hold."""
-    of_line: bool
-    """Of suppress and pin: whether it is about lane markings, else about point objects."""
-    found_as: str | None
-    """Of classify: the class that drives detect ..."""
-    category: str | None
-    """... and the one that the person gives it."""
-    decided_by: str | None
     reason: str
-    decided_at: datetime
 
 
 class ActiveDecisions(Listing):

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from pydantic import BaseModel, ConfigDict
 
 from conetl.cli.console import Columns, JsonOption, MapOption, counted, parse_instant, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.exports.text_files import export_layout_geojson, finding_as_dict
 from conetl.files.documents import read_yaml_model
+from conetl.model.base import Record
 from conetl.model.errors import InputError
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import Finding, Level, WorkZone
@@ -38,10 +38,9 @@ RulesOption = Annotated[
 ]
 
 
-class Rules(BaseModel):
+class Rules(Record):
     """The file of `--rules`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     layout: LayoutParams = LayoutParams()
     zones: WorkZoneParams = WorkZoneParams()
 
@@ -58,7 +57,7 @@ def check_layout_command(
     speed_kmh: Annotated[float, typer.Option(min=5, max=200, help="Speed limit that the rules depend on.")] = 50.0,
     standard: Annotated[
         str,
-        typer.Option(help=f"Source of the rules: {', '.join(layout_check.STANDARDS)}.", show_default=True),
+        typer.Option(help=f"Source of the rules: {', '.join(layout_check.STANDARDS)}."),
     ] = layout_check.DEFAULT,
     rules: RulesOption = None,
     lanes: LanesOption = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, Literal
 from uuid import UUID
 
 from conetl.model.base import Record
@@ -146,26 +146,33 @@ class Replay:
     """Why the drives that were compared again are on hold, by changeset; None of those that count."""
 
 
-@dataclass(frozen=True)
-class StoredDecision:
-    """A person's decision about a map, or the hold of a drive."""
+class DecisionFacts(Record):
+    """What the database and the web view state of a decision."""
 
     decision_id: UUID
-    kind: str
-    """suppress, pin, classify, revert, accept or hold."""
-    easting_m: float | None
-    northing_m: float | None
+    kind: Literal["suppress", "pin", "classify", "revert", "accept", "hold"]
     radius_m: float | None
-    category: str | None
-    found_as: str | None
+    """Of a suppressed or pinned area, and of one where the class is another one."""
     feature_id: UUID | None
+    """The feature that the person selected."""
     changeset_id: UUID | None
-    note: str
+    of_line: bool
+    """Of suppress and pin: whether it is about lane markings, else about point objects."""
+    found_as: str | None
+    """Of classify: the class that drives detect ..."""
+    category: str | None
+    """... and the one that the person gives it."""
     decided_by: str | None
     """None of a hold, and if no name was given."""
     decided_at: datetime
-    of_line: bool
-    """Of a place: whether it is about lane markings."""
+
+
+class StoredDecision(DecisionFacts):
+    """A person's decision about a map, or the hold of a drive."""
+
+    easting_m: float | None
+    northing_m: float | None
+    note: str
 
     @property
     def place(self) -> Location | None:
