@@ -32,7 +32,7 @@ from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
 from flows import dispatch
 from flows.artifacts import send_events
-from flows.batch_artifacts import BatchBoard, open_board, show_progress, show_summary
+from flows.batch_artifacts import batch_progress, show_summary
 from flows.runs import MapName, MapSrid, alive, settings_for
 
 _log = logging.getLogger(__name__)
@@ -147,7 +147,7 @@ def run_batch(
     parallel = max_parallel or (max(1, dispatch.online_workers()) if place == "workers" else 1)
     write_plan(plan, parallel, settings.home / "plans")
     standing = Standing(plan, parallel, place, time.monotonic(), [], [])
-    board = open_board(standing)
+    board = batch_progress(standing)
     look_at_s = standing.started + dispatch.WORKERS_GONE_S  # whether workers are there
     with database.connection() as conn:
         held_before = {drive.changeset_id for drive in held_drives(conn, map_name=settings.map_name)}
@@ -250,9 +250,8 @@ def watch_batch(watcher: Watcher) -> Iterator[None]:
         _watchers.remove(watcher)
 
 
-def _tell(standing: Standing, board: BatchBoard) -> None:
-    show_progress(standing, board)
-    for watcher in _watchers:
+def _tell(standing: Standing, board: Watcher) -> None:
+    for watcher in (board, *_watchers):
         watcher(standing)
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, cast
 from uuid import UUID
 
@@ -22,26 +21,19 @@ _TABLE_EVERY_S = 600.0
 _SHOWN_ROWS = 300
 
 
-@dataclass
-class BatchBoard:
-    """What was shown last."""
+def batch_progress(standing: Standing) -> Callable[[Standing], None]:
+    """The progress bar of a batch that begins: a callback that moves it, and writes the table from time to time."""
+    bar = cast(UUID, artifacts.create_progress_artifact(0.0, key="batch-progress", description=sentence(standing)))
+    table_at = 0.0
 
-    progress_id: UUID
-    table_at: float = 0.0
+    def show(now: Standing) -> None:
+        nonlocal table_at
+        artifacts.update_progress_artifact(bar, percent(now), description=sentence(now))
+        if time.monotonic() - table_at > _TABLE_EVERY_S:
+            _write_table(now)
+            table_at = time.monotonic()
 
-
-def open_board(standing: Standing) -> BatchBoard:
-    """The progress bar of a batch that begins."""
-    progress = artifacts.create_progress_artifact(0.0, key="batch-progress", description=sentence(standing))
-    return BatchBoard(cast(UUID, progress))
-
-
-def show_progress(standing: Standing, board: BatchBoard) -> None:
-    """Move the bar; from time to time write the table."""
-    artifacts.update_progress_artifact(board.progress_id, percent(standing), description=sentence(standing))
-    if time.monotonic() - board.table_at > _TABLE_EVERY_S:
-        _write_table(standing)
-        board.table_at = time.monotonic()
+    return show
 
 
 def show_summary(standing: Standing) -> None:

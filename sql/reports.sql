@@ -2,15 +2,16 @@
 
 -- name: changeset
 -- What a report of one changeset needs beyond the list of changesets. Parameters: changeset_id.
--- Columns: as below; rig is null for an imported map, facts and steps where they were not kept; finished_at: of the merge.
+-- Columns: as below; rig is null for an imported map; params, facts and steps are empty where they were not kept;
+-- finished_at: of the merge.
 select
     d.source_path, d.srid, d.rig, d.expected_frame_count, d.content_sha256, d.pruned_at,
-    r.params, r.facts, r.started_at, r.finished_at,
-    (
+    coalesce(r.params, '{}') as params, coalesce(r.facts, '{}') as facts, r.started_at, r.finished_at,
+    coalesce((
         select jsonb_agg(to_jsonb(s) - 'run_id' order by s.started_s, s.step)
         from conetl.run_step s
         where s.run_id = c.run_id
-    ) as steps
+    ), '[]') as steps
 from conetl.changeset c
 join conetl.drive d using (drive_uuid)
 left join conetl.run r using (run_id)

@@ -105,7 +105,7 @@ def test_the_report_of_a_drive(shown: Any, latest: CommittedChangeset, samples: 
     ):  # fmt: skip
         assert told in page, told
     assert [(line["reason"], line["count"]) for line in facts.rejections] == [("never_near", 2), ("image_truncated", 1)]
-    assert [(s["step"], s["busy_s"]) for s in facts.steps] == [("detect", 3.0), ("merge", 0.25)]
+    assert [(s["step"], s["busy_s"]) for s in facts.header["steps"]] == [("detect", 3.0), ("merge", 0.25)]
     # moved: before and after; added: this drive; each with a left and a right crop
     images = images_of(shown, facts, facts.changes)
     assert {facts.changes[n - 1]["kind"]: [len(p.crops) for p in pairs] for n, pairs in images.items()} == {
@@ -128,7 +128,7 @@ def test_alerts(shown: Any, latest: CommittedChangeset) -> None:
     assert "The trajectory is the logged one" in told and "Calibration: <b>turned</b>" in told
     assert "Clean <b>the lens</b>." in told
     confirmed = tuple(c for c in facts.changes if c["kind"] is DeltaKind.CONFIRMED)
-    calm = replace(facts, header=facts.header | {"facts": None}, changes=confirmed, checks=())
+    calm = replace(facts, header=facts.header | {"facts": {}}, changes=confirmed, checks=())
     assert alerts(calm) == []
     lossy = replace(calm, header=calm.header | {"expected_frame_count": 100})
     assert [f.serious for f in alerts(lossy)] == [True]

@@ -8,7 +8,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from datetime import datetime
@@ -340,9 +340,7 @@ class LockWatch:
     and asks it, in a session of its own, about one that has been busy for long.
     """
 
-    def __init__(self, is_busy: Callable[[Any], bool], blockers: Callable[[Any], list[str]]) -> None:
-        self._is_busy = is_busy
-        self._blockers = blockers
+    def __init__(self) -> None:
         self._report_at: WeakKeyDictionary[Any, float] = WeakKeyDictionary()
         self._thread: threading.Thread | None = None
         self.holders: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
@@ -364,12 +362,12 @@ class LockWatch:
 
     def _look(self, conn: Any, now: float) -> None:
         due = self._report_at.get(conn, math.inf)
-        if conn.closed or not self._is_busy(conn):
+        if conn.closed or not _is_busy(conn):
             self._report_at[conn] = math.inf
         elif due == math.inf:
             self._report_at[conn] = now + REPORT_AFTER_S
         elif now >= due:
-            holders = self._blockers(conn)
+            holders = _blockers(conn)
             self._report_at[conn] = now + (REPORT_EVERY_S if holders else REPORT_AFTER_S)
             if holders:
                 self.holders[conn] = "; ".join(holders)
@@ -378,4 +376,4 @@ class LockWatch:
 
 #: Of open connections; they themselves know theirs without its password.
 _addresses: WeakKeyDictionary[Connection, str] = WeakKeyDictionary()
-_watch = LockWatch(_is_busy, _blockers)
+_watch = LockWatch()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count, repeat
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import Any, TextIO
 from uuid import UUID
 from xml.sax.saxutils import quoteattr
 
@@ -200,24 +200,16 @@ def write_features(sources: Sequence[ExportSource], path: Path) -> None:
         file.write("\n]}\n")
 
 
-class ChangeOrigin(NamedTuple):
-    """When a feature changed on the road, and by which drive."""
-
-    changed_at: datetime
-    drive_id: str
-    changeset_no: int
-
-
 def export_diff_geojson(
-    changes: Sequence[FeatureChange], path: Path, *, srid: int, origins: Mapping[UUID, ChangeOrigin] | None = None
+    changes: Sequence[FeatureChange], path: Path, *, srid: int, origins: Mapping[UUID, Mapping[str, Any]] | None = None
 ) -> int:
     """Write the difference of two maps: a point per changed feature, a line where it moved; the number of features.
 
-    origins: by feature id; without one the time and the drive are null.
+    origins: by feature id, the row of `history.feature_log` of its last change; without one the time and the drive are null.
     """
     features = []
     for change in changes:
-        last, origin = change.state_after, (origins or {}).get(change.feature_id)
+        last, origin = change.state_after, (origins or {}).get(change.feature_id, {})
         sides = coordinates([side.xyz_m for side in (change.old, change.new) if side is not None], srid)
         features.append(
             {
@@ -230,9 +222,9 @@ def export_diff_geojson(
                     "shift_m": change.shift_m,
                     "old_version": change.old.version if change.old else None,
                     "new_version": change.new.version if change.new else None,
-                    "changed_at": iso_utc(origin.changed_at) if origin else None,
-                    "drive_id": origin.drive_id if origin else None,
-                    "changeset_no": origin.changeset_no if origin else None,
+                    "changed_at": iso_utc(origin["changed_at"]) if origin else None,
+                    "drive_id": origin.get("drive_id"),
+                    "changeset_no": origin.get("changeset_no"),
                     "existence_probability": round(last.existence_probability, 6),
                     "observation_count": last.observation_count,
                     "object_height_m": round(last.cone_height_m, 4),

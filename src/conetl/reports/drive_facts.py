@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -43,7 +42,8 @@ class DriveFacts:
     map_name: str
     changeset: CommittedChangeset
     header: Row
-    """The row of `reports.changeset`."""
+    """The row of `reports.changeset`. facts: trajectory, calibration, versions; steps: step, task_count, busy_s, started_s,
+    ended_s of each step of the run."""
     rig: Rig
     frame_pairs: list[FramePair]
     tracks: list[Track]
@@ -66,28 +66,6 @@ class DriveFacts:
     """Point objects around the path without a change, in the database state after the commit."""
     markings: tuple[MarkingChange, ...]
     """Lane markings that the drive evaluated, and those around the path that it did not."""
-
-    @property
-    def source_path(self) -> str:
-        return str(self.header["source_path"])
-
-    @property
-    def pruned_at(self) -> datetime | None:
-        return self.header["pruned_at"]  # type: ignore[no-any-return]
-
-    @property
-    def run_facts(self) -> Row:
-        """Trajectory, calibration, versions; empty where none were stored."""
-        return self.header["facts"] or {}
-
-    @property
-    def params(self) -> Row:
-        return self.header["params"] or {}
-
-    @property
-    def steps(self) -> list[Row]:
-        """step, task_count, busy_s, started_s, ended_s of each step of the run."""
-        return self.header["steps"] or []
 
     @property
     def lost_pairs(self) -> int:
@@ -119,7 +97,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     residuals = np.array(list(stream_values(conn, what, "reports.residuals", drive_uuid=changeset.drive_uuid)))
     events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
     against_map = map_checks(conn, changeset.changeset_id)
-    checks = tuple(HealthCheck(**check) for check in (header["facts"] or {}).get("health", ()))
+    checks = tuple(HealthCheck(**check) for check in header["facts"].get("health", ()))
     accepted = [event.what for event in events if "accept" in event.what][-1:] == ["accepted"]
     if checks and not against_map and not accepted and not holding(checks):
         against_map = (AGREES,)

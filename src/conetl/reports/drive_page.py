@@ -63,9 +63,9 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         old_xy_m = (c["old_easting_m"], c["old_northing_m"]) if c["kind"] is DeltaKind.MOVED else None
         marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, str(c["number"])))
     probabilities = np.array([t.existence_probability for t in facts.tracks])
-    least = facts.params.get("track", {}).get("min_existence_probability")
+    least = facts.header["params"].get("track", {}).get("min_existence_probability")
     nearest = [(t.nearest_range_m, t.residual_rms_px) for t in facts.tracks]
-    steps = [(s["step"], s["started_s"], s["ended_s"]) for s in facts.steps]
+    steps = [(s["step"], s["started_s"], s["ended_s"]) for s in facts.header["steps"]]
     return render(
         "drive.html.j2",
         title=f"Drive {changeset.drive_id}",
@@ -113,7 +113,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
     yield from (Alert(False, check.detail) for check in facts.checks if check.verdict is Verdict.WARN)
     if facts.lost_pairs:
         expected = int(facts.header["expected_frame_count"])
-        share, limit = facts.lost_pairs / expected, facts.params.get("max_rejected_fraction")
+        share, limit = facts.lost_pairs / expected, facts.header["params"].get("max_rejected_fraction")
         text = f"{facts.lost_pairs} of {expected} frame pairs were lost ({share:.1%})."
         yield Alert(limit is not None and share > limit, text)
     gone = kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED]
@@ -135,7 +135,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         )
     if removed := [c for c in facts.changes if c["kind"] is DeltaKind.REMOVED]:
         yield Alert(False, f"{_cones(removed)} removed from the map: {_numbers(removed)}; see the images.")
-    run = facts.run_facts
+    run = facts.header["facts"]
     if str(run.get("trajectory_outcome", "refined")) not in _NORMAL_TRAJECTORIES:
         yield Alert(False, f"The trajectory is the logged one: {run.get('trajectory', '')}.")
     if str(run.get("calibration_outcome", "insignificant")) not in _NORMAL_CALIBRATIONS:
@@ -184,8 +184,8 @@ def _trajectory_rows(facts: DriveFacts) -> list[tuple[str, str]]:
     steps_m, intervals_s = np.hypot(*np.diff(facts.path_m, axis=0).T), np.diff(times_s)
     horizontal = sigma[:, :2].max(axis=1)
     rows = [
-        ("trajectory", str(facts.run_facts.get("trajectory", "not stored"))),
-        ("self-calibration", str(facts.run_facts.get("calibration", "not stored"))),
+        ("trajectory", str(facts.header["facts"].get("trajectory", "not stored"))),
+        ("self-calibration", str(facts.header["facts"].get("calibration", "not stored"))),
         (
             "rig",
             f"{facts.rig.rig_id}: baseline {facts.rig.baseline_m:.3f} m, focal length {facts.rig.left.fx_px:.1f} px",
@@ -202,7 +202,7 @@ def _trajectory_rows(facts: DriveFacts) -> list[tuple[str, str]]:
 
 
 def _version_rows(facts: DriveFacts) -> list[tuple[str, str]]:
-    c, run = facts.changeset, facts.run_facts
+    c, run = facts.changeset, facts.header["facts"]
     libraries = ", ".join(f"{name} {version}" for name, version in run.get("libraries", {}).items())
     return [
         ("conetl", c.code_version),
@@ -214,7 +214,7 @@ def _version_rows(facts: DriveFacts) -> list[tuple[str, str]]:
         ("changeset", str(c.changeset_id)),
         ("Python", str(run.get("python", "not stored"))),
         ("libraries", libraries or "not stored"),
-        ("drive folder", facts.source_path),
+        ("drive folder", facts.header["source_path"]),
     ]
 
 
@@ -244,7 +244,7 @@ def _of_change(conn: Connection, facts: DriveFacts, change: Row, drive: DriveObs
             found.append(_sighting(conn, row["drive_uuid"], row["track_index"], title))
     if change["track_index"] is not None:
         found.append(_sighting(conn, facts.changeset.drive_uuid, change["track_index"], "this drive"))
-    elif not facts.pruned_at:
+    elif not facts.header["pruned_at"]:
         found.append(_expected(facts, change, drive))
     return found
 
@@ -272,7 +272,7 @@ def _expected(facts: DriveFacts, change: Row, drive: DriveObservations) -> PairO
     pair = facts.frame_pairs[rows[largest]]
     title = f"this drive, frame {pair.frame_index}: expected position"
     shown = [(x0 + 0.5, y0 + 0.5, x1 - x0, y1 - y0) for x0, y0, x1, y1 in boxes[largest]]
-    return _crops(title, facts.source_path, facts.rig, [pair.left_path, pair.right_path], shown)
+    return _crops(title, facts.header["source_path"], facts.rig, [pair.left_path, pair.right_path], shown)
 
 
 def _crops(title: str, source_path: str, rig: Rig, paths: Sequence[str], boxes: Sequence[Any]) -> PairOfCrops:

@@ -182,7 +182,7 @@ def calibration_as_dict(
     both = set(result.stereo_pairs)
 
     def rows(values: list[tables.Value]) -> list[dict[str, Any]]:
-        return [{"name": v.name, "value": v.value, "sigma": v.sigma, "unit": v.unit} for v in values]
+        return [value._asdict() for value in values]
 
     content: dict[str, Any] = {
         "rig_id": rig.rig_id,

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 from uuid import UUID
 
 import numpy as np
@@ -18,7 +18,7 @@ from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import Bbox, feature_log, list_changesets, read_features_as_of
-from conetl.exports.text_files import ChangeOrigin, export_diff_geojson
+from conetl.exports.text_files import export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
@@ -81,8 +81,11 @@ def diff(
 
 def _origins(
     conn: Connection, changes: Sequence[FeatureChange], until: tuple[datetime | None, datetime | None]
-) -> dict[UUID, ChangeOrigin]:
-    """What made the later state of each feature. until: time on the road and of the database; None: the latest."""
+) -> dict[UUID, dict[str, Any]]:
+    """The row of `history.feature_log` that made the later state of each feature.
+
+    until: time on the road and of the database; None: the latest.
+    """
     valid_at, known_at = until
     found = {}
     for change in changes:
@@ -94,8 +97,7 @@ def _origins(
             and (entry["believed_until"] is None or (known_at is not None and entry["believed_until"] > known_at))
         ]
         if entries:
-            last = max(entries, key=lambda entry: entry["changed_at"])
-            found[change.feature_id] = ChangeOrigin(last["changed_at"], last["drive_id"], last["changeset_no"])
+            found[change.feature_id] = max(entries, key=lambda entry: entry["changed_at"])
     return found
 
 
