@@ -29,11 +29,11 @@ from conetl.pipeline.backfill_plan import Plan, PlanLine, plan_drives, write_pla
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.ingest import new_receipt
 from conetl.pipeline.publish import catch_up_all
-from conetl.pipeline.settings import Settings
+from conetl.pipeline.settings import Settings, read_settings
 from flows import dispatch
 from flows.artifacts import send_events
 from flows.batch_artifacts import batch_progress, show_summary
-from flows.runs import MapName, MapSrid, alive, settings_for
+from flows.runs import MapName, MapSrid, alive
 
 _log = logging.getLogger(__name__)
 #: A drive whose process died is started so often in all, then it counts as failed.
@@ -112,7 +112,7 @@ def backfill(
     where: Annotated[dispatch.Where, Field(description="Where drives are worked on.")] = "auto",
 ) -> State[Any]:
     """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues."""
-    settings = settings_for(map_name)
+    settings = read_settings(map_name)
     settings.require_readable(as_path(root))
     with alive(settings) as database:
         catch_up_all(settings, database, send_events)

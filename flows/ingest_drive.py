@@ -28,7 +28,7 @@ from conetl.pipeline.ingest import ended, failed, ingest, keep, new_receipt
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives.header import DriveHeader, read_header
 from flows.artifacts import progress_artifact, publish_drive, publish_pending
-from flows.runs import MapName, MapSrid, alive, client, drive_run_name, drive_tags, settings_for
+from flows.runs import MapName, MapSrid, alive, client, drive_run_name, drive_tags
 from flows.tasks import PrefectExecutor, task_runner
 
 
@@ -92,7 +92,7 @@ def ingest_drive(
     attempt_id: Annotated[UUID | None, Field(description="Leave empty.")] = None,
 ) -> State[Any]:
     """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
-    settings = settings_for(map_name)
+    settings = read_settings(map_name)
     settings.require_readable(as_path(drive))
     header = read_header(as_path(drive).absolute())  # links stay: a calibration may lie beside the link
     with alive(settings, drive_lock(settings.map_name, header.header_sha256)) as database:

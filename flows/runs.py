@@ -18,7 +18,7 @@ from pydantic import Field
 
 from conetl.db.receipt_store import held_locks, holding, run_lock
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.settings import Settings, read_settings
+from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
 
 FLOWS = ("ingest-drive", "backfill", "ingest-drop-folder", "publish-map", "audit")
@@ -41,12 +41,6 @@ MapSrid = Annotated[
 def client() -> SyncPrefectClient:
     """The Prefect server that this process uses."""
     return get_client(sync_client=True)
-
-
-def settings_for(map_name: str | None) -> Settings:
-    """Settings of this process, for another map where one is named."""
-    settings = read_settings()
-    return settings.model_copy(update={"map_name": map_name}) if map_name else settings
 
 
 @contextmanager

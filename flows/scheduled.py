@@ -28,7 +28,7 @@ from conetl.pipeline.settings import read_settings
 from conetl.readers.drives.header import MARKER, find_drives, quiet_since
 from flows.artifacts import send_events
 from flows.backfill import Parallel, run_batch
-from flows.runs import MapName, MapSrid, alive, recover, settings_for
+from flows.runs import MapName, MapSrid, alive, recover
 
 
 @flow(name="publish-map", flow_run_name="publish map")
@@ -47,7 +47,7 @@ def publish_map(
     All files show the same state of the map; `report.html` covers the last 24 hours. Fails for an unknown format or a folder that
     cannot be written; the last publication stays then.
     """
-    settings = settings_for(map_name)
+    settings = read_settings(map_name)
     with alive(settings) as database:
         with database.connection() as conn:
             if find_map(conn, settings.map_name) is None:
@@ -112,7 +112,7 @@ def ingest_drop_folder(
     params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
 ) -> State[Any]:
     """Ingest new drives. One that failed is skipped until it changes, or a person runs a backfill."""
-    settings = settings_for(map_name)
+    settings = read_settings(map_name)
     inbox = (folder or settings.inbox).absolute()
     settings.require_readable(inbox)
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)

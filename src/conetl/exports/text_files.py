@@ -153,9 +153,9 @@ def _write_tags(file: TextIO, tags: Tags) -> None:
         file.write(f"    <tag k={quoteattr(key)} v={quoteattr(str(value))} />\n")
 
 
-def iso_utc(instant: datetime) -> str:
-    """ISO 8601 in UTC with microseconds and a final Z."""
-    return instant.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+def iso_utc(instant: datetime, timespec: str = "microseconds") -> str:
+    """ISO 8601 in UTC with microseconds, or cut to seconds, and a final Z."""
+    return instant.astimezone(UTC).isoformat(timespec=timespec).replace("+00:00", "Z")
 
 
 def _plain(name: str, column: pa.Array) -> list[Any]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
-from functools import cache
+from datetime import datetime, timedelta
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 from uuid import NAMESPACE_URL, uuid5
@@ -22,7 +22,7 @@ from pyproj import Geod
 from referencing import Registry
 from referencing.jsonschema import DRAFT7
 
-from conetl.exports.text_files import coordinates
+from conetl.exports.text_files import coordinates, iso_utc
 from conetl.files.atomic import atomic_text_file
 from conetl.files.documents import read_yaml_mapping, validated
 from conetl.geometry.packing import horizontal_sigma_m
@@ -38,6 +38,8 @@ _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/data_source")
 _GEOD = Geod(ellps="WGS84")
 _QUARTERS = ("northbound", "eastbound", "southbound", "westbound")
 _SCHEMAS = Path(__file__).with_name("wzdx_schemas")
+#: Consumers of WZDx expect whole seconds.
+_iso = partial(iso_utc, timespec="seconds")
 _formats = FormatChecker(formats=("email", "date-time"))
 Object = dict[str, Any]
 
@@ -282,11 +284,6 @@ def _bbox(line: list[list[float]]) -> list[float]:
 
 def _known(values: Object) -> Object:
     return {key: value for key, value in values.items() if value is not None}
-
-
-def _iso(instant: datetime) -> str:
-    """RFC 3339 in whole seconds, which consumers of WZDx expect."""
-    return instant.astimezone(UTC).replace(microsecond=0).isoformat().replace("+00:00", "Z")
 
 
 @cache

@@ -23,6 +23,7 @@ from conetl.web.parameters import ChangesetNo, Index, MapName, Reader, cut, orig
 
 router = APIRouter(prefix="/maps/{map_name}")
 _MAX_PASSES = 30
+_IMAGE: dict[str, Any] = {"response_class": Response, "responses": {200: {"content": {"image/jpeg": {}}}}}
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Of the feature; by default its newest one.")]
 #: The report is one file that contains its styles and images, and runs nothing.
 _REPORT_POLICY = (
@@ -79,12 +80,7 @@ def frame(map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader,
     )
 
 
-@router.get(
-    "/drives/{drive_uuid}/frames/{frame_index}/{side}.jpg",
-    tags=["frames"],
-    response_class=Response,
-    responses={200: {"content": {"image/jpeg": {}}}},
-)
+@router.get("/drives/{drive_uuid}/frames/{frame_index}/{side}.jpg", tags=["frames"], **_IMAGE)
 def frame_image(
     map_name: MapName,
     drive_uuid: UUID,
@@ -137,12 +133,7 @@ def _is_near(box: Box, rig: Rig) -> bool:
     return inside and 3 * max(w, h) < rig.left.width_px
 
 
-@router.get(
-    "/drives/{drive_uuid}/pictures/{frame_index}/{match_index}/{side}.jpg",
-    tags=["images"],
-    response_class=Response,
-    responses={200: {"content": {"image/jpeg": {}}}},
-)
+@router.get("/drives/{drive_uuid}/pictures/{frame_index}/{match_index}/{side}.jpg", tags=["images"], **_IMAGE)
 def sighting_image(
     map_name: MapName,
     drive_uuid: UUID,
