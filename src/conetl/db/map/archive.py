@@ -110,11 +110,9 @@ def restore_map(conn: Connection, dump: Path, map_name: str | None = None) -> Ma
             return _restore(conn, dump, file, manifest, map_name or manifest.map.map_name)
     except OSError as error:
         raise InputError(f"{dump}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        reason = first_message(error)
+    except (ValueError, zipfile.BadZipFile, zlib.error, KeyError, EOFError, NotImplementedError, RuntimeError) as error:
+        reason = first_message(error) if isinstance(error, ValueError) else error
         raise InputError(f"{dump}: is damaged, or not a file that `conetl map delete` wrote ({reason})") from error
-    except (zipfile.BadZipFile, zlib.error, KeyError, EOFError, NotImplementedError, RuntimeError) as error:
-        raise InputError(f"{dump}: is damaged, or not a file that `conetl map delete` wrote ({error})") from error
 
 
 def _write_dump(conn: Connection, info: MapInfo, dump: Path) -> dict[str, int]:
