@@ -43,23 +43,14 @@ _CIRCLE_OPTIONS = {
 }  # fmt: skip
 #: Categories of `"colour" || ' ' || "pattern"`, with the colour of the paint.
 _PAINTS = {f"{colour} {pattern}": (colour, pattern) for colour in PAINT for pattern in ("solid", "dashed")}
-_LAYERS = (
-    {"id": "cones_standing_now", "title": "Cones now", "query": "qgis_now", "shown": True},
-    {
-        "id": "circles_standing_now",
-        "title": "95 % circle of the position",
-        "query": "qgis_now",
-        "shown": True,
-        "circles": True,
-    },
-    {"id": "lane_markings_now", "title": "Lane markings", "query": "qgis_markings", "shown": True, "lines": True},
-    {
-        "id": "cones_over_time",
-        "title": "Cones over time (temporal controller)",
-        "query": "qgis_over_time",
-        "temporal": True,
-    },
+#: Id, title and statement of each layer, and how it differs from `_DEFAULTS`.
+_LAYERS: tuple[tuple[str, str, str, dict[str, bool]], ...] = (
+    ("cones_standing_now", "Cones now", "qgis_now", {}),
+    ("circles_standing_now", "95 % circle of the position", "qgis_now", {"circles": True}),
+    ("lane_markings_now", "Lane markings", "qgis_markings", {"lines": True}),
+    ("cones_over_time", "Cones over time (temporal controller)", "qgis_over_time", {"temporal": True, "shown": False}),
 )
+_DEFAULTS = {"shown": True, "circles": False, "temporal": False, "lines": False}
 
 
 def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str | None = None) -> None:
@@ -80,10 +71,9 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
         srid=info.srid,
         wkt=CRS.from_epsg(info.srid).to_wkt(),
         layers=[
-            {"shown": False, "circles": False, "temporal": False, "lines": False, **layer}
-            | {"source": _source(server, map_name, info.srid, str(layer["query"]), lines="lines" in layer)}
-            | {"fields": _fields(conn, map_name, str(layer["query"]))}
-            for layer in _LAYERS
+            {"id": key, "title": title, **_DEFAULTS, **flags, "fields": _fields(conn, map_name, query)}
+            | {"source": _source(server, map_name, info.srid, query, lines="lines" in flags)}
+            for key, title, query, flags in _LAYERS
         ],
         aliases={
             name: f"{field.alias} [{field.unit}]" if field.unit else field.alias for name, field in FIELDS.items()

@@ -157,12 +157,8 @@ def _is_about(decision: Classification, entry: Mapping[str, Any]) -> bool:
 
 def _others(changeset: CommittedChangeset) -> str:
     """The rare kinds of changes, if any."""
-    counts = {
-        "height changed": changeset.height_changed_count,
-        "split": changeset.split_count,
-        "merged": changeset.merged_count,
-    }
-    return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
+    counts = {kind: getattr(changeset, f"{kind}_count") for kind in ("height_changed", "split", "merged")}
+    return ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in counts.items() if count)
 
 
 def _state_of(changeset: CommittedChangeset) -> str:
@@ -175,10 +171,7 @@ def _frames(entry: Mapping[str, Any]) -> str:
     return ", ".join(f"{count} {word}" for count, word in parts if count)
 
 
-_CHANGESETS: ui.Columns = {
-    "no": "changeset_no",
-    "drive": "drive_id",
-    "committed (UTC)": "committed_at",
+_COUNTS: ui.Columns = {
     "added": "added_count",
     "confirmed": "confirmed_count",
     "moved": "moved_count",
@@ -197,10 +190,10 @@ def _of_changeset(read: str | Callable[[Any], object]) -> Callable[[Any], object
 
 
 _LOG: ui.Columns = {
-    **{heading: _of_changeset(read) for heading, read in _CHANGESETS.items()},
     "no": "changeset_no",
     "drive": "drive_id",
     "committed (UTC)": lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at,
+    **{heading: _of_changeset(read) for heading, read in _COUNTS.items()},
     "": lambda row: row.sentence if isinstance(row, HoldEvent) else _state_of(row),
 }
 _HISTORY: ui.Columns = {
