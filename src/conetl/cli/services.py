@@ -76,16 +76,8 @@ def up(
             migrate_once(conn)
         settings.inbox.mkdir(parents=True, exist_ok=True)
         done = _start_services(
-            settings,
-            services,
-            url,
-            show,
-            host=host,
-            port=port,
-            view_port=view_port,
-            workers=workers,
-            decisions=decisions,
-        )
+            settings, services, url, show, host=host, port=port, view_port=view_port, workers=workers, decisions=decisions,
+        )  # fmt: skip
     if as_json:
         print_json({**_status(settings), **done})
         return
