@@ -248,4 +248,4 @@ def main(
         from conetl.pipeline.settings import ignored_variables  # pydantic takes time to load
 
         if ignored := ignored_variables(os.environ):
-            note(f"ignored environment variables, which are no settings: {', '.join(ignored)}")
+            note(f"ignored environment variables, which are not settings: {', '.join(ignored)}")

@@ -54,7 +54,7 @@ class PassFrame(Record):
     """From the left camera to the foot."""
     state: FrameState
     """observed: the drive's observation of the feature; empty: the position was visible, and no cone was observed; occupied: a
-    detection that is no part of the feature; hidden: by a nearer detection, or the image shows too little."""
+    detection that is not part of the feature; hidden: by a nearer detection, or the image shows too little."""
     camera_xyz_m: Vec3
     """Left camera; in the map's CRS, in answers of the server from the map's origin."""
 
