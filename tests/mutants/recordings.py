@@ -217,6 +217,14 @@ def baseline(drive: Drive, factor: float) -> Drive:
 
 
 @prepared
+def right_ahead(drive: Drive, metres: float) -> Drive:
+    """Images of a right camera that stands so much farther forward than the calibration has it, as one that exposes late does."""
+    right = np.array(drive.rig.body_SE3_right)
+    right[:3, 3] -= metres * right[:3, 2]
+    return drive.model_copy(update={"rig": drive.rig.model_copy(update={"body_SE3_right": se3.to_matrix4(right)})})
+
+
+@prepared
 def lenses(
     drive: Drive, focal: float = 1.0, right_column_px: float = 0.0, columns_px: float = 0.0, rows_px: float = 0.0
 ) -> Drive:

@@ -38,6 +38,7 @@ from tests.mutants.recordings import (
     noise,
     raised,
     reversed_poses,
+    right_ahead,
     right_late,
     spread_jump,
     stating,
@@ -214,6 +215,12 @@ def _rigs() -> list[WrongRecording]:
         *(
             WrongRecording(f"right camera {n} frames late", right_late(n), cause=f"{_TRIGGER} {n} frames earlier", fast=n == 1)
             for n in (1, 2, 3)
+        ),
+        *(
+            WrongRecording(
+                f"right camera {ms:+d} ms", right_ahead(13.3 * ms / 1e3), cause="ms too (late|early)", fast=ms == 2,
+            )
+            for ms in (-5, -2, 2, 5)
         ),
         *(
             WrongRecording(f"both cameras {how} a frame", images_shifted(n, 20), cause="lost a frame or repeated")

@@ -14,7 +14,7 @@ import numpy as np
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_between, motions_of
+from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, motions_between, motions_of
 from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair, StereoMatch
 from conetl.model.health import HealthCheck
@@ -28,6 +28,7 @@ from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.control_points import refine_with_control
+from conetl.tracking.exposures import right_camera_ahead
 from conetl.tracking.foreign_images import check_recording
 from conetl.tracking.health import check_trajectory
 from conetl.tracking.lost_frames import check_lost_frames
@@ -176,7 +177,7 @@ def self_calibrate(chunk: Chunk, followed: Sequence[Odometry]) -> SelfCalibratio
     chunk: any of the drive's, for rig, parameters and results folder. followed: `odometry` of parts of the drive, in its order.
     """
     params, folder = chunk.params.trajectory, chunk.results_folder
-    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for each in followed for path in each))
+    key = result_key(RESULTS_VERSION, "self-calibrate-ahead", *(path.stem for each in followed for path in each))
     if has_result(folder, key):
         return load_result(result_path(folder, key), SelfCalibration)[0][0]
     spans: list[tuple[Span, StereoTracks]] = []
@@ -206,7 +207,9 @@ def calibrate_drive(
 
 
 def _calibration(rig: Rig, spans: Sequence[tuple[Span, StereoTracks]], params: TrajectoryParams) -> SelfCalibration:
-    return estimate_calibration(rig, [span for span, _ in spans], [tracks for _, tracks in spans], params)
+    found = estimate_calibration(rig, [span for span, _ in spans], [tracks for _, tracks in spans], params)
+    points = [tracks.points()[0] for _, tracks in spans if tracks.missing is None]
+    return found.model_copy(update={"right_ahead": right_camera_ahead(cameras_of(rig), points)})
 
 
 def refine(drive: Drive, motions: list[Path], matches: list[Path], params: IngestParams) -> RefinedTrajectory:

@@ -72,6 +72,8 @@ class SelfCalibration(Record):
     """Upper triangle, row by row, of the (4, 4) covariance of (rx, ry, rz, bend), prior included; empty without an estimate."""
     model_gap: tuple[float, ...] = ()
     """(rx, ry, rz, bend): their change if disparities may also follow another field; empty without an estimate."""
+    right_ahead: tuple[float, ...] = ()
+    """How far the right camera stands before its place, and the sigma of that (`exposures.py`); empty where it is not known."""
     span_count: int = Field(default=0, ge=0)
     point_count: int = Field(default=0, ge=0)
     prior_chi2: float = Field(default=0, ge=0)
