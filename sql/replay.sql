@@ -1,4 +1,5 @@
 -- Reading and writing the neighbourhood of drives: which drives must be compared with the map again, and with what.
+-- case when map_id ...: the planner would compare geometries first, and those of another map may have another CRS.
 
 -- name: affected_drives
 -- The drives that must be compared with the map again when some drives come, go or are judged differently: the active
@@ -58,7 +59,8 @@ select distinct on (v.feature_id)
     v.changeset_id, true as present, v.suppressed, v.valid_from_ns, null::bigint as valid_to_ns
 from conetl.drive d
 cross join lateral conetl.pieces(d.area) piece
-join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece and ST_Intersects(v.geom, piece)
+join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece
+    and case when v.map_id = d.map_id then ST_Intersects(v.geom, piece) else false end
 where d.drive_uuid = %(drive_uuid)s
 and upper_inf(v.system_period) and upper_inf(v.valid_period) and (v.present or v.suppressed)
 order by v.feature_id;
@@ -71,7 +73,8 @@ with around as materialized (
     select v.cell, v.feature_id, v.version
     from conetl.drive d
     cross join lateral conetl.pieces(d.area) piece
-    join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece and ST_Intersects(v.geom, piece)
+    join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece
+    and case when v.map_id = d.map_id then ST_Intersects(v.geom, piece) else false end
     where d.drive_uuid = %(drive_uuid)s
     and upper_inf(v.system_period) and upper_inf(v.valid_period) and (v.present or v.suppressed)
 )
@@ -102,7 +105,8 @@ with around as materialized (
     select distinct w.cell, w.feature_id
     from conetl.drive a
     cross join lateral conetl.pieces(a.area) piece
-    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
+    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece
+    and case when w.map_id = a.map_id then ST_Intersects(w.geom, piece) else false end
     where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
 )
 select
@@ -136,7 +140,8 @@ and (x.cell, x.feature_id) in (
     select w.cell, w.feature_id
     from conetl.drive a
     cross join lateral conetl.pieces(a.area) piece
-    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
+    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece
+    and case when w.map_id = a.map_id then ST_Intersects(w.geom, piece) else false end
     where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
 )
 order by x.feature_id, x.changeset_id;

@@ -12,6 +12,7 @@ import pytest
 
 from conetl.db.connection import connect, execute
 from conetl.db.map import map_store as store
+from conetl.db.map import replay_store
 from conetl.db.map.commit import commit_changeset, path_wkt
 from conetl.db.map.decision_store import find_decisions
 from conetl.db.map.drive_store import drives_at_the_same_time, load_stored_drive
@@ -183,6 +184,32 @@ def test_maps_do_not_see_each_other(conn, samples):
     # a feature of one map cannot be changed through another
     with pytest.raises(MapMismatchError):
         samples.commit(conn, samples.removed(samples.feature("b"), samples.START_NS + 1), key="3")
+
+
+def test_equal_coordinates_in_another_crs_disturb_no_drive(conn, samples):
+    """The planner may compare geometries before it compares maps: with a thousand versions it does."""
+    for number, srid in enumerate((32632, 32631)):
+        drive = samples.drive(f"drive {number}", srid=srid)
+        changeset = samples.changeset(
+            samples.added(samples.feature("ab"[number])), drive_id=drive.drive_id, key=str(number)
+        )
+        with store.map_transaction(conn, f"zone_{srid}"):
+            commit_changeset(
+                conn,
+                DriveRecords(drive, samples.detections(), [], samples.positions(), [samples.track()]),
+                changeset,
+                map_name=f"zone_{srid}",
+            )
+    with conn.cursor() as cursor:
+        cursor.execute("select drive_uuid from conetl.drive")
+        drives = [row[0] for row in cursor.fetchall()]
+        for kind in ("hashjoin", "mergejoin", "seqscan", "bitmapscan"):
+            cursor.execute(f"set local enable_{kind} = off")
+    for drive_uuid in drives:
+        assert len(replay_store.read_standing_around(conn, drive_uuid)) == 1
+        assert len(replay_store.read_versions(conn, [drive_uuid])) == 1
+        assert not replay_store.read_doubts_around(conn, drive_uuid)
+        assert not replay_store.read_misses(conn, [drive_uuid], without=())
 
 
 @pytest.mark.parametrize("stored", [60, 30])
