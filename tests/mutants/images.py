@@ -137,6 +137,15 @@ def frozen(folder: Path, *cameras: str, first: float = 0.0) -> None:
             shutil.copy(files[start], path)
 
 
+def blended(folder: Path) -> None:
+    """Each image is the mean of itself and the one before, as where a converter changes the frame rate."""
+    for camera in CAMERAS:
+        files = sorted((folder / camera / "data").iterdir())
+        images = [np.asarray(cv2.imread(str(file)), np.uint8) for file in files]
+        for file, before, image in zip(files[1:], images[:-1], images[1:], strict=True):
+            cv2.imwrite(str(file), cv2.addWeighted(before, 0.5, image, 0.5, 0), [cv2.IMWRITE_JPEG_QUALITY, 95])
+
+
 @prepared
 def log(folder: Path, change: Callable[[Sequence[float]], Sequence[float]], first: int = 0, last: int = 3) -> None:
     """Other fields in every record of the GNSS/INS log: latitude, longitude and height (degrees, m) unless others are named."""

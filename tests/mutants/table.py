@@ -287,6 +287,9 @@ def _cameras() -> list[WrongRecording]:
             "right images mirrored from the middle on", only_right(images.mirrored), "none of the .* do not belong together",
             0.5, (FIRST, SECOND),
         ),
+        WrongRecording(
+            "images blended with those before", files=images.blended, cause="two instants", on=(FIRST, SECOND), fast=True
+        ),
         WrongRecording("both cameras frozen", files=images.frozen(*images.CAMERAS), cause="repeats its image", on=_IMAGES),
         WrongRecording("left camera frozen", files=images.frozen("image_02"), cause="repeats its image", on=(FIRST, SECOND)),
         WrongRecording("right camera frozen", files=images.frozen("image_03"), cause="repeats its image", on=(FIRST, SECOND)),

@@ -29,7 +29,7 @@ from conetl.pipeline.markings import mark, marking_points
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
-from conetl.tracking.exposures import check_exposures
+from conetl.tracking.exposures import check_doubled, check_exposures
 from conetl.tracking.health import check_calibration
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
@@ -134,6 +134,7 @@ def analyse(
     records = DriveRecords(drive, detections, matches, positions, tracks, refused, markings)
     health += check_calibration(found.calibration)
     health += check_exposures(found.calibration.right_ahead, drive.rig, drive.frame_pairs)
+    health.append(check_doubled(tracks, drive.frame_pairs))
     return AnalysedDrive(records, trajectory, found.calibration, params, tuple(health))
 
 

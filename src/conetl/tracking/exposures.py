@@ -1,4 +1,4 @@
-"""Whether the right camera stands where its calibration has it along the viewing direction, while the vehicle drives.
+"""Whether both cameras expose at one instant: the right camera stands where its calibration has it while the vehicle drives.
 
 A right camera that exposes 5 ms late at 14 m/s stands 7 cm farther forward than calibrated, and cones 4 m beside the path are
 0.3 m off. Odometry and log hardly show it, but the rows of the right image do: points move away from the middle row in proportion
@@ -8,25 +8,31 @@ all distances: all five are estimated together, and sigmas are those of the scat
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from conetl.geometry.motion.stereo_motion import StereoCameras, triangulate
 from conetl.geometry.rig import left_SE3_right
 from conetl.geometry.small_arrays import median
 from conetl.model.arrays import Floats
-from conetl.model.drive import FramePair
+from conetl.model.drive import FramePair, Track
 from conetl.model.health import HealthCheck, hold_if
 from conetl.model.rig import Rig
 
-EXPOSURES = "exposures of both cameras"
+EXPOSURES, DOUBLED = "exposures of both cameras", "images of one instant"
 #: Of the baseline: the right camera may stand so much before or behind its place, and that far it is known at best. Cones 4 m
 #: aside are off by 0.08 m then. Sample drives 0 to 0.9 %.
 _MAX_AHEAD, _FLOOR, _SIGMAS = 0.02, 0.002, 6.0
 #: Points are outliers beyond so many sigmas of the median deviation.
 _OUTLIER_SIGMAS, _ROUNDS = 3.0, 6
 _LEAST_SPANS = 8
+#: Objects are doubled where so many pairs, and this share of all objects, stand one interval's travel apart (to so many metres)
+#: without a third one in that row. Shorter travel does not separate the images of one object.
+_LEAST_PAIRS, _PAIRED_SHARE, _APART_M, _LEAST_STEP_M = 4, 0.6, 0.15, 0.3
 
 
 def right_camera_ahead(cameras: StereoCameras, spans: Sequence[Floats]) -> tuple[float, ...]:
@@ -79,3 +85,35 @@ def check_exposures(ahead: tuple[float, ...], rig: Rig, frame_pairs: Sequence[Fr
             "calibrate)."
         )
     return [hold_if(wrong, EXPOSURES, detail, value=off_m, sigma=sigma_m, limit=limit_m, unit="m")]
+
+
+def check_doubled(tracks: Sequence[Track], frame_pairs: Sequence[FramePair]) -> HealthCheck:
+    """Whether each image shows two instants, as interlaced video does and frames that a converter blended: all objects stand
+    twice then, one interval's travel apart. In a real row of that spacing most have neighbours on both sides."""
+    path = {pair.frame_index: np.array(pair.pose.map_t_body_m) for pair in frame_pairs}
+    steps = {frame: path[frame + 1] - path[frame] for frame in path if frame + 1 in path}
+    frames = [steps.keys() & {frame for frame, _ in track.members} for track in tracks]
+    following: list[tuple[int, int]] = []
+    if tracks and steps:
+        near_m = 2 * float(np.median([np.linalg.norm(step) for step in steps.values()])) + _APART_M
+        near = cKDTree(np.array([track.xyz_m[:2] for track in tracks])).query_pairs(near_m, output_type="ndarray")
+        for i, j in np.concatenate([near, near[:, ::-1]]).tolist():
+            common = frames[i] & frames[j]
+            if not common or 2 * len(common) < min(len(frames[i]), len(frames[j])):
+                continue
+            step = np.mean([steps[frame] for frame in common], axis=0)
+            off = np.subtract(tracks[j].xyz_m, tracks[i].xyz_m) - step
+            if np.linalg.norm(step[:2]) > _LEAST_STEP_M and np.linalg.norm(off[:2]) < _APART_M:
+                following.append((i, j))
+    ends = Counter(chain.from_iterable(following))
+    pairs = sum(ends[i] == ends[j] == 1 for i, j in following)
+    wrong = pairs >= _LEAST_PAIRS and 2 * pairs >= _PAIRED_SHARE * len(tracks)
+    detail = "Objects do not stand in pairs one interval's travel apart."
+    if wrong:
+        detail = (
+            f"{2 * pairs} of {len(tracks)} objects stand in pairs one interval's travel apart: each image shows two instants, as "
+            "interlaced video does, or frames that were blended when the frame rate was converted. Deinterlace the video, or "
+            "export it at its own frame rate."
+        )
+    share = 2 * pairs / len(tracks) if tracks else None
+    return hold_if(wrong, DOUBLED, detail, value=share, limit=_PAIRED_SHARE)

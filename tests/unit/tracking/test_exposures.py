@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.motion.stereo_motion import StereoCameras
-from conetl.tracking.exposures import right_camera_ahead
+from conetl.model.drive import FramePair, Track
+from conetl.model.health import Verdict
+from conetl.tracking.exposures import check_doubled, right_camera_ahead
+from tests import records
 
 BASELINE_M, SPANS, POINTS = 0.4, 20, 150
 INTRINSICS = np.array([700.0, 700.0, 480.0, 200.0])
@@ -58,3 +63,25 @@ def test_a_turn_and_another_focal_length_are_told_from_it(turn_rad: float, zoom:
 
 def test_few_spans_say_nothing() -> None:
     assert right_camera_ahead(cameras(), seen_spans(0.05, 1)[:7]) == ()
+
+
+def survey(columns_m: Sequence[float], *, doubled: bool = False) -> tuple[list[Track], Sequence[FramePair]]:
+    """A drive of 1.2 m per interval past objects at these metres along the path; doubled: each once more, 1.2 m farther."""
+    pairs = [
+        pair.model_copy(update={"pose": pair.pose.model_copy(update={"map_t_body_m": (1.2 * k, 0.0, 0.0)})})
+        for k, pair in enumerate(records.drive(frames=60).frame_pairs)
+    ]
+    along = [x + shift for x in columns_m for shift in ((0.0, 1.2) if doubled else (0.0,))]
+    return [records.track(k, 10, xyz_m=(x, 3.0, 0.0)) for k, x in enumerate(along)], pairs
+
+
+@pytest.mark.parametrize("spacing_m", [0.9, 1.2, 2.4, 5.0])
+def test_rows_of_objects_pass(spacing_m: float) -> None:
+    assert check_doubled(*survey([30.0 + spacing_m * k for k in range(9)])).verdict is Verdict.PASS
+
+
+def test_doubled_objects_are_held() -> None:
+    row = [30.0 + 5.0 * k for k in range(9)]
+    assert check_doubled(*survey(row, doubled=True)).verdict is Verdict.HOLD
+    assert check_doubled(*survey(row[:3], doubled=True)).verdict is Verdict.PASS  # two rows of three may be real
+    assert check_doubled([], []).verdict is Verdict.PASS

@@ -132,7 +132,8 @@ def _not_a_drive(path: Path) -> DriveFolderError:
     return DriveFolderError(
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt), a "
         f"plain one (left, right, trajectory.csv, rig.yaml), a EuRoC one (mav0/cam0, cam1) or a "
-        f"bag (metadata.yaml, *.mcap, *.bag); found {', '.join(child.name for child in children[:5])}"
+        f"bag (metadata.yaml, *.mcap, *.bag); found {', '.join(child.name for child in children[:5])}. 'conetl init {path}' "
+        "makes a drive of two videos or folders of images with a trajectory file"
     )
 
 
