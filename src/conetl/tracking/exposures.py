@@ -1,4 +1,4 @@
-"""Whether both cameras expose at one instant: the right camera stands where its calibration has it while the vehicle drives.
+"""When images were taken: by both cameras at one instant, each of one instant only, and none lost or repeated by both.
 
 A right camera that exposes 5 ms late at 14 m/s stands 7 cm farther forward than calibrated, and cones 4 m beside the path are
 0.3 m off. Odometry and log hardly show it, but the rows of the right image do: points move away from the middle row in proportion
@@ -15,13 +15,19 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from conetl.geometry.motion.stereo_motion import StereoCameras, triangulate
+from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, triangulate
+from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
+from conetl.geometry.packing import vec3
 from conetl.geometry.rig import left_SE3_right
 from conetl.geometry.small_arrays import median
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import HealthCheck, hold_if
+from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
+from conetl.perception.visual_odometry import follow_drive
+from conetl.perception.working_size import ImageReader
 
 EXPOSURES, DOUBLED = "exposures of both cameras", "images of one instant"
 #: Of the baseline: the right camera may stand so much before or behind its place, and that far it is known at best. Cones 4 m
@@ -33,6 +39,8 @@ _LEAST_SPANS = 8
 #: Objects are doubled where so many pairs, and this share of all objects, stand one interval's travel apart (to so many metres)
 #: without a third one in that row. Shorter travel does not separate the images of one object.
 _LEAST_PAIRS, _PAIRED_SHARE, _APART_M, _LEAST_STEP_M = 4, 0.6, 0.15, 0.3
+#: A lost frame shows where the log moves that far in an interval, at an even speed; at most so many intervals are tried.
+_UNEVEN_SHARE, _MOST_TRIED = 0.2, 40
 
 
 def right_camera_ahead(cameras: StereoCameras, spans: Sequence[Floats]) -> tuple[float, ...]:
@@ -117,3 +125,68 @@ def check_doubled(tracks: Sequence[Track], frame_pairs: Sequence[FramePair]) -> 
         )
     share = 2 * pairs / len(tracks) if tracks else None
     return hold_if(wrong, DOUBLED, detail, value=share, limit=_PAIRED_SHARE)
+
+
+def check_lost_frames(
+    pairs: Sequence[FramePair],
+    rig: Rig,
+    motions: Sequence[RelativeMotion],
+    read: ImageReader,
+    params: TrajectoryParams,
+) -> HealthCheck:
+    """Whether the images move twice or half as far as an even log between two frame pairs: both cameras lost a frame, or repeated
+    one, and all later images are of other poses than their numbers or time stamps say.
+
+    At speed such an interval is measured only from a guess of that length, so that those that were not are followed again.
+    read: grey images of a frame pair.
+    """
+    at_s = np.array([pair.captured_at_ns - pairs[0].captured_at_ns for pair in pairs]) * 1e-9
+    lengths_m = np.linalg.norm(np.diff([pair.pose.map_t_body_m for pair in pairs], axis=0), axis=1)
+    speeds = lengths_m / np.maximum(np.diff(at_s), 1e-6)
+    even = np.abs(speeds[1:-1] - (speeds[:-2] + speeds[2:]) / 2) < _UNEVEN_SHARE * speeds[1:-1]
+    measured = motions_between(pairs, motions)
+    ratios = np.array([np.nan if motion is None else _length_m(motion) for motion in measured])
+    ratios /= [max(float(np.linalg.norm(expected[:3, 3])), 1e-6) for expected in expected_motions(pairs, rig)]
+    usual = np.abs(ratios - 1) < 2 * _UNEVEN_SHARE
+    alone = even & usual[:-2] & ~usual[1:-1] & usual[2:] & (lengths_m[1:-1] > _LEAST_STEP_M)
+    suspected = (np.flatnonzero(alone) + 1).tolist()
+    found = [
+        pairs[k + 1].frame_index
+        for k in evenly_spread(suspected, _MOST_TRIED)
+        if any(
+            _is_about(ratios[k], factor)
+            or (np.isnan(ratios[k]) and _moves_by(factor, pairs[k], pairs[k + 1], rig, read, params))
+            for factor in (2.0, 0.5)
+        )
+    ]
+    detail = "No frame is lost or repeated by both cameras."
+    if found:
+        detail = (
+            f"Both cameras lost a frame or repeated one before frame pair {found[0]}: there the images move twice or half as far "
+            "as GNSS/INS, and all later ones are of other poses than their numbers say. Correct the numbers or time stamps of "
+            "the images."
+        )
+    return hold_if(found, "frames lost by both cameras", detail, value=float(len(found)), limit=0.0)
+
+
+def _moves_by(
+    factor: float, first: FramePair, second: FramePair, rig: Rig, read: ImageReader, params: TrajectoryParams
+) -> bool:
+    """Whether the images of two frame pairs show so many times the motion of their poses."""
+    start, end = np.array(first.pose.map_t_body_m), np.array(second.pose.map_t_body_m)
+    guess = second.pose.model_copy(update={"map_t_body_m": vec3(start + factor * (end - start))})
+    both = (first, second.model_copy(update={"pose": guess}))
+    [motion] = motions_of(follow_drive(both, rig, read, params), both, rig, params)
+    expected_m = float(np.linalg.norm(expected_motions(both, rig)[0][:3, 3]))
+    return _is_about(_length_m(motion) / expected_m, 1.0)
+
+
+def _length_m(motion: RelativeMotion) -> float:
+    """NaN of a motion that was not measured."""
+    return (
+        np.nan if motion.second_SE3_first is None else float(np.linalg.norm(np.array(motion.second_SE3_first)[:3, 3]))
+    )
+
+
+def _is_about(ratio: float, factor: float) -> bool:
+    return bool(abs(ratio - factor) < _UNEVEN_SHARE * factor)

@@ -13,7 +13,7 @@ from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline.chunks import Chunk
 from conetl.pipeline.odometry import grey_reader, self_calibrate
 from conetl.readers.drives import read_drive
-from conetl.tracking.lost_frames import check_lost_frames
+from conetl.tracking.exposures import check_lost_frames
 from tests.integration.small_drives import SAMPLES
 from tests.mutants.recordings import images_shifted
 from tests.synthetic.world import make_path, make_rig
