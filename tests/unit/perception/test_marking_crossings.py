@@ -28,17 +28,19 @@ KERB_M = (2.6, 2.75)
 _FINE = 3
 
 
-def _road(x_m: Floats, z_m: Floats, noise: Floats) -> Floats:
-    """(..., 3) colours of the road (blue, green, red)."""
+def _road(x_m: Floats, z_m: Floats, noise: Floats, shade_m: float) -> Floats:
+    """(..., 3) colours of the road (blue, green, red), which lies in shadow to the right of shade_m, and in bright sun else."""
     cell = (x_m / 0.03).astype(int) * 73856093 ^ (z_m / 0.08).astype(int) * 19349663
     grey = 85 + 12 * noise[cell % len(noise)]
     colours = np.repeat(grey[..., None], 3, axis=-1)
     colours[np.abs(x_m - WHITE_M) < WIDTH_M / 2] = (205, 210, 208)
     colours[np.abs(x_m - YELLOW_M - LEAN * z_m) < WIDTH_M / 2] = (40, 170, 200)
+    if np.isfinite(shade_m):
+        colours *= np.where(x_m > shade_m, 0.4, 1.6)[..., None]
     return colours
 
 
-def render(rig: Rig, side: int) -> NDArray[np.uint8]:
+def render(rig: Rig, side: int, *, shade_m: float = np.inf) -> NDArray[np.uint8]:
     """What one camera sees, several rays per pixel."""
     camera = rig.left if side == 0 else rig.right
     left_SE3_camera = np.eye(4) if side == 0 else rigs.left_SE3_right(rig)
@@ -54,7 +56,7 @@ def render(rig: Rig, side: int) -> NDArray[np.uint8]:
         if is_kerb:
             image[below & (x > KERB_M[0]) & (x < KERB_M[1])] = (190, 195, 200)
         else:
-            image[below] = _road(x, z, noise)[below]
+            image[below] = _road(x, z, noise, shade_m)[below]
     small = cv2.resize(image, (camera.width_px, camera.height_px), interpolation=cv2.INTER_AREA)
     shaken = small + np.random.default_rng(side).normal(0, 1.5, small.shape)
     return np.clip(np.rint(shaken), 0, 255).astype(np.uint8)
@@ -82,6 +84,18 @@ def test_points_lie_on_the_middle_of_the_paint_and_on_the_road(turned: bool) -> 
         assert np.percentile(np.abs(x - middle)[own], 80) < 0.03
         assert abs(np.median(y[own]) - HEIGHT_M) < 0.01
         assert abs(np.median(columns.width_m[own]) - WIDTH_M) < 0.015
+
+
+def test_a_line_along_the_edge_of_a_shadow_is_found() -> None:
+    """Road in the sun on its left, as bright as 0.6 of it, and road in shadow on its right."""
+    images = [render(RIG, side, shade_m=WHITE_M + WIDTH_M / 2) for side in (0, 1)]
+    columns = find_points(3, *images, RIG, MarkingParams()).columns()
+    z = CAMERA.fx_px * RIG.baseline_m / columns.disparity_px
+    apart = (columns.u_px - CAMERA.cx_px) / CAMERA.fx_px * z - WHITE_M
+    own = np.abs(apart) < 0.12
+    assert own.sum() > 20
+    assert abs(np.median(apart[own])) < 0.02
+    assert abs(np.median(columns.width_m[own]) - WIDTH_M) < 0.03
 
 
 def test_colours_are_told_by_the_ratio_to_the_road() -> None:

@@ -2,9 +2,9 @@
 
 Both images are resampled to one grid on the road plane (`road_plane.py`): a row of the grid is a row of the left image, its
 columns are `_STEP_M` apart on the road. A band is a rising and a falling edge (extremes of the derivative of a Gaussian, to a
-part of a column) as far apart as paint is wide, brighter than the road on both sides of it, which are alike. Bands of the same
-row in both images are one point in space, whatever the shape of the road. Kerbs are bright bands too: the road beside paint is
-as high as the paint, which the dense disparities show.
+part of a column) as far apart as paint is wide, brighter than the road on both sides of it, which are alike unless a shadow ends
+there. Bands of the same row in both images are one point in space, whatever the shape of the road. Kerbs are bright bands too:
+the road beside paint is as high as the paint, which the dense disparities show.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ _SAMPLES = np.linspace(0.0, 1.0, 9)
 _NOISE_SIGMAS = 4.0
 #: ... and this share of the road's grey level; the two sides differ by at most this share of the contrast.
 _LEAST_RELATIVE, _SIDE_SHARE = 0.25, 0.5
+#: Where they differ more, as along the edge of a shadow, it is brighter than the brighter one by at least this share of that one.
+_LEAST_AT_SHADOW = 0.35
 #: Bands of both images are one marking if they are this near on the road plane (it may lie 0.3 m higher or lower) ...
 _PARALLAX_M = 0.15
 #: ... and their widths and contrasts have at most these ratios.
@@ -202,7 +204,8 @@ def _find_bands(grey: Grid, params: MarkingParams) -> _Bands:
     contrast = inside - (before + behind) / 2
     darkest = np.maximum(before, behind)
     good = inside - darkest >= np.maximum(params.min_contrast, _NOISE_SIGMAS * noise[row])
-    good &= (contrast >= _LEAST_RELATIVE * darkest) & (np.abs(before - behind) <= _SIDE_SHARE * contrast)
+    alike = np.abs(before - behind) <= _SIDE_SHARE * contrast
+    good &= (contrast >= _LEAST_RELATIVE * darkest) & (alike | (inside - darkest >= _LEAST_AT_SHADOW * darkest))
     row, rise, fall, inside = row[good], rise[good], fall[good], inside[good]
     # The steeper edge: the slope of a blurred step of this height, less the part of the derivative's own Gaussian.
     steps = np.stack([inside - before[good], inside - behind[good]])
