@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,6 +39,12 @@ def _at(along_m: Floats, offset_m: Floats) -> Floats:
     return np.asarray(CENTRE + (RADIUS_M - offset_m)[..., None] * np.stack([np.sin(angle), -np.cos(angle)], axis=-1))
 
 
+def _swung(along_m: Floats) -> Floats:
+    """Share of a smooth change of lanes between 15 and 55 m."""
+    share = np.clip((along_m - 15.0) / 40.0, 0.0, 1.0)
+    return np.asarray(share**2 * (3 - 2 * share))
+
+
 def _drive() -> Drive:
     """Along the bend, changing lanes by 1 m: markings drift across the path."""
     pairs = []
@@ -61,9 +68,16 @@ DRIVE = _drive()
 
 
 def _points(
-    markings: dict[float, Paint], *, above_m: float = 0.0, share: float = 0.95, seed: int = 1, depth_px: float = 0.2
+    markings: dict[float, Paint],
+    *,
+    above_m: float = 0.0,
+    share: float = 0.95,
+    seed: int = 1,
+    depth_px: float = 0.2,
+    swing_m: float = 0.0,
 ) -> list[MarkingPoints]:
-    """What each frame pair shows of markings at these offsets from the middle of the road, 1 m to its left."""
+    """What each frame pair shows of markings at these offsets from the middle of the road, 1 m to its left, that swing to the
+    left by swing_m."""
     rng = np.random.default_rng(seed)
     fine = np.arange(-5.0, FRAMES * STEP_M + 25.0, 0.02)
     found = []
@@ -71,7 +85,7 @@ def _points(
     for pair in DRIVE.frame_pairs:
         pose, values = map_SE3_left(pair.pose, RIG), []
         for offset, paint in markings.items():
-            xyz = np.column_stack([_at(fine, np.full(len(fine), offset)), np.full(len(fine), HEIGHT_M)])
+            xyz = np.column_stack([_at(fine, offset + swing_m * _swung(fine)), np.full(len(fine), HEIGHT_M)])
             seen = (xyz - pose[:3, 3]) @ pose[:3, :3]
             ahead = (seen[:, 2] > 3.5) & (seen[:, 2] < 18.0) & (np.abs(fine - pair.frame_index * STEP_M) < 25)
             order = np.argsort(seen[ahead, 2])
@@ -94,7 +108,7 @@ def _points(
     return found
 
 
-def fused(markings: dict[float, Paint], **how: float) -> list[MarkingTrack]:
+def fused(markings: dict[float, Paint], **how: Any) -> list[MarkingTrack]:
     return fuse_markings(
         _points(markings, **how), DRIVE, MarkingParams(), lambda frames: np.eye(6 * len(frames)) * 1e-8
     )
@@ -131,6 +145,48 @@ def test_solid_and_dashed_lines_of_a_bend_are_found_where_they_are(dash_m: float
     assert tracks[0].marking.gap_m == pytest.approx(period_m - dash_m, abs=0.2)
     steps = np.linalg.norm(np.diff(np.array(tracks[1].marking.vertices_m)[:, :2], axis=0), axis=1)
     assert 2.0 < steps.min() <= steps.max() < 3.0
+
+
+def _across_swung(track: MarkingTrack, offset_m: float, swing_m: float) -> tuple[Floats, Floats, Floats]:
+    """Errors of the vertices to the left of a line that swings, their stated sigmas, and how far along the bend they are."""
+    outwards = np.array(track.marking.vertices_m)[:, :2] - CENTRE
+    radius_m = np.linalg.norm(outwards, axis=1)
+    along_m = np.arctan2(outwards[:, 0], -outwards[:, 1]) * RADIUS_M
+    unit = outwards / radius_m[:, None]
+    sigma = np.sqrt(np.einsum("ki,kij,kj->k", unit, cov_matrices(track.image_cov_m2)[:, :2, :2], unit))
+    slope = np.gradient(swing_m * _swung(np.array([along_m - 0.1, along_m + 0.1])), 0.2, axis=0)[0]
+    errors = (RADIUS_M - radius_m - offset_m - swing_m * _swung(along_m)) / np.hypot(1, slope)
+    return errors, sigma, along_m
+
+
+def test_vertices_of_a_curve_lie_on_it_and_not_inside_of_it() -> None:
+    """A polyline fitted to the points of a curve would have its vertices a twelfth of the bend inside, here 4 mm."""
+    (track,) = fused({-3.5: everywhere}, swing_m=5.0, depth_px=0.02)
+    errors, _, along = _across_swung(track, -3.5, 5.0)
+    left, right = (along > 15) & (along < 30), (along > 40) & (along < 55)
+    assert abs(np.mean(errors[left]) - np.mean(errors[right])) < 0.003
+
+
+def test_the_end_of_a_curve_bends_as_the_curve_before_it() -> None:
+    """Few points show the last vertex, which the fit alone would put 10 mm aside, straight on."""
+    (track,) = fused({-3.5: lambda along: along < 50}, swing_m=5.0)
+    errors, sigma, along = _across_swung(track, -3.5, 5.0)
+    assert along[-1] > 48
+    assert abs(errors[-1]) < 0.007
+    assert sigma[-1] > 0.003
+
+
+def test_a_line_that_crosses_the_path_has_the_stated_errors_ahead_and_aside() -> None:
+    """Errors of disparities move points along their rays: those aside of the camera across the line, those ahead along it."""
+    ahead, aside = [], []
+    for seed in range(6):
+        track = fused({-2.5: everywhere}, swing_m=5.0, seed=seed, depth_px=1.0)[0]
+        errors, sigma, along = _across_swung(track, -2.5, 5.0)
+        ratio = np.square(errors / sigma)
+        ahead += ratio[(along > 28) & (along < 40)].tolist()
+        aside += ratio[(along > 0) & (along < 20)].tolist()
+    assert 0.55 < np.mean(ahead) < 1.8
+    assert 0.55 < np.mean(aside) < 1.8
 
 
 def test_a_worn_line_is_solid_and_a_long_break_ends_it() -> None:

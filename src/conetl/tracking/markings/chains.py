@@ -81,8 +81,9 @@ def _nodes(points: LocatedPoints) -> list[tuple[float, list[float]]]:
     low, half = points.road_station_m.min(), np.abs(points.road_offset_m).max() + 0.5
     row = ((points.road_station_m - low) / _BIN_M).astype(np.intp)
     column = ((points.road_offset_m + half) / _CELL_M).astype(np.intp)
+    weight = points.weight[:, 1]
     density = np.zeros((row.max() + 1, int(2 * half / _CELL_M) + 2))
-    np.add.at(density, (row, column), points.weight / np.median(points.weight))
+    np.add.at(density, (row, column), weight / np.median(weight))
     sigma = _SPREAD_M / _CELL_M
     # So that one point alone has its own weight at its peak.
     density = gaussian_filter1d(density, sigma, axis=1, mode="constant") * sigma * np.sqrt(2 * np.pi)

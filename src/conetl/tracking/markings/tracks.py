@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, shared_cov
 from conetl.geometry.linear_reference import directions_at, locate
@@ -37,8 +38,10 @@ _BEND, _CHANGE = 0.9, 3.0
 #: Sigmas of what all points of one frame pair have in common (glare, shadows, the motion during exposure), and of what all points
 #: of a marking have (shape of its edges, disparities).
 _FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
-#: Sigma across a marking of its worn edges, as a share of the scatter of its width; share of the bend at a vertex that is error.
-_WORN_SHARE, _BEND_SHARE = 0.15, 0.15
+#: Sigma across a marking of its worn edges, as a share of the scatter of its width.
+_WORN_SHARE = 0.15
+#: The bend of a course is the mean of those at so many vertices; sigma of what it adds, as a share of that.
+_BEND_VERTICES, _LOST_SHARE = 5, 1.0
 #: Share of the variance of the points about the course that vertices show beside the errors above. Most likely, as the share of
 #: worn edges, on twelve rendered drives.
 _NOISE_SHARE = 0.8
@@ -68,9 +71,9 @@ class _Course(NamedTuple):
     frames: Ints
     """(F,) numbers of the frame pairs that observed it."""
     shares: Floats
-    """(K, F) weight of each of them in each vertex; each row's sum is 1."""
+    """(2, K, F) weight of each of them in the offset and in the height of each vertex; sums over frame pairs are 1."""
     noise_m2: Floats
-    """(K, 2, 2) covariance of offset and height from the scatter of the points."""
+    """(K, 2, 2) covariance of offset and height from the scatter of the points, and from bends that the penalty straightened."""
     kept: Bools
     """(N,) the points that are not outliers."""
 
@@ -127,30 +130,40 @@ def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: 
     hats = np.zeros((len(first), count))
     hats[np.arange(len(first)), first], hats[np.arange(len(first)), first + 1] = 1 - part, part
     observed = np.stack([points.offset_m[inside], points.xyz_m[inside, 2]], axis=1)
-    prior = points.weight[inside] / np.median(points.weight[inside])
+    prior = points.weight[inside] / np.median(points.weight[inside], axis=0)
     bend = np.diff(np.eye(count), n=2, axis=0)
     change = np.diff(bend, axis=0)
     penalty = _BEND * bend.T @ bend + _CHANGE * change.T @ change + 1e-9 * np.eye(count)
     robust = np.ones(len(first))
     for _ in range(_ROUNDS):
-        weight = prior * robust
-        normal = hats.T @ (hats * weight[:, None]) + penalty
+        weight = (prior * robust[:, None]).T
+        normal = np.stack([hats.T @ (hats * of[:, None]) for of in weight]) + penalty
         inverse = np.linalg.inv(normal)
-        course = inverse @ (hats.T @ (observed * weight[:, None]))
-        residual = observed - hats @ course
-        scaled = residual * np.sqrt(prior)[:, None]
+        course = np.stack(
+            [one @ (hats.T @ (of * y)) for one, of, y in zip(inverse, weight, observed.T, strict=True)], axis=1
+        )
+        scaled = (observed - hats @ course) * np.sqrt(prior)
         sigma = np.maximum(1.4826 * np.median(np.abs(scaled), axis=0), 1e-4)
         size = np.sqrt((scaled**2 / sigma**2).mean(axis=1))
         robust = np.minimum(1.0, _ROBUST / np.maximum(size, 1e-9))
     frames, number = np.unique(points.frame[inside], return_inverse=True)
-    by_frame = np.zeros((len(frames), count))
-    np.add.at(by_frame, number, hats * weight[:, None])
-    shares = inverse @ by_frame.T
-    shares /= shares.sum(axis=1, keepdims=True)
-    core = size < 3 * _ROBUST
-    scatter = (scaled[core].T * weight[core]) @ scaled[core] / weight[core].sum() if core.any() else np.eye(2)
-    spread = inverse @ (normal - penalty) @ inverse
-    noise = _NOISE_SHARE * np.diagonal(spread)[:, None, None] * scatter
+    by_frame = np.zeros((2, len(frames), count))
+    for of, sums in zip(weight, by_frame, strict=True):
+        np.add.at(sums, number, hats * of[:, None])
+    shares = inverse @ by_frame.swapaxes(1, 2)
+    shares /= shares.sum(axis=2, keepdims=True)
+    core, both = size < 3 * _ROBUST, np.sqrt(weight.prod(axis=0))
+    scatter = (scaled[core].T * both[core]) @ scaled[core] / both[core].sum() if core.any() else np.eye(2)
+    mixed, (across, up) = hats.T @ (hats * both[:, None]), normal - penalty
+    spread = np.einsum("cij,cdjk,dki->icd", inverse, np.array([[across, mixed], [mixed, up]]), inverse, optimize=True)
+    noise = _NOISE_SHARE * spread * scatter
+    if len(bend):
+        # Vertices of a polyline through the points of a curve are a twelfth of its bend inside of it, and the penalty straightens
+        # the ends: by so much of a parabola that bends as the course does near by.
+        near_by = uniform_filter1d(np.pad(bend @ course[:, 0], 1, mode="edge"), _BEND_VERTICES, mode="nearest")
+        lost = (1 / 12 + inverse[0] @ penalty @ (np.arange(count) ** 2 / 2)) * near_by
+        course[:, 0] += lost
+        noise[:, 0, 0] += (_LOST_SHARE * lost) ** 2
     kept = np.zeros(len(points.station_m), dtype=bool)
     kept[np.flatnonzero(inside)[core]] = True
     return _Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
@@ -236,26 +249,27 @@ def _covariances(
     own = axes @ course.noise_m2 @ np.swapaxes(axes, 1, 2)
     whole, change, calibrated = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), []
     for k, vertex in enumerate(xyz):
-        used = np.abs(course.shares[k]) > _LEAST_SHARE * np.abs(course.shares[k]).max()
-        frames, shares = course.frames[used], course.shares[k, used] / course.shares[k, used].sum()
+        largest = np.abs(course.shares[:, k]).max(axis=0)
+        used = largest > _LEAST_SHARE * largest.max()
+        frames, (aside, above) = course.frames[used], course.shares[:, k, used]
+        aligned = np.outer(across[k], across[k])
+        # Errors across the marking move the offset, all others the height.
+        shares = np.multiply.outer(aside / aside.sum(), aligned) + np.multiply.outer(
+            above / above.sum(), np.eye(3) - aligned
+        )
         left = points.map_SE3_left[frames]
         seen = np.einsum("fji,fj->fi", left[:, :3, :3], vertex - left[:, :3, 3])
         seen[:, 2] = np.maximum(seen[:, 2], 1.0)
-        inner = min(max(k, 1), count - 2)  # the ends bend like their neighbours
-        bend = course.offset_m[max(inner - 1, 0) : inner + 2]
-        unlike_a_line = np.ptp(np.diff(bend)) * _BEND_SHARE if len(bend) == 3 else worn_m
-        own[k] += (worn_m**2 + unlike_a_line**2) * np.outer(across[k], across[k])
+        own[k] += worn_m**2 * aligned
         own[k] += _image_errors(left, seen, shares, axes[k], rig.left.fx_px, rig.left.fx_px * rig.baseline_m)
         members = [pairs[points.frames[number].frame_index] for number in frames]
-        moved = shares[:, None, None] * moved_by_poses(
-            np.broadcast_to(vertex, seen.shape), [one.pose for one in members]
-        )
+        moved = shares @ moved_by_poses(np.broadcast_to(vertex, seen.shape), [one.pose for one in members])
         cov = poses([one.frame_index for one in members])
         rank = np.arange(len(members))
         for target, part in ((whole, cov), (change, constant_and_change(cov)[1])):
             target[k] = moved_cov(moved, rank, part).reshape(len(rank), 3, len(rank), 3).sum(axis=(0, 2))
         by_calibration = left[:, :3, :3] @ calibration_jacobian(seen, rig)
-        calibrated.append(np.einsum("f,fij->ij", shares, by_calibration))
+        calibrated.append((shares @ by_calibration).sum(axis=0))
     return own, (whole, change), np.stack(calibrated)
 
 
@@ -263,11 +277,10 @@ def _image_errors(
     left: Floats, seen: Floats, shares: Floats, axes: Floats, focal_px: float, focal_base: float
 ) -> Floats:
     """(3, 3) m^2 across the marking and in height: errors of column and disparity that the points of a frame pair share, and that
-    all share."""
+    all share. seen, shares: (F, 3) and (F, 3, 3) of the vertex, by frame pair."""
     by_column = seen[:, 2:] / focal_px * np.array([1.0, 0.0, 0.0])
     by_disparity = -seen * seen[:, 2:] / focal_base
-    moved = shares[:, None, None] * (left[:, :3, :3] @ np.stack([by_column, by_disparity], axis=2))
-    moved = axes @ axes.T @ moved
+    moved = axes @ axes.T @ shares @ left[:, :3, :3] @ np.stack([by_column, by_disparity], axis=2)
     total = moved.sum(axis=0)
     found = _FRAME_SIGMA_PX**2 * np.einsum("fik,fjk->ij", moved, moved) + _COMMON_SIGMA_PX**2 * total @ total.T
     return np.asarray(found)
