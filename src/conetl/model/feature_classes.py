@@ -44,8 +44,8 @@ class FeatureClass:
     """Of flat objects on the road: half width of what is matched, as a share of the width of the box, which may hold a base."""
     face_m: float = 0.0
     """Of flat objects: from the face that is matched to the axis, half the thickness of the board."""
-    end: Literal["box", "edges", "ground"] = "box"
-    """What shows where it ends: the box, the edges of a rectangular board, or the ground of the object's disparity."""
+    end: Literal["box", "edges"] = "box"
+    """What shows where it ends: the box, or the edges of a rectangular board."""
     axis_from_outline: bool = False
     """Whether the edges of the body in the image, instead of the box, give the axis: those of wide, straight bodies do."""
     outline_share: float | None = 0.02
@@ -78,8 +78,8 @@ FEATURE_CLASSES = {
         network_share=0.0, board=0.36, face_m=0.015, outline_share=0.01, outline_aside=0.7, outline_common=0.75,
     ),
     "barricade": FeatureClass(
-        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B", end="ground",
-        outline_share=0.012, outline_aside=0.8,
+        (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B",
+        outline_share=0.03, outline_aside=0.8,
     ),
     "work_zone_sign": FeatureClass(
         (0.25, 2.2), (0.15, 3.0), 1.0, round_body=False, on_road=False, in_rows=False, letter="W", outline_share=0.025,

@@ -27,7 +27,7 @@ from conetl.tracking.matching.apparent_boxes import hidden_share
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import Outline, find_outline
 from conetl.tracking.matching.covariance import with_shared_part
-from conetl.tracking.matching.ends import board_edges, ground_row
+from conetl.tracking.matching.ends import board_edges
 from conetl.tracking.matching.plate_pixels import Plate, find_plate
 
 Number = TypeVar("Number", float, NDArray[np.float64])
@@ -49,9 +49,6 @@ _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0)
 #: Share of the box's width by which a foot errs along the rows if a nearer object hides all of the box's lower half. Measured on
 #: the sample drives and mixed worlds 4 and 5.
 _FOOT_HIDDEN = 0.3
-#: Sigma across the rows of the end of a box whose object ends on ground that is not visible, as a share of its height: boxes of
-#: successive frames err alike, so that ten of them have the error of one. Chosen on eight rendered drives.
-_BOX_END = 0.09
 #: Ratio of the scatter of feet to the difference of both images, which have errors in common.
 _BOTH_ALIKE = 1.5
 #: Prior weight of the stated scatter, in matches; limit of a difference in sigmas; limits of the factor.
@@ -107,20 +104,10 @@ def match_pair(
     for index, (i, j) in enumerate(pairs):
         a, b = left_whole[i], right_whole[j]
         hidden = (_hidden_foot(a, left) + _hidden_foot(b, right)) / 2
-        shown, area = FEATURE_CLASSES[a.category].end, areas[i, j]
-        ends, row_px = (a, b), None
-        if images is not None and area is not None and shown == "edges":
+        ends, area = (a, b), areas[i, j]
+        if images is not None and area is not None and FEATURE_CLASSES[a.category].end == "edges":
             ends = board_edges(images[0], a), board_edges(images[1], b)
-        elif images is not None and area is not None and shown == "ground":
-            at_infinity_px, rows_up = shifts[i]
-            row_px = ground_row(
-                images, a, left, area.disparity_px,
-                camera=rig.left, up=up_left, at_infinity_px=at_infinity_px, row_offset_px=-rows_up,
-            )  # fmt: skip
-        match = _stereo_match(index, a, b, ends, float(costs[i, j]), area, outlines[i], hidden, rig, up_left)
-        if shown == "ground":
-            match = _with_foot_at(match, None if row_px is None else row_px - shifts[i][1] / 2)
-        matches.append(match)
+        matches.append(_stereo_match(index, a, b, ends, float(costs[i, j]), area, outlines[i], hidden, rig, up_left))
     return matches, rejections
 
 
@@ -309,18 +296,6 @@ def _stereo_match(
         sigma_outline_px=of_cone,
         refined=area is not None,
         cost=cost,
-    )
-
-
-def _with_foot_at(match: StereoMatch, row_px: float | None) -> StereoMatch:
-    """The match with the mean row of its feet, where the ground shows it; their difference remains, as the scatter of boxes."""
-    (left_u, left_v), (right_u, right_v) = match.foot_left_uv_px, match.foot_right_uv_px
-    if row_px is None:
-        loose = _BOX_END * (match.left.h_px + match.right.h_px) / 2
-        return match.model_copy(update={"sigma_v_px": float(np.hypot(match.sigma_v_px, loose))})
-    lower_px = row_px - (left_v + right_v) / 2
-    return match.model_copy(
-        update={"foot_left_uv_px": (left_u, left_v + lower_px), "foot_right_uv_px": (right_u, right_v + lower_px)}
     )
 
 

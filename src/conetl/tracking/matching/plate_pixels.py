@@ -39,8 +39,6 @@ class Plate:
     elliptic: bool
     before: tuple[Detection, ...] = ()
     """Nearer objects that may hide parts of it."""
-    lying: bool = False
-    """Whether it is level, as ground is, instead of upright."""
 
 
 def find_plate(detection: Detection, others: Sequence[Detection] = ()) -> Plate:
@@ -77,7 +75,7 @@ def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera, up: Floa
         return None
     i, j = chosen
     # An upright plane's normal is the level part of the camera's axis: rows are at different depths if that looks up or down.
-    normal = up if plate.lying else np.array([0.0, 0.0, 1.0]) - up[2] * up
+    normal = np.array([0.0, 0.0, 1.0]) - up[2] * up
     x, y = (u[j] - camera.cx_px) / camera.fx_px, (v[i] - camera.cy_px) / camera.fy_px
     foot = np.array([(middle - camera.cx_px) / camera.fx_px, (plate.foot_row - camera.cy_px) / camera.fy_px, 1.0])
     depth = foot @ normal / (normal[0] * x + normal[1] * y + normal[2])
