@@ -75,7 +75,7 @@ FEATURE_CLASSES = {
     ),
     "vertical_panel": FeatureClass(
         (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_in_box=True,
-        network_share=0.0, board=0.36, face_m=0.015, outline_share=0.01, outline_aside=0.7, outline_common=0.75,
+        network_share=0.0, board=0.26, face_m=0.015, outline_share=0.01, outline_aside=0.7, outline_common=0.75,
     ),
     "barricade": FeatureClass(
         (0.5, 2.0), (0.35, 2.6), 1.2, round_body=False, on_road=True, in_rows=True, letter="B",
