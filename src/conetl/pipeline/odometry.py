@@ -176,7 +176,7 @@ def self_calibrate(chunk: Chunk, followed: Sequence[Odometry]) -> SelfCalibratio
     chunk: any of the drive's, for rig, parameters and results folder. followed: `odometry` of parts of the drive, in its order.
     """
     params, folder = chunk.params.trajectory, chunk.results_folder
-    key = result_key(RESULTS_VERSION, "self-calibrate-ahead", *(path.stem for each in followed for path in each))
+    key = result_key(RESULTS_VERSION, "self-calibrate", *(path.stem for each in followed for path in each))
     if has_result(folder, key):
         return load_result(result_path(folder, key), SelfCalibration)[0][0]
     spans: list[tuple[Span, StereoTracks]] = []
