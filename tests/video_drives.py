@@ -29,6 +29,15 @@ from tests.unit.readers.trajectory_files import Known, write_csv
 UNITS = 90_000
 
 
+def _stated(codec: str, options: dict[str, str]) -> dict[str, str]:
+    """The encoder's options, so that the file states where its samples of colour are: between two columns, as the library makes
+    them of other formats. Without that H.264 and H.265 have them in every second column."""
+    if codec not in ("libx264", "libx265"):
+        return options
+    key = f"{codec[3:]}-params"
+    return {**options, key: ":".join(["chromaloc=1", *filter(None, [options.get(key)])])}
+
+
 def write_frames(
     path: Path,
     images: Sequence[np.ndarray],
@@ -39,7 +48,7 @@ def write_frames(
 ) -> Path:
     """Images (H, W, 3), even in size, as a video whose time stamps begin with zero and have so many units in a second."""
     with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=10, options=options)
+        stream = container.add_stream(codec, rate=10, options=_stated(codec, options))
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
         stream.time_base = stream.codec_context.time_base = Fraction(1, units)
@@ -67,7 +76,7 @@ def write_svo2(
     height, width = images[0].shape[:2]
     encoder = av.CodecContext.create(codec, "w")
     encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = width, height, "yuv420p", Fraction(10)
-    encoder.time_base, encoder.options = Fraction(1, 10), {"bf": "0", **options}
+    encoder.time_base, encoder.options = Fraction(1, 10), {"bf": "0", **_stated(codec, options)}
     packets = []
     for number, image in enumerate(images):
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
