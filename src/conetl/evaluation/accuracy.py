@@ -25,6 +25,7 @@ from conetl.tracking.error_propagation import (
     moved_by_poses,
     moved_cov,
     outline_errors,
+    track_shares,
 )
 
 #: Upper ends of the range bands; the last is open.
@@ -116,17 +117,19 @@ def track_errors(
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     by_member = {(p.frame_index, p.match_index): p for p in positions}
     members = [[by_member[member] for member in track.members] for _, track in found]
-    # Errors of the poses that change within the drive move cones seen together alike; each track states them on its own.
-    frames = [min(seen, key=lambda p: p.range_m).frame_index for seen in members]
-    between = np.zeros((xyz.size, xyz.size)) if motion is None else motion.changed_cov_m2(xyz, frames)
-    between[np.kron(np.eye(len(found), dtype=bool), np.ones((3, 3), dtype=bool))] = 0.0
-    jacobians, variances = [np.zeros((0, 3, 6 + len(calibration_of(drive.rig))))], []
+    jacobians, variances, all_shares = [np.zeros((0, 3, 6 + len(calibration_of(drive.rig))))], [], []
     for point, seen in zip(xyz, members, strict=True):
         poses = [pose_of[p.frame_index] for p in seen]
         jacobian, sigmas = pose_and_calibration(np.tile(point, (len(poses), 1)), poses, drive.rig)
-        shares = _track_shares(seen, poses, drive.rig, motion)
+        shares = track_shares(seen, poses, drive.rig, motion)
         jacobians.append(np.einsum("fij,fjk->ik", shares, jacobian)[None])
         variances.append(np.mean(sigmas**2, axis=0))
+        all_shares.append(shares)
+    # Errors of the poses that change within the drive move cones seen together alike; each track states them on its own.
+    between = np.zeros((xyz.size, xyz.size))
+    if found and motion is not None and motion.changed_cov_m2 is not None:
+        between = motion.changed_cov_m2(xyz, [[p.frame_index for p in seen] for seen in members], all_shares)
+    between[np.kron(np.eye(len(found), dtype=bool), np.ones((3, 3), dtype=bool))] = 0.0
     of_poses = np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6))
     by_class = _moved_by_classes([track for _, track in found])
     return PointErrors(
@@ -336,18 +339,6 @@ def _outline_parts(
             jacobian[n, :, k : k + 3] = moved
             own[n] -= moved @ moved.T
     return jacobian, own
-
-
-def _track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:
-    """(F, 3, 3) Jacobian of a track by each of its positions; their sum is the identity (`JointFit.shares`)."""
-    turn = np.array([map_SE3_left(pose, rig)[:3, :3] for pose in poses])
-    cov = cov_matrices([p.camera_cov_m2 for p in members])
-    if motion is not None:
-        nearest = min(members, key=lambda p: p.range_m).frame_index
-        added = [np.trace(motion(p.frame_index, nearest, np.array(p.camera_xyz_m))) / 3 for p in members]
-        cov = cov + np.array(added)[:, None, None] * np.eye(3)
-    information = np.linalg.inv(turn @ cov @ np.swapaxes(turn, 1, 2))
-    return np.asarray(np.linalg.inv(information.sum(axis=0)) @ information)
 
 
 def calibration_of(rig: Rig) -> Floats:

@@ -252,6 +252,8 @@ class JointFit(NamedTuple):
 
     xyz_m: Floats
     cov_m2: Floats
+    of_images_m2: Floats
+    """(3, 3): what errors of the image points alone make of it."""
     residuals_px: Floats
     """(F, 4): observed minus computed u_left, v_left, u_right, v_right."""
     weights: Floats
@@ -325,5 +327,7 @@ def fit_point(
         step = cov @ np.einsum("fij,fj->i", weighted, residual)
         point = point + step
         if float(step @ step) < convergence_m2:
-            return JointFit(point + shift, (cov + cov.T) / 2, residual, huber, cov @ normals)
+            by_image = cov @ weighted
+            of_images = (by_image @ noise @ np.swapaxes(by_image, 1, 2)).sum(axis=0)
+            return JointFit(point + shift, (cov + cov.T) / 2, of_images, residual, huber, cov @ normals)
     return None

@@ -43,9 +43,9 @@ class MotionError:
     camera's frame at the end."""
     most_m2: Callable[[float], float] = lambda _range_m: np.inf
     """Range (m) of a point at both ends -> upper bound of the trace of that covariance."""
-    changed_cov_m2: Callable[[Floats, Sequence[int]], Floats] = lambda xyz_m, _: np.zeros((xyz_m.size, xyz_m.size))
-    """N points (N, 3) in the map, frame of each -> (3N, 3N): how they err by changes of the poses' errors since the middle of the
-    drive; zero where cones err by more."""
+    changed_cov_m2: Callable[[Floats, Sequence[Sequence[int]], Sequence[Floats]], Floats] | None = None
+    """N points (N, 3) in the map, the frames of each, derivatives (F, 3, 3) of each by those of its frames -> (3N, 3N): how they
+    err by changes of the poses' errors since the middle of the drive; None where cones err by more."""
 
     def __call__(self, start: int, end: int, point_m: Floats) -> Floats:
         return self.cov_m2(start, end, point_m)

@@ -14,10 +14,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
 from conetl.geometry.camera import pose_jacobian
+from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.chain_solver import cross_covariance, joint_covariance
 from conetl.geometry.motion.pose_graph import POSE, motion_jacobians
-from conetl.geometry.packing import cov_matrix
-from conetl.geometry.small_arrays import cross_matrix
+from conetl.geometry.packing import cov_matrices, cov_matrix
+from conetl.geometry.rig import map_SE3_left
+from conetl.geometry.small_arrays import cross_matrix, nearest
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import FramePair, Pose, Position
 from conetl.model.feature_classes import FEATURE_CLASSES
@@ -36,6 +38,8 @@ _LEAST_SHARE = 1e-10
 _LEAST_SIGMA = 1e-9
 #: Motions between frames whose covariances are kept for the next cone.
 _MOTIONS_KEPT = 256
+#: Frames whose poses' errors are followed together: others count as the nearest of them, because their number squared is kept.
+_MOST_STATES = 200
 
 
 def pose_cov(trajectory: RefinedTrajectory, params: TrajectoryParams) -> PoseCov:
@@ -97,13 +101,17 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
         by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
         return np.asarray(by_motion @ cov @ by_motion.T)
 
-    def changed_cov_m2(xyz_m: Floats, frame_indices: Sequence[int]) -> Floats:
-        states, at = np.unique([len(rank) // 2, *(rank[index] for index in frame_indices)], return_inverse=True)
-        moved = moved_by_poses(xyz_m, [trajectory.frame_pairs[k].pose for k in states[at[1:]]])
-        by_pose = np.zeros((len(xyz_m), 3, len(states), POSE))
-        by_pose[np.arange(len(xyz_m)), :, at[1:]] = moved
-        by_pose[:, :, at[0]] -= moved
-        flat = by_pose.reshape(3 * len(xyz_m), -1)
+    def changed_cov_m2(xyz_m: Floats, frame_indices: Sequence[Sequence[int]], shares: Sequence[Floats]) -> Floats:
+        ranks = [len(rank) // 2, *(rank[index] for own in frame_indices for index in own)]
+        chosen = np.array(evenly_spread(np.unique(ranks).tolist(), _MOST_STATES))
+        states, at = np.unique(chosen[nearest(chosen, np.array(ranks))], return_inverse=True)
+        point = np.repeat(np.arange(len(xyz_m)), [len(own) for own in frame_indices])
+        poses = [trajectory.frame_pairs[k].pose for k in states[at[1:]]]
+        moved = np.concatenate(shares) @ moved_by_poses(xyz_m[point], poses)
+        by_pose = np.zeros((len(xyz_m) * len(states), 3, POSE))
+        np.add.at(by_pose, point * len(states) + at[1:], moved)
+        np.subtract.at(by_pose, point * len(states) + at[0], moved)
+        flat = by_pose.reshape(len(xyz_m), len(states), 3, POSE).transpose(0, 2, 1, 3).reshape(3 * len(xyz_m), -1)
         return np.asarray(flat @ joint_covariance(covariance, states.tolist(), POSE) @ flat.T)
 
     # The variance of a difference of two poses is at most twice the sum of theirs, and so is that of the sum of position error
@@ -181,6 +189,21 @@ def common_cov(
         flat = moved.transpose(1, 0, 2).reshape(3, -1)
         of_poses = flat @ log_errors(pairs, log) @ flat.T
     return np.asarray((of_poses + of_poses.T) / 2 + shared_cov(of_calibration, rig))
+
+
+def track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:
+    """(F, 3, 3) Jacobian of a track by each of its positions; their sum is the identity.
+
+    Those of the fit (`JointFit.shares`), as positions alone tell them.
+    """
+    turn = np.array([map_SE3_left(pose, rig)[:3, :3] for pose in poses])
+    cov = cov_matrices([p.camera_cov_m2 for p in members])
+    if motion is not None:
+        closest = min(members, key=lambda p: p.range_m).frame_index
+        added = [np.trace(motion(p.frame_index, closest, np.array(p.camera_xyz_m))) / 3 for p in members]
+        cov = cov + np.array(added)[:, None, None] * np.eye(3)
+    information = np.linalg.inv(turn @ cov @ np.swapaxes(turn, 1, 2))
+    return np.asarray(np.linalg.inv(information.sum(axis=0)) @ information)
 
 
 def moved_by_calibration(

@@ -20,7 +20,13 @@ from conetl.model.params import IngestParams, TrackParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig, Side
 from conetl.tracking.association import MotionError, chain_positions
-from conetl.tracking.error_propagation import class_error_id, common_cov, moved_by_calibration, outline_jacobian
+from conetl.tracking.error_propagation import (
+    class_error_id,
+    common_cov,
+    moved_by_calibration,
+    outline_jacobian,
+    track_shares,
+)
 from conetl.tracking.existence import existence_probability
 
 #: Frame, side and number of a detection.
@@ -168,14 +174,21 @@ def fuse_group(
     log = data.params.trajectory if data.motion is None else None
     of_drive = common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)
     shared = [(class_error_id(category), of_class)] if of_class.any() else []
-    changed = data.motion.changed_cov_m2(foot.xyz_m[None], [nearest.frame_index]) if data.motion else np.zeros((3, 3))
+    relative_cov = own_cov
+    if data.motion is not None and data.motion.changed_cov_m2 is not None:
+        # Errors of the poses are no more independent from frame to frame than the fit takes them to be: those of the scale of
+        # all motions, which few positions hardly show, stretch a whole track.
+        frames = [p.frame_index for p in group]
+        by_frames = track_shares(group, [data.frame_pairs[k].pose for k in frames], rig, data.motion)
+        changed = data.motion.changed_cov_m2(foot.xyz_m[None], [frames], [by_frames])
+        relative_cov = own_cov - foot.cov_m2 + foot.of_images_m2 + changed
     first, last = (data.frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
         category=category,
         xyz_m=vec3(foot.xyz_m),
         cov_m2=cov3(own_cov + of_class @ of_class.T + of_drive),
-        relative_cov_m2=cov3(own_cov + changed),
+        relative_cov_m2=cov3(relative_cov),
         centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,
         cone_height_sigma_m=height_sigma_m,

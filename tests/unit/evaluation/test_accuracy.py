@@ -92,8 +92,9 @@ def test_cones_err_alike_by_poses_whose_errors_change_within_the_drive() -> None
     """Each track states what its pose erred since the middle of the drive; cones of one frame err by it together."""
     cones, since_middle_m2 = truth_cones(3), 1e-4
 
-    def changed_cov_m2(xyz_m: np.ndarray, frames: Sequence[int]) -> np.ndarray:
-        assert list(frames) == [min(range(8), key=lambda f, at=at: np.hypot(*(at - PATH[f])[:2])) for at in xyz_m]  # type: ignore[misc]
+    def changed_cov_m2(xyz_m: np.ndarray, frames: Sequence[Sequence[int]], shares: Sequence[np.ndarray]) -> np.ndarray:
+        assert [list(own) for own in frames] == len(xyz_m) * [list(range(8))]
+        np.testing.assert_allclose(np.sum(shares, axis=1), np.tile(np.eye(3), (3, 1, 1)), atol=1e-12)
         return np.tile(since_middle_m2 * np.eye(3), (3, 3))
 
     motion = MotionError(lambda _start, _end, _point_m: np.zeros((3, 3)), changed_cov_m2=changed_cov_m2)
