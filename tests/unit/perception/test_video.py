@@ -93,9 +93,7 @@ def test_frames_that_are_read_in_order_are_decoded_once(video: Path, decoded: li
         read_frame(FrameRef(video, pts))
     assert decoded == list(index.pts)
     for pts in index.pts[40:]:  # of another reader, from the next key frame on
-        with video_frames._decoders._changed:
-            video_frames._decoders._idle.clear()
-            video_frames._decoders._kept.clear()
+        video_frames._decoders._begin()
         decoded.clear()
         read_frame(FrameRef(video, pts))
         assert len(decoded) <= 24
