@@ -97,14 +97,14 @@ def common_offset(
     return offset_m, drive_var / total_var
 
 
-def pair(c: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
+def pair(comparison: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
     """Feature index -> track index of those that are the same cone at the same position.
 
     The map coordinates are less the drive's share `weight` of `offset_m`. Of all one-to-one assignments the one of least cost:
     squared distance over that of the gate, `_GATE_COST` for a track and a feature that stay unpaired. Leaving two unpaired may
     be cheaper than shifting a whole row by one.
     """
-    tracks, features, map_xyz_m, params = c
+    tracks, features, map_xyz_m, params = comparison
     if not tracks or not features:
         return {}
     # With a known offset only the errors that the drive does not share count; otherwise all do.
@@ -127,27 +127,29 @@ def pair(c: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
     return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], unpaired_cost=_GATE_COST)
 
 
-def moves(c: Comparison, free_tracks: Sequence[int], vanished: Sequence[int]) -> dict[int, int]:
+def moves(comparison: Comparison, free_tracks: Sequence[int], vanished: Sequence[int]) -> dict[int, int]:
     """Feature index -> track index of moved cones: as many as possible, over the least total distance."""
     if not free_tracks or not vanished:
         return {}
-    j, i, distance = _alike_nearby(c, free_tracks, vanished)
+    j, i, distance = _alike_nearby(comparison, free_tracks, vanished)
     return assign(j, i, distance)
 
 
-def moves_by_earlier_drives(c: Comparison, observed: Mapping[int, int], vanished: Sequence[int]) -> dict[int, int]:
+def moves_by_earlier_drives(
+    comparison: Comparison, observed: Mapping[int, int], vanished: Sequence[int]
+) -> dict[int, int]:
     """Feature index -> index of the feature that it was moved to by the time of an earlier drive, to which only the new
     position was visible.
 
     Like `moves`, among the `observed` features (feature -> track index) that were founded after the vanished one was last
     observed; features observed at the same time are two cones.
     """
-    features = c.features
+    features = comparison.features
     since_ns = min((features[j].last_seen_ns for j in vanished), default=0)
     feature_of = {i: k for k, i in observed.items() if features[k].first_seen_ns > since_ns}
     if not feature_of or not vanished:
         return {}
-    j, i, distance = _alike_nearby(c, sorted(feature_of), vanished)
+    j, i, distance = _alike_nearby(comparison, sorted(feature_of), vanished)
     founded_ns = np.array([features[feature_of[track]].first_seen_ns for track in i.tolist()], np.int64)
     last_seen_ns = np.array([features[row].last_seen_ns for row in j.tolist()], np.int64)
     since = founded_ns > last_seen_ns
@@ -155,10 +157,10 @@ def moves_by_earlier_drives(c: Comparison, observed: Mapping[int, int], vanished
 
 
 def _alike_nearby(
-    c: Comparison, of_tracks: Sequence[int], of_features: Sequence[int]
+    comparison: Comparison, of_tracks: Sequence[int], of_features: Sequence[int]
 ) -> tuple[Indices, Indices, Floats]:
     """Feature and track indices, and distances in metres, of all pairs between which a cone may have been moved."""
-    tracks, features, map_xyz_m, params = c
+    tracks, features, map_xyz_m, params = comparison
     rows, columns = np.array(of_features), np.array(of_tracks)
     feature_xyz_m = np.array([features[j].xyz_m for j in of_features])
     j, i = near_pairs(feature_xyz_m[:, :2], map_xyz_m[columns, :2], params.moved_max_m)

@@ -57,9 +57,9 @@ def reconcile(
     offset_m, weight = common_offset(tracks, features, params)
     shift_m = weight * offset_m
     map_xyz_m = xyz_of(tracks) - shift_m
-    c = Comparison(tracks, features, map_xyz_m, params)
-    pairs = pair(c, offset_m, weight)
-    merged = _mergers(c, pairs, pinned)
+    comparison = Comparison(tracks, features, map_xyz_m, params)
+    pairs = pair(comparison, offset_m, weight)
+    merged = _mergers(comparison, pairs, pinned)
     deltas = [
         ended(
             DeltaKind.MERGED,
@@ -81,9 +81,9 @@ def reconcile(
     loose = {j: evidence for j, (_, evidence) in unobserved.items() if features[j].feature_id not in pinned}
     vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
-    moved = moves(c, free, vanished)
+    moved = moves(comparison, free, vanished)
     free = sorted(set(free).difference(moved.values()))
-    halves = _halves(c, free, pairs)
+    halves = _halves(comparison, free, pairs)
     evidence_for = {
         j: observed(features[j], summaries.get(features[j].feature_id), tracks[i])
         for j, i in {**pairs, **moved}.items()
@@ -98,7 +98,7 @@ def reconcile(
     own = tracks_in_map_frame([*free, *(track_of[j] for j in anew)], tracks, features, pairs, weight)
     loose_pairs = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
     left = [j for j in vanished if j not in moved]
-    moved_to = moves_by_earlier_drives(c, loose_pairs, left)
+    moved_to = moves_by_earlier_drives(comparison, loose_pairs, left)
     feature_by_id = {features[k].feature_id: features[j] for j, k in moved_to.items()}
     for delta in confirmed(as_before, features, tracks, evidence_for):
         old = feature_by_id.get(delta.feature_id)
@@ -170,10 +170,14 @@ def _founding(tracks: Sequence[Track], paired: Collection[int], params: Reconcil
     return [i for i in free if i not in doubtful]
 
 
-def _mergers(c: Comparison, pairs: Mapping[int, int], pinned: Collection[UUID]) -> dict[int, int]:
+def _mergers(comparison: Comparison, pairs: Mapping[int, int], pinned: Collection[UUID]) -> dict[int, int]:
     """Unobserved feature -> the nearest observed one whose base plate overlaps its own: they are one cone."""
-    features = c.features
-    certain = [j for j in sorted(pairs) if c.tracks[pairs[j]].observation_count >= c.params.removal_min_frames]
+    features = comparison.features
+    certain = [
+        j
+        for j in sorted(pairs)
+        if comparison.tracks[pairs[j]].observation_count >= comparison.params.removal_min_frames
+    ]
     unseen = [j for j, feature in enumerate(features) if j not in pairs and feature.feature_id not in pinned]
     xyz_m = xyz_of(features)
     found: dict[int, tuple[float, int]] = {}
@@ -187,12 +191,12 @@ def _mergers(c: Comparison, pairs: Mapping[int, int], pinned: Collection[UUID]) 
     return {other: kept for other, (_, kept) in found.items()}
 
 
-def _halves(c: Comparison, free_tracks: Sequence[int], pairs: Mapping[int, int]) -> dict[int, int]:
+def _halves(comparison: Comparison, free_tracks: Sequence[int], pairs: Mapping[int, int]) -> dict[int, int]:
     """Track index -> index of the feature of which it is one half.
 
     The feature is in the middle between this track and its own one, and one image shows both cones.
     """
-    tracks, features, map_xyz_m, params = c
+    tracks, features, map_xyz_m, params = comparison
     paired_features = sorted(pairs)
     own_m = map_xyz_m[[pairs[j] for j in paired_features], :2]
     found: dict[int, int] = {}
