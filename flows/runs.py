@@ -17,6 +17,7 @@ from prefect.states import Crashed, Scheduled
 from pydantic import Field
 
 from conetl.db.receipt_store import held_locks, holding, run_lock
+from conetl.model.map_records import MAP_NAME
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
@@ -31,7 +32,7 @@ _REASON = "its process is gone: nobody holds its lock in the database"
 
 MapName = Annotated[
     str | None,
-    Field(pattern=r"^[a-z0-9_-]{1,40}$", description="Map to work on; CONETL_MAP_NAME of the worker unless given."),
+    Field(pattern=f"^{MAP_NAME.pattern}$", description="Map to work on; CONETL_MAP_NAME of the worker unless given."),
 ]
 MapSrid = Annotated[
     int | None, Field(gt=0, description="EPSG code of the map; the first drive's UTM zone unless given.")
