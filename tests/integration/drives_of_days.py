@@ -44,8 +44,9 @@ AGAIN = with_covariance(
 )
 #: Of each day, where drives have errors of their calibrations in common.
 RIGS = (CALIBRATED, CALIBRATED, AGAIN, RIG)
-#: Drives with lane markings searched for them.
-PAINTED = IngestParams(detection=DetectionParams(categories=(CONE, LANE_MARKING)))
+SIGN = "traffic_sign"
+#: Drives with lane markings searched for them, and for signs.
+PAINTED = IngestParams(detection=DetectionParams(categories=(CONE, SIGN, LANE_MARKING)))
 ROW = [Cone((14.0 + 5.0 * k, 3.6 - 0.4 * k, 0.0), height_m=0.7 if k % 2 else 0.5) for k in range(7)]
 #: Cones on the road per day: one is moved, one taken away and one set up; then one is moved back, and one comes again.
 DAYS = [
@@ -88,13 +89,18 @@ def survey_of(
     first_ns: int,
     content: str = "",
     rig: Rig = RIG,
+    signs: Sequence[Cone] = (),
 ) -> Survey:
-    """A drive past cones, with noise and a GNSS offset of its own."""
+    """A drive past cones and signs, with noise and a GNSS offset of its own."""
     true = make_path(frames, start_m=start_m, first_ns=first_ns, sigma_m=0.3)
     first = shifted(true[0], (*rng.normal(0, 0.2, 2), 0.0))
     offset = np.subtract(first.pose.map_t_body_m, true[0].pose.map_t_body_m)
     logged = [shifted(pair, offset) for pair in true]
-    found, matches, positions = locate(detect(cones, true, rig, noise_px=0.5, rng=rng), logged, rig)
+    boxes = detect(cones, true, rig, noise_px=0.5, rng=rng)
+    for key, plates in detect(signs, true, rig, noise_px=0.5, rng=rng).items():
+        numbered = ({"category": SIGN, "detection_index": len(boxes[key]) + k} for k in range(len(plates)))
+        boxes[key] += [box.model_copy(update=update) for box, update in zip(plates, numbered, strict=True)]
+    found, matches, positions = locate(boxes, logged, rig)
     tracks, _ = fuse_logged(logged, rig, found, matches, positions)
     sha256 = content or hashlib.sha256(name.encode()).hexdigest()
     drive = Drive(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -13,13 +14,14 @@ from conetl.db.map.map_store import find_map, list_changesets, map_transaction, 
 from conetl.db.map.replay_store import affected_drives, other_deliveries, write_replay
 from conetl.geometry.calibration.covariance import calibration_id
 from conetl.model.errors import ConflictError, InputError
+from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
 from conetl.pipeline.replay import replay_of
 from tests.integration import drives_of_days as world
 from tests.synthetic.painted_road import Paint, markings_of
-from tests.synthetic.world import ORIGIN_M
+from tests.synthetic.world import ORIGIN_M, START_NS, Cone
 
 
 def of_day(day, rigs=world.RIGS):
@@ -69,9 +71,12 @@ def test_other_orders_of_three_drives_give_the_same_map(conn, in_order, order):
 
 @cache
 def painted(day):
-    """The drive of a day, with the lane markings of that day: one is removed and one moved by 0.5 m on the second day."""
+    """The drive of a day past a row of cones and lane markings, of which one is removed and one moved by 0.5 m on the second day,
+    when a sign is set up."""
     aside_m = ((4.5, 1.5, -2.0, -5.0), (4.5, -2.5, -5.0), (4.5, -2.5, -5.0))[day]
-    one, rng = of_day(day), np.random.default_rng(day)
+    signs, rng = [Cone((30.0, 5.0, 1.6), height_m=0.6, base_m=0.6)] * (day > 0), np.random.default_rng(day)
+    first_ns = START_NS + day * world.DAY_NS
+    one = world.survey_of(world.ROW, rng, f"painted_{day}", frames=40, start_m=0.0, first_ns=first_ns, signs=signs)
     first, last = (
         pair.pose.map_t_body_m[0] - ORIGIN_M[0] for pair in (one.drive.frame_pairs[0], one.drive.frame_pairs[-1])
     )
@@ -81,6 +86,54 @@ def painted(day):
         seen_ns=one.drive.frame_pairs[0].captured_at_ns,
     )  # fmt: skip
     return one._replace(markings=seen)
+
+
+def changes_of(conn, map_name):
+    """By drive, then by (class, kind): how many changes hold now, after all replays."""
+    found = {}
+    for row in execute(
+        conn,
+        "select c.drive_uuid, v.category, x.kind, count(*) as n from conetl.delta x "
+        "join conetl.changeset c using (changeset_id) join conetl.map m using (map_id) join conetl.feature_version v "
+        "on (v.feature_id, v.version) = (x.feature_id, x.new_version) and upper_inf(v.system_period) "
+        "where upper_inf(x.system_period) and m.map_name = %(map_name)s group by 1, 2, 3",
+        {"map_name": map_name},
+    ):
+        found.setdefault(row["drive_uuid"], {})[row["category"], DeltaKind(row["kind"])] = row["n"]
+    drives = sorted(list_changesets(conn, map_name=map_name), key=lambda one: one.drive_id)
+    return [found[one.drive_uuid] for one in drives]
+
+
+def test_a_marking_removed_one_moved_and_a_sign_set_up_are_exactly_these_changes_in_every_order(conn):
+    maps = []
+    for order in permutations(range(3)):
+        name = "".join(map(str, order))
+        for day in order:
+            world.merge(conn, painted(day), map_name=name)
+        features = read_current_features(conn, map_name=name, lines=True)
+        maps.append(sorted((f.version, f.first_seen_ns, *f.xyz_m, *f.cov_m2) for f in features))
+        asides_m = [round(2 * (f.xyz_m[1] - ORIGIN_M[1])) / 2 for f in features if f.marking]
+        edges, moved = (sum(asides_m.count(aside_m) for aside_m in some) for some in ((4.5, -5.0), (-2.5,)))
+        assert edges + moved == len(asides_m)
+        changes = changes_of(conn, name)
+        removed = changes[0][LANE_MARKING, DeltaKind.ADDED] - len(asides_m)
+        assert removed > 0
+        cones, sign = len(world.ROW), world.SIGN
+        assert changes == [
+            {(CONE, DeltaKind.ADDED): cones, (LANE_MARKING, DeltaKind.ADDED): len(asides_m) + removed},
+            {
+                (CONE, DeltaKind.CONFIRMED): cones, (sign, DeltaKind.ADDED): 1,
+                (LANE_MARKING, DeltaKind.CONFIRMED): edges, (LANE_MARKING, DeltaKind.MOVED): moved,
+                (LANE_MARKING, DeltaKind.REMOVED): removed,
+            },
+            {
+                (CONE, DeltaKind.CONFIRMED): cones, (sign, DeltaKind.CONFIRMED): 1,
+                (LANE_MARKING, DeltaKind.CONFIRMED): len(asides_m),
+            },
+        ]  # fmt: skip
+    assert world.failed_audits(conn) == []
+    # Ids differ from map to map, and with them the order of sums.
+    np.testing.assert_allclose(maps[1:], maps[:1] * 5, rtol=1e-9)
 
 
 def test_people_decide_about_stretches_as_about_cones(conn):
