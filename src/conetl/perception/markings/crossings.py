@@ -183,7 +183,7 @@ def _find_bands(grey: Grid, params: MarkingParams) -> _Bands:
     # A step of height 1 has this peak.
     peak = 1 / (sigma * np.sqrt(2 * np.pi))
     # The median of the usable ones: where they are not, infinity is sorted behind them.
-    spread = np.sort(np.where(inner, np.abs(slope), np.inf)[:, ::8], axis=1)
+    spread = np.sort(np.where(inner[:, ::8], np.abs(slope[:, ::8]), np.inf), axis=1)
     middle = np.isfinite(spread).sum(axis=1) // 2
     typical = spread[np.arange(len(spread)), middle]
     noise = 1.4826 * np.where(np.isfinite(typical), typical, 0.0) / peak
@@ -223,9 +223,10 @@ def _derivative(grey: Grid, sigma: float) -> Grid:
 
 def _peaks(slope: Grid, least: Floats) -> tuple[Ints, Floats]:
     """Rows and fractional columns of the maxima along rows that reach `least` (R, 1), in order."""
-    middle = slope[:, 1:-1]
-    row, column = np.nonzero((middle >= slope[:, :-2]) & (middle > slope[:, 2:]) & (middle >= least))
+    row, column = np.nonzero(slope[:, 1:-1] >= least)
     a, b, c = (slope[row, column + k].astype(np.float64) for k in range(3))
+    highest = (b >= a) & (b > c)
+    row, column, a, b, c = (one[highest] for one in (row, column, a, b, c))
     return row, column + 1 + 0.5 * (a - c) / (a - 2 * b + c)
 
 
@@ -270,10 +271,9 @@ def _road_height_beside(road: RoadPlane, grid: _RoadGrid, row: Ints, edge_px: Fl
     u = edge_px[:, None] + sign * _ROAD_BESIDE_M / _STEP_M * grid.columns_px[row][:, None]
     uv = np.stack(np.broadcast_arrays(u[:, None, :], (grid.rows_px[row][:, None] + _ROAD_ROWS_PX)[:, :, None]), axis=-1)
     heights = road.height_m(uv, road.measured_at(uv)).reshape(len(row), -1)
-    enough = np.isfinite(heights).sum(axis=1) >= _LEAST_ON_SIDE
-    found = np.full(len(row), np.nan)
-    found[enough] = np.nanmedian(heights[enough], axis=1)
-    return found
+    ordered, count = np.sort(heights, axis=1), np.isfinite(heights).sum(axis=1)  # unknown ones are last
+    lower, upper = (ordered[np.arange(len(row)), middle] for middle in ((count - 1) // 2, count // 2))
+    return np.where(count >= _LEAST_ON_SIDE, (lower + upper) / 2, np.nan)
 
 
 def _tints(colours: Image, bands: _Bands, chosen: Ints) -> tuple[Floats, Floats]:
