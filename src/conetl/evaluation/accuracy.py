@@ -148,7 +148,7 @@ def track_errors(
 def members_of(lines: Sequence[TruthLine[Track]]) -> dict[tuple[int, int], TruthCone]:
     """The cone of each single position of the found tracks, by (frame_index, match_index).
 
-    There is no gate on the error of a position, which would make the statistics too good.
+    Positions are not filtered by their error: that would make the statistics too good.
     """
     return {member: line.truth for line in lines if line.feature is not None for member in line.feature.members}
 

@@ -87,8 +87,8 @@ class DriveEvaluation:
         return [line.truth.cone_id for line in self.lines if line.feature is None]
 
     def tables(self) -> list[Section]:
-        """Objects, errors, errors by range, and NEES; figures by class where there are several; lane markings. Of lane markings
-        alone, the last."""
+        """Objects, errors, errors by range, and NEES; figures by class where there are several; lane markings. Without cones
+        only the last."""
         of_markings = self.markings.tables() if self.markings else []
         if not self.lines:
             return of_markings
@@ -295,7 +295,7 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
 
 
 def pooled_tables(drives: Sequence[DriveEvaluation]) -> list[Section]:
-    """One row per drive and one for all; NEES of all drives. Of lane markings alone, their own."""
+    """One row per drive and one for all; NEES of all drives. Without cones only those of lane markings."""
     of_markings = pooled_markings(_markings_of(drives))
     if not any(drive.lines for drive in drives):
         return of_markings

@@ -7,7 +7,7 @@ surface; the radius of the outline at that height is the distance from there to 
 Stereo and LiDAR ranges of a cone differ for three reasons: the match of the cone, the rig's calibration, or the position and
 time of the scanner relative to the camera. The scene without its cones reveals the last two: windows around projected LiDAR
 points are matched, and a smooth field of disparity errors over the image (calibration) and one range offset (scanner) are
-fitted to the differences. Cones have no part in the fit and are evaluated after it.
+fitted to the differences. Cones are not used in the fit and are evaluated after it.
 """
 
 from __future__ import annotations

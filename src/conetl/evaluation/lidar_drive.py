@@ -40,7 +40,7 @@ class LidarCheck(NamedTuple):
     """Result of `lidar_residuals`."""
 
     residuals: list[steps.LidarResidual]
-    """Of every refined match with LiDAR points, with the calibration as it is."""
+    """Residuals of every refined match with LiDAR points, with the calibration as it is."""
     corrected: list[steps.LidarResidual]
     """The same without the calibration error that the scene shows; empty without `scene`."""
     scene: SceneBias | None

@@ -116,8 +116,8 @@ def _pooled_nees(drives: Mapping[str, MarkingEvaluation]) -> dict[str, Consisten
 
 
 def _covariances(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -> tuple[Floats, Floats, Floats]:
-    """Of all vertices of a drive, as `marking_consistency` takes them: their own errors, which poses that change within the drive
-    correlate, and those common to the drive.
+    """Covariances of all vertices of a drive, for `marking_consistency`: their own errors, correlated by poses that change within
+    the drive, and those common to the drive.
 
     A vertex moves with the poses from which it was in view, near ones most, as in its fit.
     """

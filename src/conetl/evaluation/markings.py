@@ -51,7 +51,7 @@ class TruthMarking(Record):
     dash_m: Positive | None = None
     gap_m: Positive | None = None
     dash_start_m: NonNegative | None = None
-    """Of the first dash, from the first vertex."""
+    """Start of the first dash, from the first vertex."""
 
 
 def read_truth_markings(path: Path, map_srid: int) -> list[TruthMarking]:
@@ -91,7 +91,7 @@ class MarkingErrors:
     matched: NDArray[np.int64]
     """(S,) marking of the truth, -1 where there is none within the buffer"""
     found: Mapping[str, Floats]
-    """Of the M samples that match: lateral_m (positive to the left of the truth), height_m, and errors of width_m,
+    """Errors of the M samples that match: lateral_m (positive to the left of the truth), height_m, and errors of width_m,
     dash_m, gap_m (these two NaN of solid lines); pattern_right (solid or dashed, with dash and gap to 0.5 m) and colour_right, 1
     or 0."""
     vertex_m: Floats
@@ -160,7 +160,7 @@ def compare_markings(
 ) -> MarkingErrors:
     """Errors of markings of a drive, or of stretches on the map.
 
-    Visible of a dashed line is what lies between visible paint. Every found metre counts for correctness, visible or not.
+    A dashed line is visible between its first and last visible paint. Every found metre counts for correctness, visible or not.
     """
     samples = [resampled(np.array(one.vertices_m), _STEP_M) for one in found]
     lines = [np.array(one.vertices_m) for one in truth]
@@ -211,22 +211,15 @@ def marking_figures(drives: Sequence[MarkingErrors]) -> MarkingFigures:
     visible, covered = (np.concatenate([getattr(d, name) for d in drives]) for name in ("truth_visible", "truth_found"))
     matched = np.concatenate([d.matched for d in drives]) >= 0
     columns = {name: np.concatenate([d.found[name] for d in drives]) for name in drives[0].found}
-    return MarkingFigures(
-        truth_m=float(visible.sum()) * _STEP_M,
-        found_m=len(matched) * _STEP_M,
-        completeness=_mean(covered[visible]),
-        correctness=_mean(matched),
-        redundancy=max(1.0 - float(covered.sum() / matched.sum()), 0.0) if matched.any() else None,
-        lateral_median_m=_quantile(columns["lateral_m"], 0.5),
-        lateral_p95_m=_quantile(columns["lateral_m"], 0.95),
-        height_median_m=_quantile(columns["height_m"], 0.5),
-        height_p95_m=_quantile(columns["height_m"], 0.95),
-        width_median_m=_quantile(columns["width_m"], 0.5),
-        dash_median_m=_quantile(columns["dash_m"], 0.5),
-        gap_median_m=_quantile(columns["gap_m"], 0.5),
-        pattern_share=_mean(columns["pattern_right"]),
-        colour_share=_mean(columns["colour_right"]),
-    )
+    sizes = ("lateral", "height", "width", "dash", "gap")
+    return MarkingFigures.model_validate({
+        "truth_m": float(visible.sum()) * _STEP_M, "found_m": len(matched) * _STEP_M,
+        "completeness": _mean(covered[visible]), "correctness": _mean(matched),
+        "redundancy": max(1.0 - float(covered.sum() / matched.sum()), 0.0) if matched.any() else None,
+        **{f"{what}_median_m": _quantile(columns[f"{what}_m"], 0.5) for what in sizes},
+        **{f"{what}_p95_m": _quantile(columns[f"{what}_m"], 0.95) for what in sizes[:2]},
+        **{f"{what}_share": _mean(columns[f"{what}_right"]) for what in ("pattern", "colour")},
+    })  # fmt: skip
 
 
 def marking_consistency(
@@ -259,8 +252,8 @@ def _distances(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats, Floats
 
 
 def _nearest(points_m: Floats, lines: Sequence[Floats]) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-    """Of points (N, 3): the nearest line, -1 without one in the buffer; offset to its left and rise above it, both NaN then; axes
-    (N, 2, 3), unit vectors to the left of the line and up."""
+    """The line nearest to each of points (N, 3), -1 without one in the buffer; offset to its left and rise above it, NaN without
+    a line; axes (N, 2, 3), unit vectors to the left of the line and up."""
     count = len(points_m)
     nearest = np.full(count, -1)
     best, offset, rise = np.full(count, BUFFER_M), np.full(count, np.nan), np.full(count, np.nan)
@@ -295,7 +288,7 @@ def _difference(a: float | None, b: float | None) -> float:
 
 
 def _quantile(errors: Floats, share: float) -> float | None:
-    """Of the sizes of the errors that are known."""
+    """Quantile of the sizes of the errors that are known."""
     known = np.abs(errors[~np.isnan(errors)])
     return float(np.quantile(known, share)) if len(known) else None
 

@@ -1,7 +1,7 @@
 """Surveyed cones (truth.csv) compared with cones of a map or a drive: the paper's Table 3; and surveyed check points against the
 cones of a map: residuals and RMSE of each axis (ASPRS Positional Accuracy Standards, 2023).
 
-Check points take part in nothing: they only judge the map.
+Check points are used for nothing else.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""YAML and JSON documents that a stranger may have written: limits of size, depth and aliases; errors in the file's words.
+"""YAML and JSON documents from untrusted sources: limits of size, depth and aliases; errors that name the file's own keys.
 
 YAML files also as pydantic models: parameters, rules, settings of a drive, the description of a feed.
 """
@@ -33,39 +33,25 @@ MAX_SHOWN, MAX_MESSAGE = 200, 400
 
 #: pydantic's kind of an error -> what was expected; {} are the error's own figures.
 _EXPECTED = {
-    "missing": "is missing",
-    "extra_forbidden": "unknown key",
-    "greater_than": "expected more than {gt}",
-    "greater_than_equal": "expected at least {ge}",
+    "missing": "is missing", "extra_forbidden": "unknown key",
+    "greater_than": "expected more than {gt}", "greater_than_equal": "expected at least {ge}",
     "less_than_equal": "expected at most {le}",
     "string_pattern_mismatch": "expected text that matches {pattern}",
     "string_too_long": "expected at most {max_length} characters",
     "string_too_short": "expected at least {min_length} characters",
-    "string_unicode": "expected text in UTF-8",
-    "json_invalid": "expected JSON ({error})",
-    "float_type": "expected a number",
-    "float_parsing": "expected a number",
-    "int_type": "expected a whole number",
-    "int_parsing": "expected a whole number",
+    "string_unicode": "expected text in UTF-8", "string_type": "expected text", "path_type": "expected a path",
+    "json_invalid": "expected JSON ({error})", "none_required": "expected nothing",
     "int_parsing_size": "expected a smaller number",
-    "int_from_float": "expected a whole number",
-    "bool_type": "expected true or false",
-    "bool_parsing": "expected true or false",
-    "string_type": "expected text",
-    "path_type": "expected a path",
-    "none_required": "expected nothing",
-    "list_type": "expected a list",
-    "tuple_type": "expected a list",
-    "set_type": "expected a list",
-    "dict_type": "expected keys and values",
-    "model_type": "expected keys and values",
-    "model_attributes_type": "expected keys and values",
-    "mapping_type": "expected keys and values",
     "too_short": "expected at least {min_length} values, found {actual_length}",
     "too_long": "expected at most {max_length} values, found {actual_length}",
     "uuid_parsing": "expected an id like 1c223030-5d0f-4a7e-9a0d-0e4cf2a1b2c3",
     "url_parsing": "expected an address like https://example.org",
-}
+    **dict.fromkeys(("float_type", "float_parsing"), "expected a number"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "expected a whole number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "expected true or false"),
+    **dict.fromkeys(("list_type", "tuple_type", "set_type"), "expected a list"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type", "mapping_type"), "expected keys and values"),
+}  # fmt: skip
 _TIME = "expected a time like 2026-03-02T10:00:00Z"
 _DATE = "expected a date like 2026-03-02"
 
@@ -84,7 +70,7 @@ def shown(value: object) -> str:
 
 
 def expectation(error: Any) -> str:
-    """What one of `ValidationError.errors()` asks for, without the value that was found."""
+    """What one of `ValidationError.errors()` expected, without the value that was found."""
     kind, figures = str(error["type"]), error.get("ctx", {})
     if kind.startswith("datetime_"):
         return _TIME
@@ -151,7 +137,7 @@ def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
 
 
 def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:
-    """Text (UTF-8) of a small file. Raises InputError where it is larger, no text, or cannot be read."""
+    """Text (UTF-8) of a small file. Raises InputError where it is larger, is not text, or cannot be read."""
     try:
         return read_bytes(path, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -159,12 +145,12 @@ def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:
 
 
 def read_yaml(path: Path) -> Any:
-    """Content of a YAML file. Raises InputError where it is no YAML, exceeds a limit or cannot be read."""
+    """Content of a YAML file. Raises InputError where it is not YAML, exceeds a limit or cannot be read."""
     return parse_yaml(path, read_limited(path, MAX_YAML_BYTES))
 
 
 def parse_yaml(path: Path, text: str) -> Any:
-    """Content of the text of a YAML file. Raises InputError where it is no YAML or exceeds a limit."""
+    """Content of the text of a YAML file. Raises InputError where it is not YAML or exceeds a limit."""
     try:
         _require_bounded(path, text)
         return yaml.load(text, Loader=yaml.CSafeLoader)
@@ -216,7 +202,7 @@ def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]
 
 
 def read_json(path: Path) -> Any:
-    """Content of a JSON file. Raises InputError where it is no JSON, exceeds a limit or cannot be read."""
+    """Content of a JSON file. Raises InputError where it is not JSON, exceeds a limit or cannot be read."""
     try:
         return json.loads(read_limited(path))
     except RecursionError:
@@ -247,6 +233,6 @@ def _require_bounded(path: Path, text: str) -> None:
         if len(open_nodes) > MAX_DEPTH or values > MAX_VALUES:
             line = event.start_mark.line + 1 if event.start_mark else 1
             raise InputError(
-                f"{path}: line {line} exceeds {MAX_VALUES:,} values (each alias counts as what it stands "
-                f"for) or {MAX_DEPTH} levels"
+                f"{path}: line {line} exceeds {MAX_VALUES:,} values (each alias counts as what it refers "
+                f"to) or {MAX_DEPTH} levels"
             )

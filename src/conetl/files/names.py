@@ -7,7 +7,7 @@ from pathlib import Path
 
 from conetl.model.errors import DriveFolderError
 
-#: What Markdown, of GitHub's kind too, gives a meaning within a line.
+#: Characters that have a meaning within a line of Markdown, GitHub's included.
 _MARKDOWN = re.compile(r"([\\`*_~<>\[\]()!|&:@]|(?<=www)\.)")
 
 

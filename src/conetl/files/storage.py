@@ -1,8 +1,8 @@
 """Files on disk and objects in S3-compatible storage, by the same few methods.
 
-A drive may lie at `s3://bucket/drive`. Its readers use `pathlib` methods only, which `UPath` (universal-pathlib over fsspec)
+A drive may be at `s3://bucket/drive`. Its readers use `pathlib` methods only, which `UPath` (universal-pathlib over fsspec)
 has for objects too. Objects are read when they are needed and never copied to disk; a bounded part of the bytes read last stays
-in memory, since a image is hashed and then decoded. So do images of files, by their hash, until the drive is done: a drive
+in memory, since an image is hashed and then decoded. So do images of files, by their hash, until the drive is done: a drive
 whose images are larger than the bound is read again. Credentials and endpoint come from the usual environment
 (AWS_ACCESS_KEY_ID, AWS_PROFILE, AWS_ENDPOINT_URL ...) or the machine's role, never from conetl's own settings.
 """

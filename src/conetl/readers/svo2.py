@@ -44,10 +44,10 @@ _UNITS = 1_000_000
 
 
 class Svo2(NamedTuple):
-    """What a recording says of itself."""
+    """Camera, length and start of a recording, as it states them."""
 
     serial: int | None
-    """Of the camera; its factory calibration is SN<serial>.conf."""
+    """Serial number of the camera; its factory calibration is SN<serial>.conf."""
     frames: int
     start_ns: int | None
     """Time of the first frame, UTC; None where the camera's clock was not set."""

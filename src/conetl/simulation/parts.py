@@ -242,7 +242,7 @@ def _tree(item: RoadObject, seed: int) -> list[Part]:
 
 
 class TrueShape(NamedTuple):
-    """What truth.csv states of an object: its class, the lower end of what is located above the ground, and its height."""
+    """What truth.csv states about an object: its class, the lower end of what is located above the ground, and its height."""
 
     category: str
     foot_m: float
@@ -250,7 +250,7 @@ class TrueShape(NamedTuple):
 
 
 def true_shape(item: RoadObject) -> TrueShape:
-    """Of signs and boards the plate alone. Raises KeyError for kinds without a class."""
+    """For signs and boards the plate alone. Raises KeyError for kinds without a class."""
     if item.kind in _STANDING:
         return TrueShape(_STANDING[item.kind], 0.0, item.height_m)
     plate = _plate_height_m(item)

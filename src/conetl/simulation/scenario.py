@@ -25,7 +25,7 @@ KERB_WIDTH_M, KERB_HEIGHT_M = 0.14, 0.12
 PAVEMENT_HEIGHT_M, VERGE_HEIGHT_M = 0.10, 0.08
 PASS_NUMBERS = (1, 2, 3)
 _SCENE_SEED = 20260302
-"""Of the cones' appearance (dirt, lean, shade), not of the noise of cameras and GNSS."""
+"""Seed of the cones' appearance (dirt, lean, shade), not of the noise of cameras and GNSS."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class RoadObject:
     height_m: float = 1.0
     colour: Colour = (0.5, 0.5, 0.5)
     length_m: float = 1.0
-    """Of plates and boards the width."""
+    """Width of plates and boards."""
     object_id: str = ""
     """In truth.csv, of kinds that have a class; empty: not surveyed."""
     ground_m: float = 0.0
@@ -172,7 +172,7 @@ class ScenarioPass:
     frame_count: int
 
 
-#: Of each pass: drive, start, elevation and azimuth of the sun, turbidity, exposure, x at the first and at the last frame, path.
+#: For each pass: drive, start, elevation and azimuth of the sun, turbidity, exposure, x at the first and at the last frame, path.
 _PASSES = (
     ("2026-03-02_taper_pass1", datetime(2026, 3, 2, 9, 41, 7, 250_000, UTC), 34.0, 118.0, 2.6, 1.0, (-17.0, 33.7), (-1.3, 0.0)),
     ("2026-03-03_taper_pass2", datetime(2026, 3, 3, 13, 5, 44, 610_000, UTC), 47.0, -35.0, 4.5, 0.85, (-17.4, 33.3), (-1.1, 0.1)),

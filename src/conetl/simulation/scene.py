@@ -22,7 +22,7 @@ from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
 FULL_WELL_ELECTRONS = 9000.0
 READ_NOISE_ELECTRONS = 6.0
 BLUR_SIGMA_PX = 0.45
-"""Of lens and pixel together."""
+"""Blur of lens and pixel together."""
 
 
 class PinholeCamera(NamedTuple):

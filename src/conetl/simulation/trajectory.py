@@ -38,7 +38,7 @@ class DriftModel(NamedTuple):
 
     @property
     def sigma(self) -> float:
-        """Of one value."""
+        """Sigma of one value."""
         return math.hypot(self.drift, self.white)
 
 

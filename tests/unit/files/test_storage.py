@@ -152,7 +152,7 @@ def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
     assert [places._kept.get(str(path)) is not None for path in paths] == [False] * 8 + [True] * 2
 
 
-def test_an_object_that_was_written_anew_is_hashed_anew() -> None:
+def test_an_object_that_was_rewritten_is_hashed_again() -> None:
     path = as_path("memory://changed/image")
     for data in (b"old", b"new"):
         path.write_bytes(data)

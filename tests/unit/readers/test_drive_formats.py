@@ -467,7 +467,7 @@ def test_a_bag_whose_metadata_is_a_bomb_is_refused(tmp_path: Path) -> None:
 
 
 def compressed_chunks(path: Path, compression: CompressionType, extra: bytes) -> None:
-    """Write an MCAP file anew as one compressed chunk, with another message in it."""
+    """Rewrite an MCAP file as one compressed chunk, with another message in it."""
     with path.open("rb") as file:
         messages = list(make_reader(file).iter_messages())
     with path.open("wb") as file:

@@ -104,7 +104,7 @@ def test_stamps_are_read_once(tmp_path: Path) -> None:
     with path.open("ab") as file:
         file.write(b"ond\nthird\n")
     assert [stamps.line(n) for n in (2, 1, 3)] == ["third", "second", None]
-    # a recorder that writes the whole file anew each time: under another name and renamed, or in place and shorter
+    # a recorder that rewrites the whole file each time: under another name and renamed, or in place and shorter
     (tmp_path / "new").write_bytes(b"1st\n2nd\n3rd\n4th\n")
     (tmp_path / "new").replace(path)
     assert [stamps.line(n) for n in (3, 0)] == ["4th", "1st"]

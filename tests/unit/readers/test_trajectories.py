@@ -208,7 +208,7 @@ def test_nmea_after_a_gap_of_half_a_day_is_of_the_same_day(tmp_path: Path) -> No
         (files.write_sbet, {"week": files.WEEK - 1024}),
     ],
 )
-def test_weeks_that_began_anew_are_no_time_of_a_drive(write: Any, settings: dict[str, Any], tmp_path: Path) -> None:
+def test_weeks_that_rolled_over_are_refused(write: Any, settings: dict[str, Any], tmp_path: Path) -> None:
     path = write(tmp_path, files.known(start=files.START - timedelta(weeks=1024)))
     with pytest.raises(DriveFolderError, match=r"before 2008: .* GPS week rolled over"):
         read_trajectory(path, TrajectoryFile(**settings))

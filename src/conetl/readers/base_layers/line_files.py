@@ -1,5 +1,7 @@
-"""Files of lane boundaries, by suffix (of GeoJSON, GeoPackage and all other formats of GDAL every line of every layer), and their
-lines in the map's CRS for the layout of work zones."""
+"""Files of lane boundaries, by suffix, and their lines in the map's CRS for the layout of work zones.
+
+Of GeoJSON, GeoPackage and all other formats of GDAL every line of every layer is read.
+"""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def read_lanelet2(path: Path) -> LineFile:
 def _read(
     file: XmlFile, path: Path, refused: list[str]
 ) -> tuple[dict[str, tuple[float, float, float]], dict[str, tuple[list[str], dict[str, str]]], set[str]]:
-    """By their ids, nodes (longitude, latitude, height, NaN without) and ways (node ids, tags); the ways that bound a lanelet.
+    """Nodes (longitude, latitude, height, NaN without) and ways (node ids, tags) by their ids; the ways that bound a lanelet.
 
     Raises InputError where the nodes have local coordinates only.
     """

@@ -112,7 +112,7 @@ class Bag(NamedTuple):
 
 
 def bag_files(path: Path) -> Path | None:
-    """What to open of a bag: the folder itself, or a bare .mcap or .bag file; None for anything else."""
+    """The path to open for a bag: the folder itself, or a bare .mcap or .bag file; None for anything else."""
     if is_bare_bag(path):
         return path
     if not path.is_dir():
@@ -170,7 +170,7 @@ def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
 
     ros = _ros_types() if reader.is2 else _ros1_types()
     types = {
-        # Of a ROS 1 bag only the definitions of these types are read.
+        # From a ROS 1 bag only the definitions of these types are read.
         c.topic: _type_name(reader.typestore, c.msgtype, ros) if reader.is2 or c.msgtype in USED_TYPES else c.msgtype
         for c in reader.connections
     }

@@ -49,7 +49,7 @@ class Georeference(GeodeticPosition):
     """Origin of a local trajectory (odometry, SLAM, motion capture), whose frame must be level, z up."""
 
     heading_deg: float = Field(ge=-360, le=360)
-    """Of the frame's x axis, clockwise from true north; 90 for a frame whose x axis points east."""
+    """Direction of the frame's x axis, clockwise from true north; 90 where it points east."""
 
 
 class Streams(Record):
@@ -112,13 +112,13 @@ class Clock(Record):
     offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | Literal["estimate"] = "estimate"
     """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and speeds."""
     sigma_s: float | None = Field(default=None, gt=0, le=10)
-    """Of the stated offset; without it 0.01 s."""
+    """Sigma of the stated offset; default 0.01 s."""
     search_s: float = Field(default=30.0, gt=0, le=MAX_SEARCH_S)
     """The offset is searched between minus and plus this."""
 
 
 class ControlPoints(Record):
-    """Surveyed feet of cones that take part in the adjustment of the poses; a text is the name of the file."""
+    """Surveyed feet of cones that are used in the adjustment of the poses; a text is the name of the file."""
 
     file: str = Field(min_length=1, max_length=1000)
     """CSV, GeoJSON, GeoPackage, FlatGeobuf or GeoParquet inside the drive folder."""
@@ -126,7 +126,7 @@ class ControlPoints(Record):
     heights: str | None = Field(default=None, min_length=1, max_length=10_000)
     """As for a trajectory; default ellipsoidal."""
     sigma_m: Positive | None = None
-    """Of the survey, where the file has no sigma_e_m, sigma_n_m, sigma_u_m."""
+    """Sigma of the survey, where the file has no sigma_e_m, sigma_n_m, sigma_u_m."""
 
     @model_validator(mode="before")
     @classmethod

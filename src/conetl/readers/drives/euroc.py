@@ -190,7 +190,7 @@ def _trajectory(source: pairs.Source, sensor_R_body: Floats) -> tuple[int, Sampl
     content.add(name, path.read_bytes())
     recorded = read_trajectory(path, settings.trajectory.model_copy(update={"format": "euroc"}))
     assert recorded.rotations is not None  # a EuRoC file without them has no valid record
-    # Of B, whose axes are those of the IMU.
+    # Poses of B, whose axes are those of the IMU.
     R_SE3_B = se3.compose(se3.se3(recorded.rotations, recorded.positions), se3.invert(B_SE3_S))
     recorded = recorded._replace(name=name, rotations=R_SE3_B[:, :3, :3], positions=R_SE3_B[:, :3, 3])
     return placed(recorded, source, sensor_R_body)

@@ -1,4 +1,4 @@
-"""What a module of one drive format provides, and what all formats share: headers, and the rig on the body of the trajectory."""
+"""The interface of a drive format, and what all formats share: headers, and the rig on the body of the trajectory."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class DriveFormat(Protocol):
 
 @dataclass
 class HeaderFacts:
-    """What `read_header` of a format finds, and the hash of the small files and names that identify the drive."""
+    """The result of `read_header` of a format, and the hash of the small files and names that identify the drive."""
 
     content: ContentHash = field(default_factory=ContentHash)
     streams: Sequence[str] = ()

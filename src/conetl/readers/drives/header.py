@@ -26,7 +26,7 @@ MARKER = "COMPLETE"
 
 @dataclass(frozen=True)
 class DriveHeader:
-    """What is known of a drive folder without opening its images."""
+    """Facts about a drive folder that are known without opening its images."""
 
     path: Path
     drive_id: str

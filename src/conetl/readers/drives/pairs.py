@@ -1,4 +1,4 @@
-"""What all drive readers do with frame pairs: hash and judge images, make rejections of bad pairs and a drive of the others."""
+"""Frame pairs, for all drive readers: hash and check images, reject bad pairs and make a drive of the others."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class ImageFile(NamedTuple):
 
     path: Path
     sha256: str
-    """Of its bytes; empty where only its header was read."""
+    """SHA-256 of its bytes; empty where only its header was read."""
 
 
 class PairError(Exception):
@@ -97,7 +97,7 @@ def images_ahead(
     right: Mapping[_Key, Sequence[Path]],
     content: ContentHash,
 ) -> Iterator[_Key]:
-    """The same keys of frame pairs; their images in object storage are asked for some pairs at a time."""
+    """The same keys of frame pairs; their images in object storage are requested for some pairs at a time."""
     for first in range(0, len(keys), _PAIRS_AT_ONCE):
         batch = keys[first : first + _PAIRS_AT_ONCE]
         if not content.headers_only:
@@ -111,7 +111,7 @@ def check_images(
     """Both images of a pair, given all files that claim to be them.
 
     Header, size (of the images as stored: raw, where the rig was rectified) and end marker are checked, nothing is decoded.
-    Both are read (for the content hash) before either is judged, and their bytes stay in memory for the steps to come.
+    Both are read (for the content hash) before either is rejected, and their bytes stay in memory for the steps to come.
     Raises PairError.
     """
     problem: PairError | None = None
@@ -186,7 +186,7 @@ def drive_of_pairs(
 def without_frozen(drive: Drive) -> tuple[Drive, list[Rejection]]:
     """The drive without the pairs of a camera that repeats an image while the vehicle moves: the same bytes, another position.
 
-    What such an image shows lies elsewhere. A vehicle that stands may repeat its images: a simulator and some encoders do.
+    What such an image shows is elsewhere. A vehicle that stands still may repeat its images: a simulator and some encoders do.
     """
     first: dict[Side, FramePair] = {}
     refused: list[Rejection] = []

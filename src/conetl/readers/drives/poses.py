@@ -32,7 +32,7 @@ class Samples(NamedTuple):
     """Valid records by time, and what is wrong with the others."""
 
     name: str
-    """Of the stream in the drive, for messages."""
+    """Name of the stream in the drive, for messages."""
     times_ns: list[int]
     """Rising."""
     map_SE3_body: Floats
@@ -61,7 +61,7 @@ def wild_fixes(times_ns: Sequence[int], positions_m: Floats) -> dict[int, str]:
         first = max(0, i - _LOOK_BACK)
         near = slice(first, i)
         best = np.where(speeds(near, slice(i, i + 1)) <= MAX_SPEED_M_S, length[near], 0)
-        # Of equally long chains the one with the nearest record.
+        # Among equally long chains the one with the nearest record.
         chosen = len(best) - 1 - int(np.argmax(best[::-1]))
         if best[chosen] > 0:
             length[i], before[i] = best[chosen] + 1, first + chosen

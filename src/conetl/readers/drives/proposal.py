@@ -32,14 +32,14 @@ _TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 _LARGEST_RIG_BYTES = 4_000_000
 #: How far a principal point is from the centre of its image, at most, in parts of the image's size.
 _OFF_CENTRE = 0.2
-#: How a table is read that does not say it.
+#: Assumptions about a table that does not state its time scale or heights.
 _TAKEN = {
     "time": "times taken as UTC; if they are local or of GPS, state --time, like Europe/Berlin",
     "heights": "heights taken as ellipsoidal; if they are not, state --heights, like EPSG:7837",
 }
 #: No number of metres or degrees is written like 07 or -0, but what is behind a decimal comma is.
 _LEADING_ZERO = re.compile(r"-0|-?0\d+")
-#: What a trajectory may lack: its reader says how to state the key in drive.yaml.
+#: Keys that a trajectory may need: the error of its reader says how to state them in drive.yaml.
 _UNSTATED = {
     "columns": "Which column is what, by name or number, like time=Zeit,lat=B,lon=L,height=H,roll=R,pitch=P,heading=K?",
     "date": "On which day was it recorded, like 2026-03-02?",
@@ -60,7 +60,7 @@ _MOUNT = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
 
 
 class Question(NamedTuple):
-    """What a folder does not say itself."""
+    """A setting that cannot be found in the folder."""
 
     key: str
     """Name of the option of `conetl init` that answers it."""
@@ -71,12 +71,12 @@ class Question(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """What lies in a folder, what is missing, and the settings so far."""
+    """What was found in a folder, what is missing, and the settings so far."""
 
     found: list[str]
     questions: list[Question]
     settings: dict[str, Any]
-    """Of drive.yaml."""
+    """Content of drive.yaml."""
     rig: Rig | None
     """To be written as rig.yaml; None where there is one."""
 
@@ -127,7 +127,7 @@ def still_valid(settings: Mapping[str, Any], given: Mapping[str, str]) -> dict[s
 
 
 def answers_in(settings: Mapping[str, Any]) -> dict[str, str]:
-    """What settings of drive.yaml answer, by `Question.key`."""
+    """The answers that are in settings of drive.yaml, by `Question.key`."""
     found = {option: settings.get(section, {}).get(key) for option, (section, key) in _KEYS.items()}
     if (mount := settings.get("mount")) is not None:
         found["mount"] = ",".join(str(mount.get(key, 0.0)) for key in _MOUNT)
@@ -161,7 +161,7 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     if len(sources) == 1 or "layout" in images:
         images.setdefault("left", sources[0].name)
         if "layout" not in images:
-            text = "How do left and right lie in each frame: left-right, right-left, top-bottom or bottom-top?"
+            text = "Where are left and right in each frame: left-right, right-left, top-bottom or bottom-top?"
             proposal.questions.append(Question("layout", text, "left-right"))
     else:
         for side in ("left", "right"):
@@ -190,7 +190,7 @@ def _of_side(names: Sequence[str], side: Side) -> list[str]:
 
 
 def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
-    """What answers say of the images. Raises InputError."""
+    """The settings of images that the answers state. Raises InputError."""
     options = ("left", "right", "layout", "start", "timestamps", "right-timestamps")
     images: dict[str, Any] = {_KEYS[option][1]: answers[option] for option in options if option in answers}
     if "right-offset" in answers:
@@ -242,7 +242,7 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
 
 
 def outside_log(root: Path, settings: Mapping[str, Any]) -> str | None:
-    """What is wrong with a stated start of a video: nothing of it would be in the trajectory's time."""
+    """The error of a stated start with which no part of the video is within the time of the trajectory; None if it is right."""
     images, log = settings["images"], settings["trajectory"]
     path = root / images["left"]
     if "start" not in images or "clock" in settings or path.is_dir():
@@ -374,7 +374,7 @@ def _read_rig(path: Path, size: tuple[int, int] | None) -> tuple[Rig, Any]:
         rig = None
         with suppress(CalibrationError):
             rig, kind = read_rig_and_format(path, image_size=size)
-        # Of another size the principal point would not be near the centre.
+        # With another size the principal point would not be near the centre.
         if rig is None or size is None or not all(_is_centred(camera, size) for camera in (rig.left, rig.right)):
             raise
         return rig, kind

@@ -56,11 +56,11 @@ class _Recorded(NamedTuple):
     """The content of a bag without its images."""
 
     records: dict[str, Records]
-    """By topic and time: pose (4, 4) as recorded (of a fix: degrees and metres in its translation), six sigmas."""
+    """By topic and time: pose (4, 4) as recorded (a fix has degrees and metres in its translation), six sigmas."""
     bad: dict[str, dict[int, str]]
     infos: dict[str, Any]
     frame_ids: dict[str, str]
-    """By topic; of odometry the child's. Like all names of frames, they may begin with a slash."""
+    """By topic; odometry has that of its child. Like all names of frames, they may begin with a slash."""
     transforms: dict[tuple[str, str], Floats]
 
     def connect(self, dst: str, src: str) -> Floats | None:

@@ -56,7 +56,7 @@ class RigSummary(Record):
     stored_width_px: int
     stored_height_px: int
     lens: str
-    """Of the left camera as it took the images; "none" for rectified ones."""
+    """Lens of the left camera as it took the images; "none" for rectified ones."""
     rectified_on_reading: bool
     calibration_covariance_known: bool
 
@@ -104,7 +104,7 @@ class DriveSummary(Record):
     captured_to: datetime
     duration_s: float
     rate_hz: float | None
-    """Of the median step; None for a single pair."""
+    """From the median step; None for a single pair."""
     length_m: float
     """Level length of the drive path, straight between usable pairs."""
     gaps: tuple[Gap, ...]

@@ -43,9 +43,9 @@ _WHOLE = 0.25
 _MARGIN_S = 20.0
 #: A file of time stamps of `MAX_FRAMES` lines.
 _MOST_TIME_BYTES = 128_000_000
-#: So many parts of 2.5 minutes of a drive are tried.
+#: At most so many parts of 2.5 minutes of a drive are tried.
 _MOST_PARTS = 4
-#: Of an offset that is stated without one (s), as from a flash of light. The poses tell what is left of it.
+#: Sigma of an offset that is stated without one (s), for example from a flash of light. The poses show the rest of it.
 _STATED_SIGMA_S = 0.01
 #: Offsets of two methods that differ by more sigmas contradict each other.
 _CONTRADICTS = 4.0
@@ -56,7 +56,7 @@ class CameraImages(NamedTuple):
     """The images of one camera and their times from the first one on."""
 
     name: str
-    """Of the file or folder, for messages."""
+    """Name of the file or folder, for messages."""
     paths: list[Path]
     times_s: Floats
     video: VideoIndex | None
@@ -64,10 +64,10 @@ class CameraImages(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """What ties the images to the clock of the trajectory."""
+    """The times of the images by the clock of the trajectory."""
 
     couples: list[Couple]
-    """With times by the trajectory's clock."""
+    """Their times are by the trajectory's clock."""
     start_ns: int | None
     """UTC of the first left frame by that clock; None where every image has a time of its own."""
     right_offset_s: float
@@ -137,7 +137,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
 
 
 def _unknown_start(root: Path, left: CameraImages, cause: str) -> UnknownTimeError:
-    """With what the container says: a person knows whether its clock was set."""
+    """The error, with the time that the container states: a person knows whether its clock was set."""
     if left.video is not None and left.video.created_at is not None:
         stated = f"{left.video.created_at:%Y-%m-%d %H:%M:%S}"
         cause += (
@@ -256,7 +256,7 @@ def _start_ns(left: CameraImages, track: Samples, settings: DriveYaml, root: Pat
     created = left.video.created_at if left.video is not None else None
     if created is not None:
         created_ns = round(created.timestamp()) * 10**9
-        # The container's clock may be set, and tell the beginning of the recording or its end.
+        # If the container's clock was set, it states the beginning of the recording or its end.
         for start_ns in (created_ns, created_ns - length_ns):
             if first_ns - search_s * 1e9 < start_ns < last_ns:
                 return start_ns, search_s
@@ -285,7 +285,7 @@ def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -
         found = "; ".join(f"{offset_s:+.2f} s at {at_s:.0f} s" for at_s, offset_s in lag.windows)
         raise DriveFolderError(
             f"{right.video.path}: its frames are shifted against {left.name} by a changing time ({found}): one of the files lost "
-            "frames that its time stamps do not tell. Name the true times of all frames (images.timestamps, "
+            "frames that its time stamps do not show. Name the true times of all frames (images.timestamps, "
             "images.right_timestamps)"
         )
     frames = lag.offset_s / lag.period_s

@@ -1,1 +1,1 @@
-"""Maps made elsewhere: files -> checked statements. The story begins in `imported_rows.py`."""
+"""Maps made elsewhere: files -> checked statements. Start with `imported_rows.py`."""

@@ -150,7 +150,7 @@ class _Rows:
         return InputError(f"{self.table.path}, row {index + 1}: {what}; nothing was written")
 
     def values(self, index: int) -> dict[str, Any]:
-        """By column, without empty cells; `height_m` under its newer name too."""
+        """Values by column, without empty cells; `height_m` is also accepted under its newer name."""
         values = {name: column[index] for name, column in self.table.columns.items() if column[index] is not None}
         if "object_height_m" in values:
             values.setdefault("height_m", values["object_height_m"])
@@ -213,7 +213,7 @@ class _Rows:
         )
 
     def stated(self, values: Mapping[str, Any]) -> tuple[UUID | None, int | None]:
-        """Feature id and version of a row, by which an own export is recognised; None for what is none."""
+        """Feature id and version of a row, by which our own export is recognised; None where they are missing or invalid."""
         try:
             stated_id = UUID(str(values["feature_id"]))
         except (KeyError, ValueError):

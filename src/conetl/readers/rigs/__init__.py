@@ -40,7 +40,7 @@ _READERS: dict[Format, Callable[..., Rig]] = {
     "opencv": read_opencv_rig, "matlab": read_matlab_rig, "zed": read_zed_rig, "oak": read_oak_rig,
     "metashape": read_metashape_rig,
 }  # fmt: skip
-#: What readers take besides the path, by how messages call it.
+#: Names in messages of the options that readers have besides the path.
 _CALLED = {"image_size": "image size", "length_unit": "unit", "pair": "pair of cameras"}
 #: Writers by format; that of ROS takes a folder, the others a file.
 WRITERS: dict[str, Callable[[Rig, Path], None]] = {

@@ -66,7 +66,7 @@ class Node(NamedTuple):
     path: Path
     value: Any
     key: str = ""
-    """With the keys above it."""
+    """Its key, with the keys above it."""
 
     def bad(self, text: str) -> CalibrationError:
         """The error for this value."""

@@ -2,7 +2,7 @@
 
 `x_velo = velo_SE3_imu x_imu` (calib_imu_to_velo), `x_cam0 = cam0_SE3_velo x_velo` (calib_velo_to_cam), `x_rect = R_rect_00
 x_cam0` and `P_rect_0i = K_i [I | t_i]` in the rectified frame of camera 0. Camera i therefore sits at `-t_i` with `t_i = K_i^-1
-p4`, all three components: in P_rect_02 and P_rect_03 ty and tz are not zero. Of the raw pair `x_cam_i = R_0i x_cam0 + T_0i`.
+p4`, all three components: in P_rect_02 and P_rect_03 ty and tz are not zero. For the raw pair `x_cam_i = R_0i x_cam0 + T_0i`.
 """
 
 from __future__ import annotations
@@ -145,6 +145,6 @@ def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Floats]:
 
 
 def _lines(path: Path) -> dict[str, str]:
-    """What follows the colon, by key; of a repeated key the first."""
+    """The text after the colon, by key; for a repeated key the first."""
     parts = [line.partition(":") for line in reversed(read_limited(path).splitlines())]
     return {key.strip(): rest for key, colon, rest in parts if colon}

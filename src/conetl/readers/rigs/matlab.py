@@ -28,7 +28,7 @@ from conetl.model.errors import CalibrationError
 from conetl.model.rig import Camera, Rig
 from conetl.readers.rigs.common import Node, Size, camera_from_matrix, opencv_coefficients, opencv_lens, stereo_rig
 
-#: What to add to a camera matrix: MATLAB's first pixel is (1, 1), ours (0, 0).
+#: Added to a camera matrix: MATLAB's first pixel is (1, 1), ours (0, 0).
 _ORIGIN = np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 0]])
 #: Types of data elements in .mat files, and classes of matrices.
 _MATRIX, _COMPRESSED = 14, 15

@@ -136,7 +136,7 @@ class _RigFile(Record):
         return self
 
     def covariance(self) -> CalibrationCovariance | None:
-        """Of the parameters in the units of their names. Raises ValueError for unknown names."""
+        """Covariance of the parameters in the units of their names. Raises ValueError for unknown names."""
         covariance = self.calibration_covariance
         if self.sigmas is not None:
             converted: dict[str, float] = {}

@@ -27,10 +27,10 @@ from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Reading,
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 UNSTATED_HEIGHT_SIGMA_M = 100.0
-"""Of heights that may be ellipsoidal or above the sea: the geoid is up to 107 m from the ellipsoid."""
+"""Sigma of heights that may be ellipsoidal or above the sea: the geoid is up to 107 m from the ellipsoid."""
 _NOMINAL_M = 2.0
 """Datum shifts without a grid that PROJ states to be at least this accurate (ETRS89 or NAD83 to WGS 84, 1 to 2 m) are names of
-one and the same frame for the receivers of a region; their accuracy is not added to the sigmas."""
+the same frame for the receivers of a region; their accuracy is not added to the sigmas."""
 _YEAR_NS = 365.2425 * 86400e9
 _GRID_SUFFIXES = (".tif", ".gtx")
 

@@ -27,7 +27,7 @@ _VALUES = frozenset({"ele", "time", "geoidheight"})
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The points of a file. Raises DriveFolderError where it is no XML or has a document type."""
+    """The points of a file. Raises DriveFolderError where it is not XML or has a document type."""
     stated = b"geoidheight>" in head_bytes(path).lower()
     records = _records(path, settings, add_geoid=stated and settings.heights is None)
     return Reading(records, heights="ellipsoidal" if stated else "unstated")

@@ -31,7 +31,7 @@ SIGMAS_OF_QUALITY_M = {1: (5.0, 10.0), 2: (2.0, 4.0), 3: (5.0, 10.0), 4: (0.05, 
 """Sigmas (horizontal, up) without GST by the quality of GGA: autonomous, differential, PPS, RTK fixed, RTK float, SBAS (NovAtel).
 They are multiplied by HDOP where it is above 1."""
 HEADING_SIGMA_DEG = 1.0
-"""Of HDT and THS, which state none: two antennas half a metre apart."""
+"""Sigma of HDT and THS, which state none: two antennas half a metre apart."""
 LATE_NS = 60 * SECOND_NS
 """Sentences of one day come no later among those of the next; a later time of day after a gap is of the same day."""
 _NO_FIX = {

@@ -1,4 +1,4 @@
-"""What every reader of a trajectory file gives, and the checks that all of them share."""
+"""The result of every reader of a trajectory file, and the checks that all readers share."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class RecordedTrajectory(NamedTuple):
     """The valid records of one file in the order of their time, and what is wrong with the others."""
 
     name: str
-    """Of the file, for messages."""
+    """Name of the file, for messages."""
     times_ns: Times
     """(N,) UTC nanoseconds since 1970, strictly rising."""
     positions: Floats
@@ -68,7 +68,7 @@ class Records(NamedTuple):
     wrong: dict[int, str]
     """What is wrong with some of them, by index."""
     names: Iterable[str] | None = None
-    """Of the records in messages, such as `line 12`."""
+    """Names of the records in messages, such as `line 12`."""
 
 
 class Reading(NamedTuple):
@@ -79,7 +79,7 @@ class Reading(NamedTuple):
     heights: Heights = "ellipsoidal"
     """What the file says of its heights."""
     yaw_column: str | None = None
-    """Of a table whose yaw counts from east, counter-clockwise, as far as its name says."""
+    """The column of a table whose yaw, by its name, counts counter-clockwise from east."""
 
 
 def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:
@@ -158,7 +158,7 @@ def assembled(
         bad[time_ns] = "a second record of this time"
     if not first.all():
         _require_one_receiver(path, kept, order, first, is_local)
-    # Of most files all records stay where they are, and need no copy.
+    # In most files all records are in order already, and need no copy.
     keep: Any = slice(None) if first.all() and bool(np.all(np.diff(times) > 0)) else order[first]
     positions = np.concatenate([piece.positions for piece in kept])[keep]
     sigma = np.concatenate([piece.sigma for piece in kept])[keep]

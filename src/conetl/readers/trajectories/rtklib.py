@@ -100,7 +100,7 @@ def _by_quality(values: Mapping[str, Floats], found: Records) -> Records:
 
 
 def _of_ecef(values: Mapping[str, Floats], found: Records) -> Records:
-    """With sigmas of east, north, up of the covariance of x, y, z, whose roots RTKLIB writes with their signs."""
+    """With sigmas of east, north, up from the covariance of x, y, z, whose roots RTKLIB writes with their signs."""
     if "sdx" in values:
         order = [["sdx", "sdxy", "sdzx"], ["sdxy", "sdy", "sdyz"], ["sdzx", "sdyz", "sdz"]]
         none = np.zeros(len(found.times_ns))

@@ -49,16 +49,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
         raise DriveFolderError(f"{path}: the file is empty; expected records of {RECORD_BYTES} bytes")
     start = rows[:100, 0]
     first = [repr(float(value)) for value in start[np.isfinite(start)]]
-    clock = common_clock(
-        first,
-        "time",
-        path,
-        scale=settings.scale("gps"),
-        unit="s",
-        has_week=False,
-        week=settings.week,
-        day=settings.date,
-    )
+    clock = common_clock(first, "time", path, settings, scale="gps", unit="s")
     if clock.kind not in {"week", "day"} or clock.scale not in {"gps", "UTC"}:
         raise DriveFolderError(
             f"{path}: its times are seconds of a GPS week or of a day, of GPS time or UTC; found {first[:1]}"

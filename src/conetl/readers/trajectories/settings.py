@@ -15,7 +15,7 @@ FormatName = Literal["rtklib", "sbet", "inertial_explorer", "nmea", "gpx", "oxts
 
 
 def known_zone(name: str, what: str = "a time zone; expected a name such as UTC or Europe/Berlin") -> str:
-    """The same name. Raises ValueError, saying that it is not `what`, where it is no time zone's."""
+    """The same name. Raises ValueError, which says that it is not `what`, where there is no such time zone."""
     try:
         ZoneInfo(name)
     except (KeyError, ValueError, OSError) as error:

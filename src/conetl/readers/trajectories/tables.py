@@ -48,7 +48,7 @@ class Column(NamedTuple):
     factor: float = 1.0
     """From its unit to metres or degrees."""
     unit: str | None = None
-    """Of a time."""
+    """Unit of a time."""
     dms: bool = False
     """Degrees, minutes and seconds: three values."""
 
@@ -57,7 +57,7 @@ class TableLayout(NamedTuple):
     """Where the records of a file are, and what they consist of."""
 
     columns: Mapping[str, Column]
-    """By our name."""
+    """By our names."""
     axes: Axes
     first_line: int
     """Number of the line of the first record, from 1."""
@@ -66,7 +66,7 @@ class TableLayout(NamedTuple):
     comma: bool = False
     """Decimals are after a comma."""
     scale: str = "UTC"
-    """Of times unless the settings name another: `gps` or a time zone; `""`: gps for times of a week, else UTC; `?`: the same,
+    """Time scale, unless the settings name another: `gps` or a time zone; `""`: gps for times of a week, else UTC; `?`: the same,
     but dates and times since 1970 need the settings, as the column's name speaks of GPS."""
     time_words: int = 1
     """Values that make up a time: 2 for `2024/02/07 12:00:00.000` where any white space is a delimiter."""
@@ -132,9 +132,8 @@ def _clock(
     column = layout.columns["time"]
     by_kind = layout.scale in {"", "?"}
     clock = common_clock(
-        (word for i, word in enumerate(words) if i not in short and word), column.name, path,
-        scale=settings.scale("UTC" if by_kind else layout.scale), unit=column.unit, has_week="week" in layout.columns,
-        week=settings.week, day=settings.date,
+        (word for i, word in enumerate(words) if i not in short and word), column.name, path, settings,
+        scale="UTC" if by_kind else layout.scale, unit=column.unit, has_week="week" in layout.columns,
     )  # fmt: skip
     if by_kind and settings.time is None:
         if clock.kind == "week":

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.errors import DriveFolderError
+from conetl.readers.trajectories.settings import TrajectoryFile
 
 Times = NDArray[np.int64]
 
@@ -59,7 +60,7 @@ _STAMP = re.compile(
 
 
 def clock_problem(time_ns: int, earliest_ns: int = EARLIEST_NS) -> str | None:
-    """What is wrong with the clock of a time, None where nothing is. To be put after "the time"."""
+    """What is wrong with the clock of a time, None where nothing is; it continues a sentence that begins with "the time"."""
     if time_ns < earliest_ns:
         year = np.datetime64(earliest_ns, "ns").astype("datetime64[Y]")
         return f"is before {year}: the clock was not set, or its GPS week rolled over (1024 weeks too early)"
@@ -69,7 +70,7 @@ def clock_problem(time_ns: int, earliest_ns: int = EARLIEST_NS) -> str | None:
 
 
 def misplaced(stamps_ns: Mapping[int, int]) -> dict[int, str]:
-    """What is wrong with the times of some frames, by number: the clock, else the order. To be put after "the time"."""
+    """What is wrong with the times of some frames, by number: the clock, else the order; as `clock_problem`."""
     wrong = wrong_clocks(stamps_ns)
     for number in out_of_order({number: stamp for number, stamp in stamps_ns.items() if number not in wrong}):
         wrong[number] = "does not rise with the order of recording"
@@ -195,9 +196,9 @@ class TimeFormat(NamedTuple):
     kind: Literal["stamp", "unix", "gps seconds", "week", "day"]
     """Text, seconds since 1970, since 1980-01-06, of a GPS week, of a day."""
     digits: int = 9
-    """Of the unit, as in `decimal_ns`."""
+    """Decimal digits of the unit, as in `decimal_ns`."""
     week: int | None = None
-    """Of times of a week without a week of their own; counted from 1980-01-06 without rollover."""
+    """GPS week of times without a week column; counted from 1980-01-06 without rollover."""
     day: date | None = None
     order: Literal["dmy", "mdy"] | None = None
 
@@ -217,19 +218,19 @@ class TimeFormat(NamedTuple):
 
 
 def common_clock(
-    words: Iterable[str], name: str, path: object, *, scale: str, unit: str | None, has_week: bool, week: int | None,
-    day: date | None,
+    words: Iterable[str], name: str, path: object, settings: TrajectoryFile, *, scale: str, unit: str | None,
+    has_week: bool = False,
 ) -> TimeFormat:  # fmt: skip
     """The clock of most of the first values of a column: one of them may be damaged. Raises DriveFolderError.
 
-    name: of the column, for messages; unit: s, ms, us or ns where that name states it; has_week: there is a column of GPS weeks;
-    week, day: as the settings state them.
+    name: of the column, for messages; scale: unless the settings state another; unit: s, ms, us or ns if the column's name states
+    it; has_week: whether there is a column of GPS weeks.
     """
     found: Counter[TimeFormat] = Counter()
     problem = " has no values"
     for word in islice(words, _VOTES):
         try:
-            found[_clock_of(word, scale, unit, has_week, week, day)] += 1
+            found[_clock_of(word, settings.scale(scale), unit, has_week, settings)] += 1
         except ValueError as error:
             problem = f": {error}"
     if not found:
@@ -237,9 +238,7 @@ def common_clock(
     return found.most_common(1)[0][0]
 
 
-def _clock_of(
-    first: str, scale: str, unit: str | None, has_week: bool, week: int | None, day: date | None
-) -> TimeFormat:
+def _clock_of(first: str, scale: str, unit: str | None, has_week: bool, settings: TrajectoryFile) -> TimeFormat:
     """The clock of one value. Raises ValueError where it cannot be known."""
     try:
         number = float(first)
@@ -249,9 +248,9 @@ def _clock_of(
     for digits in [units[unit]] if unit else units.values():
         seconds = number / 10.0 ** (9 - digits)
         if 0 <= seconds < 2 * 604_800 and (has_week or digits == 9 or unit):
-            if has_week or (week is not None and day is None):
-                return TimeFormat(scale, "week", digits, week)
-            return _clock_of_day(seconds, scale, digits, day)
+            if has_week or (settings.week is not None and settings.date is None):
+                return TimeFormat(scale, "week", digits, settings.week)
+            return _clock_of_day(seconds, scale, digits, settings.date)
         if not has_week and 6e8 < seconds < 4.2e9:
             return TimeFormat(scale, "gps seconds" if scale == "gps" else "unix", digits)
     raise ValueError(
@@ -326,7 +325,7 @@ def time_reader(clock: TimeFormat) -> TimeReader:
 
 
 def _local_ns(wall_ns: int, zone: str) -> int:
-    """UTC nanoseconds of a clock on the wall of a time zone, as nanoseconds since 1970."""
+    """UTC nanoseconds of the local time of a zone, which counts nanoseconds since 1970."""
     wall = datetime.fromtimestamp(wall_ns // (60 * SECOND_NS) * 60, UTC)
     minute = _minute_ns(wall.year, wall.month, wall.day, wall.hour, wall.minute, None, zone)
     return minute + wall_ns % (60 * SECOND_NS)
