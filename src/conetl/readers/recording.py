@@ -50,9 +50,10 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
             "ingest it when it is complete"
         )
     if found == "plain":
-        couples = _Couples(root / "left", root / "right")
-        rows = Rows(root / TRAJECTORY)
-        return ArrivingPlain(root=root, settings=read_drive_yaml(root), couples=couples, rows=rows)
+        couples, path = _Couples(root / "left", root / "right"), root / TRAJECTORY
+        return ArrivingPlain(
+            root=root, settings=read_drive_yaml(root), couples=couples, rows=Rows(path), file=GrowingFile(path)
+        )
     settings = read_drive_yaml(root)
     if not (root / settings.cameras.left).is_dir():
         return None
@@ -138,18 +139,16 @@ class ArrivingPlain(_Arriving):
 
     rows: Rows
     """Those that are complete so far."""
-    _offset: int = 0
+    file: GrowingFile
+    """trajectory.csv"""
+    _line_count: int = 0
+    """Lines that are in `rows`."""
 
     def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
         """Raises DriveFolderError where trajectory.csv has wrong columns."""
-        if self.rows.path.exists():
-            with self.rows.path.open("rb") as file:
-                file.seek(self._offset)
-                data = file.read()
-            end = data.rfind(b"\n") + 1
-            if end:
-                self._offset += end
-                self.rows.add(data[:end].decode("utf-8-sig", errors="replace"))
+        if lines := self.file.lines(self._line_count):
+            self._line_count += len(lines)
+            self.rows.add(b"".join(line + b"\n" for line in lines).decode("utf-8-sig", errors="replace"))
         return self.couples.new(changed)
 
     def order(self, pair: ArrivingPair) -> tuple[int, str]:
@@ -175,8 +174,8 @@ class ArrivingPlain(_Arriving):
 
 
 @dataclass
-class ArrivingStamps:
-    """timestamps.txt of a KITTI folder: its lines so far (36,000 of an hour's drive, and each pair requires up to four)."""
+class GrowingFile:
+    """A text file that is being written: its lines so far (timestamps.txt of an hour has 36,000; a pair requires up to four)."""
 
     path: Path
     _lines: list[bytes] = field(default_factory=list)
@@ -188,6 +187,11 @@ class ArrivingStamps:
         if number >= len(self._lines):
             self._read_on()
         return self._lines[number].decode("utf-8", errors="replace") if number < len(self._lines) else None
+
+    def lines(self, first: int) -> list[bytes]:
+        """The complete lines from line `first` on."""
+        self._read_on()
+        return self._lines[first:]
 
     def _read_on(self) -> None:
         """Read what was appended, or the whole file if it was replaced or truncated."""
@@ -210,7 +214,7 @@ class ArrivingKitti(_Arriving):
 
     folder: Path
     """As the user named it: the calibration may be beside it."""
-    _stamps: dict[str, ArrivingStamps] = field(default_factory=dict)
+    _stamps: dict[str, GrowingFile] = field(default_factory=dict)
     """By the file's name."""
 
     def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
@@ -275,7 +279,7 @@ class ArrivingKitti(_Arriving):
 
     def _time(self, name: str, number: int) -> int | None:
         """UTC nanoseconds of line `number`; None until it is complete."""
-        line = self._stamps.setdefault(name, ArrivingStamps(self.root / name)).line(number)
+        line = self._stamps.setdefault(name, GrowingFile(self.root / name)).line(number)
         if line is None:
             return None
         try:

@@ -63,18 +63,12 @@ def prism(outline_m: ArrayLike, thickness_m: float) -> Mesh:
     outline = np.asarray(outline_m, dtype=float)
     count = len(outline)
     uv = (outline - outline.min(axis=0)) / np.ptp(outline, axis=0)
-    parts_v, parts_n, parts_uv, triangles = [], [], [], []
     fan = np.array([[0, k, k + 1] for k in range(1, count - 1)])
-    for number, x in enumerate((-thickness_m / 2, thickness_m / 2)):
-        parts_v.append(np.column_stack([np.full(count, x), outline]))
-        parts_n.append(np.tile([np.sign(x), 0.0, 0.0], (count, 1)))
-        parts_uv.append(uv if number else uv * [-1.0, 1.0] + [1.0, 0.0])
-        triangles.append(fan + number * count)
     return Mesh(
-        np.concatenate(parts_v),
-        np.concatenate(parts_n),
-        np.concatenate(parts_uv),
-        np.concatenate(triangles).astype(np.int32),
+        np.concatenate([np.column_stack([np.full(count, x), outline]) for x in (-thickness_m / 2, thickness_m / 2)]),
+        np.repeat([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], count, axis=0),
+        np.concatenate([uv * [-1.0, 1.0] + [1.0, 0.0], uv]),
+        np.concatenate([fan, fan + count]).astype(np.int32),
     )
 
 

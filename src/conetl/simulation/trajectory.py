@@ -125,17 +125,12 @@ def oxts_records(positions_m: Floats, rpy_grid_rad: Floats, times_s: Floats) -> 
     body_force = turns.inv().apply(force)
     unwrapped = np.unwrap(rpy, axis=0)
     rates = np.gradient(np.column_stack([_smooth(column, times_s) for column in unwrapped.T]), times_s, axis=0)
-    records = []
-    for n in range(len(positions_m)):
-        fwd, left, up = body_force[n]
-        wx, wy, wz = rates[n]
-        records.append(
-            [
-                lat[n], lon[n], positions_m[n, 2], *rpy[n], north[n], east[n], body_velocity[n, 0], body_velocity[n, 1],
-                velocity[n, 2], fwd, left, up, fwd, left, up, wx, wy, wz, wx, wy, wz, POS_ACCURACY_M, 0.03, 4, 14, 6, 6, 6,
-            ]
-        )  # fmt: skip
-    return [[float(value) for value in record] for record in records]
+    quality = np.tile([POS_ACCURACY_M, 0.03, 4, 14, 6, 6, 6], (len(lat), 1))
+    records: list[list[float]] = np.column_stack([
+        lat, lon, positions_m[:, 2], rpy, north, east, body_velocity[:, :2], velocity[:, 2], body_force, body_force, rates, rates,
+        quality,
+    ]).tolist()  # fmt: skip
+    return records
 
 
 def _smooth(values: Floats, times_s: Floats) -> Floats:

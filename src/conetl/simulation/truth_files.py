@@ -126,7 +126,7 @@ def _scan(seed: int) -> tuple[Floats, NDArray[np.uint16]]:
     rng = np.random.default_rng([seed, 99])
     directions = _directions()
     found: list[Floats] = []
-    bright: list[Floats] = []
+    bright: list[float] = []
     for x in np.arange(scenario.start_x_m - 8.0, scenario.end_x_m + 25.0, _SCAN_EVERY_M):
         origin = np.array([x, -1.0, _SCANNER_HEIGHT_M])
         for direction in directions:
@@ -136,12 +136,11 @@ def _scan(seed: int) -> tuple[Floats, NDArray[np.uint16]]:
                 continue
             reach = float(hit.t) + rng.normal(0.0, _RANGE_SIGMA_M)
             found.append(origin + reach * direction)
-            colour = hit.bsdf().eval_diffuse_reflectance(hit)
-            bright.append(np.array([float(np.mean(np.array(colour)))]))
+            bright.append(float(np.mean(np.array(hit.bsdf().eval_diffuse_reflectance(hit)))))
     road = np.array(found)
     first = first_in_voxels(road, _VOXEL_M)
     motion = map_SE3_road()
-    intensity = np.clip(np.rint(np.concatenate(bright) * 255.0 / 0.8), 0, 255).astype(np.uint16)
+    intensity = np.clip(np.rint(np.array(bright) * 255.0 / 0.8), 0, 255).astype(np.uint16)
     return road[first] @ motion[:3, :3].T + motion[:3, 3], intensity[first]
 
 

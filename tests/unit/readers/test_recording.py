@@ -13,7 +13,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.pairs import PairError
-from conetl.readers.recording import ArrivingPair, ArrivingPlain, ArrivingStamps, open_arriving
+from conetl.readers.recording import ArrivingPair, ArrivingPlain, GrowingFile, open_arriving
 from tests.arriving_drives import SAMPLE, append, begin, image, kitti_head, row, write_images
 
 SRID = 32632
@@ -97,7 +97,7 @@ def test_a_known_name_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_stamps_are_read_once(tmp_path: Path) -> None:
     path = tmp_path / "timestamps.txt"
-    stamps = ArrivingStamps(path)
+    stamps = GrowingFile(path)
     assert stamps.line(0) is None and not path.exists()
     path.write_bytes(b"first\r\nsec")
     assert (stamps.line(0), stamps.line(1)) == ("first\r", None)

@@ -10,11 +10,9 @@ from typing import BinaryIO
 import laspy
 import lazrs  # type: ignore[import-untyped]
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from conetl.files.documents import MAX_SHOWN, named
-from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.point_tiles import Cloud
 
@@ -70,17 +68,12 @@ def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
             withheld = getattr(chunk, "withheld", None)
             if withheld is not None:
                 keep &= ~np.asarray(withheld, bool)
-            yield Cloud(xyz[keep], _shade(intensity, brightest)[keep])
+            shade = intensity / brightest * 255 if brightest > 0 else np.full(len(intensity), _PLAIN_SHADE)
+            yield Cloud(xyz[keep], np.clip(np.rint(shade[keep]), 0, 255).astype(np.uint8))
     if read != expected:
         raise InputError(
             f"{path}: the header states {expected:,} points, the file has {read:,}. It is truncated or damaged: copy it again"
         )
-
-
-def _shade(intensity: Floats, brightest: float) -> NDArray[np.uint8]:
-    if brightest <= 0:
-        return np.full(len(intensity), _PLAIN_SHADE, np.uint8)
-    return np.clip(np.rint(intensity / brightest * 255), 0, 255).astype(np.uint8)
 
 
 @contextmanager

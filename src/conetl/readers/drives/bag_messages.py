@@ -44,13 +44,13 @@ from conetl.readers.drives.ros1_reader import BoundedReader
 METADATA = "metadata.yaml"
 ROS1_SUFFIX = ".bag"
 
-#: OpenCV names Bayer patterns from another pixel than ROS does (REP 118, cv_bridge).
-_TO_BGR: dict[str, int | None] = {
-    "bgr8": None, "8UC3": None, "mono8": None, "8UC1": None, "rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR,
-    "bgra8": cv2.COLOR_BGRA2BGR, "bayer_rggb8": cv2.COLOR_BayerBG2BGR, "bayer_bggr8": cv2.COLOR_BayerRG2BGR,
-    "bayer_gbrg8": cv2.COLOR_BayerGR2BGR, "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
+#: Channels, and the conversion to BGR. OpenCV names Bayer patterns from another pixel than ROS does (REP 118, cv_bridge).
+_ENCODINGS: dict[str, tuple[int, int | None]] = {
+    "bgr8": (3, None), "8UC3": (3, None), "mono8": (1, None), "8UC1": (1, None), "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR), "bgra8": (4, cv2.COLOR_BGRA2BGR), "bayer_rggb8": (1, cv2.COLOR_BayerBG2BGR),
+    "bayer_bggr8": (1, cv2.COLOR_BayerRG2BGR), "bayer_gbrg8": (1, cv2.COLOR_BayerGR2BGR),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGB2BGR),
 }  # fmt: skip
-_CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "rgba8": 4, "bgra8": 4}
 
 #: Characters of a topic's name; DDS has no longer ones, and messages quote them.
 MAX_TOPIC = 255
@@ -254,13 +254,13 @@ def image_bytes(content: Any, name: str) -> bytes:
     if not hasattr(content, "encoding"):
         return data.tobytes()
     encoding = str(content.encoding)
-    if encoding not in _TO_BGR:
+    if encoding not in _ENCODINGS:
         raise PairError(
             RejectionReason.IMAGE_UNREADABLE,
-            f"{name}: the encoding '{encoding}' is not supported; known: {', '.join(_TO_BGR)}, and "
+            f"{name}: the encoding '{encoding}' is not supported; known: {', '.join(_ENCODINGS)}, and "
             "JPEG or PNG in a CompressedImage",
         )
-    channels = _CHANNELS.get(encoding, 1)
+    channels, code = _ENCODINGS[encoding]
     height, width, step = int(content.height), int(content.width), int(content.step)
     if height < 1 or step < width * channels or width < 1 or data.size < height * step:
         raise PairError(
@@ -269,7 +269,6 @@ def image_bytes(content: Any, name: str) -> bytes:
         )
     rows = data[: height * step].reshape(height, step)[:, : width * channels]
     pixels: NDArray[np.uint8] = np.ascontiguousarray(rows.reshape(height, width, channels))
-    code = _TO_BGR[encoding]
     image = pixels if code is None else cv2.cvtColor(pixels, code)
     done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not done:

@@ -44,7 +44,7 @@ from conetl.readers.drives.pairs import (
 from conetl.readers.drives.poses import attitude_sigmas, checked_srid, position_sigmas, to_pose, wild_fixes
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
-from conetl.readers.trajectories.times import misplaced, parse_timestamp, stamp_or_problem
+from conetl.readers.trajectories.times import misplaced, stamp_or_problem
 
 NAME, TITLE = "plain", "plain folder"
 READS_OBJECTS = True
@@ -237,7 +237,5 @@ def pose_of_row(row: Row, srid: int, settings: Sigmas) -> Pose:
 
 def time_of_row(row: Row, zone: str) -> int | str:
     """UTC nanoseconds, or what is wrong."""
-    try:
-        return parse_timestamp(row.captured_at, zone)
-    except ValueError as error:
-        return f"{TRAJECTORY}: captured_at of '{row.stem}': {error}"
+    stamp = stamp_or_problem(row.captured_at, zone)
+    return stamp if isinstance(stamp, int) else f"{TRAJECTORY}: captured_at of '{row.stem}': {stamp}"
