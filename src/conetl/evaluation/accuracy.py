@@ -233,8 +233,7 @@ def select(errors: PointErrors, keep: Bools) -> PointErrors:
 
 
 def given_others(errors: PointErrors, chosen: Bools) -> PointErrors:
-    """The errors of a mask (N,) less what the others of the drive show of the common errors (the conditional distribution, e.g.
-    Koch 1999, ch. 2.5.3).
+    """The errors of a mask (N,), given the others of the drive (the conditional distribution, e.g. Koch 1999, ch. 2.5.3).
 
     So the error of GNSS/INS, one draw for the whole drive, does not count again for each class. Errors common to the chosen ones
     alone stay common; of the rest, what the others leave unknown becomes part of their own.
@@ -256,7 +255,7 @@ def drive_consistency(*drives: PointErrors) -> Consistency | None:
     """NEES of all errors of a drive, with its relative and common part; None without errors.
 
     Of several drives together, each with its own common errors. One drive in twenty is outside of a 95 % band by chance, and has
-    few common errors: judge a campaign by the sum.
+    few common errors: assess a campaign by the sum.
     """
     return pooled(
         consistency(errors.difference_m, errors.own_cov_m2, errors.common_jacobian, errors.common_cov)

@@ -172,7 +172,7 @@ def compare_with_truth(
 
 
 def by_extent(truth: Sequence[TruthCone], found: Sequence[Found]) -> tuple[list[Found], list[Found]]:
-    """Features without a cone of the truth: false ones in the area that was surveyed, and those outside, which are not judged.
+    """Features without a cone of the truth: false ones in the area that was surveyed, and those outside, which are not counted.
 
     The area is the convex hull of the truth, and 2 m around it.
     """

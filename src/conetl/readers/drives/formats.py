@@ -28,7 +28,7 @@ from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.rigs.common import Pair, rectified_rig
 from conetl.readers.trajectories.times import misplaced
 
-#: Images per side whose size is part of the header: a drive delivered again with other images is another drive.
+#: Images per side whose size is part of the header: a drive that is copied again with other images is another drive.
 SAMPLED_IMAGES = 16
 #: Pose files, or pieces of a trajectory, that are part of the header: corrected poses often have as many digits.
 SAMPLED_POSES = 16

@@ -1,4 +1,4 @@
-"""Plain drive folders: the least that a two-camera rig with a trajectory can deliver.
+"""Plain drive folders: the minimum for a two-camera rig with a trajectory.
 
     drive/left/*.{jpg,png}, drive/right/*.{jpg,png}   images as rig.yaml describes them, the same stem for both of a pair
     drive/trajectory.csv                              one row per pair, the pose of the body at the exposure, see `Row`

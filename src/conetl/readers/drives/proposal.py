@@ -67,7 +67,7 @@ class Question(NamedTuple):
     text: str
     default: str | None = None
     cause: str | None = None
-    """Why it is asked."""
+    """The reason for the question."""
 
 
 class Proposal(NamedTuple):
@@ -82,7 +82,7 @@ class Proposal(NamedTuple):
 
 
 def propose(root: Path, answers: Mapping[str, str]) -> Proposal:
-    """The settings of a drive folder. answers: by `Question.key`; what they settle is not asked again.
+    """The settings of a drive folder. answers: by `Question.key`; questions that they answer are left out.
 
     Raises DriveFolderError where there is nothing to make a drive of, InputError for an answer that does not fit.
     """

@@ -105,7 +105,7 @@ def untwist(points_velo_m: Floats, velocity_velo_m_s: Floats, turn_rate_rad_s: f
     """Points (N, 3) of one turn of the scanner, moved to their positions at the time when it pointed straight ahead.
 
     velocity_velo_m_s: (3,) of the scanner over ground, in its own frame (x forward, y left, z up); turn_rate_rad_s: of the
-    car about z, counter-clockwise; period_s: of one counter-clockwise turn. A point to the left was taken later, from farther on.
+    car about z, counter-clockwise; period_s: of one counter-clockwise turn. A point to the left was taken later.
     """
     later = np.arctan2(points_velo_m[:, 1], points_velo_m[:, 0]) / (2 * np.pi) * period_s
     turn = turn_rate_rad_s * later

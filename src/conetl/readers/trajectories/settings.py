@@ -46,7 +46,7 @@ class TrajectoryFile(Record):
     frame: str | None = Field(default=None, min_length=1, max_length=100)
     """Dynamic frame of the positions at the times of the records, such as ITRF2020 ..."""
     map_frame: str | None = Field(default=None, min_length=1, max_length=100)
-    """... and that of the map's coordinates, such as ETRF2000; without both they are taken as one and the same."""
+    """... and that of the map's coordinates, such as ETRF2000; without both they are taken as the same."""
     angles: Literal["degrees", "radians"] | None = None
 
     @field_validator("time")
