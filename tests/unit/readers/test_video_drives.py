@@ -447,7 +447,7 @@ def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: 
     (copy / "stereo.yml").write_text(text)
     (copy / "right.mp4").unlink()
     made = init(copy)
-    assert "--layout: How do" in str(made.exception) and "--rig" not in str(made.exception)
+    assert "--layout: Where are" in str(made.exception) and "--rig" not in str(made.exception)
     assert "stereo.yml" not in made.output
 
 
@@ -613,7 +613,7 @@ def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_
     (copy / "drive.yaml").unlink()
     (copy / "GX01_R.mp4").unlink()
     made = init(copy, *options)
-    assert "--layout: How do" in str(made.exception) and "--rig" not in str(made.exception)
+    assert "--layout: Where are" in str(made.exception) and "--rig" not in str(made.exception)
     (copy / "GX01_L.mp4").unlink()
     write_rig_yaml(rig.model_copy(update=wrong), copy / "rig.yaml")
     made = init(copy, "--mount", "1,0,1")
