@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from itertools import tee
 from math import ceil
 from pathlib import Path
@@ -19,7 +20,7 @@ from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair, StereoMatch
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
-from conetl.model.rig import Rig, Side
+from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.stereo_check import check_lost_parts
 from conetl.perception.visual_odometry import follow_drive, follow_spans
@@ -76,11 +77,12 @@ def odometry(chunk: Chunk, part: int, tick: Tick | None = None) -> Odometry:
         (tick or ignore)(len(pairs) - 1)
     else:
         set_up_worker()
-        # One after the other, so that the images that end a span are still in memory.
-        tracks, all_tracks = tee(_followed(own, tick))
+        # One after the other: a span ends at the pair that was followed last, whose decoded images it gets.
+        read = lru_cache(maxsize=len(SIDES))(grey_reader(rig, pairs))
+        tracks, all_tracks = tee(_followed(own, read, tick))
         moves, all_moves = tee(motions_of(tracks, pairs, rig, params))
         spans = choose_spans(moves, params.self_calibration_span_m)
-        found = list(follow_spans(spans, pairs, rig, grey_reader(rig), span_params(params)))
+        found = list(follow_spans(spans, pairs, rig, read, span_params(params)))
         save_result(folder, _tracks_key(own), list(all_tracks), [])
         save_result(folder, _motions_key(own, rig), list(all_moves), [])
         save_result(folder, key, found, [])
@@ -96,7 +98,7 @@ def follow(chunk: Chunk, part: int, tick: Tick | None = None) -> Iterator[None]:
         return
     set_up_worker()
     found: list[StereoTracks] = []
-    for tracks in _followed(own, tick):
+    for tracks in _followed(own, grey_reader(own.rig, own.frame_pairs), tick):
         found.append(tracks)
         yield
     save_result(chunk.results_folder, key, found, [])
@@ -135,10 +137,9 @@ def _part(chunk: Chunk, part: int) -> Chunk:
     return chunk.model_copy(update={"frame_pairs": pairs})
 
 
-def _followed(own: Chunk, tick: Tick | None) -> Iterator[StereoTracks]:
+def _followed(own: Chunk, read: ImageReader, tick: Tick | None) -> Iterator[StereoTracks]:
     """Points between the frame pairs of `_part`."""
-    pairs, rig = own.frame_pairs, own.rig
-    for tracks in follow_drive(pairs, rig, grey_reader(rig, pairs), own.params.trajectory):
+    for tracks in follow_drive(own.frame_pairs, own.rig, read, own.params.trajectory):
         (tick or ignore)(1)
         yield tracks
 

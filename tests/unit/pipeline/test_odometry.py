@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from conetl.geometry.motion.stereo_tracks import motions_of
+from conetl.files.parquet_store import load_result
+from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.perception.visual_odometry import follow_drive
-from conetl.pipeline.chunks import Chunk
+from conetl.pipeline import odometry as steps
+from conetl.pipeline.chunks import Chunk, chunks_of
 from conetl.pipeline.odometry import grey_reader, self_calibrate
+from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.tracking.exposures import check_lost_frames
 from tests.integration.small_drives import SAMPLES
@@ -39,3 +44,19 @@ def test_a_frame_that_both_cameras_lose_or_repeat_is_found(frames: int, named: s
     motions = motions_of(follow_drive(pairs, rig, grey_reader(rig), params), pairs, rig, params)
     check = check_lost_frames(pairs, rig, list(motions), grey_reader(rig), params)
     assert named in check.detail and check.verdict is (Verdict.HOLD if frames else Verdict.PASS)
+
+
+def test_images_at_the_ends_of_spans_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for those of the first span: what it begins with is read again, which drops the images of its end."""
+    (chunk,) = chunks_of(read_drive(SAMPLES[0])[0], Settings(home=tmp_path), IngestParams())
+    decoded: Counter[tuple[int, str]] = Counter()
+    decode = steps.read_pair_image
+
+    def counted(pair: Any, side: Any, *arguments: Any, **options: Any) -> Any:
+        decoded[pair.frame_index, side] += 1
+        return decode(pair, side, *arguments, **options)
+
+    monkeypatch.setattr(steps, "read_pair_image", counted)
+    found = steps.odometry(chunk, 0)
+    assert len(load_result(found.tracks, StereoTracks)[0]) == 20
+    assert {index for (index, _), count in decoded.items() if count > 1} == {0, 2}
