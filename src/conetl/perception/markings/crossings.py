@@ -226,7 +226,8 @@ def _peaks(slope: Grid, least: Floats) -> tuple[Ints, Floats]:
     row, column = np.nonzero(slope[:, 1:-1] >= least)
     a, b, c = (slope[row, column + k].astype(np.float64) for k in range(3))
     highest = (b >= a) & (b > c)
-    row, column, a, b, c = (one[highest] for one in (row, column, a, b, c))
+    row, column = row[highest], column[highest]
+    a, b, c = a[highest], b[highest], c[highest]
     return row, column + 1 + 0.5 * (a - c) / (a - 2 * b + c)
 
 
