@@ -38,6 +38,7 @@ class RejectionReason(StrEnum):
     TOO_FEW_OBSERVATIONS = "too_few_observations"
     NEVER_NEAR = "never_near"
     EXISTENCE_UNLIKELY = "existence_unlikely"
+    MOVING = "moving"
     # images of a calibration board
     PARTNER_MISSING = "partner_missing"
     BOARD_NOT_FOUND = "board_not_found"

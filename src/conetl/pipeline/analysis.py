@@ -32,6 +32,7 @@ from conetl.tracking.exposures import check_doubled, check_exposures
 from conetl.tracking.health import check_calibration
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from conetl.tracking.standing import without_moving
 from conetl.tracking.tracks import fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory
 from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
@@ -127,6 +128,8 @@ def analyse(
             tracks, refused_tracks = executor.run(
                 fuse, drive, detections, matches, positions, params, card.evidence, trajectory
             )
+            tracks, moving = executor.run(keep_standing, drive, matches, tracks, params, trajectory)
+            refused_tracks = [*refused_tracks, *moving]
         points = found.marking_points
         markings = executor.run(mark, drive, points, params, trajectory) if points else []
     refused = [*rejections, *refused_detections, *without_detail, *refused_matches, *refused_positions, *refused_tracks]
@@ -296,3 +299,11 @@ def weigh(
     errors = pose_cov(trajectory, params.trajectory)
     weighed = with_variance_factors(matches, estimate_variance_factors(tracks, matches, drive.rig, poses, errors))
     return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)
+
+
+def keep_standing(
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
+) -> tuple[list[Track], list[Rejection]]:
+    """Tracks of the whole drive without those that moved; see `without_moving`."""
+    errors = pose_cov(trajectory, params.trajectory)
+    return without_moving(tracks, matches, drive.frame_pairs, drive.rig, errors)

@@ -54,13 +54,13 @@ class VarianceFactors(NamedTuple):
     """Of the matching."""
 
 
-class _Cone(NamedTuple):
+class ObservedCone(NamedTuple):
     """The F observations of one track, linearised at its position; axes of length 3 are in the order of the factors."""
 
     residual_px: Floats
     """(F, 3)"""
     design: Floats
-    """(F, 3, 6 + R): derivatives by the cone's position (m), its shared errors and the pose errors (sigmas)"""
+    """(F, 3, 6 + R): derivatives by the cone's position (m), and by its shared errors and the pose errors (sigmas)"""
     stated_px2: Floats
     """(F, 3) variances to which the factors apply"""
     fixed_px2: Floats
@@ -81,13 +81,12 @@ def estimate_variance_factors(
     matches refined in the images, whose shared errors are known, count; with few of them the factors stay near 1.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
-    cones: list[tuple[int, _Cone]] = []
+    cones: list[tuple[int, ObservedCone]] = []
     classes = sorted({track.category for track in tracks})
     for track in tracks:
-        usable = [match_of[member] for member in track.members if _is_usable(match_of[member])]
-        pairs = evenly_spread(usable, _MOST_PAIRS)
+        pairs = usable_pairs(track, match_of)
         if len(pairs) > 1:
-            cone = _cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov)
+            cone = observed_cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov)
             cones.append((classes.index(track.category), cone))
     factors = np.ones((len(classes), 3))
     for _ in range(_MAX_ITERATIONS):
@@ -104,6 +103,12 @@ def estimate_variance_factors(
             break
     factors = np.clip(factors, _SIGMA_BOUNDS[0] ** 2, _SIGMA_BOUNDS[1] ** 2)
     return {category: VarianceFactors(*own) for category, own in zip(classes, factors.tolist(), strict=True)}
+
+
+def usable_pairs(track: Track, match_of: Mapping[tuple[int, int], StereoMatch]) -> list[StereoMatch]:
+    """Matches of a track whose shared errors are known, not too many. match_of: by (frame_index, match_index)."""
+    usable = [match_of[member] for member in track.members if _is_usable(match_of[member])]
+    return evenly_spread(usable, _MOST_PAIRS)
 
 
 def with_variance_factors(
@@ -136,9 +141,10 @@ def _disparity_px(match: StereoMatch) -> float:
     return 2**0.5 * match.sigma_u_px
 
 
-def _cone(
+def observed_cone(
     xyz_m: Floats, pairs: Sequence[StereoMatch], rig: Rig, poses: Mapping[int, Pose], pose_cov: PoseCov | None
-) -> _Cone:
+) -> ObservedCone:
+    """pairs: matches of a track whose shared errors are known. poses, pose_cov: as in `estimate_variance_factors`."""
     stated_poses = [poses[m.frame_index] for m in pairs]
     left, right = (np.stack([pose_of(p, rig) for p in stated_poses]) for pose_of in (map_SE3_left, map_SE3_right))
     # Coordinates around the cone: millimetre corrections on millions of metres would lose digits.
@@ -161,7 +167,7 @@ def _cone(
     if pose_cov is not None:
         by_pose = by_position @ moved_by_poses(np.tile(xyz_m, (len(pairs), 1)), stated_poses)
         design.append(_by_pose_sigmas(by_pose, pose_cov([m.frame_index for m in pairs]), (stated + fixed) ** 0.5))
-    return _Cone((observed - computed) @ _GROUPS.T, np.concatenate(design, axis=2), stated, fixed)
+    return ObservedCone((observed - computed) @ _GROUPS.T, np.concatenate(design, axis=2), stated, fixed)
 
 
 def _by_pose_sigmas(by_pose: Floats, cov: Floats, stated_px: Floats) -> Floats:
@@ -176,22 +182,31 @@ def _by_pose_sigmas(by_pose: Floats, cov: Floats, stated_px: Floats) -> Floats:
     return np.asarray((vectors[:, relevant] * values[relevant] ** 0.5).reshape(count, 3, -1) * stated_px[:, :, None])
 
 
-def _squares_and_freedom(cone: _Cone, factors: Floats) -> tuple[Floats, Floats]:
+def _squares_and_freedom(cone: ObservedCone, factors: Floats) -> tuple[Floats, Floats]:
     """(3,) each: per group the squares of a cone's residuals over their variances, and their degrees of freedom.
 
     With the right factors both are equal (score of restricted maximum likelihood).
     """
     own = factors * cone.stated_px2 + cone.fixed_px2
-    huber = np.ones_like(own)
+    _, inverse, weighted, ratio = adjusted(cone, own)
+    freedom = 1 - np.einsum("fik,kl,fil->fi", weighted, inverse, cone.design, optimize=True)
+    share = factors * cone.stated_px2 / own
+    return (share * np.minimum(ratio, _HUBER_SIGMAS) ** 2).sum(axis=0), (share * freedom).sum(axis=0)
+
+
+def adjusted(cone: ObservedCone, own_px2: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Robust adjustment of a track by its observations of variances (F, 3) px^2.
+
+    Unknowns (K,), their covariance (K, K), the weighted design (F, 3, K), and residuals (F, 3) in sigmas, without their signs.
+    """
+    huber = np.ones_like(own_px2)
     prior = np.arange(3, cone.design.shape[2])
     for _ in range(_ROBUST_ROUNDS):
-        weighted = cone.design * (huber / own)[:, :, None]
+        weighted = cone.design * (huber / own_px2)[:, :, None]
         normal = np.tensordot(cone.design, weighted, axes=((0, 1), (0, 1)))
         normal[prior, prior] += 1.0  # shared and pose errors have a prior of one sigma
         inverse = np.linalg.inv(normal)
         unknown = inverse @ np.einsum("fik,fi->k", weighted, cone.residual_px)
-        ratio = np.abs(cone.residual_px - cone.design @ unknown) / own**0.5
+        ratio = np.abs(cone.residual_px - cone.design @ unknown) / own_px2**0.5
         huber = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(ratio, 1e-9))
-    freedom = 1 - np.einsum("fik,kl,fil->fi", weighted, inverse, cone.design, optimize=True)
-    share = factors * cone.stated_px2 / own
-    return (share * np.minimum(ratio, _HUBER_SIGMAS) ** 2).sum(axis=0), (share * freedom).sum(axis=0)
+    return unknown, np.asarray(inverse), weighted, np.asarray(ratio)

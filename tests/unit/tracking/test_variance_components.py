@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.drive import Detection, FramePair, StereoMatch, Track
 from conetl.model.feature_classes import CONE
 from conetl.model.params import TrajectoryParams
@@ -25,19 +26,27 @@ DRUM = {"category": "drum", "foot_px": None}
 
 
 def drawn(
-    rng: np.random.Generator, sizes: tuple[float, float, float], *, cones: int = 8, wild: float = 0.0
+    rng: np.random.Generator,
+    sizes: tuple[float, float, float],
+    *,
+    cones: int = 8,
+    wild: float = 0.0,
+    speeds_ms: Floats | None = None,
 ) -> tuple[list[StereoMatch], list[Track]]:
     """Observations with errors of `sizes` times the stated ones in columns, rows and disparities, and tracks centimetres off.
 
     wild: share of the observations with an error of 15 px. All observations of a cone share an error of two sigmas.
+    speeds_ms (N, 3): of cones that move.
     """
     matches, tracks = [], []
     for number, foot in enumerate(FEET_M[:cones]):
         members = []
         for pair in PATH:
             uv = {}
+            seconds = (pair.captured_at_ns - PATH[len(PATH) // 2].captured_at_ns) * 1e-9
+            moved = foot if speeds_ms is None else foot + seconds * speeds_ms[number]
             for side, camera in (("left", RIG.left), ("right", RIG.right)):
-                local = (foot - camera_pose(pair, RIG, side)[:3, 3]) @ camera_pose(pair, RIG, side)[:3, :3]
+                local = (moved - camera_pose(pair, RIG, side)[:3, 3]) @ camera_pose(pair, RIG, side)[:3, :3]
                 if local[2] > 3.0:
                     scale = np.array([camera.fx_px, camera.fy_px]) / local[2]
                     uv[side] = np.array([camera.cx_px, camera.cy_px]) + scale * local[:2] + 2 * OUTLINE_PX
