@@ -418,9 +418,12 @@ def test_a_clock_that_was_not_set_is_found_although_its_times_rise() -> None:
     assert misplaced(rising) == {}
     assert list(misplaced({0: 5 * 10**9} | rising)) == [0]
     assert "not set" in misplaced({0: 5 * 10**9} | rising)[0]
-    assert "30 days" in misplaced({0: start - 30 * day} | rising)[0]
+    assert "is 30.0 days" in misplaced({0: start - 30 * day} | rising)[0]
     assert list(misplaced(rising | {9: start + 2 * day})) == [9]
     assert misplaced(rising | {9: start + day // 2}) == {}, "a drive may rest"
+    two_days = misplaced(rising | {n: start + 27 * day // 24 + n for n in range(9, 14)})
+    assert list(two_days) == [9, 10, 11, 12, 13]
+    assert "is 1.1 days from" in two_days[9] and "frame pairs 9 to 13 are of another recording: split" in two_days[9]
     assert list(misplaced({n: n for n in range(3)})) == [0, 1, 2]
     assert misplaced({}) == {}
     assert "does not rise" in misplaced(rising | {9: start})[9]

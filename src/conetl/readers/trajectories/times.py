@@ -83,10 +83,12 @@ def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
     others = {number: stamp for number, stamp in stamps_ns.items() if number not in wrong}
     if others:
         middle = median_low(others.values())
-        for number, stamp in others.items():
-            if abs(stamp - middle) > MAX_FROM_MEDIAN_NS:
-                days = abs(stamp - middle) / MAX_FROM_MEDIAN_NS
-                wrong[number] = f"is {days:.0f} days from most others of the drive: another clock"
+        apart = {n: abs(stamp - middle) for n, stamp in others.items() if abs(stamp - middle) > MAX_FROM_MEDIAN_NS}
+        ends = f"{min(apart, default=0)} to {max(apart, default=0)}"
+        for number, apart_ns in apart.items():
+            wrong[number] = f"is {apart_ns / MAX_FROM_MEDIAN_NS:.1f} days from most others of the drive: another clock"
+            if len(apart) > 1:
+                wrong[number] += f", or frame pairs {ends} are of another recording: split them into folders of their own"
     return wrong
 
 
