@@ -119,6 +119,16 @@ def covered(image: Image, top: float = 0.0, bottom: float = 1.0, left: float = 0
     return dark
 
 
+@prepared
+def distorted(image: Image, k1: float, focal: float = 0.58) -> Image:
+    """By a lens of other radial distortion; focal: its focal length as a share of the image's width."""
+    height, width = image.shape[:2]
+    x, y = np.meshgrid(np.arange(width) - width / 2, np.arange(height) - height / 2)
+    scale = 1 - k1 * (x * x + y * y) / (focal * width) ** 2
+    columns, rows = ((part * scale + size / 2).astype(np.float32) for part, size in ((x, width), (y, height)))
+    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_CUBIC), np.uint8)
+
+
 def mirrored(image: Image) -> Image:
     return np.ascontiguousarray(image[:, ::-1])
 

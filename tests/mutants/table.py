@@ -213,6 +213,10 @@ def _rigs() -> list[WrongRecording]:
             for n, cause in {-6: "alibrat", 1: None, 3: "alibrat", 6: "shifted sideways", 12: "shifted sideways"}.items()
         ),
         *(
+            WrongRecording(f"right lens k1 {k1:+g}", files=changed(only_right(images.distorted(k1))), cause="distorted by k1")
+            for k1 in (-0.05, 0.05)
+        ),
+        *(
             WrongRecording(f"right camera {n} frames late", right_late(n), cause=f"{_TRIGGER} {n} frames earlier", fast=n == 1)
             for n in (1, 2, 3)
         ),
@@ -388,6 +392,7 @@ def _street() -> list[WrongRecording]:
         WrongRecording("heights +48 m", raised(48.0), cause="height", on=(STREET_AGAIN,)),
         WrongRecording("right images 3 rows lower", files=changed(only_right(shifted(3, 0))), on=street),
         WrongRecording("right images +6 columns", files=changed(only_right(shifted(0, 6))), cause="shifted sideways", on=street),
+        WrongRecording("right lens k1 -0.05", files=changed(only_right(images.distorted(-0.05))), cause="distorted", on=street),
         image("both lenses covered", both(images.darker(0.0)), _BLIND),
         image("fog 0.9", both(images.foggier(0.9)), _BLIND),
         image("sides swapped", images.swapped, _SIDES),

@@ -31,6 +31,7 @@ from conetl.model.health import HealthCheck, Verdict, hold_if
 from conetl.model.rig import SIDES, Side
 from conetl.perception.image_detail import SQUARE_PX, detail_by_octaves, local_detail
 from conetl.perception.images import ImageFileError
+from conetl.perception.lens_check import check_distortion
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.video import frame_of
 
@@ -69,6 +70,8 @@ class _Features(NamedTuple):
     """`local_detail`."""
     octaves: NDArray[np.float32] = np.empty((2, 0, 0), np.float32)
     """`detail_by_octaves`."""
+    small: Image = np.empty((0, 0), np.uint8)
+    """The image in which corners were found."""
 
 
 def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
@@ -104,6 +107,9 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     if len(rows) < _MIN_MATCHES or trigger.verdict is not Verdict.PASS:
         return drive, checks
     checks.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
+    both = [(features(k, "left"), features(k, "right")) for k in chosen]
+    seen = [(left.small, right.small, *_matched_points(left, right)) for left, right in both]
+    checks.append(check_distortion(seen, drive.rig.right, _SHRINK))
     off_px, sigma_px = float(rows.mean()), float(np.hypot(rows.std() / np.sqrt(len(rows)), _FLOOR_PX))
     judged = partial(
         HealthCheck, name="rows of the right images", value=off_px, sigma=sigma_px, limit=_FINE_ROWS_PX, unit="px"
@@ -309,15 +315,21 @@ def _features(drive: Drive, number: int, side: Side) -> _Features:
     points, found = cv2.ORB.create(_FEATURES).detectAndCompute(small, None)
     if found is None:
         return _Features(detail=detail, octaves=octaves)
-    return _Features(np.array([point.pt for point in points]) * _SHRINK, np.asarray(found, np.uint8), detail, octaves)
+    corners_px = np.array([point.pt for point in points]) * _SHRINK
+    return _Features(corners_px, np.asarray(found, np.uint8), detail, octaves, np.asarray(small, np.uint8))
 
 
 def _offsets(left: _Features, right: _Features) -> Floats:
     """(M, 2) columns left minus right and rows right minus left of mutually best matches."""
+    ours, theirs = _matched_points(left, right)
+    return np.column_stack([ours[:, 0] - theirs[:, 0], theirs[:, 1] - ours[:, 1]])
+
+
+def _matched_points(left: _Features, right: _Features) -> tuple[Floats, Floats]:
+    """(M, 2) px each: mutually best matches."""
     if not len(left.points_px) or not len(right.points_px):
-        return np.empty((0, 2))
+        return np.empty((0, 2)), np.empty((0, 2))
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(left.descriptors, right.descriptors)
     close = [(m.queryIdx, m.trainIdx) for m in matches if m.distance < _MAX_HAMMING]
     i, j = np.array(close, dtype=np.intp).reshape(-1, 2).T
-    ours, theirs = left.points_px[i], right.points_px[j]
-    return np.column_stack([ours[:, 0] - theirs[:, 0], theirs[:, 1] - ours[:, 1]])
+    return left.points_px[i], right.points_px[j]

@@ -88,7 +88,9 @@ def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
         for number, apart_ns in apart.items():
             wrong[number] = f"is {apart_ns / MAX_FROM_MEDIAN_NS:.1f} days from most others of the drive: another clock"
             if len(apart) > 1:
-                wrong[number] += f", or frame pairs {ends} are of another recording: split them into folders of their own"
+                wrong[number] += (
+                    f", or frame pairs {ends} are of another recording: split them into folders of their own"
+                )
     return wrong
 
 

@@ -1,0 +1,72 @@
+"""Whether both lenses are as the calibration has them: rows of points in both images, by their distance from the centre.
+
+Of a rectified pair a point lies in the same row of both images. A radial distortion that one lens has beyond its calibration
+moves rows by the third power of the distance from the centre, as no turn of a camera and no focal length does. Corners that were
+matched in both images are followed to a tenth of a pixel (Lucas & Kanade 1981).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+
+from conetl.model.arrays import Floats, Image
+from conetl.model.health import HealthCheck, hold_if
+from conetl.model.rig import Camera
+
+#: Good drives, rendered ones and a real street, have up to 0.004 (k1 of Brown's model); 0.02 are 4 px of disparity at a corner.
+_MOST, _SIGMAS = 0.02, 6.0
+#: Points lie on equal rows but for so much (px of the whole image), are found again so near, and enough of them tell.
+_ROWS_PX, _FOUND_PX, _MIN_POINTS = 8.0, 4.0, 100
+_WINDOW_PX, _ROUNDS, _HUBER_SIGMAS, _LEAST_PX = 15, 10, 1.5, 0.05
+
+
+def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], camera: Camera, shrink: int) -> HealthCheck:
+    """pairs: grey images of some frame pairs, `shrink` times smaller, and matched points (N, 2) px of the whole ones in both.
+    camera: the right one."""
+    name, detail = "distortion of the lenses", "The images show too little to tell."
+    points = np.concatenate([np.empty((0, 3)), *(_followed(*pair, shrink) for pair in pairs)])
+    if len(points) < _MIN_POINTS:
+        return hold_if(False, name, detail, value=None)
+    x, y = (points[:, 0] - camera.cx_px) / camera.fx_px, (points[:, 1] - camera.cy_px) / camera.fy_px
+    rows = points[:, 2] / camera.fy_px
+    # Offset, turns and focal lengths of the cameras, and the difference of their radial distortions.
+    design = np.stack([np.ones_like(x), x, y, x * y, y * y, (x * x + y * y) * y], axis=1)
+    weight, least = np.ones_like(rows), _LEAST_PX / camera.fy_px
+    for _ in range(_ROUNDS):
+        inverse = np.linalg.pinv(design.T @ (weight[:, None] * design))
+        off = np.abs(rows - design @ (inverse @ design.T @ (weight * rows)))
+        spread = max(1.48 * float(np.median(off)), least)
+        weight = np.minimum(1.0, _HUBER_SIGMAS * spread / np.maximum(off, 1e-12)) * (off < 2 * _HUBER_SIGMAS * spread)
+    k1 = float((inverse @ design.T @ (weight * rows))[-1])
+    sigma = spread * float(inverse[-1, -1]) ** 0.5
+    limit, detail = max(_MOST, _SIGMAS * sigma), "Both lenses are as the calibration has them."
+    held = abs(k1) > limit
+    if held:
+        detail = (
+            f"The right images are distorted by k1 {k1:+.3f} +- {sigma:.3f} against the left ones, beyond the calibration: its "
+            "lens parameters are wrong, or of another rig. Calibrate the rig (conetl calibrate)."
+        )
+    return hold_if(held, name, detail, value=k1, sigma=sigma, limit=limit)
+
+
+def _followed(left: Image, right: Image, ours: Floats, theirs: Floats, shrink: int) -> Floats:
+    """(M, 3) columns and rows in the right image, and rows right minus left, px of the whole image."""
+    near = (np.abs(theirs[:, 1] - ours[:, 1]) < _ROWS_PX) & (ours[:, 0] - theirs[:, 0] > -shrink)
+    if not near.any():
+        return np.empty((0, 3))
+    start, guess = (((part[near] + 0.5) / shrink - 0.5)[:, None].astype(np.float32) for part in (ours, theirs))
+    found, known, _ = cv2.calcOpticalFlowPyrLK(
+        left,
+        right,
+        start,
+        guess.copy(),
+        winSize=(_WINDOW_PX, _WINDOW_PX),
+        maxLevel=0,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    good = (known[:, 0] == 1) & (np.linalg.norm(found - guess, axis=2)[:, 0] < _FOUND_PX / shrink)
+    there, here = found[good, 0].astype(np.float64), start[good, 0].astype(np.float64)
+    return np.column_stack([shrink * there, shrink * (there[:, 1] - here[:, 1])])
