@@ -57,7 +57,7 @@ def _followed(left: Image, right: Image, ours: Floats, theirs: Floats, shrink: i
     near = (np.abs(theirs[:, 1] - ours[:, 1]) < _ROWS_PX) & (ours[:, 0] - theirs[:, 0] > -shrink)
     if not near.any():
         return np.empty((0, 3))
-    start, guess = (((part[near] + 0.5) / shrink - 0.5)[:, None].astype(np.float32) for part in (ours, theirs))
+    start, guess = ((part[near] / shrink)[:, None].astype(np.float32) for part in (ours, theirs))
     found, known, _ = cv2.calcOpticalFlowPyrLK(
         left,
         right,
