@@ -19,8 +19,8 @@ from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov
 from conetl.tracking.variance_components import adjusted, observed_cone, usable_pairs
 
-#: Objects that stand in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); a cone that moves by
-#: 0.3 m/s exceeds 25 in nine of ten of these tracks. Slower than this (m/s) it blurs its position and no more.
+#: Objects that stand in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); observations that are
+#: moved by 0.3 m/s exceed 25 in nine of ten of these tracks. Slower than this (m/s) it blurs its position and no more.
 _LEAST_CHI2, _LEAST_MS = 25.0, 0.15
 #: Prior of the velocity (one sigma), and with how many tracks what they have in common is known.
 _PRIOR_MS, _LEAST_TRACKS = 5.0, 5
