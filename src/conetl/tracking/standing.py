@@ -19,7 +19,7 @@ from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov
 from conetl.tracking.variance_components import adjusted, observed_cone, usable_pairs
 
-#: Objects that stand in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); observations that are
+#: Objects that stand in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); observations
 #: moved by 0.3 m/s exceed 25 in nine of ten of these tracks. Slower than this (m/s) it blurs its position and no more.
 _LEAST_CHI2, _LEAST_MS = 25.0, 0.15
 #: Prior of the velocity (one sigma), and with how many tracks what they have in common is known.
