@@ -127,6 +127,13 @@ def every_second(t: logs.Known) -> logs.Known:
     return logs.Known(*(column[rows] for column in t))
 
 
+def corrected_s(analysed: AnalysedDrive) -> float:
+    """By how much the analysis moved the poses in time: a small or doubtful offset is stated, and left as it is."""
+    clock, assumed_s = analysed.trajectory.clock, analysed.drive.clock_sigma_s
+    assumed_s = analysed.params.trajectory.clock_sigma_s if assumed_s is None else assumed_s
+    return clock.offset_s if clock is not None and clock.is_applied(assumed_s) else 0.0
+
+
 def clock_row(
     names: Mapping[str, str], videos: Path, root: Path, log: str, t: logs.Known, error_s: float,
     part_s: tuple[float, float] | None, home: Path, true: AnalysedDrive,
@@ -152,10 +159,7 @@ def clock_row(
         off_ms = 1000 * (clock.offset_s + error_s)
         found |= {"found off by ms": off_ms, "sigma ms": 1000 * clock.sigma_s}
         if error_s == CLOCK_ERRORS_S[-1]:
-            # The refinement finds what is left of the offset, as it does in the drive of images.
-            lags = run(root, home).analysed.trajectory.clock, true.trajectory.clock
-            if lags[0] is not None and lags[1] is not None:
-                found["after analysis ms"] = off_ms - 1000 * (lags[0].offset_s - lags[1].offset_s)
+            found["after analysis ms"] = off_ms - 1000 * (corrected_s(run(root, home).analysed) - corrected_s(true))
     except ConetlError as error:
         return {**row, **found, "held": str(error)}
     return {**row, **found, "held": "no"}
