@@ -298,7 +298,7 @@ def test_a_failing_export_leaves_the_old_files(conn, tmp_path, monkeypatch, name
     def broken(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("conetl.exports.source.csv.open_csv", broken)
+    monkeypatch.setattr("conetl.db.arrow_rows.csv.open_csv", broken)
     with pytest.raises(KeyboardInterrupt):
         export_map(conn, path, name, ExportRequest())
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before

@@ -17,13 +17,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 from uuid import UUID
 
+import numpy as np
 import pyarrow as pa
+import shapely
 from pyarrow import csv
 
 from conetl.db import connection as db
+from conetl.db.arrow_rows import batches_of, schema_of
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import map_transaction
 from conetl.files.atomic import atomic_files
@@ -31,8 +33,11 @@ from conetl.files.parquet_store import read_table, write_table
 from conetl.model.errors import InputError, MapMismatchError
 
 _RAW_TABLES = ("detection", "stereo_match", "position")
-#: By PostgreSQL's number of a type: bool, int4, text, float8, uuid.
-_ARROW_TYPES = {16: pa.bool_(), 23: pa.int32(), 25: pa.string(), 701: pa.float64(), 2950: pa.string()}
+#: Geometries of a position, and their coordinates in its file.
+_POINTS = {
+    "geom": ("easting_m", "northing_m", "height_m"),
+    "centre_geom": ("centre_easting_m", "centre_northing_m", "centre_height_m"),
+}
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,9 @@ def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: 
             return 0
         with atomic_files(*finals) as files:
             for table, count, file in zip(_RAW_TABLES, counts, files, strict=True):
-                records = _records(conn, _query_of(table), parameters)
+                archived = db.load_sql(f"retention.records_of_{table}").rstrip(";")
+                schema = schema_of(conn, archived, parameters)
+                records = pa.Table.from_batches(batches_of(conn, archived, parameters, schema), schema)
                 if len(records) != count:
                     raise MapMismatchError(
                         f"drive {drive.drive_id}: table {table} has {len(records)} rows of it, expected {count} by its "
@@ -121,21 +128,6 @@ def restore_drives(conn: Connection, map_name: str, drive_id: str | None = None)
     return [drive["drive_id"] for drive in found]
 
 
-def _query_of(table: str) -> str:
-    return db.load_sql(f"retention.records_of_{table}").rstrip(";")
-
-
-def _records(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> pa.Table:
-    columns = db.query_columns(conn, sql, parameters)
-    schema = pa.schema([(name, _ARROW_TYPES[oid]) for name, oid in columns])
-    with db.copied_csv(conn, sql, parameters) as rows:
-        if not rows.peek(1):
-            return schema.empty_table()
-        options = csv.ReadOptions(column_names=schema.names)
-        types = csv.ConvertOptions(column_types=schema, true_values=["t"], false_values=["f"])
-        return csv.read_csv(rows, options, convert_options=types)
-
-
 def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, int]) -> None:
     """Inside the caller's transaction. rows: how many each file must have, by table.
 
@@ -156,15 +148,17 @@ def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, 
                 f"{path / table}.parquet: it has {len(records)} records{of_others}, expected {rows[table]} of drive "
                 f"{drive_uuid}. Nothing was written; put the file back that `conetl db archive` wrote."
             )
-        stage = f"create temporary table record_stage as select * from ({_query_of(table)}) q with no data"
-        db.execute(conn, stage, {"drive_uuid": drive_uuid})
+        if table == "position":
+            for name, axes in _POINTS.items():
+                points = shapely.points(np.stack([records[axis].to_numpy() for axis in axes], axis=1))
+                wkb = shapely.to_wkb(shapely.set_srid(points, records["srid"].to_numpy()), hex=True, include_srid=True)
+                records = records.append_column(name, pa.array(wkb))
+        columns = [name for name, _ in db.query_columns(conn, f"select * from conetl.{table}", {})]
         rows_as_csv = BytesIO()
-        csv.write_csv(records, rows_as_csv, csv.WriteOptions(include_header=False))
+        csv.write_csv(records.select(columns), rows_as_csv, csv.WriteOptions(include_header=False))
         rows_as_csv.seek(0)
-        target = f"record_stage ({', '.join(records.column_names)})"
+        target = f"conetl.{table} ({', '.join(columns)})"
         db.copy_in(conn, target, rows_as_csv, str(path / table), options="(format csv)")
-        db.query(conn, f"retention.restore_{table}")
-        db.execute(conn, "drop table record_stage")
     db.query(conn, "retention.mark_restored", drive_uuid=drive_uuid)
 
 

@@ -15,10 +15,10 @@ import numpy as np
 import pyarrow as pa
 import shapely
 from numpy.typing import NDArray
-from pyarrow import csv
 from pyproj import CRS, Transformer
 
-from conetl.db.connection import Connection, copied_csv, database_errors, latest_or, load_sql, query, query_columns
+from conetl.db.arrow_rows import batches_of, schema_of
+from conetl.db.connection import Connection, database_errors, latest_or, load_sql, query
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.exports import Order
@@ -31,7 +31,6 @@ from conetl.model.params import ReconcileParams
 Integers = NDArray[np.int64]
 #: Rows in memory at a time, and rows of a GeoParquet row group.
 BATCH_ROWS = 50_000
-_CSV_BLOCK_BYTES = 8 << 20
 #: Columns that follow from others: their type, and the column of the query without which they do not exist.
 _DERIVED = {
     "object_height_m": (pa.float64(), "height_m"),
@@ -48,11 +47,6 @@ _LINE_NAMES = (
     "width_m", "width_sigma_m", "colour", "pattern", "dash_m", "gap_m", "sigma_lateral_m", "length_m", LINE_NAME,
 )  # fmt: skip
 _POINT_NAMES = ("height_m", "height_sigma_m")
-#: By the OIDs of PostgreSQL's types bool, int8, int4, text, float8, timestamptz and uuid.
-_ARROW_TYPES = {
-    16: pa.bool_(), 20: pa.int64(), 23: pa.int32(), 25: pa.string(), 701: pa.float64(), 1184: pa.timestamp("us", tz="UTC"),
-    2950: pa.string(),
-}  # fmt: skip
 
 
 class What(StrEnum):
@@ -99,11 +93,11 @@ class ExportSource:
     def schema(self) -> pa.Schema:
         """Columns of every batch: the properties in the order of the contract, then `POSITION_NAMES`."""
         with database_errors(f"The map {self.request.map_name} cannot be read"):
-            columns = query_columns(self.conn, self._sql, self._parameters)
+            columns = schema_of(self.conn, self._sql, self._parameters)
         left_out = {*(_POINT_NAMES if self.lines else _LINE_NAMES), *(() if self._has_change else _HISTORY_NAMES)}
-        shown = [(name, _ARROW_TYPES[oid]) for name, oid in columns if name not in left_out]
-        names = [name for name, _ in shown]
-        derived = [(name, kind) for name, (kind, origin) in _DERIVED.items() if origin in names]
+        shown = [column for column in columns if column.name not in left_out]
+        names = [column.name for column in shown]
+        derived = [pa.field(name, kind) for name, (kind, origin) in _DERIVED.items() if origin in names]
         at = len(shown) - len(POSITION_NAMES)
         return pa.schema([*shown[:at], *derived, *shown[at:]])
 
@@ -157,24 +151,16 @@ class ExportSource:
     def _read(self) -> Generator[pa.RecordBatch]:
         names = [name for name in self.schema.names if name not in _DERIVED]
         columns = pa.schema([self.schema.field(name) for name in names])
-        values = csv.ConvertOptions(
-            column_types=columns, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False,
-            true_values=["t"], false_values=["f"],
-        )  # fmt: skip
+        rest = columns.empty_table()
         with (
             database_errors(f"The map {self.request.map_name} cannot be read"),
-            copied_csv(self.conn, f"select {', '.join(names)} from ({self._sql}) q", self._parameters) as rows,
+            closing(batches_of(self.conn, self._sql, self._parameters, columns)) as blocks,
         ):
-            if not rows.peek(1):
-                return
-            options = csv.ReadOptions(column_names=names, block_size=_CSV_BLOCK_BYTES)
-            rest = columns.empty_table()
-            with csv.open_csv(rows, options, convert_options=values) as blocks:
-                for block in blocks:
-                    rest = pa.concat_tables([rest, pa.Table.from_batches([block])])
-                    while len(rest) >= BATCH_ROWS:
-                        yield self._derived(rest.slice(0, BATCH_ROWS).combine_chunks().to_batches()[0])
-                        rest = rest.slice(BATCH_ROWS)
+            for block in blocks:
+                rest = pa.concat_tables([rest, pa.Table.from_batches([block])])
+                while len(rest) >= BATCH_ROWS:
+                    yield self._derived(rest.slice(0, BATCH_ROWS).combine_chunks().to_batches()[0])
+                    rest = rest.slice(BATCH_ROWS)
             yield from map(self._derived, rest.combine_chunks().to_batches())
 
     def _derived(self, batch: pa.RecordBatch) -> pa.RecordBatch:
