@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from io import BufferedReader, BytesIO
@@ -99,19 +100,61 @@ def connect(url: str) -> Connection:
         conn.autocommit = True
         query(conn, "schema.search_path")
         conn.autocommit = False
-    _addresses[conn] = url
-    _watch.add(conn)
+    _sessions[conn] = _Session(url)
+    _watch_of(os.getpid())
     return conn
 
 
-def _is_busy(conn: Connection) -> bool:
-    return bool(conn.info.transaction_status == psycopg2.extensions.TRANSACTION_STATUS_ACTIVE)
+@dataclass
+class _Session:
+    """What is known of an open connection."""
+
+    url: str
+    """The connection itself knows its address without the password."""
+    report_at: float = math.inf
+    """When to ask who blocks its statement, by the monotonic clock."""
+    blockers: str = ""
+    """Who was last seen to block it."""
 
 
-def _blockers(conn: Connection) -> list[str]:
+_sessions: WeakKeyDictionary[Connection, _Session] = WeakKeyDictionary()
+
+
+@cache
+def _watch_of(process_id: int) -> threading.Thread:
+    """The thread that watches the connections of this process; a forked one inherits none."""
+    thread = threading.Thread(target=_watch, name="lock watch", daemon=True)
+    thread.start()
+    return thread
+
+
+def _watch() -> None:
+    """Report who holds the lock that a statement of this process waits for: after 5 s, then once a minute.
+
+    PostgreSQL says nothing to a session that waits. Looking at this process's connections costs the server nothing; it is asked,
+    in a session of its own, about one that has been busy for long.
+    """
+    while True:
+        time.sleep(REPORT_AFTER_S / 5)
+        for conn, session in list(_sessions.items()):
+            now = time.monotonic()
+            if conn.closed or conn.info.transaction_status != psycopg2.extensions.TRANSACTION_STATUS_ACTIVE:
+                session.report_at = math.inf
+            elif session.report_at == math.inf:
+                session.report_at = now + REPORT_AFTER_S
+            elif now >= session.report_at:
+                blockers = _blockers(conn, session.url)
+                session.report_at = now + (REPORT_EVERY_S if blockers else REPORT_AFTER_S)
+                if blockers:
+                    session.blockers = "; ".join(blockers)
+                    _log.warning("waiting for a lock in the database that is held by %s", session.blockers)
+        conn = None  # else it would stay open until the next look
+
+
+def _blockers(conn: Connection, url: str) -> list[str]:
     """Who blocks a connection, asked in a session of its own; nobody where the server does not answer."""
     try:
-        with closing(psycopg2.connect(_addresses[conn], connect_timeout=CONNECT_TIMEOUT_S)) as asking:
+        with closing(psycopg2.connect(url, connect_timeout=CONNECT_TIMEOUT_S)) as asking:
             rows = query(asking, "locks.blockers", pid=conn.info.backend_pid)
     except psycopg2.Error:
         return []
@@ -136,7 +179,7 @@ def database_errors(what: str) -> Iterator[None]:
             f"{what}: {_first_line(error)}. The database lacks conetl's present schema: run `conetl db migrate`."
         ) from error
     except psycopg2.errors.LockNotAvailable as error:
-        holder = next(iter(_watch.holders.values()), "another session")
+        holder = next((one.blockers for one in list(_sessions.values()) if one.blockers), "another session")
         raise DatabaseError(
             f"{what}: a lock was not free in time; it is held by {holder}. End that session, or try again later."
         ) from error
@@ -331,49 +374,3 @@ def load_sql(name: str) -> str:
         raise DatabaseError(
             f"{sql_directory() / topic}.sql has no statement {statement}: install conetl again."
         ) from None
-
-
-class LockWatch:
-    """Who holds the lock that a statement of this process waits for: reported after 5 s, then once a minute.
-
-    PostgreSQL says nothing to a session that waits. A thread looks at this process's connections, which costs the server nothing,
-    and asks it, in a session of its own, about one that has been busy for long.
-    """
-
-    def __init__(self) -> None:
-        self._report_at: WeakKeyDictionary[Any, float] = WeakKeyDictionary()
-        self._thread: threading.Thread | None = None
-        self.holders: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
-        """Who was last seen to block a connection."""
-
-    def add(self, conn: Any) -> None:
-        """Watch a connection as long as it exists."""
-        self._report_at[conn] = math.inf
-        if self._thread is None or not self._thread.is_alive():  # a forked process has this object, but no thread
-            self._thread = threading.Thread(target=self._watch, name="lock watch", daemon=True)
-            self._thread.start()
-
-    def _watch(self) -> None:
-        while True:
-            time.sleep(REPORT_AFTER_S / 5)
-            for conn in list(self._report_at):
-                self._look(conn, time.monotonic())
-            conn = None
-
-    def _look(self, conn: Any, now: float) -> None:
-        due = self._report_at.get(conn, math.inf)
-        if conn.closed or not _is_busy(conn):
-            self._report_at[conn] = math.inf
-        elif due == math.inf:
-            self._report_at[conn] = now + REPORT_AFTER_S
-        elif now >= due:
-            holders = _blockers(conn)
-            self._report_at[conn] = now + (REPORT_EVERY_S if holders else REPORT_AFTER_S)
-            if holders:
-                self.holders[conn] = "; ".join(holders)
-                _log.warning("waiting for a lock in the database that is held by %s", self.holders[conn])
-
-
-#: Of open connections; they themselves know theirs without its password.
-_addresses: WeakKeyDictionary[Connection, str] = WeakKeyDictionary()
-_watch = LockWatch()
