@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import pickle
-import re
 from collections.abc import Callable
-from contextlib import nullcontext
-from functools import cached_property, lru_cache, partial, wraps
+from functools import partial, wraps
 from typing import Any
 from uuid import uuid4
 
 from prefect import Task, task
 from prefect.cache_policies import NO_CACHE
-from prefect.context import FlowRunContext, SettingsContext, get_settings_context
+from prefect.context import FlowRunContext
 from prefect.futures import PrefectFuture
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
-from prefect.utilities.annotations import opaque
-from pydantic import PrivateAttr
 
 from conetl.db.receipt_store import StepTime
 from conetl.model.errors import InputError, is_of_storage
@@ -25,27 +20,27 @@ from conetl.pipeline.executor import StepClock
 from conetl.pipeline.settings import Settings
 from flows import artifacts
 
-#: Name of each step's task, and of its runs.
+#: Name of each step's task, and of its runs; the arguments are sealed.
 _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
-    ingest.read: ("read drive", "read {folder}"),
-    odometry.odometry: ("odometry", "odometry {chunk.frame_pairs[0].frame_index} {part}"),
+    ingest.read: ("read drive", "read {folder.value}"),
+    odometry.odometry: ("odometry", "odometry {chunk.value.frame_pairs[0].frame_index} {part}"),
     odometry.motions_again: ("motions", None),
     odometry.self_calibrate: ("self-calibrate", None),
     odometry.refine: ("refine", None),
-    detect.detect: ("detect", "detect {chunk.frame_pairs[0].frame_index} {part}"),
-    detect.match: ("match", "match {chunk.frame_pairs[0].frame_index}"),
+    detect.detect: ("detect", "detect {chunk.value.frame_pairs[0].frame_index} {part}"),
+    detect.match: ("match", "match {chunk.value.frame_pairs[0].frame_index}"),
     analysis.locate: ("locate", None),
     analysis.fuse: ("fuse", None),
     analysis.weigh: ("weigh", None),
-    markings.marking_points: ("find markings", "find markings {chunk.frame_pairs[0].frame_index} {part}"),
+    markings.marking_points: ("find markings", "find markings {chunk.value.frame_pairs[0].frame_index} {part}"),
     markings.mark: ("mark", None),
     commit.commit: ("merge", None),
     artifacts.publish_drive: ("publish", None),
     artifacts.publish_pending: ("publish what is pending", None),
 }
 
-#: How often Dask looks at itself. By default it samples every worker's stack 100 times a second, and a worker that only waits
-#: takes 3.4 % of a core; so 0.7 %.
+#: How often Dask profiles itself. By default it samples every worker's stack 100 times a second, and a worker that only waits
+#: takes 3.4 % of a core; with these settings 0.7 %.
 DASK_CONFIG = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
@@ -58,98 +53,51 @@ class PrefectExecutor:
 
     def __init__(self) -> None:
         context = FlowRunContext.get()
-        runner = context.task_runner if context is not None else None
-        self.shares_memory = isinstance(runner, ThreadPoolTaskRunner)
-        # Dask makes a plain tuple of Prefect's mark.
-        self._marks = isinstance(runner, ThreadPoolTaskRunner | ProcessPoolTaskRunner)
+        self.shares_memory = context is not None and isinstance(context.task_runner, ThreadPoolTaskRunner)
         self._clock = StepClock()
         self._tasks: dict[Callable[..., Any], Task[..., Any]] = {}
 
     def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        return self._task(step)(*map(self._whole, arguments))
+        return self._task(step)(*map(_sealed, arguments))
 
     def submit(self, step: Callable[..., Any], *arguments: Any) -> PrefectFuture[Any]:
-        with nullcontext() if self.shares_memory else self._settings:
-            return self._task(step).submit(*map(self._whole, arguments))
+        return self._task(step).submit(*map(_sealed, arguments))
 
     def times(self) -> list[StepTime]:
         """Steps that ran in processes of their own are missing: their clock is a copy."""
         return self._clock.times()
 
-    @cached_property
-    def _settings(self) -> _SentSettings:
-        return _SentSettings.now()
-
     def _task(self, step: Callable[..., Any]) -> Task[..., Any]:
         if step not in self._tasks:
             name, run_name = _NAMES[step]
-            if run_name is not None and not self._marks:
-                run_name = re.sub(r"\{(\w+)", r"{\1.value", run_name)
             self._tasks[step] = task(
-                step if self._marks else _unsealing(step), name=name, task_run_name=run_name, retries=2,
-                retry_delay_seconds=[1, 5], retry_condition_fn=_may_pass, on_completion=[partial(_note, self._clock)],
+                _unsealing(step), name=name, task_run_name=run_name, retries=2, retry_delay_seconds=[1, 5],
+                retry_condition_fn=_may_pass, on_completion=[partial(_note, self._clock)],
                 cache_policy=NO_CACHE,  # results are kept by content in Parquet files, see files/parquet_store.py
             )  # fmt: skip
         return self._tasks[step]
 
-    def _whole(self, argument: Any) -> Any:
-        """An argument that Prefect passes on as it is.
-
-        Prefect searches all arguments for futures and states, twice for each task: every number of every record of a list. With a
-        chunk of 128 frame pairs that costs many times what the task's run itself costs, with the records of a drive seconds.
-        """
-        if isinstance(argument, PrefectFuture):
-            return argument
-        return opaque(argument) if self._marks else _Sealed(argument)
-
-
-class _SentSettings(SettingsContext):
-    """Prefect's settings as they go to other processes with every task: written once, and read once there.
-
-    Prefect makes dictionaries of all of them for each task, 30 ms, and of these settings again there, 60 ms.
-    """
-
-    _sent: dict[str, Any] = PrivateAttr()
-
-    @classmethod
-    def now(cls) -> _SentSettings:
-        """Of this instant."""
-        context = get_settings_context()
-        sent, one = context.serialize(), cls(profile=context.profile, settings=context.settings)
-        one._sent = {"profile": sent["profile"], "settings": _Pickled(pickle.dumps(sent))}
-        return one
-
-    def serialize(self, include_secrets: bool = True) -> dict[str, Any]:
-        return self._sent
-
-
-class _Pickled:
-    """A pickled settings context, which becomes settings where it is unpickled."""
-
-    def __init__(self, context: bytes) -> None:
-        self.context = context
-
-    def __reduce__(self) -> tuple[Callable[[bytes], Any], tuple[bytes]]:
-        return _settings_of, (self.context,)
-
-
-@lru_cache(maxsize=2)
-def _settings_of(context: bytes) -> Any:
-    return SettingsContext(**pickle.loads(context)).settings
-
 
 class _Sealed:
-    """An argument on its way through Dask: Prefect does not look into objects that it does not know."""
+    """An argument that Prefect passes on as it is, because it does not look into objects that it does not know.
+
+    It searches all other arguments for futures and states, twice for each task: every number of every record of a list. With a
+    chunk of 128 frame pairs that costs many times what the task's run itself costs, with the records of a drive seconds.
+    """
 
     def __init__(self, value: Any) -> None:
         self.value = value
 
     def __dask_tokenize__(self) -> str:
-        return uuid4().hex  # no two tasks are one
+        return uuid4().hex  # Dask must not take two tasks for one
+
+
+def _sealed(argument: Any) -> Any:
+    return argument if isinstance(argument, PrefectFuture) else _Sealed(argument)
 
 
 def _unsealing(step: Callable[..., Any]) -> Callable[..., Any]:
-    """The step for arguments of which some are sealed."""
+    """The step for sealed arguments, and for results of other tasks, which are not."""
 
     @wraps(step)
     def unsealed(*arguments: Any, **named: Any) -> Any:
@@ -160,7 +108,7 @@ def _unsealing(step: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
-    """Disk, network and database may be better in a second; bad input stays bad."""
+    """Errors of disk, network and database may be temporary; errors of the input are not."""
     try:
         state.result()
     except InputError as error:

@@ -14,8 +14,6 @@ import psutil
 import pytest
 from distributed import Client
 from prefect import flow
-from prefect.context import hydrated_context, serialize_context
-from prefect.settings import PREFECT_API_URL, get_current_settings, temporary_settings
 
 from conetl.cli.ingest import ingest_drives
 from conetl.db.connection import connect, execute
@@ -155,19 +153,6 @@ def test_another_machines_model_is_no_answer(chunks: list[Chunk], tmp_path: Path
 def test_an_address_without_dask_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="CONETL_DASK_ADDRESS"):
         task_runner(Settings(home=tmp_path, dask_address="tcp://127.0.0.1:8786"))
-
-
-def test_settings_of_prefect_reach_other_processes_and_are_read_once_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A worker has this run's settings, and its own ones where this run has none."""
-    with temporary_settings({PREFECT_API_URL: "http://127.0.0.1:1/api"}), PrefectExecutor()._settings:
-        sent = cloudpickle.dumps(serialize_context())
-    monkeypatch.setenv("PREFECT_CLIENT_MAX_RETRIES", "7")
-    there = []
-    for _ in range(2):
-        with hydrated_context(cloudpickle.loads(sent)):
-            there.append(get_current_settings())
-    assert there[0] is there[1]
-    assert (there[0].api.url, there[0].client.max_retries) == ("http://127.0.0.1:1/api", 7)
 
 
 @pytest.fixture
