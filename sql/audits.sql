@@ -1,40 +1,29 @@
--- Audits: each statement returns the rows that offend, with a column `problem`; no rows, no fault.
+-- Audits: each statement returns the offending rows, with a column `problem`; none if the audit passes.
 
 -- name: changeset_counts
 -- Every changeset holds as many deltas and records as it states (deltas as committed, not as replayed since; a pruned
 -- drive has no detections, stereo matches and positions).
 -- Columns: changeset_id, what, stated, found, problem.
 with delta_counts as (
-    select
-        x.changeset_id,
-        count(*) filter (where x.kind = 'added' and not x.of_line) as added,
-        count(*) filter (where x.kind = 'confirmed' and not x.of_line) as confirmed,
-        count(*) filter (where x.kind = 'moved' and not x.of_line) as moved,
-        count(*) filter (where x.kind = 'removed' and not x.of_line) as removed,
-        count(*) filter (where x.kind = 'missed' and not x.of_line) as missed,
-        count(*) filter (where x.kind = 'height_changed' and not x.of_line) as height_changed,
-        count(*) filter (where x.kind = 'split' and not x.of_line) as split,
-        count(*) filter (where x.kind = 'merged' and not x.of_line) as merged,
-        count(*) filter (where x.of_line) as of_lines
-    from conetl.delta x
-    join conetl.changeset c on c.changeset_id = x.changeset_id and c.committed_at = lower(x.system_period)
-    group by x.changeset_id
+    select k.changeset_id, jsonb_object_agg(k.what, k.found) as found
+    from (
+        select x.changeset_id, case when x.of_line then 'line' else x.kind end as what, count(*) as found
+        from conetl.delta x
+        join conetl.changeset c on c.changeset_id = x.changeset_id and c.committed_at = lower(x.system_period)
+        group by 1, 2
+    ) k
+    group by k.changeset_id
 )
 select c.changeset_id, counted.what, counted.stated, counted.found, 'the numbers differ' as problem
 from conetl.changeset c
 join conetl.drive d using (drive_uuid)
 left join delta_counts x on x.changeset_id = c.changeset_id
 cross join lateral (
+    select replace(kind, '_', ' '), (to_jsonb(c) ->> (kind || '_count'))::bigint, coalesce((x.found ->> kind)::bigint, 0)
+    from unnest(array['added', 'confirmed', 'moved', 'removed', 'missed', 'height_changed', 'split', 'merged']) kind
+    union all
     values
-        ('added', c.added_count, coalesce(x.added, 0)),
-        ('confirmed', c.confirmed_count, coalesce(x.confirmed, 0)),
-        ('moved', c.moved_count, coalesce(x.moved, 0)),
-        ('removed', c.removed_count, coalesce(x.removed, 0)),
-        ('missed', c.missed_count, coalesce(x.missed, 0)),
-        ('height changed', c.height_changed_count, coalesce(x.height_changed, 0)),
-        ('split', c.split_count, coalesce(x.split, 0)),
-        ('merged', c.merged_count, coalesce(x.merged, 0)),
-        ('changes of lines', (select coalesce(sum(n.value::bigint), 0) from jsonb_each_text(c.line_counts) n), coalesce(x.of_lines, 0)),
+        ('changes of lines', (select coalesce(sum(n.value::bigint), 0) from jsonb_each_text(c.line_counts) n), coalesce((x.found ->> 'line')::bigint, 0)),
         ('frame pairs', c.frame_pair_count, (select count(*) from conetl.frame_pair r where r.drive_uuid = c.drive_uuid)),
         ('detections', case when d.pruned_at is null then c.detection_count else 0 end,
             (select count(*) from conetl.detection r where r.drive_uuid = c.drive_uuid)),

@@ -1,7 +1,10 @@
--- Columns that several statements share: `{{state columns}}` stands for the list `state` below, `{{state columns of v}}` for the
--- same with v in place of x. A new column of features is added here.
+-- Columns that several statements share: `{{state columns}}` is replaced by the list `state` below, `{{state columns of v}}` by the
+-- same with v instead of x. A new column of features or deltas is added here.
 -- state: what feature_version, and the stages from which it is filled, hold of the state of a feature.
 -- feature: what is read of a version as MapFeature (metres, m^2, UTC nanoseconds), but for existence_probability.
+-- change: what a delta and its stages hold besides versions and changeset.
+-- receipt: what is read as Receipt.
+-- frame_pair: what is read as FramePair and its Pose.
 
 -- name: state
 x.category, x.geom, x.cov_xx, x.cov_xy, x.cov_xz, x.cov_yy, x.cov_yz, x.cov_zz,
@@ -16,3 +19,15 @@ array[ST_X(x.centre_geom), ST_Y(x.centre_geom), ST_Z(x.centre_geom)] as centre_x
 x.cone_height_m, x.cone_height_sigma_m, x.observation_count, x.first_seen_ns, x.last_seen_ns,
 array_send(x.calibrations) || array_send(x.shared_jacobian_m) as shared_jacobian,
 ST_AsBinary(x.line, 'NDR') as line, x.line_cov, x.width_m, x.width_sigma_m, x.colour, x.pattern, x.dash_m, x.gap_m
+
+-- name: change
+x.kind, x.track_index, x.changed_at_ns, x.changed_at, x.shift_m,
+x.other_feature_id, x.log_likelihood_ratio, x.existence_after, x.frames_seen, x.frames_empty
+
+-- name: receipt
+x.attempt_id, x.map_name, x.drive_path, x.drive_id, x.header_sha256, x.analysis_sha256, x.content_sha256, x.state, x.reason,
+x.may_pass, x.changeset_id, x.frame_pairs, x.seconds, x.flow_run_id, x.host, x.at
+
+-- name: frame_pair
+x.frame_index, x.left_path, x.right_path, x.captured_at_ns,
+array[ST_X(x.geom), ST_Y(x.geom), ST_Z(x.geom)] as map_t_body_m, x.map_r_body, x.sigma_enu_m, x.sigma_rpy_rad, x.detail

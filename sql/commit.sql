@@ -14,9 +14,9 @@ select pg_advisory_xact_lock_shared(hashtextextended('conetl.map/' || %(map_name
 
 -- name: system_time
 -- The system time of a new changeset: later than every earlier one of the map, even when the clock was set back.
--- Parameters: now (timestamptz, null: the server's clock); map_id.
+-- Parameters: map_id.
 select greatest(
-    coalesce(%(now)s::timestamptz, clock_timestamp()),
+    clock_timestamp(),
     (select max(c.committed_at) from conetl.changeset c where c.map_id = %(map_id)s) + interval '1 microsecond',
     (select max(d.decided_at) from conetl.decision d where d.map_id = %(map_id)s) + interval '1 microsecond'
 ) as committed_at;
@@ -62,10 +62,7 @@ returning changeset_no;
 -- Where the deltas of one changeset are loaded, each with the resulting state of the feature (units as in
 -- feature_version). is_change: false where a confirmation changes nothing. present: neither removed nor suppressed.
 create temporary table delta_stage on commit drop as
-select
-    feature_id, kind, old_version, true as is_change, track_index, changed_at_ns, changed_at, shift_m,
-    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty,
-    present, suppressed, {{state columns}}
+select feature_id, old_version, true as is_change, {{change columns}}, present, suppressed, {{state columns}}
 from conetl.delta
 join conetl.feature_version using (cell, feature_id)
 with no data;
@@ -179,16 +176,12 @@ order by 1, s.feature_id;
 -- name: insert_deltas
 -- Write the staged deltas, in the order of cells. Parameters: changeset_id; committed_at (timestamptz).
 insert into conetl.delta (
-    cell, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
-    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, of_line, system_period
+    cell, changeset_id, feature_id, old_version, new_version, {{change columns}}, of_line, system_period
 )
 select
     coalesce(o.cell, (select f.cell from conetl.feature f where f.feature_id = s.feature_id and f.map_id > 0)),
-    %(changeset_id)s, s.feature_id, s.kind, s.old_version,
-    case when s.is_change then coalesce(o.version, 0) + 1 else s.old_version end,
-    s.track_index, s.changed_at_ns, s.changed_at, s.shift_m,
-    s.other_feature_id, s.log_likelihood_ratio, s.existence_after, s.frames_seen, s.frames_empty, s.line is not null,
-    tstzrange(%(committed_at)s, null)
+    %(changeset_id)s, s.feature_id, s.old_version, case when s.is_change then coalesce(o.version, 0) + 1 else s.old_version end,
+    {{change columns of s}}, s.line is not null, tstzrange(%(committed_at)s, null)
 from delta_stage s
 left join open_version o using (feature_id)
 order by 1, s.feature_id;

@@ -67,9 +67,7 @@ order by p.frame_index;
 -- name: frame_pairs
 -- The frame pairs of a drive. Parameters: drive_uuid; easting_m, northing_m, within_m: only those in a square around a position
 -- (map CRS; all null: everywhere). Columns: as FramePair and its Pose.
-select
-    p.frame_index, p.left_path, p.right_path, p.captured_at_ns,
-    array[ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom)] as map_t_body_m, p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad, p.detail
+select {{frame_pair columns of p}}
 from conetl.frame_pair p
 where p.drive_uuid = %(drive_uuid)s and (
     %(within_m)s::float8 is null
@@ -313,10 +311,7 @@ where d.drive_uuid = any(%(drive_uuids)s) and (
 -- name: frame_pairs_at_ends
 -- The first and the last frame pairs of some drives. Parameters: drive_uuids (uuid[]); count (at each end).
 -- Columns: as frame_pairs, then drive_uuid; in the order of their time.
-select
-    p.frame_index, p.left_path, p.right_path, p.captured_at_ns,
-    array[ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom)] as map_t_body_m, p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad, p.detail,
-    p.drive_uuid
+select {{frame_pair columns of p}}, p.drive_uuid
 from (
     select
         f.*,

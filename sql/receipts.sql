@@ -1,4 +1,4 @@
--- What became of every drive that was handed over.
+-- The outcome of every drive that was submitted.
 
 -- name: insert_receipt
 -- One receipt; nothing where the attempt already has one of this kind. Parameters: as the columns.
@@ -16,8 +16,7 @@ on conflict (attempt_id, (state = 'started')) do nothing;
 -- The last receipt of drives of a map, except of those whose map was set aside. Parameters: map_name; headers (text[]).
 -- Columns: as Receipt; attempts counts how often work on the drive was started.
 select
-    r.attempt_id, r.map_name, r.drive_path, r.drive_id, r.header_sha256, r.analysis_sha256, r.content_sha256, r.state, r.reason,
-    r.may_pass, r.changeset_id, r.frame_pairs, r.seconds, r.flow_run_id, r.host, r.at,
+    {{receipt columns of r}},
     (
         select count(*)
         from conetl.receipt s
@@ -39,19 +38,15 @@ select r.drive_id, r.header_sha256 from conetl.latest_receipt r where r.map_name
 
 -- name: receipt_ends
 -- How attempts ended. Parameters: attempt_ids (uuid[]). Columns: as Receipt.
-select
-    r.attempt_id, r.map_name, r.drive_path, r.drive_id, r.header_sha256, r.analysis_sha256, r.content_sha256, r.state, r.reason,
-    r.may_pass, r.changeset_id, r.frame_pairs, r.seconds, r.flow_run_id, r.host, r.at
+select {{receipt columns of r}}
 from conetl.receipt r
 where r.attempt_id = any(%(attempt_ids)s::uuid[]) and r.state <> 'started'
 order by r.receipt_no;
 
 -- name: pairs_per_second
 -- How fast recent drives were ingested: the median of the last 200 that were committed.
--- Parameters: map_name. Columns: pairs_per_second (null: none was timed), drives.
-select
-    percentile_cont(0.5) within group (order by timed.frame_pairs / timed.seconds) as pairs_per_second,
-    count(*) as drives
+-- Parameters: map_name. Columns: pairs_per_second (null: none was timed).
+select percentile_cont(0.5) within group (order by timed.frame_pairs / timed.seconds) as pairs_per_second
 from (
     select r.frame_pairs, r.seconds
     from conetl.receipt r

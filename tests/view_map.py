@@ -11,6 +11,7 @@ from datetime import timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -52,11 +53,12 @@ def commit(conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int
     start_ns = samples.START_NS + day * samples.DAY_NS
     made = samples.drive(f"drive_{key}", start_ns=start_ns)
     drive = with_images(made, samples.detections(), folder / made.drive_id)
-    with map_transaction(conn):
+    noon = utc_from_ns(start_ns) + timedelta(hours=4)
+    with map_transaction(conn), patch("conetl.db.map.commit.system_time", return_value=noon):
         return commit_changeset(
             conn,
             DriveRecords(drive, samples.detections(), samples.matches(), samples.positions(), [samples.track()]),
-            samples.changeset(*deltas, drive_id=drive.drive_id, key=key), now=utc_from_ns(start_ns) + timedelta(hours=4),
+            samples.changeset(*deltas, drive_id=drive.drive_id, key=key),
         )  # fmt: skip
 
 

@@ -13,10 +13,9 @@ Everything is committed at the end of the block, or nothing.
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
 from itertools import chain
@@ -41,9 +40,8 @@ from conetl.model.params import ReconcileParams
 
 #: A drive may see features this far around its path: the farthest position plus the largest offset and move.
 INFLUENCE_M = 60.0
-#: Records per block, and blocks that wait at most: about 100 MB of positions, which are the longest rows.
+#: Records per block: about 8 MB of positions, which are the longest rows.
 BLOCK_RECORDS = 25_000
-BLOCKS_AHEAD = 12
 _COUNTED = {
     "detection": "detections", "match": "matches", "position": "positions", "track": "tracks", "marking": "markings",
     "rejection": "rejections",
@@ -61,7 +59,6 @@ def place_drive(
     idempotency_key: str,
     *,
     map_name: str = "default",
-    now: datetime | None = None,
     reconcile: ReconcileParams | None = None,
     influence_m: float = INFLUENCE_M,
     figures: AbsenceFigures | None = None,
@@ -71,7 +68,7 @@ def place_drive(
     It counts only once its changeset exists. reconcile (None: the defaults), influence_m and figures (of the detector; None: not
     measured) are kept for later comparisons of the drive with the map. Raises MapMismatchError if the map is in another CRS.
     """
-    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
+    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}")
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
     if db.query(conn, "drives.belongs_elsewhere", drive_uuid=drive_uuid, map_id=info.map_id)[0]["elsewhere"]:
         # A map of this name was set aside.
@@ -103,7 +100,6 @@ def commit_changeset(
     changeset: Changeset,
     *,
     map_name: str = "default",
-    now: datetime | None = None,
     run: RunInfo | None = None,
     suppressed: Collection[UUID] = (),
     replay: Replay | None = None,
@@ -113,31 +109,32 @@ def commit_changeset(
 ) -> CommitResult:
     """Write a drive, everything made from it, and its changeset, under the locks that the caller holds.
 
-    The map is created by its first changeset with the drive's SRID. `now` is the system time of the changeset (None: the server's
-    clock); it is moved behind the map's last one. Versions are numbered here: the open one's plus one. suppressed: features that
-    end where a person decided that nothing stands. replay: for a drive that is older than others around it, the new state of the
-    whole neighbourhood, the changeset's own deltas included. hold: the checks for which the drive must not count until a person
-    accepts it; held_by_map: whether the comparison with the map made them. placed: the drive, where the
-    caller placed it, and knows that it has no changeset yet. Raises MapMismatchError if the drive is in another
-    CRS, the records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding
-    transaction.
+    The map is created by its first changeset with the drive's SRID. Versions are numbered here: the open one's plus one.
+    suppressed: features that end where a person decided that nothing stands. replay: for a drive that is older than others
+    around it, the new state of the whole neighbourhood, the changeset's own deltas included. hold: the checks for which the drive
+    must not count until a person accepts it; held_by_map: whether the comparison with the map made them. placed: the drive, where
+    the caller has placed it and knows that it has no changeset yet. Raises MapMismatchError if the drive is in another CRS, the
+    records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding transaction.
     """
     drive = records.drive
     if placed is None:
         known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
         if known is not None:
             return CommitResult(committed=False, changeset=known, versions_written=0)
-        placed = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
+        placed = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name)
     _require_consistent(records, changeset)
-    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
-    # Encoding takes nearly as long as sending, during which this process would only wait.
-    with made_ahead(_encoded_records(placed, info.srid, records), ahead=BLOCKS_AHEAD) as blocks:
+    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}")
+    blocks = _encoded_records(placed, info.srid, records)
+    # Encoding takes nearly as long as sending, during which this process would only wait: a thread encodes the next block.
+    with ThreadPoolExecutor(1) as pool:
+        upcoming = pool.submit(next, blocks, None)
         if replay is None:
             _stage_deltas(conn, info, placed, changeset, suppressed)
-        for block in blocks:
+        while (block := upcoming.result()) is not None:
+            upcoming = pool.submit(next, blocks, None)
             db.copy_block(conn, block)
     take_turn(conn, map_name)  # what follows keeps other drives of the map waiting
-    committed_at = system_time(conn, info, now)
+    committed_at = system_time(conn, info)
     insert_changeset(conn, info, placed, changeset, records, run, committed_at)
     db.copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
@@ -191,27 +188,6 @@ def committed_result(conn: Connection, changeset: Changeset, versions_written: i
     if written is None:
         raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
     return CommitResult(committed=True, changeset=written, versions_written=versions_written)
-
-
-@contextmanager
-def made_ahead(source: Iterable[T], *, ahead: int) -> Iterator[Iterator[T]]:
-    """The items of `source` (not None) in order, made by a thread that starts at once; at most `ahead` wait in memory.
-
-    An error of the source is raised in place of its item. The source must not touch what the caller uses meanwhile.
-    """
-    items = iter(source)
-    with ThreadPoolExecutor(1) as pool:
-        waiting = deque(pool.submit(next, items, None) for _ in range(ahead))
-
-        def in_order() -> Iterator[T]:
-            while (item := waiting.popleft().result()) is not None:
-                waiting.append(pool.submit(next, items, None))
-                yield item
-
-        try:
-            yield in_order()
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
 def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:

@@ -45,7 +45,7 @@ def map_transaction(
 def drive_transaction(
     conn: Connection, map_name: str = "default", *, lock_timeout_s: float = db.LOCK_TIMEOUT_S
 ) -> Iterator[None]:
-    """As `map_transaction`, but without a lock: for one drive, which takes its own ones (`lock_neighbourhood`)."""
+    """As `map_transaction`, but without a lock: for one drive, which takes its own locks (`lock_neighbourhood`)."""
     with db.transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
         db.query(conn, "commit.set_lock_timeout", timeout=f"{lock_timeout_s * 1000:.0f}ms")
         yield
@@ -82,7 +82,7 @@ def require_map(conn: Connection, map_name: str) -> MapInfo:
 
 
 def read_current_features(conn: Connection, *, map_name: str = "default", lines: bool = False) -> list[MapFeature]:
-    """The point objects, and with `lines` the lane markings, that stand on the map now, by feature id; [] without such a map."""
+    """The point objects, and with `lines` the lane markings, that stand on the map now, by feature id; [] without a map."""
     return [version.feature for version in read_features_as_of(conn, map_name=map_name, lines=lines)]
 
 
@@ -131,7 +131,7 @@ def list_changesets(
 
 
 def feature_log(conn: Connection, feature_id: UUID) -> list[dict[str, Any]]:
-    """Everything that happened to a feature, oldest first, columns of `history.feature_log`; [] without such a feature."""
+    """Everything that happened to a feature, oldest first, columns of `history.feature_log`; [] if it does not exist."""
     what = f"The history of feature {feature_id} cannot be read"
     rows = db.read(conn, what, "history.feature_log", feature_id=feature_id)
     return [row | {"kind": DeltaKind(row["kind"])} for row in rows]
@@ -145,12 +145,12 @@ def find_features(conn: Connection, beginning: str, *, map_name: str = "default"
 
 
 def map_summary(conn: Connection, map_name: str = "default") -> dict[str, Any] | None:
-    """The map in figures, columns of `map.summary`; None without such a map."""
+    """The map in figures, columns of `map.summary`; None if it does not exist."""
     rows = db.read(conn, f"The map {map_name} cannot be read", "map.summary", map_name=map_name)
     return rows[0] if rows else None
 
 
-def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime | None = None) -> MapInfo:
+def map_for(conn: Connection, map_name: str, srid: int, what: str) -> MapInfo:
     """The map, created if it is missing; does not commit. Raises MapMismatchError if it is not in EPSG:srid, as `what` is.
 
     One that only drives on hold have begun, perhaps with swapped coordinates, does not fix its CRS: it gets another name.
@@ -162,7 +162,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
         _log.warning("No drive of map %s counts: it is called %s from now on", map_name, new_name)
         info = None
     if info is None:
-        info = insert_map(conn, map_name, srid, now=now)
+        info = insert_map(conn, map_name, srid)
     if info is None or info.srid != srid:
         raise MapMismatchError(
             f"{what} is in EPSG:{srid}, the map {map_name} in EPSG:{info.srid if info else '?'}: set "
@@ -172,26 +172,24 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
     return info
 
 
-def insert_map(
-    conn: Connection, map_name: str, srid: int, *, vertical_srid: int | None = None, now: datetime | None = None
-) -> MapInfo | None:
+def insert_map(conn: Connection, map_name: str, srid: int, *, vertical_srid: int | None = None) -> MapInfo | None:
     """Create a map unless it exists; does not commit. The map of that name."""
-    created_at = now or datetime.now(UTC)
+    created_at = datetime.now(UTC)
     db.query(conn, "map.insert_map", map_name=map_name, srid=srid, vertical_srid=vertical_srid, created_at=created_at)
     return find_map(conn, map_name)
 
 
-def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) -> datetime:
-    """The instant of a new changeset or decision: now (None: the server's clock), but later than the map's last one.
+def system_time(conn: Connection, info: MapInfo) -> datetime:
+    """The instant of a new changeset or decision: that of the server's clock, but later than the map's last one.
 
     Under the map's lock, or in turn (`take_turn`).
     """
-    instant: datetime = db.query(conn, "commit.system_time", now=now, map_id=info.map_id)[0]["committed_at"]
+    instant: datetime = db.query(conn, "commit.system_time", map_id=info.map_id)[0]["committed_at"]
     return instant
 
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
-    """Every current version that began until then (None: all), by feature; [] without such a map."""
+    """Every current version that began until then (None: all), by feature; [] if the map does not exist."""
     parameters = {"map_name": map_name, "feature_id": None, "valid_until": db.latest_or(until)}
     rows = db.stream(conn, f"The history of map {map_name} cannot be read", "map.current_versions", **parameters)
     return [version_of(row) for row in rows]
