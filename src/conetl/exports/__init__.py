@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import StrEnum
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 if TYPE_CHECKING:
@@ -50,7 +50,5 @@ FORMATS = {
 
 def writer_of(file_format: str) -> Callable[[Sequence[ExportSource], Path], None]:
     """The function that writes a format of `FORMATS`."""
-    module, function = FORMATS[file_format].entry_point.split(":")
-    return cast(
-        "Callable[[Sequence[ExportSource], Path], None]", getattr(import_module(f"conetl.exports.{module}"), function)
-    )
+    writer = resolve_name(f"conetl.exports.{FORMATS[file_format].entry_point}")
+    return cast("Callable[[Sequence[ExportSource], Path], None]", writer)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from conetl.db.arrow_rows import batches_of, schema_of
@@ -23,12 +22,11 @@ from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.exports import Order
 from conetl.geometry.geodesy import compound_crs, system_name, to_crs, turns
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Ints
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES, require_classes
 from conetl.model.params import ReconcileParams
 
-Integers = NDArray[np.int64]
 #: Rows in memory at a time, and rows of a GeoParquet row group.
 BATCH_ROWS = 50_000
 #: Columns that follow from others: their type, and the column of the query without which they do not exist.
@@ -127,7 +125,7 @@ class ExportSource:
         lons, lats = self.to_wgs84.transform(easting, northing)
         return lons, lats
 
-    def vertices_m(self, batch: pa.RecordBatch) -> tuple[Floats, Integers]:
+    def vertices_m(self, batch: pa.RecordBatch) -> tuple[Floats, Ints]:
         """Vertices of the lines of a batch, (n, 3) with ellipsoidal heights in the map's CRS, and the row (n,) of each."""
         lines = shapely.from_wkb(batch.column(LINE_NAME).to_pylist())
         vertices, rows = shapely.get_coordinates(lines, include_z=True, return_index=True)

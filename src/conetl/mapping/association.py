@@ -17,13 +17,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import stacked
+from conetl.model.arrays import Floats, Ints
 from conetl.model.base import Cov3
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 #: Limits of the search for the common offset: candidate offsets, and tracks on which each is evaluated.
 _MAX_CANDIDATES = 200
 _MAX_TRACKS = 2000
@@ -158,7 +157,7 @@ def moves_by_earlier_drives(
 
 def _alike_nearby(
     comparison: Comparison, of_tracks: Sequence[int], of_features: Sequence[int]
-) -> tuple[Indices, Indices, Floats]:
+) -> tuple[Ints, Ints, Floats]:
     """Feature and track indices, and distances in metres, of all pairs between which a cone may have been moved."""
     tracks, features, map_xyz_m, params = comparison
     rows, columns = np.array(of_features), np.array(of_tracks)
@@ -203,7 +202,7 @@ def _horizontal(covariances: Sequence[Cov3]) -> Floats:
     return stacked(covariances, 6)[:, [0, 1, 3]]
 
 
-def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
+def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Ints, Ints]:
     """Indices into a_m (N, 2) and b_m (M, 2), metres, of all pairs at most `reach_m` apart, by rising index of `a`, then
     `b`."""
     if not len(a_m) or not len(b_m):
@@ -214,7 +213,7 @@ def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Indices, Indic
     return found["i"][order], found["j"][order]
 
 
-def assign(rows: Indices, columns: Indices, costs: Floats, *, unpaired_cost: float | None = None) -> dict[int, int]:
+def assign(rows: Ints, columns: Ints, costs: Floats, *, unpaired_cost: float | None = None) -> dict[int, int]:
     """Row -> column of the one-to-one pairing with most pairs and, among those, the least total cost.
 
     rows, columns, costs (K,): the allowed pairs, each once. unpaired_cost: cost of a row and a column that stay unpaired, above

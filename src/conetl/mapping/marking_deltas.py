@@ -13,15 +13,15 @@ from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrices, vec3
 from conetl.mapping.deltas import seen_again
 from conetl.mapping.fusion import OffsetErrors, birge_ratios, fuse, in_map_frame
-from conetl.mapping.marking_lines import Feet, Indices, Lines, lines_of
+from conetl.mapping.marking_lines import Feet, Lines, lines_of
 from conetl.mapping.visibility import MarkingView
-from conetl.model.arrays import Bools, Floats
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.base import SharedErrorJacobian, sound
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
 
 _NAMESPACE = UUID("3c0a8d52-1f7e-4f0b-9d35-8e1c6a7b2f49")
-#: A stretch on the map is at most so long; its vertices are about as far apart as those of the drive, at most so far.
+#: Greatest length of a stretch on the map, and of the distance of its vertices, which is about that of the drive's vertices.
 STRETCH_M, _LONGEST_STEP_M = 10.0, 3.5
 #: Vertices of a drive nearer than this to the end of a stretch are left out.
 _LEAST_STEP_M = 0.5
@@ -188,7 +188,7 @@ def added(
     )
 
 
-def split(confirmation: Delta, vertices: Indices, at_ns: int, founding_key: str) -> Delta:
+def split(confirmation: Delta, vertices: Ints, at_ns: int, founding_key: str) -> Delta:
     """What is left of a stretch that is removed: successive vertices of its confirmed state, as a stretch of its own."""
     whole = confirmation.state_after
     shape = shape_of(whole)

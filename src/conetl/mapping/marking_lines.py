@@ -6,16 +6,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.mapping.association import near_pairs
-from conetl.model.arrays import Bools, Floats
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.params import ReconcileParams
 
-Indices = NDArray[np.int64]
 #: Lines that differ by more in direction are not the same marking.
 _LEAST_COSINE = float(np.cos(np.radians(20.0)))
-#: A line counts as going on so far straight beyond its ends; and beyond its inner vertices, outside of a bend.
+#: A line counts as continuing this far straight beyond its ends; and beyond its inner vertices, outside of a bend.
 _END_M, _JOIN_M = 1.0, 0.1
 #: Two stretches lie side by side, not one after the other, if they share more than this of a line.
 _SHARED_M = 0.6
@@ -33,7 +31,7 @@ class Lines(NamedTuple):
 
     vertices_m: Floats
     """(V, 3)"""
-    line: Indices
+    line: Ints
     """(V,) number of the line of each vertex."""
     station_m: Floats
     """(V,) from the line's first vertex, horizontal."""
@@ -49,9 +47,9 @@ class Lines(NamedTuple):
 class Feet(NamedTuple):
     """Feet (K,) of perpendiculars from points to lines, at most one per point and line."""
 
-    point: Indices
-    line: Indices
-    segment: Indices
+    point: Ints
+    line: Ints
+    segment: Ints
     """First vertex of the segment of the line, in `Lines`."""
     share: Floats
     """Of the foot along the segment, 0 to 1."""
@@ -65,7 +63,7 @@ class Feet(NamedTuple):
         found: Floats = (1 - share) * values[self.segment] + share * values[self.segment + 1]
         return found
 
-    def only(self, rows: Indices | Bools) -> Feet:
+    def only(self, rows: Ints | Bools) -> Feet:
         return Feet(*(values[rows] for values in self))  # type: ignore[arg-type]
 
 
@@ -164,13 +162,13 @@ class Claims:
     """Which vertices of the map's stretches are which points of the drive's lines: each vertex once, and no part of a line
     for two stretches side by side."""
 
-    def __init__(self, found: Feet, stretch: Indices) -> None:
+    def __init__(self, found: Feet, stretch: Ints) -> None:
         """stretch: (V,) number of the stretch of each vertex of the map."""
         self._found, self._stretch = found, stretch
         self._parts: dict[int, list[tuple[float, float]]] = {}
         self._taken: set[int] = set()
 
-    def claim(self, rows: Indices, penalty_m: Floats, least: Callable[[int], int]) -> Indices:
+    def claim(self, rows: Ints, penalty_m: Floats, least: Callable[[int], int]) -> Ints:
         """The rows of the feet that are claimed now, of `rows` (K,): whole stretches by mean distance and penalty (K,), the
         nearest first; at least `least(stretch)` vertices of one on one line."""
         found, stretch = self._found, self._stretch[self._found.point[rows]]

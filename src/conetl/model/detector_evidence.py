@@ -14,9 +14,9 @@ from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from conetl.model.arrays import Bools, Floats
 from conetl.model.base import Positive, Record
 from conetl.model.drive import UnclearSquares
 from conetl.model.feature_classes import CONE
@@ -85,7 +85,7 @@ class DetectorEvidence(Record):
     hidden_bands: tuple[Annotated[float, Field(ge=0, lt=1)], ...] = Field(min_length=1)
     """Share of the cone's box behind nearer objects at which each band begins; the first is 0."""
     hidden_most: Share
-    """Largest measured hidden share; beyond it an image is no evidence."""
+    """Largest measured hidden share; beyond it an image is not evidence."""
     looks: tuple[tuple[Count, ...], ...]
     """Number of cones, by height and hidden band."""
     detected: tuple[tuple[tuple[Share, ...], ...], ...]
@@ -150,9 +150,9 @@ def evidence_of(evidence: DetectorEvidence, category: str) -> DetectorEvidence:
 def absence_log_ratio(
     evidence: DetectorEvidence,
     score_threshold: float,
-    heights_px: NDArray[np.float64],
-    hidden: NDArray[np.float64],
-    found: NDArray[np.bool_],
+    heights_px: Floats,
+    hidden: Floats,
+    found: Bools,
     *,
     stray_probability: float,
     unseen_occluder_probability: float,
@@ -220,14 +220,12 @@ def miss_log_ratio(evidence: DetectorEvidence, height_px: float, hidden: float, 
     return float(np.log(missed / (1 - lookalike_box_probability(evidence, threshold))))
 
 
-def joint_log_ratio(evidence: DetectorEvidence, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
+def joint_log_ratio(evidence: DetectorEvidence, ratios: Floats, heights_px: Floats) -> float:
     """Joint log-likelihood ratio of N images, from their own ratios (N,) and the object's apparent heights (N,)."""
     return evidence.joint_scale * _correlated_sum(evidence.look_correlation, ratios, heights_px)
 
 
-def _correlated_sum(
-    correlation: ImageCorrelation, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]
-) -> float:
+def _correlated_sum(correlation: ImageCorrelation, ratios: Floats, heights_px: Floats) -> float:
     """Sum of log-likelihood ratios (N,) over the design effect of their correlation at apparent heights (N,).
 
     Design effect (Kish 1965, Survey Sampling, section 5.4): 1 + (N - 1) r with one correlation r, here the mean row sum of the
@@ -251,7 +249,7 @@ def _log_odds(calibration: ScoreCalibration, score: float) -> float:
 
 
 @lru_cache(maxsize=8)
-def _knots(calibration: ScoreCalibration) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _knots(calibration: ScoreCalibration) -> tuple[Floats, Floats]:
     """Scores and probabilities as log-odds; cached, because a long drive needs them 100,000 times."""
     scores, probabilities = (
         np.array([_logit(p) for p in values]) for values in (calibration.scores, calibration.probabilities)

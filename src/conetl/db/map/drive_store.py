@@ -11,12 +11,12 @@ from typing import NamedTuple
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.db.connection import Connection, read, stream, stream_values
 from conetl.db.copy_binary import json_text
 from conetl.db.map.import_store import read_statements
 from conetl.db.map.rows import Row, covariances, jacobian_of, marking_of, record_of
+from conetl.model.arrays import Floats
 from conetl.model.base import Vec3
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.drive import Detection, Drive, FramePair, Pose, Track
@@ -45,7 +45,7 @@ class StoredDrive:
     influence_m: float
     figures: AbsenceFigures
     """Of the drive's detector."""
-    path_m: NDArray[np.float64]
+    path_m: Floats
     """(N, 2), a row per frame pair; of an imported map, its stated positions."""
     tracks: list[Track]
     markings: list[MarkingTrack]
