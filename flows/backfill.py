@@ -36,7 +36,7 @@ from flows.batch_artifacts import batch_progress, show_summary
 from flows.runs import MapName, MapSrid, alive
 
 _log = logging.getLogger(__name__)
-#: A drive whose process died is started so often in all, then it counts as failed.
+#: A drive whose process died is started at most this many times; then it counts as failed.
 TRIES = 2
 _POLL_S = 1.0
 Parallel = Annotated[
@@ -201,7 +201,7 @@ def _landed(
     conn: Connection, running: list[dispatch.DriveRun], plan: Plan, settings: Settings
 ) -> list[tuple[dispatch.DriveRun, Receipt, bool]]:
     """Runs that ended, with their receipts, and whether another try may help."""
-    # Read first: what ended before this has its receipt by now.
+    # Read first: runs that ended before this have their receipts by now.
     ends_of_processes = {run.attempt_id: dispatch.over(run) for run in running}
     ends = attempt_ends(conn, [run.attempt_id for run in running])
     landed: list[tuple[dispatch.DriveRun, Receipt, bool]] = []
@@ -215,7 +215,7 @@ def _landed(
         reason = ends_of_processes[run.attempt_id]
         begun = latest.get(run.line.header.header_sha256)
         if begun is not None and begun.attempt_id == run.attempt_id and begun.state == "started":
-            # It began. Whether it lives is shown by its lock, not by Prefect's state.
+            # It was started. Its lock shows whether it is running, not Prefect's state.
             crashed = end_crashed(conn, begun, reason or "its process is gone", settings.receipts_folder)
             if crashed is not None:
                 dispatch.mark_crashed(run.flow_run_id, crashed.reason)

@@ -16,7 +16,7 @@ from conetl.pipeline.backfill_plan import reasons
 if TYPE_CHECKING:
     from flows.backfill import Standing
 
-#: The table is written again at most so often: each time is another artifact, and a thousand drives make it large.
+#: The table is written again at most this often: each time it is a new artifact, which is large with a thousand drives.
 _TABLE_EVERY_S = 600.0
 _SHOWN_ROWS = 300
 
@@ -53,7 +53,7 @@ def show_summary(standing: Standing) -> None:
     if standing.failed:
         rows = [map(as_markdown, (r.drive_id, r.drive_path, r.reason)) for r in standing.failed[:_SHOWN_ROWS]]
         lines += _table("failed, recorded in, reason", rows)
-        lines.append("Run the same backfill again to try the failed drives again; what is on the map is left alone.")
+        lines.append("Run the same backfill again to try the failed drives again; those on the map are skipped.")
     artifacts.create_markdown_artifact(
         "\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives"
     )

@@ -54,7 +54,7 @@ class DriveRun:
 def resolve_where(where: Where) -> Literal["workers", "here"]:
     """`auto`: workers where `conetl up` has made the deployment and one is online, else children of this process.
 
-    Without a worker a drive would wait for ever. Raises ServiceError.
+    Without a worker a drive would wait forever. Raises ServiceError.
     """
     if where == "here":
         return where
@@ -140,7 +140,7 @@ def launch(
 
 
 def over(run: DriveRun) -> str | None:
-    """Why a run ended, None while it may go on. What it did is in the receipts."""
+    """Why a run ended; None while it may be running. Its results are in the receipts."""
     if run.process is not None:
         if run.process.is_alive():
             return None
@@ -173,7 +173,7 @@ def mark_crashed(flow_run_id: UUID, reason: str) -> None:
 
 
 def abandon(runs: Sequence[DriveRun]) -> None:
-    """End the children of this process; what workers run goes on."""
+    """End the children of this process; runs of workers continue."""
     children = [run.process for run in runs if run.process is not None and run.process.is_alive()]
     for child in children:
         child.terminate()

@@ -1,7 +1,7 @@
 """One drive folder becomes one changeset of the map: as a job with locks and receipts, and as a run of `conetl ingest`.
 
-Annotations are evaluated here and not put off: Prefect sends a flow to a child process by value, with those globals only that its
-body uses, and the child could not make sense of their names.
+Annotations are evaluated at import: Prefect sends a flow to a child process by value, with only the globals that its body uses,
+so the child could not resolve names in annotations.
 """
 
 import time
@@ -91,10 +91,10 @@ def ingest_drive(
     params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
     attempt_id: Annotated[UUID | None, Field(description="Leave empty.")] = None,
 ) -> State[Any]:
-    """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
+    """Ingest one drive: once, even if another process tries at the same time, with a receipt of the outcome."""
     settings = read_settings(map_name)
     settings.require_readable(as_path(drive))
-    header = read_header(as_path(drive).absolute())  # links stay: a calibration may lie beside the link
+    header = read_header(as_path(drive).absolute())  # links are kept: the calibration may be beside the link
     with alive(settings, drive_lock(settings.map_name, header.header_sha256)) as database:
         analysis = analysis_of(params, settings).sha256
         begun = new_receipt(header, settings, analysis, attempt_id or uuid4(), flow_run.id)
@@ -119,7 +119,7 @@ def ingest_drive(
 def _describe_run(header: DriveHeader, map_name: str) -> None:
     """Name and tag this flow run by its drive: one that the form started has neither.
 
-    Its tasks get no tags: before a task with tags begins, Prefect asks the server for limits of how many may run, and detections
+    Its tasks get no tags: before a task with tags starts, Prefect queries the server for concurrency limits, and detections
     waited two seconds for the answer, twice a minute.
     """
     name, tags = drive_run_name(header), {*flow_run.tags, *drive_tags(header, map_name)}

@@ -1,6 +1,6 @@
 """What all flows of deployments share: their parameters, the lock that shows that they live, and recovery of dead runs.
 
-Prefect takes a run to be running until somebody says otherwise. Every run of ours holds a lock in the database as long as its
+Prefect considers a run running until its state is changed. Every run of conetl holds a lock in the database as long as its
 process lives (`db/receipt_store.py`), so one that runs without its lock is dead, on whatever machine it was.
 """
 
@@ -28,7 +28,7 @@ GRACE = timedelta(seconds=30)
 #: A run that a worker took and never started.
 PENDING_GRACE = timedelta(minutes=5)
 MAX_RUNS = 3
-_REASON = "its process is gone: nobody holds its lock in the database"
+_REASON = "its process is gone: no session holds its lock in the database"
 
 MapName = Annotated[
     str | None,
@@ -58,13 +58,16 @@ def drive_run_name(header: DriveHeader) -> str:
 
 
 def drive_tags(header: DriveHeader, map_name: str) -> list[str]:
-    """By what a run is found again in Prefect."""
+    """Tags by which a run is found in Prefect."""
     day = [f"day:{header.captured_from:%Y-%m-%d}"] if header.captured_from else []
     return [f"drive:{header.drive_id}", f"map:{map_name}", *day]
 
 
 def recover(database: MapDatabase) -> list[FlowRun]:
-    """Mark dead runs as crashed and queue those again that belong to no other run and were not tried too often; all the dead."""
+    """Mark dead runs as crashed, and queue those again that no other run started and that were tried fewer than `MAX_RUNS` times.
+
+    Returns all dead runs.
+    """
     states = [StateType.RUNNING, StateType.PENDING, StateType.CANCELLING]
     with client() as api, database.connection() as conn:
         runs = api.read_flow_runs(
@@ -79,7 +82,7 @@ def recover(database: MapDatabase) -> list[FlowRun]:
             api.set_flow_run_state(run.id, Crashed(message=_REASON), force=True)
             again = run.deployment_id and not run.parent_task_run_id and run.run_count < MAX_RUNS
             if again and run.state and not run.state.is_cancelling():
-                api.set_flow_run_state(run.id, Scheduled(message="taken up again after a crash"), force=True)
+                api.set_flow_run_state(run.id, Scheduled(message="started again after a crash"), force=True)
     return dead
 
 

@@ -88,13 +88,15 @@ def audit() -> State[Any]:
         {"audit": r.name, "result": "passed" if r.passed else f"{r.row_count} rows", "what": r.purpose} for r in results
     ]
     create_table_artifact(rows, key="audit", description="The map against its own rules")
-    broken = [result for result in results if not result.passed]
-    if broken:
+    failed = [result for result in results if not result.passed]
+    if failed:
         found = [
-            {"audit": r.name, **{k: as_markdown(str(v)) for k, v in row.items()}} for r in broken for row in r.rows[:20]
+            {"audit": r.name, **{k: as_markdown(str(v)) for k, v in row.items()}} for r in failed for row in r.rows[:20]
         ]
-        create_table_artifact(found, key="audit-rows", description="Rows that must not be; the first 20 of each audit")
-        return Failed(message=f"{', '.join(r.name for r in broken)}: rows that must not be; see `conetl db audit`")
+        create_table_artifact(
+            found, key="audit-rows", description="Rows that must not exist; the first 20 of each audit"
+        )
+        return Failed(message=f"{', '.join(r.name for r in failed)}: rows that must not exist; see `conetl db audit`")
     return Completed(message=f"{len(results)} audits passed")
 
 

@@ -75,7 +75,7 @@ def _start(home: Path) -> processes.Service:
     """Start a server and wait until it answers; try again once if it fails. Raises ServiceError.
 
     One at a time per home: while it starts, a server creates the tables of a SQLite file that all of them share, and gives up if
-    it is locked. A running server, or a port taken in between, can still interfere; hence the second attempt.
+    it is locked. A running server, or a port taken in between, can still interfere: therefore the second attempt.
     """
     make_home(home)
     with (home / "prefect" / "start.lock").open("w") as handle:
@@ -109,7 +109,7 @@ def _start_once(home: Path) -> processes.Service:
 def _settings_for(home: Path, url: str) -> Iterator[None]:
     """Prefect's settings for the runs of this command, in all its threads. Prefect itself reads its environment when imported.
 
-    Settings that hold for one thread do not do: Prefect would start one more server for what the threads of Dask report.
+    Settings of one thread are not enough: Prefect would start another server for what the threads of Dask report.
     No heartbeats: every flow would wait a second for their thread, and locks in the database show which runs are alive.
     """
     login = prefect_login(home)

@@ -20,7 +20,7 @@ where n.reason is not null
 on conflict (changeset_id) where upper_inf(system_period) do nothing;
 
 -- name: held_drives
--- The drives of a map that are on hold now, the one that waits longest first. A hold whose cause or figures changed goes on.
+-- The drives of a map that are on hold now, the one that waits longest first. A hold whose cause or figures changed continues.
 -- Parameters: map_name. Columns: as HeldDrive.
 with recursive waiting as (
     select h.changeset_id, h.since

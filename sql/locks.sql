@@ -5,7 +5,7 @@
 select pg_advisory_lock(hashtextextended(%(name)s, 0));
 
 -- name: try_lock
--- Take a lock of this session if nobody holds it. Parameters: name. Columns: taken.
+-- Take a lock of this session if no other session holds it. Parameters: name. Columns: taken.
 select pg_try_advisory_lock(hashtextextended(%(name)s, 0)) as taken;
 
 -- name: free_lock

@@ -112,7 +112,7 @@ class _Session:
     url: str
     """The connection itself knows its address without the password."""
     report_at: float = math.inf
-    """When to ask who blocks its statement, by the monotonic clock."""
+    """When to query who blocks its statement, by the monotonic clock."""
     blockers: str = ""
     """Who was last seen to block it."""
 
@@ -131,8 +131,8 @@ def _watch_of(process_id: int) -> threading.Thread:
 def _watch() -> None:
     """Report who holds the lock that a statement of this process waits for: after 5 s, then once a minute.
 
-    PostgreSQL says nothing to a session that waits. Looking at this process's connections costs the server nothing; it is asked,
-    in a session of its own, about one that has been busy for long.
+    PostgreSQL does not say so to a session that waits. Checking this process's connections costs the server nothing; only for one
+    that has been busy for long it is queried, in a separate session.
     """
     while True:
         time.sleep(REPORT_AFTER_S / 5)
@@ -148,11 +148,11 @@ def _watch() -> None:
                 if blockers:
                     session.blockers = "; ".join(blockers)
                     _log.warning("waiting for a lock in the database that is held by %s", session.blockers)
-        conn = None  # else it would stay open until the next look
+        conn = None  # else it would stay open until the next check
 
 
 def _blockers(conn: Connection, url: str) -> list[str]:
-    """Who blocks a connection, asked in a session of its own; nobody where the server does not answer."""
+    """Who blocks a connection, queried in a separate session; [] if the server does not answer."""
     try:
         with closing(psycopg2.connect(url, connect_timeout=CONNECT_TIMEOUT_S)) as asking:
             rows = query(asking, "locks.blockers", pid=conn.info.backend_pid)

@@ -117,7 +117,7 @@ def clean_text(text: str) -> str:
 
 
 def json_text(value: Any) -> str:
-    """JSON that jsonb accepts, whatever a broken record contains."""
+    """JSON that jsonb accepts, whatever an invalid record contains."""
     return json.dumps(_json_safe(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
@@ -161,7 +161,7 @@ def _blocks(items: list[bytes], length: int) -> CopyColumn:
 
 
 def _array(values: NDArray[Any]) -> bytes:
-    """As `array_send` in PostgreSQL's src/backend/utils/adt/arrayfuncs.c makes it.
+    """In the format of `array_send` (PostgreSQL's src/backend/utils/adt/arrayfuncs.c).
 
     Number of dimensions, whether any item is null, type of the items, then length and first index of each dimension, then the
     items, each after its length.

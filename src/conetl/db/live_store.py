@@ -13,7 +13,7 @@ from conetl.db.receipt_store import held_locks
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.drive import Drive, Track
 
-#: Watched drives that nobody ingested are deleted after this time, when the next watch begins.
+#: Watched drives that were never ingested are deleted after this time, when the next watch begins.
 KEEP_DAYS = 7
 _COV = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 

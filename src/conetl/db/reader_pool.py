@@ -54,7 +54,7 @@ class ReaderPool:
             try:
                 yield conn
             finally:
-                with suppress(Exception):  # a broken connection is not lent again
+                with suppress(Exception):  # a lost connection is not used again
                     conn.rollback()
                     self._free.append(conn)
         finally:

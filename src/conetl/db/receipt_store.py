@@ -5,8 +5,8 @@ The locks are PostgreSQL's session locks: the server frees them when their proce
 crash is detected and not guessed from a clock. (A pooler in transaction mode would break them.) `holding` keeps them in a session
 of their own during the work. Such a session is idle as long as the work takes, and may be lost: a restarted server, a firewall,
 an administrator. The work continues. A thread notices the loss and takes the locks again; if another process has one of them
-meanwhile, both continue, and this one retries until it ends. That nothing is committed twice does not depend on these locks, but
-on the map's lock and the check under it.
+meanwhile, both continue, and this one retries until it ends. That a drive is committed only once is ensured by
+the map's lock and the check under it, not by these locks.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
 
     Migrations only go forwards. Raises `DatabaseError` if an applied one was changed afterwards, the database is newer than this
     conetl or older than its baseline, PostGIS is missing or cannot be created. Two calls at once wait for each other; if nothing
-    is to be done, nothing is locked or written, so users without rights on the schema may call it too.
+    has to be done, nothing is locked or written, so users without rights on the schema may call it too.
     """
     wanted = _migration_files(directory or db.sql_directory() / "migrations")
     with db.transaction(conn, "The state of the database cannot be read"):

@@ -19,7 +19,7 @@ def read_rows(conn: Connection, statement: str, **parameters: Any) -> list[Row]:
 
 
 def read_some(conn: Connection, statement: str, most: int, **parameters: Any) -> tuple[list[Row], bool]:
-    """At most so many rows of a statement that has the parameter max_rows, and whether there are more. Raises DatabaseError."""
+    """At most `most` rows of a statement that has the parameter max_rows, and whether there are more. Raises DatabaseError."""
     rows = read_rows(conn, statement, max_rows=most + 1, **parameters)
     return rows[:most], len(rows) > most
 

@@ -46,7 +46,7 @@ FARTHEST_M = 300.0
 #: So many of its cones must fit, so that two rows of about equal distances do not by chance. A drive may set up new ones.
 _LEAST_SAME, _LEAST_SAME_OF_DRIVE, _LEAST_SAME_SHARE = 5, 7, 0.6
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
-#: A fit is distinct if no other one, so many gates apart, fits this share as many; else some of the map's cones must be absent.
+#: A fit is distinct if no other one, this many gates apart, fits this share as many; else some of the map's cones must be absent.
 _APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
 #: Two zones set up by people are not equal to this root mean square distance of their cones.
 _SAME_ZONE_M = 0.05
@@ -55,7 +55,7 @@ _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
 _MAX_NEAR, _MAX_TRIED = 150, 300
 #: Fewer removals, or cones that were moved, need no second look.
 _LEAST_REMOVED, _LEAST_MOVED = 3, 3
-#: A drive that confirms so many objects which were on the map an hour before is where the map has it.
+#: A drive that confirms this many objects that were on the map an hour before is where the map has it.
 LEAST_CONFIRMED, BEFORE_NS = 3, 3_600_000_000_000
 _STRETCHES = "stretches of lane markings"
 #: Prior that a drive is blind to what the model card says it sees, and the posterior from which a person decides.
@@ -106,7 +106,7 @@ def _displaced(
     t, f = places[0], on_map[0]
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
-    # GNSS without a fix lies metres aside, as its sigmas say: only the heights are compared after its offset is taken out.
+    # GNSS without a fix is metres off, as its sigmas state: only the heights are compared after its offset is taken out.
     offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
     for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
         pairs = _same_positions(places, on_map, shift_m, params)
@@ -125,7 +125,7 @@ def _displaced(
     absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
     same_zone = fit.distinct and (fit.beside or fit.residual_m <= _SAME_ZONE_M)
     if not same_zone and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
-        return None  # the map's row may go on, or have a second one beside it, where the drive sees it
+        return None  # the map's row may continue, or have a second one beside it, where the drive sees it
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     if fit.largest_m <= min(params.max_offset_m, _MAX_SIGMAS * sigma_m):
         return None
@@ -411,7 +411,7 @@ def _displaced_markings(
 
 
 def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
-    """Most stretches in view gone: a drive that lies farther aside, and adds as many others, or one that cannot see them."""
+    """Most stretches in view are gone: the drive is farther off and adds as many others, or it cannot see them."""
     stayed, moved = kinds[DeltaKind.CONFIRMED], kinds[DeltaKind.MOVED]
     added, removed = kinds[DeltaKind.ADDED], kinds[DeltaKind.REMOVED]
     if min(removed, added) >= _LEAST_PAIRS and min(removed, added) + moved > stayed:

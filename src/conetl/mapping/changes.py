@@ -88,14 +88,14 @@ def reconcile(
         j: observed(features[j], summaries.get(features[j].feature_id), tracks[i])
         for j, i in {**pairs, **moved}.items()
     }
-    anew = dict.fromkeys(moved, DeltaKind.MOVED)
-    anew |= dict.fromkeys(halves.values(), DeltaKind.CONFIRMED)  # its position was that of neither half
+    renewed = dict.fromkeys(moved, DeltaKind.MOVED)
+    renewed |= dict.fromkeys(halves.values(), DeltaKind.CONFIRMED)  # its position was that of neither half
     for j, i in pairs.items():
         if features[j].feature_id not in pinned and height_differs(features[j], tracks[i], params):
-            anew[j] = DeltaKind.HEIGHT_CHANGED
-    as_before = {j: i for j, i in pairs.items() if j not in anew}
+            renewed[j] = DeltaKind.HEIGHT_CHANGED
+    as_before = {j: i for j, i in pairs.items() if j not in renewed}
     track_of = pairs | moved
-    own = tracks_in_map_frame([*free, *(track_of[j] for j in anew)], tracks, features, pairs, weight)
+    own = tracks_in_map_frame([*free, *(track_of[j] for j in renewed)], tracks, features, pairs, weight)
     loose_pairs = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
     left = [j for j in vanished if j not in moved]
     moved_to = moves_by_earlier_drives(comparison, loose_pairs, left)
@@ -103,7 +103,7 @@ def reconcile(
     for delta in confirmed(as_before, features, tracks, evidence_for):
         old = feature_by_id.get(delta.feature_id)
         deltas += [delta] if old is None else moved_and_merged(old, delta)
-    for j, kind in anew.items():
+    for j, kind in renewed.items():
         i = track_of[j]
         deltas.append(changed(kind, features[j], own[i], map_xyz_m[i], shift_m, evidence_for[j]))
     for j, (absence, evidence) in unobserved.items():

@@ -29,8 +29,8 @@ from conetl.model.map_records import MapFeature
 
 S = TypeVar("S")
 
-#: A feature keeps the shared-error Jacobians of at most so many calibrations, because each lengthens its versions. The smallest
-#: of more count as independent errors from then on.
+#: A feature keeps the shared-error Jacobians of at most this many calibrations, because each lengthens its versions. If there are
+#: more, the smallest count as independent errors from then on.
 MOST_CALIBRATIONS = 8
 #: Least variance of the independent part, one micrometre squared: Jacobians are rounded, and two estimates with calibration
 #: errors only get equal weights.

@@ -184,7 +184,7 @@ def visible_pairs(
     """The frame pairs that show whether a cone stands at `foot_m` (3,) in the drive's map frame, in order.
 
     others_m (M, 3): other cones in the same frame; what is nearer to one of them is that cone. category: boxes of other classes
-    are no sign of it, though they may hide it.
+    do not show it, but may hide it.
     """
     evidence = evidence_of(drive.figures.evidence, category)
     rows, heights_px, boxes = pairs_in_view(foot_m, cone_height_m, drive, params, category)

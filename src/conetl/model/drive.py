@@ -113,7 +113,7 @@ class SurveyedPoint(Record):
 
 
 class UnclearSquares(Record):
-    """Squares of the images that a drive's lenses show blurred or not at all: there nothing is missing that is not found."""
+    """Squares of the images that a drive's lenses show blurred or not at all: an object not found there may still exist."""
 
     side_px: Positive
     """Of a square; the first one is in the top left corner."""
@@ -139,7 +139,7 @@ class Drive(Record):
     control_points: tuple[SurveyedPoint, ...] = ()
     """They take part in the adjustment of its poses."""
     unclear: UnclearSquares | None = None
-    """None where its images were not looked at, or all of them is clear."""
+    """None where its images were not checked, or all squares are clear."""
 
     @model_validator(mode="after")
     def _frames_in_order(self) -> Drive:

@@ -1,4 +1,4 @@
-"""Classes of road objects: what matching, positions, the map and work zones must know of them."""
+"""Classes of road objects: what matching, positions, the map and work zones need to know about them."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ FEATURE_CLASSES = {
         (0.0005, 0.006), (0.0, 0.02), 30.0, round_body=False, on_road=True, in_rows=False, letter="", geometry="line"
     ),
 }  # fmt: skip
-"""By category; of a category that is not here nothing is located. The height of a marking is the thickness of its paint."""
+"""By category; objects of other categories are not located. The height of a marking is the thickness of its paint."""
 LINE_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "line")
 
 

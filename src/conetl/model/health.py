@@ -26,7 +26,7 @@ class Verdict(StrEnum):
     CORRECTED = "corrected"
     """The recording is wrong, and the analysis has corrected it."""
     WARN = "warn"
-    """A person should look; the drive counts."""
+    """A person should check it; the drive counts."""
     HOLD = "hold"
     """The drive is stored, but does not count until a person accepts it."""
 

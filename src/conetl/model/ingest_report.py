@@ -92,13 +92,13 @@ class IngestReport(Record):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a person has to look at besides the drive itself: what was not published, and other drives that went on hold."""
+        """What a person has to check besides the drive itself: what was not published, and other drives that went on hold."""
         others = [change.sentence for change in self.hold_changes if change.state == "on hold"]
         return (*([self.unpublished] if self.unpublished else ()), *others)
 
 
 class NeedsAttentionError(ConetlError):
-    """The drive was stored, but a person has to look at it."""
+    """The drive was stored, but a person has to check it."""
 
     exit_code = EXIT_NEEDS_ATTENTION
 

@@ -25,7 +25,7 @@ class Params(Record):
 
 class DetectionParams(Params):
     categories: tuple[str, ...] = (CONE,)
-    """Classes of objects that are searched for. A drive is no evidence that an object of another class is gone."""
+    """Classes of objects that are searched for. A drive is not evidence that an object of another class is gone."""
     score_threshold: Fraction = 0.3
     """Deliberately low: a track needs several boxes that agree in space."""
     nms_iou: Fraction = 0.5
@@ -144,7 +144,7 @@ class ReconcileParams(Params):
     removal_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """A feature is removed by the drive that lowers its existence probability below this ..."""
     removal_min_frames: int = Field(default=5, ge=1)
-    """... with its location visible and empty in at least so many frame pairs."""
+    """... with its location visible and empty in at least this many frame pairs."""
     visible_min_height_px: Positive = 22.0
     """A cone counts as visible when it would appear at least this tall ..."""
     visible_border_px: Positive = 12.0
@@ -163,7 +163,7 @@ class ReconcileParams(Params):
     marking_blind_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """The same for a drive that shows less than half as much of lane markings as it does not observe (a wet road at night)."""
     marking_min_frames: int = Field(default=3, ge=1)
-    """A vertex of a lane marking that so many frame pairs had in view, and the drive did not observe, is missed."""
+    """A vertex of a lane marking that this many frame pairs had in view, and the drive did not observe, is missed."""
     marking_view_from_m: Positive = 4.0
     """Lane markings are in view from this distance in front of the camera ..."""
     marking_view_to_m: Positive = 12.0
@@ -182,7 +182,7 @@ class TrajectoryParams(Params):
     """Points are compared over this distance: longer spans determine depth better, but fewer points survive."""
     self_calibration_min_spans: int = Field(default=8, ge=8)
     self_calibration_max_spans: int = Field(default=120, ge=8)
-    """At most so many spans, evenly spread over the drive: more cost time without lowering the error floor."""
+    """At most this many spans, evenly spread over the drive: more cost time without lowering the error floor."""
     self_calibration_row_tolerance_px: Positive = 2.5
     """Like `epipolar_tolerance_px`, for these points, whose row error is to be estimated."""
     self_calibration_corners_per_cell: int = Field(default=3, ge=1)
@@ -195,7 +195,7 @@ class TrajectoryParams(Params):
     self_calibration_least_px: Positive = 0.1
     """A correction smaller than this in all four is not applied ..."""
     self_calibration_significance: Positive = 3.0
-    """... nor one below so many of its own sigmas ..."""
+    """... nor one below this many of its own sigmas ..."""
     self_calibration_max_chi2: Positive = 18.5
     """... nor one farther from the prior: chi-square of 4 degrees of freedom at 0.001."""
     max_width_px: int = Field(default=1280, ge=64)
@@ -348,7 +348,7 @@ class WorkZoneParams(Params):
     assumed_duration_h: Positive = 24.0
     """WZDx requires an end date of active zones, too: this long after the feed, marked as not verified."""
     max_age_days: Positive = 7.0
-    """A work zone that was not surveyed for longer is `planned` with unknown impact: nobody knows whether it still stands."""
+    """A work zone that was not surveyed for longer is `planned` with unknown impact: whether it still stands is unknown."""
     keep_ended_days: Positive = 14.0
     """How long an ended work zone stays in the feed, as completed."""
 
@@ -357,7 +357,7 @@ class LayoutParams(Params):
     """Rules of the layout check. The numbers of standards, and their sources, are in `workzones/rules`; None: no such rule."""
 
     taper_spacing_ft_per_mph: Positive | None = None
-    """Spacing of devices in a taper at most so many times the speed limit in mph, in feet ..."""
+    """Spacing of devices in a taper at most this many times the speed limit in mph, in feet ..."""
     tangent_spacing_ft_per_mph: Positive | None = None
     """... and in a tangent."""
     low_speed_max_mph: Positive = 45.0
@@ -368,11 +368,11 @@ class LayoutParams(Params):
     shoulder_taper_share: Positive | None = None
     """... and a shoulder taper this one."""
     missing_cone_ratio: Positive = 1.6
-    """No standard: a gap of more than so many times the row's own spacing lacks a cone."""
+    """No standard: a gap of more than this many times the row's own spacing lacks a cone."""
     in_lane_tolerance_m: Positive = 0.6
     """No standard: a cone farther than this from its row, towards traffic, is in the lane."""
     sigmas: Positive = 3.0
-    """A rule is exceeded for certain if exceeded by so many sigmas."""
+    """A rule is exceeded for certain if exceeded by this many sigmas."""
     sources: dict[str, str] = Field(default_factory=dict)
     """By the names above: standard with section or table. Only rules with a source can be violated."""
 

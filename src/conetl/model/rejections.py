@@ -63,7 +63,7 @@ INPUT_REASONS = frozenset(
 )
 
 
-#: Reasons that count for the exit code. A pair whose images show no detail is used, but it is no evidence that a cone is gone.
+#: Reasons that count for the exit code. A pair whose images show no detail is used, but it is not evidence that a cone is gone.
 DOUBTFUL_REASONS = INPUT_REASONS | {RejectionReason.IMAGE_WITHOUT_DETAIL}
 
 

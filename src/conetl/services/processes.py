@@ -225,7 +225,7 @@ def server_command(host: str, port: int) -> list[str]:
 
 
 def answers(url: str) -> bool:
-    """Whether GET `url` returns 200, or asks for a login."""
+    """Whether GET `url` returns 200, or requires a login."""
     try:
         answer = httpx.get(url, timeout=_TIMEOUT_S, trust_env=False)
         return answer.status_code in (httpx.codes.OK, httpx.codes.UNAUTHORIZED)

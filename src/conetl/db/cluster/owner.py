@@ -84,7 +84,7 @@ def lock_for_server(location: ClusterLocation) -> Iterator[int]:
         yield handle
     finally:
         os.close(handle)
-    # A shell may have closed it before the server started: then a free lock proves nothing.
+    # A shell may have closed it before the server started; then a free lock does not show that the server has ended.
     _write_host(location, replace(this_host(), locked=_is_locked(location)))
 
 

@@ -149,7 +149,7 @@ def read_open_version(conn: Connection, map_name: str, feature_id: UUID) -> Feat
 
 
 class Neighbourhood(NamedTuple):
-    """A drive on the map, and whom it affects; nobody else changes that until the transaction ends."""
+    """A drive on the map, and the drives that it affects; no other process changes them until the transaction ends."""
 
     drive_uuid: UUID
     aside: list[UUID]
@@ -234,5 +234,5 @@ def regions_of(
 
 
 def take_turn(conn: Connection, map_name: str) -> None:
-    """Be the only one that numbers and commits a changeset of the map, until the transaction ends."""
+    """Let only this transaction number and commit changesets of the map until it ends."""
     db.query(conn, "locks.take_parts", names=[f"{map_name}/turn"])

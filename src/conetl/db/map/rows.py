@@ -283,7 +283,7 @@ def jacobian_of(row: Row) -> SharedErrorJacobian | None:
 
 def marking_columns(srid: int, markings: Sequence[Marking | None]) -> Columns:
     """Columns of the shape of lines; NULL in the rows of point objects."""
-    if not any(markings):  # of the millions of versions that are not lines, none is looked at a second time
+    if not any(markings):  # millions of versions are not lines: none of them is read a second time
         return dict.fromkeys(("line", "line_cov", *_PAINT), binary.nulls(len(markings)))
     lines = [None if m is None else shapely.set_srid(shapely.LineString(m.vertices_m), srid) for m in markings]
     return {
