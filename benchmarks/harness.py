@@ -37,7 +37,7 @@ SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "dat
 KITTI = SHARED / "kitti_2011_09_26_drive_0005_sync"
 SAMPLE = ROOT / "data" / "drives" / "2026-03-02_taper_pass1"
 #: The command line in a process of its own.
-CONETL = (sys.executable, "-c", "from conetl.cli import main; main()")
+CONETL = (sys.executable, "-m", "conetl")
 
 
 def arguments_of(doc: str | None) -> argparse.ArgumentParser:

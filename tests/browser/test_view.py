@@ -39,7 +39,7 @@ def _is_up(url: str, server: subprocess.Popen[bytes]) -> bool:
 @pytest.fixture(scope="module")
 def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]:
     port = free_port()
-    command = [sys.executable, "-c", "from conetl.cli import main; main()", "view", "--port", str(port), "--no-login"]
+    command = [sys.executable, "-m", "conetl", "view", "--port", str(port), "--no-login"]
     environment = {**os.environ, "CONETL_DATABASE_URL": module_database_url, "PYTHONPATH": f"{ROOT / 'src'}:{ROOT}"}
     with subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.DEVNULL) as server:
         try:

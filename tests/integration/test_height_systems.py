@@ -78,7 +78,7 @@ def test_heights_are_those_of_proj_in_every_format(conetl, conn, mapped, tmp_pat
         back = np.array([point.xyz_m for point in read_surveyed_points(path, 32632, sigma_m=0.01)])
         apart_m = np.linalg.norm(back[:, None] - [feature.xyz_m for feature in mapped], axis=2)
         assert apart_m.min(axis=0).max() < 0.001
-        assert "export of this map" in conetl("map", "import", path)
+        assert "exported from this map" in conetl("map", "import", path)
     conetl("map", "export", "--out", tmp_path / "cones.csv", "--crs", EGM96)
     rows = {row["feature_id"]: row for row in csv.DictReader((tmp_path / "cones.csv").open())}
     assert [float(rows[i]["ground_height_m"]) for i in order] == pytest.approx(wanted[:, 2].tolist(), abs=0.001)

@@ -724,13 +724,13 @@ def test_the_command_line(conetl, tmp_path, surveyed, monkeypatch):
     assert "CC0" in conetl("map", "licence", "CC0")
     written = json.loads(conetl("map", "export", "--format", "geoparquet", "--out", tmp_path / "a.parquet", "--json"))
     assert (written["features"], written["manifest"]["licence"]) == (len(features) + 1, "CC0")
-    assert "export of this map" in conetl("map", "import", tmp_path / "a.parquet")
+    assert "exported from this map" in conetl("map", "import", tmp_path / "a.parquet")
     notes = []
     monkeypatch.setattr("conetl.cli.map.exchange.note", notes.append)
     classes = [(GOOD[0], SEEN | {"category": "Leitkegel"}), (OTHER, SEEN | {"category": "drum"})]
     other = ("--map", "classes")
     conetl("map", "import", geojson(tmp_path / "classes.geojson", classes), "--map-srid", 32632, *other)
-    assert "1 of 2 objects are of a class that drives neither confirm nor remove: Leitkegel;" in notes[0]
+    assert "1 of 2 objects have a class that no drive confirms or removes: Leitkegel." in notes[0]
     assert "1 Leitkegel, 1 drum" in conetl("map", "show", *other)
     [drum] = json.loads(conetl("map", "show", "--category", "drum", "--json", *other))["features"]
     assert drum["category"] == "drum"

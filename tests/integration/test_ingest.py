@@ -70,7 +70,7 @@ class Desk:
     environment: dict[str, str]
 
     def command(self, *arguments: object) -> list[str]:
-        return [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments)]
+        return [sys.executable, "-m", "conetl", *map(str, arguments)]
 
     def run(self, *arguments: object) -> subprocess.CompletedProcess[str]:
         return conetl(*arguments, **self.environment)
@@ -334,7 +334,7 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     shift_poses(jumping, lat_deg=4e-5, first=8)
     done = desk.run("ingest", jumping)
     assert done.returncode == 1
-    assert "jumping (2026-03-04 15:22 UTC): on hold (jumps of the poses), the map is as it was." in done.stdout
+    assert "jumping (2026-03-04 15:22 UTC): on hold (jumps of the poses), the map is unchanged." in done.stdout
     assert (done.stdout + done.stderr).count("GNSS/INS jumps by") == 1
     last = done.stderr.splitlines()[-1]
     assert last.startswith("conetl: Drive jumping is on hold and changes nothing on the map. GNSS/INS jumps by")

@@ -77,7 +77,7 @@ def test_decisions_through_the_command_line(conetl, surveyed):
     conetl("map", "classify", first, "drum", "--note", "seen on site", "--by", "Ann")
     log = conetl("map", "log", first)
     assert "traffic_cone" in log and "drum" in log  # superseded and current
-    assert "Class by a person's decision: drum instead of cone" in log
+    assert "Class corrected by a decision: drum instead of cone" in log
 
     reverted = conetl("map", "revert", 3, "--note", "wrong GNSS")
     assert "their changes are kept" in reverted
@@ -104,7 +104,7 @@ def test_the_picture_of_a_time_of_changes_and_of_a_place_in_degrees(conetl, conn
     for words, text in (
         (("--bbox", "99,0,99.001,0.001"), "does not exist in the map's CRS"),
         (("--size", "9x9"), "millimetres"),
-        (("--changes", "1", "2", "--at", "2026-03-02"), "leave --at"),
+        (("--changes", "1", "2", "--at", "2026-03-02"), "omit --at"),
         (("--at", "2020-01-01"), "no cone stands"),
     ):
         out.unlink(missing_ok=True)
@@ -147,7 +147,7 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
     out = tmp_path / "changes.geojson"
     said = conetl("map", "diff", "1", "2", "--out", out, "--picture", tmp_path / "diff.png")
     assert said.splitlines()[:2] == ["1 added", "Lane markings: 1 confirmed"]
-    assert "Lane markings are not in this file" in said and len(json.loads(out.read_text())["features"]) == 1
+    assert "This file does not contain lane markings" in said and len(json.loads(out.read_text())["features"]) == 1
     for words in ((), ("--changes", "1", "2")):
         facts = json.loads(conetl("map", "picture", tmp_path / "map.png", "--json", *words))
         assert facts["objects_by_class"] == {"traffic_cone": 2, "lane_marking": 1}

@@ -102,7 +102,7 @@ def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, two_ma
             assert "map north: drive d9 is being ingested into it" in conetl("map", *command, code=2)
     left = Settings(home=tmp_path / "home", map_name="old").reports_folder
     left.mkdir(parents=True)
-    assert f"{left}: there are reports of an earlier map old" in conetl("map", "rename", "north", "old", code=2)
+    assert f"{left}: contains reports of an earlier map old" in conetl("map", "rename", "north", "old", code=2)
     left.rename(left.with_name("south"))
     assert "exists already" in conetl("map", "rename", "north", "south", code=2)
     conetl("map", "rename", "north", "old")  # the process of the drive is gone
@@ -142,7 +142,7 @@ def test_a_deleted_map_is_restored_as_it_was(conetl, conn, two_maps, tmp_path):
     assert failed_audits(conn) == []
     assert "exists already" in conetl("map", "restore", dump, code=2)
     assert "same ids as those of the map north" in conetl("map", "restore", dump, "--map", "copy", code=2)
-    assert "exists already" in conetl("map", "delete", "north", "--yes", "--dump", dump, code=2)
+    assert "already exists" in conetl("map", "delete", "north", "--yes", "--dump", dump, code=2)
     # It goes on: a drive that is on it is known, a new one is compared.
     assert merge(conn, survey(2), map_name="north") is None
     assert merge(conn, survey(3), map_name="north") is not None

@@ -165,7 +165,7 @@ def test_lane_markings_are_evaluated_alone(drive: Path, home: Path, tmp_path: Pa
         shutil.copy(SAMPLE / TRUTH_FILE, folder)
     only = ("--category", "lane_marking")
     refused = evaluate_all([drive], home, *only).exception
-    assert isinstance(refused, InputError) and f"has no {TRUTH_FILE}" in str(refused)
+    assert isinstance(refused, InputError) and f"contains no {TRUTH_FILE}" in str(refused)
     assert "omit it" in str(evaluate(drive, SAMPLE / "truth.csv", home, *only).exception)
     done = evaluate_all([first], home, *only, "--out", str(tmp_path / "one"), "--json")
     assert done.exit_code == 0, done.output
@@ -182,7 +182,7 @@ def test_lane_markings_are_evaluated_alone(drive: Path, home: Path, tmp_path: Pa
 def test_a_drive_without_truth_or_given_twice_is_refused(drive: Path, home: Path, tmp_path: Path) -> None:
     """Before anything is computed, also of the drives that are fine."""
     (tmp_path / "bare").mkdir()
-    for drives, words in (([drive, tmp_path / "bare"], "has no truth.csv"), ([drive, drive], "given twice")):
+    for drives, words in (([drive, tmp_path / "bare"], "contains no truth.csv"), ([drive, drive], "given twice")):
         refused = evaluate_all(drives, home).exception
         assert isinstance(refused, InputError) and words in str(refused)
 
@@ -207,7 +207,7 @@ def test_truth_of_another_drive_without_cones_or_with_two_systems_is_refused(
     (tmp_path / "truth.csv").write_text("\n".join([*rows[:2], rows[2].replace("32632", "32633")]) + "\n")
     assert "32632, 32633" in str(evaluate(drive, tmp_path / "truth.csv", home).exception)
     drums = str(evaluate(drive, SAMPLE / "truth.csv", home, "--category", "drum").exception)
-    assert "no object of the classes drum, but of traffic_cone" in drums
+    assert "contains no drum, only traffic_cone" in drums
     assert "no such drive folder" in str(evaluate(tmp_path / "none", SAMPLE / "truth.csv", home).exception)
 
 
@@ -270,7 +270,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     for words, message in (
         ((tmp_path / "x",), "no such folder"),
         ((tmp_path,), "left/ and right/"),
-        ((tmp_path, "--left-pattern", "l*.png"), "require each other"),
+        ((tmp_path, "--left-pattern", "l*.png"), "must be used together"),
         ((tmp_path, "--sensor-mm", "24"), "width x height"),
         ((tmp_path, "--pairing", "even-odd"), "no pair"),
     ):

@@ -72,7 +72,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("map show --map servey", 2, "servey.*did you mean survey"),
     ("map show --map x", 2, "it has survey"),
     ("map show --map My_Map", 2, "'My_Map'.*a-z"),
-    ("map create survey --crs EPSG:25832", 2, "exists already"),
+    ("map create survey --crs EPSG:25832", 2, "already exists"),
     ("map create west --crs WGS84", 2, "'WGS84'.*EPSG:25832"),
     ("map create west --crs EPSG:4326", 2, "4326.*projected"),
     ("map create west --crs EPSG:25832+25833", 2, "25833.*not a height system"),

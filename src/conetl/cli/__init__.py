@@ -28,7 +28,7 @@ class Interrupted(BaseException):
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
     """The first Ctrl-C waits for the steps that are running; the second one does not. Neither loses data."""
     signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_INTERRUPTED))
-    err.print("\nconetl: stopping; press Ctrl-C again to stop at once")
+    err.print("\nconetl: stopping after the current step; press Ctrl-C again to stop immediately")
     raise Interrupted
 
 
@@ -38,9 +38,7 @@ def main() -> None:
     try:
         code = app(standalone_mode=False)
     except Interrupted:
-        err.print(
-            "conetl: interrupted. A drive is on the map completely or not at all; run the same command again to continue."
-        )
+        err.print("conetl: interrupted. No drive is partly on the map; run the same command again to continue.")
         sys.exit(EXIT_INTERRUPTED)
     except ConetlError as error:
         complain(error)
@@ -61,6 +59,6 @@ def main() -> None:
             complain(lost)
             sys.exit(lost.exit_code)
         traceback.print_exc()
-        err.print("conetl: internal error; please report it with the lines above.")
+        err.print("conetl: internal error. Please report it, with the traceback above.")
         sys.exit(EXIT_BUG)
     sys.exit(code if isinstance(code, int) else EXIT_DONE)

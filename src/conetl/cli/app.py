@@ -66,7 +66,7 @@ _COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
 #: Group of commands -> its help, and its commands likewise.
 _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
     "drive": (
-        "Drives on hold: recordings that contradict themselves.",
+        "List and accept drives on hold (recordings with a failed health check).",
         {
             "held": ("map.decisions:held", "", "--map night_survey --json"),
             "accept": ("map.decisions:accept", '12 --note "checked with the crew" --by Ann'),
@@ -112,14 +112,14 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         },
     ),
     "report": (
-        "Quality reports as HTML: of a drive, or of a night.",
+        "Write a quality report (HTML) of a drive, or of all drives of a night.",
         {
             "drive": ("report:drive", "2026-03-02_taper", "3 --out third.html"),
             "night": ("report:night", "", "2026-03-03"),
         },
     ),
     "base": (
-        "Base layers of the map: LiDAR points and lane boundaries.",
+        "Import, list and drop base layers: LiDAR points and lane boundaries.",
         {
             "import": (
                 "map.base_layers:import_files",
@@ -131,7 +131,7 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         },
     ),
     "db": (
-        "The PostGIS database: CONETL_DATABASE_URL, or a private cluster.",
+        "Start, check, migrate, archive and prune the PostGIS database.",
         {
             "up": ("database:up", ""),
             "down": ("database:down", ""),
@@ -220,8 +220,8 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    epilog="Exit codes: 0 done; 1 done, but something needs a person (too many records quarantined, a drive on hold, "
-    "files or events not published); 2 bad usage or input, nothing written; 3 a service (database, Prefect, storage) is "
+    epilog="Exit codes: 0 done; 1 done, but needs attention (too many records quarantined, a drive on hold, files "
+    "or events not published); 2 bad usage or input, nothing written; 3 a service (database, Prefect, storage) is "
     "unavailable, nothing written; 70 internal error.",
 )
 
@@ -236,7 +236,9 @@ def _print_version(wanted: bool) -> None:
 def main(
     verbose: Annotated[
         int,
-        typer.Option("--verbose", "-v", count=True, show_default=False, help="Log to standard error; -vv: in detail."),
+        typer.Option(
+            "--verbose", "-v", count=True, show_default=False, help="Log to standard error; -vv for more detail."
+        ),
     ] = 0,
     _version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
@@ -248,4 +250,4 @@ def main(
         from conetl.pipeline.settings import ignored_variables  # pydantic takes time to load
 
         if ignored := ignored_variables(os.environ):
-            note(f"ignored environment variables, which are not settings: {', '.join(ignored)}")
+            note(f"unknown environment variables are ignored: {', '.join(ignored)}")

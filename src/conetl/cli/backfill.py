@@ -28,13 +28,18 @@ _SHOWN = 25
 
 def backfill(
     root: Annotated[Path, typer.Argument(help="Folder with drives, or with folders of drives.")],
-    since: Annotated[str | None, typer.Option(help="Only drives recorded from this time on, e.g. 2026-03-01.")] = None,
+    since: Annotated[
+        str | None, typer.Option(help="Only drives recorded at or after this time, e.g. 2026-03-01.")
+    ] = None,
     until: Annotated[str | None, typer.Option(help="Only drives recorded before this time.")] = None,
     max_parallel: Annotated[
-        int | None, typer.Option(min=1, help="Drives at the same time; default: one per worker, 1 without workers.")
+        int | None,
+        typer.Option(min=1, help="Number of drives to run in parallel; default: one per worker, 1 without workers."),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and exit.")] = False,
-    recheck: Annotated[bool, typer.Option(help="Compare the content of drives that are on the map already.")] = False,
+    recheck: Annotated[
+        bool, typer.Option(help="Also compare the content of drives that are already on the map.")
+    ] = False,
     here: Annotated[bool, typer.Option("--here", help="Run in this process even if workers are running.")] = False,
     params: ui.ParamsOption = None,
     category: ui.CategoryOption = None,
@@ -42,10 +47,10 @@ def backfill(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Add all drives below a folder that are not on the map yet, one run per drive.
+    """Ingest all drives below a folder that are not on the map yet, one run per drive.
 
-    Prints the plan first: which drives, why, and how long it will take. After a stop, run it again to continue; failed drives
-    are tried again. Exit code 2 if drives failed (the others are on the map), 3 if services were unavailable.
+    Prints the plan first: which drives, why, and how long it will take. If it was interrupted, run it again to continue and to
+    retry failed drives. Exit code 2: some drives failed (the others are on the map). Exit code 3: a service was unavailable.
     """
     settings = read_settings(map_name)
     parameters = read_params(params, category, settings)
@@ -113,10 +118,10 @@ def _print_summary(standing: Standing) -> None:
     done = ui.counted(standing.done, "drive")
     ui.say(f"On map {standing.plan.map_name}: {done}; {on_hold}failed: {len(failed)}.")
     if may_pass:
-        ui.say(f"Run the same command again to retry {ui.counted(may_pass, 'drive')}, whose failure may be temporary.")
+        ui.say(f"The failure of {ui.counted(may_pass, 'drive')} may be temporary: run the same command again to retry.")
     if may_pass < len(failed):
         rest = ui.counted(len(failed) - may_pass, "drive")
-        ui.say(f"{rest} would fail again: first correct what is said above about each.")
+        ui.say(f"{rest} would fail again: correct the problems listed above first.")
 
 
 def _exit_code(standing: Standing) -> int:

@@ -12,7 +12,17 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, MapOption, answer, print_json, print_records, print_table, say
+from conetl.cli.console import (
+    Columns,
+    JsonOption,
+    MapOption,
+    answer,
+    counted,
+    print_json,
+    print_records,
+    print_table,
+    say,
+)
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
 from conetl.db.map.map_store import require_map
@@ -58,10 +68,10 @@ def open_map(map_name: str | None) -> Iterator[tuple[Connection, MapInfo]]:
 
 
 def up(as_json: JsonOption = False) -> None:
-    """Start the private PostGIS cluster, create it if necessary, and bring its schema up to date."""
+    """Start the private PostGIS cluster. Creates it if necessary and migrates its schema."""
     settings = read_settings()
     if settings.database_url:
-        say("CONETL_DATABASE_URL is set: conetl uses that database and needs no private cluster.")
+        say("CONETL_DATABASE_URL is set: conetl uses that database, so there is no private cluster to start.")
         return
     url = cluster_up(settings.home)
     with closing(connect(url)) as conn:
@@ -70,7 +80,7 @@ def up(as_json: JsonOption = False) -> None:
 
 
 def down(as_json: JsonOption = False) -> None:
-    """Stop the private cluster; its data are kept."""
+    """Stop the private PostGIS cluster. Its data are kept."""
     stopped = cluster_down(read_settings().home)
     answer(as_json, {"stopped": stopped}, "PostGIS is stopped." if stopped else "PostGIS was not running.")
 
@@ -104,7 +114,7 @@ def _text(value: object) -> str:
 
 
 def migrate(as_json: JsonOption = False) -> None:
-    """Bring the schema up to date. There is no way back."""
+    """Migrate the schema to the latest version. This cannot be undone."""
     with closing(open_database(read_settings())) as conn:
         applied = list(apply_migrations(conn))
     answer(
@@ -115,7 +125,7 @@ def migrate(as_json: JsonOption = False) -> None:
 
 
 def audit(as_json: JsonOption = False) -> None:
-    """Check the consistency of the maps. Exit code 1 if a check finds rows that break its rule."""
+    """Check the consistency of the maps. Exit code 1: a check found inconsistent rows."""
     with closing(open_database(read_settings())) as conn:
         results = run_audits(conn)
     if as_json:
@@ -131,7 +141,7 @@ def audit(as_json: JsonOption = False) -> None:
             for row in result.rows[:10]:
                 say(f"{result.name}: {row}")
     if any(result.rows for result in results):
-        raise AuditFailedError("the audit found inconsistent rows, see above")
+        raise AuditFailedError("the audit found inconsistent rows (listed above)")
 
 
 _PRUNABLE: Columns = {
@@ -152,29 +162,31 @@ def archive(
         ),
     ] = None,
     folder: Annotated[
-        Path | None, typer.Option("--to", help="Folder for the files; `archive` under CONETL_HOME unless given.")
+        Path | None, typer.Option("--to", help="Folder for the files; default: `archive` in CONETL_HOME.")
     ] = None,
     restore: Annotated[
-        str | None, typer.Option(help="Bring the records of this drive back into the tables.", metavar="DRIVE_ID")
+        str | None, typer.Option(help="Move the records of this drive back into the tables.", metavar="DRIVE_ID")
     ] = None,
-    do_it: Annotated[bool, typer.Option("--yes", help="Move. Without it only list what would be moved.")] = False,
+    do_it: Annotated[bool, typer.Option("--yes", help="Move the records; without it, only list them.")] = False,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Move raw records of old drives from the tables to Parquet files. Without --yes nothing is moved.
+    """Move raw records of old drives from the database to Parquet files. Without --yes it only lists them.
 
-    The map and its whole history are kept. The records come back into the tables when a comparison needs them: an earlier drive
-    over the same road, or a decision. The files must stay where they are.
+    The map and its history are not affected. conetl reads the files back into the tables when a late drive over the same
+    road or a decision needs them, so do not move or delete them.
     """
     if (keep_positions is None) == (restore is None):
-        raise InputError("give either an age (--keep-positions 90d) or a drive to bring back (--restore DRIVE_ID)")
+        raise InputError("give either an age (--keep-positions 90d) or a drive to restore (--restore DRIVE_ID)")
     settings, now = read_settings(map_name), datetime.now(UTC)
     if restore is not None:
         with open_map(map_name) as (conn, _):
             restored = restore_drives(conn, settings.map_name, restore)
         if not restored:
-            raise InputError(f"map {settings.map_name} has no drive {restore} whose records were archived")
-        answer(as_json, {"restored": restored}, f"restored: {len(restored)} drives")
+            raise InputError(
+                f"the map {settings.map_name} has no archived drive {restore}: `conetl map log` lists its drives"
+            )
+        answer(as_json, {"restored": restored}, f"Restored {counted(len(restored), 'drive')}.")
         return
     to = folder or settings.home / "archive"
     before = now - timedelta(seconds=parse_age(keep_positions or ""))
@@ -199,28 +211,26 @@ def prune(
         str | None,
         typer.Option(help="Keep the detections, stereo matches and positions of drives this long: 90d, 12w, 36h."),
     ] = None,
-    keep_results: Annotated[str | None, typer.Option(help="Keep the files of intermediate results this long.")] = None,
+    keep_results: Annotated[str | None, typer.Option(help="Keep files of intermediate results this long.")] = None,
     keep_pictures: Annotated[
         str | None, typer.Option("--keep-pictures", "--keep-images", help="Keep images unpacked from bags this long.")
     ] = None,
     keep_publications: Annotated[
-        str | None, typer.Option(help="Keep published files this long; the latest are always kept.")
+        str | None, typer.Option(help="Keep published files this long; the latest publication is always kept.")
     ] = None,
-    do_it: Annotated[bool, typer.Option("--yes", help="Delete. Without it only list what would be deleted.")] = False,
+    do_it: Annotated[bool, typer.Option("--yes", help="Delete; without it, only list what would be deleted.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete raw records and files older than given ages. Without --yes nothing is deleted.
+    """Delete raw records and files older than the given ages. Without --yes it only lists them.
 
-    The map and its whole history are kept. A drive without its raw records cannot be compared with the map again: conetl then
-    refuses earlier drives over the same road and decisions that affect its changes.
+    The map and its history are not affected. conetl cannot compare a drive with the map again without its raw records, so it will
+    refuse older drives over the same road, and decisions that affect its changes.
     """
     ages = {"results": keep_results, "pictures": keep_pictures, "publications": keep_publications}
     settings, now = read_settings(), datetime.now(UTC)
     since = {kind: now - timedelta(seconds=parse_age(age)) for kind, age in ages.items() if age is not None}
     if keep_positions is None and not since:
-        raise InputError(
-            "nothing was selected: give at least one age, for example --keep-positions 90d or --keep-results 30d (see --help)"
-        )
+        raise InputError("give at least one age, for example --keep-positions 90d or --keep-results 30d")
     done = "deleted" if do_it else "to delete"
     report: dict[str, Any] = {"deleted": do_it}
     if keep_positions is not None:

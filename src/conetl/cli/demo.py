@@ -31,7 +31,7 @@ _NEXT_STEPS = """\
   conetl map show                            list the cones with sigma and existence probability
   conetl map show --as-of 2026-03-02T23:00   the map before the second drive
   conetl map log                             list the changesets; conetl map log FEATURE for one cone
-  conetl ingest --map mine YOUR_DRIVE        your own stereo drive, on a map of its own; see README.md
+  conetl ingest --map mine YOUR_DRIVE        ingest your own drive into another map; see README.md
   conetl db down                             stop the database that this command started"""
 
 
@@ -40,11 +40,13 @@ def demo(
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Ingest the sample drives into the map `demo` and compare it with the truth."""
+    """Ingest the sample drives into the map `demo` and compare the map with the truth."""
     started = time.monotonic()
     drives = sorted(path for path in samples.iterdir() if path.is_dir()) if samples.is_dir() else []
     if not drives:
-        raise InputError(f"no sample drives in {samples}: run this in a clone of conetl, or give the folder")
+        raise InputError(
+            f"{samples}: contains no sample drives; run this command in a clone of the conetl repository, or give their folder"
+        )
     settings = read_settings(map_name or "demo")
     if not as_json:
         out.print(f"Ingesting {len(drives)} sample drives, one after the other.\n")
@@ -84,15 +86,15 @@ def demo(
         )
         return
     out.print(
-        "[bold]Cones against truth[/] in metres; foot on the ground, range from the nearest point of the drive path"
+        "[bold]Cones compared with the truth[/], in metres (position: foot; range: from the nearest point of the drive path)"
     )
     print_table("", truth.TABLE_3_COLUMNS, truth.table_3_rows(lines, missing="not on the map"), numbers_from=2)
     found = [line for line in lines if line.feature is not None]
     say(
-        f"{len(found)} of {len(lines)} cones within 20 m of the drive path are on the map, {len(false)} false ones. "
+        f"{len(found)} of {len(lines)} cones within 20 m of the drive path are on the map, {len(false)} false positives. "
         f"Median 3D error {truth.median_error(lines):.3f} m. {seconds:.0f} s in total."
         if found
-        else f"none of the {len(lines)} cones is on the map"
+        else f"None of the {len(lines)} cones is on the map."
     )
     out.print("\n[bold]Results[/]")
     say(f"  {export}: the map (open it in QGIS)")

@@ -40,14 +40,14 @@ def ingest(
     map_srid: ui.MapSridOption = None,
     refine: Annotated[bool, typer.Option(help="Refine the recorded poses by visual odometry where possible.")] = True,
     self_calibrate: Annotated[
-        bool, typer.Option(help="Correct the calibration if the images of the drive contradict it; requires --refine.")
+        bool, typer.Option(help="Correct the calibration if the images contradict it; requires --refine.")
     ] = True,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Detect the cones of stereo drives, or other objects, and merge them into the map, one changeset per drive.
+    """Detect cones or other objects in stereo drives and merge them into the map, one changeset per drive.
 
-    A drive that is on the map already changes nothing. A drive that cannot be used is reported and skipped.
+    Ingesting a drive again changes nothing. A drive that cannot be used is reported and skipped.
     """
     settings = read_settings(map_name)
     reports, exit_code = ingest_drives(
@@ -63,9 +63,11 @@ def ingest(
         image = settings.drive_image_path(new[0].drive_id)
         drawn = len(new) == 1 and image.is_file()
         ui.say(
-            f"Plan view, beside it a report: {image}" if drawn else f"Plan views and reports: {settings.reports_folder}"
+            f"Plan view (the report is beside it): {image}"
+            if drawn
+            else f"Plan views and reports: {settings.reports_folder}"
         )
-        ui.say(f"The map in the browser: conetl view --map {settings.map_name}")
+        ui.say(f"To show the map in a browser: conetl view --map {settings.map_name}")
     raise typer.Exit(exit_code)
 
 
@@ -82,11 +84,11 @@ def ingest_drives(
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
     if missing and len(missing) == len(drives) and drives[0].is_file():
         raise InputError(
-            f"{drives[0]}: is a file, not a drive: put the videos, the GNSS/INS log and the calibration into one folder, and run "
-            "`conetl init FOLDER`"
+            f"{drives[0]}: is a file, expected a drive folder: put the videos, the GNSS/INS log and the calibration into one "
+            "folder and run `conetl init FOLDER`"
         )
     if len(missing) == len(drives):  # before any service is started
-        raise InputError(f"no such drive folder: {', '.join(missing)}; check the path")
+        raise InputError(f"{', '.join(missing)}: no such drive folder; check the path")
     headers = [read_header(drive) for drive in drives]
     problems = [problem for header in headers if (problem := _problem_of(header))]
     if len(problems) == len(drives):
@@ -154,7 +156,7 @@ def require_room(settings: Settings) -> None:
         TemporaryFile(dir=settings.results_folder).close()
     except OSError as error:
         raise InputError(
-            f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"
+            f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder that you can write to"
         ) from error
 
 
@@ -221,19 +223,19 @@ def print_report(report: IngestReport) -> None:
     lines = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in report.line_counts.items())
     drive = f"[bold]{report.drive_id}[/] ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
     if report.is_known:
-        known = f"on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"
+        known = f"already on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"
         if report.counts_on_map:
             state = f" ({counts}{f'; stretches of lane markings: {lines}' if lines else ''})"
         elif report.on_hold is not None:
             state = ", but on hold (see `conetl drive held`)"
         else:
             state = f", but it does not count: {report.not_counted}"
-        ui.out.print(f"{drive}: no changes, {known}{state}.")
+        ui.out.print(f"{drive}: nothing to do, {known}{state}.")
         return
     categories = {change.category for change in report.changes}
     ui.print_records("", ui.class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
     failed = ", ".join(check.name for check in holding(report.health))
-    changed = counts if report.on_hold is None else f"on hold ({failed}), the map is as it was"
+    changed = counts if report.on_hold is None else f"on hold ({failed}), the map is unchanged"
     noun = "object" if categories - {CONE} else "cone"
     left = _left_out(0 if report.on_hold else report.tracks - sum(report.counts[kind] for kind in _OBSERVED))
     ui.out.print(
@@ -253,7 +255,7 @@ def print_report(report: IngestReport) -> None:
     ui.print_checks([check for check in report.health if check.verdict is not Verdict.HOLD])
     if report.replayed_drives:
         later = ui.counted(report.replayed_drives, "later drive")
-        ui.out.print(f"{later} over the same roads compared with the map again.")
+        ui.out.print(f"{later} over the same roads recomputed.")
     for change in report.hold_changes:
         if change.sentence not in report.remarks:
             ui.say(change.sentence)
@@ -262,4 +264,6 @@ def print_report(report: IngestReport) -> None:
 
 def _left_out(count: int) -> str:
     """The part of a sentence on what the drive shows and the map does not."""
-    return f", {count} of them too doubtful or too near to another one to be added" if count > 0 else ""
+    return (
+        f", of which {count} not added (existence too uncertain, or too close to another object)" if count > 0 else ""
+    )

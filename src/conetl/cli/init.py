@@ -29,9 +29,9 @@ from conetl.readers.rigs import RIG_YAML, write_rig_yaml
 from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 
 _TIME_QUESTIONS = {
-    "timestamps": "File with the time of every left image, one per line (UTC, or nanoseconds since 1970)",
-    "start": "Time of the first left frame, UTC or with its offset, like 2026-03-02 11:00:00.250+01:00",
-    "right-offset": "Seconds by which the right file begins after the left one (0: both begin with one trigger)",
+    "timestamps": "File with the time of each left image, one per line (UTC, or nanoseconds since 1970)",
+    "start": "Time of the first left frame, in UTC or with a UTC offset, like 2026-03-02 11:00:00.250+01:00",
+    "right-offset": "Seconds by which the right file begins after the left one (0 if both start at the same trigger)",
 }
 #: Answers with which the questions that come after these can be found, too.
 _STAND_INS = {"layout": "left-right", "sigma": "1", "mount": "0,0,0", "right-offset": "0"}
@@ -39,9 +39,9 @@ _FILE_OPTIONS = frozenset({"left", "right", "timestamps", "right-timestamps", "t
 _COMMENTS = {
     "images": "the videos or folders of images",
     "trajectory": "the GNSS/INS log",
-    "mount": "left camera as seen from antenna or IMU; if its angles may be off by 1 degree: sigmas: {pitch_deg: 1}",
-    "sigmas": "of the trajectory, which states none",
-    "clock": "of the images against the trajectory; found from turns and changes of speed",
+    "mount": "left camera relative to the antenna or IMU; if its angles may be off by 1 degree: sigmas: {pitch_deg: 1}",
+    "sigmas": "of the trajectory, whose file contains none",
+    "clock": "of the images relative to the trajectory; estimated from turns and changes of speed",
 }
 
 
@@ -51,67 +51,67 @@ def init(
     right: Annotated[str | None, typer.Option(help="File or folder of the right camera.")] = None,
     layout: Annotated[
         str | None,
-        typer.Option(help="Where both images are in one file: left-right, right-left, top-bottom, bottom-top."),
+        typer.Option(help="Arrangement of both images in one file: left-right, right-left, top-bottom, bottom-top."),
     ] = None,
     start: Annotated[
         str | None,
-        typer.Option(help="Time of the first left frame, UTC or with its offset; else found from the images."),
+        typer.Option(
+            help="Time of the first left frame, in UTC or with a UTC offset; default: estimated from the images."
+        ),
     ] = None,
     right_offset: Annotated[
         str | None,
-        typer.Option(
-            help="Seconds to add to the times of the right file to get those of the left one; else found from the images."
-        ),
+        typer.Option(help="Seconds to add to the times of the right file; default: estimated from the images."),
     ] = None,
     timestamps: Annotated[
         str | None,
-        typer.Option(help="File with the time of every left image, one per line, if their names are not times."),
+        typer.Option(help="File with the time of each left image, one per line; not needed if file names are times."),
     ] = None,
     right_timestamps: Annotated[
-        str | None, typer.Option(help="The same for the right images, if their times differ.")
+        str | None, typer.Option(help="The same for the right images, if their times are different.")
     ] = None,
     every: Annotated[int | None, typer.Option(min=1, help="Use every n-th frame pair.")] = None,
     from_s: Annotated[
-        float | None, typer.Option("--from", min=0.0, help="Use the recording from this second of the left file on.")
+        float | None, typer.Option("--from", min=0.0, help="Skip the first seconds of the left file.")
     ] = None,
-    to_s: Annotated[
-        float | None, typer.Option("--to", min=0.0, help="Use the recording up to this second of the left file.")
-    ] = None,
+    to_s: Annotated[float | None, typer.Option("--to", min=0.0, help="Stop at this second of the left file.")] = None,
     trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
-    date: Annotated[str | None, typer.Option(help="Day of the recording, for logs without a date.")] = None,
+    date: Annotated[str | None, typer.Option(help="Date of the recording, for logs that do not contain one.")] = None,
     log_time: Annotated[
         str | None,
-        typer.Option("--time", help="Times of the log, if they are not UTC: gps, or a zone like Europe/Berlin."),
+        typer.Option("--time", help="Time system of the log if it is not UTC: gps, or a time zone like Europe/Berlin."),
     ] = None,
     columns: Annotated[
         str | None,
-        typer.Option(help="Columns of a table, by name or number, like time=Zeit,lat=B,lon=L."),
+        typer.Option(help="Columns of a table by name or number, like time=Zeit,lat=B,lon=L."),
     ] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the log's positions, like EPSG:25832.")] = None,
-    heights: Annotated[str | None, typer.Option(help="ellipsoidal, or a height system like EPSG:5773.")] = None,
-    sigma: Annotated[str | None, typer.Option(help="Horizontal sigma of the log in metres, if it states none.")] = None,
+    heights: Annotated[
+        str | None, typer.Option(help="Heights of the log: ellipsoidal, or a vertical CRS like EPSG:5773.")
+    ] = None,
+    sigma: Annotated[
+        str | None, typer.Option(help="Horizontal sigma of the log in metres, if the log does not contain one.")
+    ] = None,
     rig: Annotated[
         str | None, typer.Option(help="Calibration of the cameras, in any format of `conetl rig convert`.")
     ] = None,
     mount: Annotated[
         str | None,
         typer.Option(
-            help="Left camera from the antenna or IMU: metres forward, left, up, then degrees of pitch, yaw, roll, "
-            "like 1.2,0.3,-0.2,3."
+            help="Left camera relative to the antenna or IMU: metres forward, left, up, then optionally pitch, yaw and roll "
+            "in degrees, like 1.2,0.3,-0.2,3."
         ),
     ] = None,
-    yes: Annotated[
-        bool, typer.Option("--yes", "-y", help="Ask nothing: take what is clear, fail where something is missing.")
-    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask; fail if a value is missing.")] = False,
     force: Annotated[
         bool,
-        typer.Option(help="Write an existing drive.yaml again; its settings are kept, unless an option changes them."),
+        typer.Option(help="Rewrite an existing drive.yaml. Settings that no option changes are kept."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Look at a folder, ask for what is missing, and write drive.yaml.
+    """Turn a folder with video or images, a GNSS/INS log and a calibration into a drive: write its drive.yaml.
 
-    In a terminal every open question is asked; elsewhere, and with --yes, the message names the options that answer them.
+    In a terminal it asks for missing values. Elsewhere, or with --yes, it lists the options that are required.
     """
     root = folder.resolve()
     if not root.is_dir():
@@ -120,10 +120,10 @@ def init(
     # Folders called left and right may be a plain drive, or images with a log of any format.
     lacks_poses = kind is plain and not (root / plain.TRAJECTORY).is_file()
     if kind is not None and kind.NAME != NAME and not lacks_poses:
-        _finish(folder, f"{folder} is a drive already ({kind.NAME}); nothing has to be written.", {}, as_json)
+        _finish(folder, f"{folder} is already a drive ({kind.NAME}); it needs no drive.yaml.", {}, as_json)
         return
     if (root / DRIVE_YAML).exists() and not force:
-        raise InputError(f"{root / DRIVE_YAML} exists: edit it, or rewrite it with --force")
+        raise InputError(f"{root / DRIVE_YAML} already exists: edit it, or use --force to rewrite it")
     options = {
         "left": left, "right": right, "layout": layout, "start": start, "right-offset": right_offset, "trajectory": trajectory,
         "date": date, "time": log_time, "crs": crs, "heights": heights, "sigma": sigma, "rig": rig, "mount": mount,
@@ -137,7 +137,7 @@ def init(
     for key in part:
         kept.get("images", {}).pop(key, None)
     if kept and not as_json:
-        say(f"  kept from {DRIVE_YAML}: {_listed(kept)}; delete the file to start over")
+        say(f"  kept from {DRIVE_YAML}: {_listed(kept)} (delete the file to start over)")
     answers = _of_zed(root, as_json=as_json) | answers_in(kept) | given
     kept["images"] = kept.get("images", {}) | part
     asks = sys.stdin.isatty() and not yes and not as_json
@@ -147,11 +147,13 @@ def init(
     text = f"{folder / DRIVE_YAML}: {_counted(found)}"
     start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s
     if start_ns is not None and found.timing.right_offset_s and not answers.keys() & {"right-offset", "layout"}:
-        text += f"\nThe images fit a right file that begins {found.timing.right_offset_s:g} s after the left one."
+        text += (
+            f"\nEstimated from the images: the right file begins {found.timing.right_offset_s:g} s after the left one."
+        )
     if start_ns is not None and sigma_s and "start" not in answers:
         text += (
-            f"\nBy its images the first left frame is of {_stated(start_ns)}, +-{1000 * sigma_s:.0f} ms. "
-            "If its time was noted, state it: --start."
+            f"\nTime of the first left frame, estimated from the images: {_stated(start_ns)} +-{1000 * sigma_s:.0f} ms. "
+            "If you know the exact time, set --start."
         )
     _finish(folder, text, settings, as_json)
 
@@ -169,7 +171,7 @@ def _earlier(root: Path) -> dict[str, Any]:
     try:
         return read_drive_yaml(root).model_dump(mode="json", exclude_unset=True)
     except DriveFolderError as error:
-        complain(f"{error}\nThe file is rewritten without it.")
+        complain(f"{error}\nconetl ignores this file and writes a new one.")
         return {}
 
 
@@ -228,8 +230,8 @@ def _settled(
             except ConetlError as error:
                 _write(root, settings, proposal.rig)
                 complain(
-                    f"{root / DRIVE_YAML} is written, but the drive cannot be read yet:\n{error}\nEdit the file, or run this "
-                    "command again with --force and the options that correct it."
+                    f"{root / DRIVE_YAML} was written, but the drive cannot be read yet:\n{error}\nEdit the file, or run this "
+                    "command again with --force and corrected options."
                 )
                 raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
         if not asks:
@@ -253,7 +255,7 @@ def _previewed(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> Prev
 
     On a smooth road a right file with as many frames as the left one is not shifted if its images fit so better than otherwise.
     """
-    with spinner("finding when the images were taken"):
+    with spinner("estimating the times of the images"):
         try:
             return preview(root, validated(settings, DriveYaml, "answers"), rig)
         except UnknownTimeError as error:
@@ -288,7 +290,7 @@ def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], qu
                 except UnknownTimeError as error:
                     questions = [Question(error.key, _TIME_QUESTIONS[error.key], cause=error.cause)]
     lines = "\n".join(f"  --{key}: {text}" for key, text in texts.items())
-    return f"{root}: something is missing; answer it with these options:\n{lines}"
+    return f"{root}: these values are missing; set them with these options:\n{lines}"
 
 
 def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:

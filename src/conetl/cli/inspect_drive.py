@@ -30,20 +30,19 @@ def inspect(
     picture: Annotated[
         Path | None,
         typer.Option(
-            "--picture", "--image", help="PNG to write: drive path with gaps and quality, and one image pair."
+            "--picture", "--image", help="PNG to write: the drive path with gaps and pose quality, and one image pair."
         ),
     ] = None,
     page: Annotated[
-        Path | None, typer.Option(help="HTML page to write: all of it, with the image and the checks.")
+        Path | None, typer.Option(help="HTML page to write: all results, with the image and the health checks.")
     ] = None,
     map_srid: ui.MapSridOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Show what a drive contains: format, rig, frame pairs and losses, rate, gaps, pose quality, extent, expected time.
+    """Check a drive before you ingest it: format, rig, lost frame pairs, gaps, pose quality, extent, expected time.
 
-    Only headers and ends of the images are read, and five pairs are compared; nothing is written to the map. Exit code 2 if the
-    drive cannot be ingested, 1 if it can but too many of its pairs are lost, its poses jump, or a health check warns or would
-    hold it.
+    Reads only the headers and ends of the images and compares five frame pairs; writes nothing to the map. Exit code 2: the
+    drive cannot be ingested. Exit code 1: it can, but too many frame pairs are lost, poses jump, or a health check did not pass.
     """
     settings = read_settings()
     found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
@@ -68,7 +67,9 @@ def inspect(
         _print(drive, facts, summary)
         ui.print_all_checks(checks)
         if kind == "bag":
-            ui.say("Health checks: none, because the images of a bag are not unpacked here; `conetl ingest` runs them.")
+            ui.say(
+                "Health checks: not run, because `inspect` does not unpack the images of a bag; `conetl ingest` runs them."
+            )
         if picture is not None:
             ui.say(f"Image: {picture}")
         if page is not None:

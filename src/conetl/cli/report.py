@@ -22,7 +22,7 @@ def drive(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Report one drive: counts, changes with images, residuals, rejected records, times, versions and hashes."""
+    """Write the report of one drive: counts, changes with images, residuals, rejected records, times, versions and hashes."""
     from conetl.reports.drive_facts import find_drive
     from conetl.reports.drive_page import write_drive_page  # matplotlib takes half a second to load
 
@@ -38,7 +38,7 @@ def night(
     day: Annotated[
         str | None, typer.Argument(help="Day of processing (UTC), e.g. 2026-03-03; default: the last 24 hours.")
     ] = None,
-    since: Annotated[str | None, typer.Option(help="Drives committed from this time on.")] = None,
+    since: Annotated[str | None, typer.Option(help="Drives committed at or after this time.")] = None,
     until: Annotated[str | None, typer.Option(help="Drives committed before this time; default: now.")] = None,
     output: Annotated[
         Path | None, typer.Option("--out", help="HTML file; default: exports/reports/<map>/night-<until>.html.")
@@ -46,9 +46,9 @@ def night(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Report all drives processed in a period: committed, on hold, failed and why, changes, worst drives, size of the map.
+    """Write a report of all drives processed in a period: committed, on hold, failed and why, changes, worst drives, map size.
 
-    Drives on hold come first, also those of earlier days that still wait. Exit code 1 if there are any.
+    Drives on hold come first, including those of earlier days. Exit code 1: at least one drive is on hold.
     """
     from conetl.reports.night_page import write_night_page
 
@@ -63,7 +63,9 @@ def night(
         ui.print_hold_events(facts.hold_events)
         drives = ui.counted(len(facts.drives), "drive") if facts.drives else "No drives"
         failed = f", {len(facts.failures)} failed" if facts.failures else ""
-        hint = "" if facts.drives or failed else " Drives are listed by when they were processed, not recorded."
+        hint = (
+            "" if facts.drives or failed else " This report lists drives by the time of processing, not of recording."
+        )
         ui.say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")
     counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
     _print_written(as_json, path, {**period, **counts, "held": facts.held, "hold_events": facts.hold_events})
@@ -80,7 +82,7 @@ def _period(day: str | None, since: str | None, until: str | None) -> tuple[date
     """Begin and end, UTC. Raises InputError."""
     if day is not None:
         if since or until:
-            raise InputError("give either a day, or --since and --until")
+            raise InputError("give a day or --since and --until, not both")
         if (begin := ui.parse_time(day)) is not None:
             begin = begin.replace(hour=0, minute=0, second=0, microsecond=0)
             try:

@@ -38,27 +38,27 @@ _log = logging.getLogger(__name__)
 
 def up(
     workers: Annotated[
-        int, typer.Option(min=1, max=64, help="Workers, each of which ingests one drive at a time.")
+        int, typer.Option(min=1, max=64, help="Number of workers; each ingests one drive at a time.")
     ] = 1,
     host: Annotated[
         str,
-        typer.Option(help="Address of Prefect. For other machines put a proxy with TLS before it."),
+        typer.Option(help="Address that Prefect listens on. To open it to other machines, put a TLS proxy in front."),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = 4200,
     view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view, on 127.0.0.1.")] = 8791,
     decisions: Annotated[
-        bool, typer.Option("--decisions", help="Allow decisions in the web view, with the writer token.")
+        bool, typer.Option("--decisions", help="Enable decisions in the web view (require the writer token).")
     ] = False,
     group: Annotated[
-        str | None, typer.Option(help="Let this group of the operating system read results, reports and exports.")
+        str | None, typer.Option(help="Operating system group that may read results, reports and exports.")
     ] = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Start all services: PostGIS, Prefect, workers, scheduled deployments and the web view.
 
-    Services that are running are left alone, missing ones are started, crashed runs are resumed. `conetl down` stops them; maps,
-    schedules and the history of runs are kept.
+    Leaves running services as they are, starts missing ones and resumes crashed runs. `conetl down` stops them and keeps maps,
+    schedules and the history of runs.
     """
     settings = read_settings(map_name)
     home = settings.home.resolve()
@@ -89,7 +89,7 @@ def up(
     say(f"Workers:     1 for plans and exports, {workers} for drives; logs in {home / 'logs'}")
     if done["runs_recovered"]:
         say(f"{counted(len(done['runs_recovered']), 'crashed run')} marked as crashed or resumed.")
-    say("`conetl status` shows their state, `conetl down` stops them.")
+    say("`conetl status` shows the state of the services, `conetl down` stops them.")
 
 
 def _start_services(
@@ -123,7 +123,7 @@ def _start_services(
         # Errors of its own services appear only in its log.
         PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL="ERROR",
     )
-    conetl = [sys.executable, "-c", "from conetl.cli import main; main()"]
+    conetl = [sys.executable, "-m", "conetl"]
     writing = ["--decisions"] if decisions else []
     ensure("view", [*conetl, "view", "--port", str(view_port), *writing], view)
     os.environ.update(environment)  # Prefect reads its environment when it is imported, below
@@ -158,7 +158,7 @@ def login_source(home: Path) -> str:
 
 
 def down(as_json: JsonOption = False) -> None:
-    """Stop all services that `conetl up` started; maps, schedules and the history of runs are kept."""
+    """Stop all services that `conetl up` started. Maps, schedules and the history of runs are kept."""
     settings = read_settings()
     home = settings.home.resolve()
     stopped: list[str] = []
@@ -182,7 +182,7 @@ def down(as_json: JsonOption = False) -> None:
 
 
 def status(as_json: JsonOption = False) -> None:
-    """Show the status of the services of `conetl up`. Exit code 3 if one of them is not running."""
+    """Show the status of the services of `conetl up`. Exit code 3: at least one is not running."""
     settings = read_settings()
     found = _status(settings)
     if as_json:
@@ -199,7 +199,9 @@ def status(as_json: JsonOption = False) -> None:
             say(f"Prefect: log in with {login_source(settings.home.resolve())}")
             say(f"Map:     {login_address(view, view_token(settings.home))}")
         if all(service["since"] is None for service in found["services"]):
-            say("Nothing that `conetl up` starts is running: run it, or set CONETL_HOME to another home folder.")
+            say(
+                "No services are running: start them with `conetl up`, or set CONETL_HOME if they use another home folder."
+            )
     if not found["up"]:
         raise typer.Exit(EXIT_SERVICE_MISSING)
 

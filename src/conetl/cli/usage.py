@@ -14,7 +14,8 @@ def usage_text(error: Any) -> str:
     """What is wrong with a command line, and the help page that says more. error: of typer, with `ctx` where it is known."""
     context = getattr(error, "ctx", None)
     text = _problem(error, context).rstrip(".")
-    return text if context is None else f"{text}; see `{context.command_path} --help`"
+    see = " See" if text.endswith("?") else "; see"
+    return text if context is None else f"{text}{see} `{context.command_path} --help`"
 
 
 def _problem(error: Any, context: Any) -> str:

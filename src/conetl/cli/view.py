@@ -34,16 +34,19 @@ def view(
         bool,
         typer.Option(
             "--decisions",
-            help="Allow decisions (suppress, pin, revert) with the writer token, which is created in CONETL_HOME.",
+            help="Enable decisions (suppress, pin, revert). They require the writer token, which is created in CONETL_HOME.",
         ),
     ] = False,
     writer_token_file: Annotated[
         Path | None,
-        typer.Option(help="Allow decisions with the token in this file (mode 600); or set CONETL_WRITER_TOKEN."),
+        typer.Option(help="Enable decisions with the token in this file (mode 600); or set CONETL_WRITER_TOKEN."),
     ] = None,
     login: Annotated[
         bool,
-        typer.Option("--login/--no-login", help="Require the view token; --no-login: a proxy has a login of its own."),
+        typer.Option(
+            "--login/--no-login",
+            help="Require the view token. Use --no-login only behind a proxy that has its own login.",
+        ),
     ] = True,
     gazetteer: Annotated[
         Path | None,
@@ -52,8 +55,8 @@ def view(
     basemap: Annotated[
         str | None,
         typer.Option(
-            help="Base map under the cones: https://HOST/{z}/{x}/{y}.png, WMTS likewise, or a PMTiles file. The browser then "
-            "contacts HOST, which must allow it (CORS). Default: none.",
+            help="Base map: a tile URL like https://HOST/{z}/{x}/{y}.png (XYZ or WMTS), or a PMTiles file. The browser loads "
+            "tiles from HOST, which must allow this (CORS). Default: none.",
         ),
     ] = None,
     basemap_attribution: Annotated[
@@ -61,15 +64,17 @@ def view(
     ] = None,
     basemap_zoom: Annotated[
         int | None,
-        typer.Option(min=0, max=24, help="Largest zoom of the base map's tiles. Default: 19, or the file's."),
+        typer.Option(
+            min=0, max=24, help="Highest zoom level of the base map. Default: 19, or that of the PMTiles file."
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the map in a browser: before and after every drive, live, with the images of each cone."""
+    """Show the map in a browser, before and after every drive, with the images of each cone."""
     settings = read_settings(map_name)
     tiles = base_map(basemap, basemap_attribution, basemap_zoom) if basemap else None
     if not (STATIC / "index.html").is_file():
-        raise InputError(f"the front end is missing in {STATIC}: build it with `make web`, or install conetl again")
+        raise InputError(f"{STATIC}: the front end is missing; build it with `make web`, or reinstall conetl")
     places = None
     if gazetteer is not None:
         from conetl.readers.maps.gazetteer import read_gazetteer  # GDAL takes seconds to load
@@ -106,7 +111,7 @@ def decision_writer(settings: Settings, url: str, *, on_request: bool, token_fil
         token_file = make_secret(settings.home / WRITER_TOKEN)
     if token_file is not None:
         token = read_secret(token_file)
-        err.print(f"Decisions are allowed with the token in {token_file.resolve()}", markup=False, soft_wrap=True)
+        err.print(f"Decisions are enabled; the writer token is in {token_file.resolve()}", markup=False, soft_wrap=True)
     elif settings.writer_token is not None:
         token = checked_secret(settings.writer_token, "CONETL_WRITER_TOKEN")
     else:

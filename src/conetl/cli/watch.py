@@ -36,21 +36,24 @@ def watch(
     drive: Annotated[Path, typer.Argument(help="Drive folder that is being recorded: KITTI raw or plain.")],
     idle_seconds: Annotated[
         float | None,
-        typer.Option(min=0.1, help="Stop after this time without new files; default: only at COMPLETE or Ctrl-C."),
+        typer.Option(
+            min=0.1, help="Stop after this many seconds without new files; default: run until COMPLETE or Ctrl-C."
+        ),
     ] = None,
     max_behind: Annotated[
         float, typer.Option(min=0.05, help="Skip frame pairs older than this many seconds while newer ones wait.")
     ] = 0.5,
     poll: Annotated[
-        bool, typer.Option("--poll", help="Poll the file system: for NFS and SMB, which do not report changes.")
+        bool, typer.Option("--poll", help="Poll the file system. Required on NFS and SMB, which do not report changes.")
     ] = False,
     params: ui.ParamsOption = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Show the cones of a drive as provisional features while it is recorded, until its folder contains COMPLETE.
+    """Detect cones while a drive is being recorded and show them as provisional features.
 
-    They are not part of the history of the map; `conetl ingest` of the same drive replaces them.
+    Stops when the folder contains a file named COMPLETE. Provisional features are not part of the map's history; `conetl ingest`
+    of the same drive replaces them.
     """
     from conetl.pipeline.watch import watch_drive
 
@@ -82,7 +85,7 @@ def watch(
             *([("incomplete or too old", report.left_out)] if report.left_out else []),
         ]
         pairs = ui.counted(sum(count for _, count in reasons), "frame pair")
-        ui.say(f"Not used: {pairs} ({ui.counted_by_reason(reasons)}). `conetl ingest` reads them again.")
+        ui.say(f"Skipped: {pairs} ({ui.counted_by_reason(reasons)}). `conetl ingest` will process them.")
     rows = [(name, *(f"{1000 * s:.0f}" for s in seconds)) for name, seconds in latency(report.pairs).items()]
     ui.print_table("Latency of frame pairs recorded during the watch, ms", ("", "p50", "p95", "max"), rows)
     if report.drive_id:

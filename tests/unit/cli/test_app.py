@@ -74,7 +74,7 @@ def test_status_of_an_empty_home_says_what_to_do(tmp_path: Path, monkeypatch: py
     monkeypatch.delenv("CONETL_DATABASE_URL", raising=False)
     done = CliRunner().invoke(app, ["status"])
     assert done.exit_code == 3
-    assert "Nothing that `conetl up` starts is running" in done.output
+    assert "No services are running" in done.output
     assert str(tmp_path) in done.output.replace("\n", "")
 
 

@@ -113,7 +113,7 @@ def test_corners_of_a_frame_are_those_of_the_image(tmp_path: Path) -> None:
         (("{0}", "{0}"), "one folder, two video files"),
         (("{0}/a.mp4",), "a.mp4: give two video files, or one with --layout"),
         (("{0}/a.mp4", "{0}/b.mp4"), "the video cannot be opened"),
-        (("{0}/images", "--layout", "left-right"), "--layout is for a video file, and there is none"),
+        (("{0}/images", "--layout", "left-right"), "--layout requires a video file"),
     ],
 )
 def test_sources_that_are_no_videos(tmp_path: Path, words: tuple[str, ...], message: str) -> None:

@@ -578,13 +578,13 @@ def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path
     assert after["images"]["start"] == "2026-03-02 09:41:07.010000000Z" and after["images"]["right_offset_s"] == 0.0
     (copy / "drive.yaml").write_text("images: [\n")
     made = init(copy, "--force", "--right", "r.mp4")
-    assert "rewritten without it" in made.output and "kept" not in made.output
+    assert "ignores this file and writes a new one" in made.output and "kept" not in made.output
     (copy / "drive.yaml").write_text("images: [\n")
     options = ["--right", "r.mp4", "--start", start, "--right-offset", "0"]
     made = CliRunner().invoke(app, ["init", str(copy), "--json", "--force", *options])
     assert made.exit_code == 0, made.stderr
     assert json.loads(made.stdout)["settings"]["images"]["right"] == "r.mp4"
-    assert "rewritten without it" in made.stderr
+    assert "ignores this file and writes a new one" in made.stderr
 
 
 def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_images(
@@ -634,7 +634,7 @@ def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample:
     made = init(copy, "--right-offset", "0", "--force", "--start", late)
     assert "drive.csv is of 2026-03-02 09:41:07 to 2026-03-02 09:41:08 UTC" in str(made.exception)
     made = init(copy, "--right-offset", "0", "--force", "--from", "900")
-    assert made.exit_code == 1 and "is written, but the drive cannot be read yet" in made.output, made.output
+    assert made.exit_code == 1 and "was written, but the drive cannot be read yet" in made.output, made.output
     assert "kept from drive.yaml: images (left, right" in made.output
 
 
@@ -649,7 +649,7 @@ def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tm
     os.close(terminal)
     os.close(stdin)
     assert made.returncode != 0
-    assert "begin with one trigger" not in made.stdout and "Time of the first left frame" in made.stdout
+    assert "start at the same trigger" not in made.stdout and "Time of the first left frame" in made.stdout
     assert made.stdout.count("trajectory drive.csv") == 1 and "images: {start" not in made.stdout
     assert re.search(r"\d\d:\d\d:\d\d\.\d{3} UTC for", made.stdout), "precise enough to answer"
     assert not (copy / "drive.yaml").exists()

@@ -30,10 +30,10 @@ def import_files(
             "OpenDRIVE (.xodr)."
         ),
     ],
-    kind: Annotated[Literal["points", "lines"] | None, typer.Option(help="Reject files of the other kind.")] = None,
+    kind: Annotated[Literal["points", "lines"] | None, typer.Option(help="Only accept files of this kind.")] = None,
     crs: Annotated[
         str | None,
-        typer.Option(help="CRS of the files, e.g. 25832, if they do not state it or state it wrongly."),
+        typer.Option(help="CRS of the files, e.g. 25832, if they contain none or a wrong one."),
     ] = None,
     layer: Annotated[str | None, typer.Option(help="Name of the layer; default: the file name.")] = None,
     voxel: Annotated[
@@ -41,12 +41,12 @@ def import_files(
     ] = 0.05,
     height_offset: Annotated[
         float,
-        typer.Option(min=-10_000, max=10_000, help="Add this to heights, in metres, e.g. the geoid's."),
+        typer.Option(min=-10_000, max=10_000, help="Metres to add to all heights, e.g. the geoid undulation."),
     ] = 0.0,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Import files as base layers. An unchanged file changes nothing; a changed file replaces its earlier version."""
+    """Import files as base layers. A changed file replaces its earlier version; an unchanged one is skipped."""
     done: list[ImportedFile] = []
     failed = False
     for path in files:
@@ -92,7 +92,7 @@ def print_imported(item: ImportedFile) -> None:
     for warning in item.warnings:
         ui.note(warning)
     if item.unchanged:
-        ui.say(f"{item.file}: already in layer {item.layer}, nothing changed")
+        ui.say(f"{item.file}: already in layer {item.layer}, unchanged")
         return
     of = f" of {item.read:,}" if item.read != item.kept else ""
     ui.say(f"{item.file} -> layer {item.layer}: {item.kept:,}{of} {item.kind}")
@@ -134,7 +134,7 @@ def drop(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Remove a base layer with all its files; cones and their history are kept."""
+    """Remove a base layer and its data. Cones and their history are kept."""
     with open_map(map_name) as (conn, info):
         dropped = drop_base_layer(conn, info.map_name, layer)
     if not dropped:

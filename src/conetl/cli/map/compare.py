@@ -31,8 +31,10 @@ _AXES = ("east", "north", "up", "horizontal", "3D")
 
 
 def diff(
-    before: Annotated[str, typer.Argument(help="Number of a changeset (the state after it), or a time on the road.")],
-    after: Annotated[str, typer.Argument(help="Likewise.")],
+    before: Annotated[
+        str, typer.Argument(help="Number of a changeset (the state after it), or a time, e.g. 2026-03-02.")
+    ],
+    after: Annotated[str, typer.Argument(help="The later state, in the same form.")],
     output: Annotated[Path | None, typer.Option("--out", help="GeoJSON file to write.")] = None,
     picture: Annotated[
         Path | None, typer.Option("--picture", "--image", help="PNG to write: both states, changes in colour.")
@@ -52,7 +54,7 @@ def diff(
         from conetl.reports.figures import draw_plan_view  # matplotlib takes half a second to load
 
         if not old and not new:
-            raise InputError(f"there is nothing to draw: the map has no cones at {before} and at {after}")
+            raise InputError(f"nothing to draw: the map has no cones at {before} or at {after}")
         changed = {change.feature_id for change in changes}
         draw_plan_view(
             picture,
@@ -74,7 +76,7 @@ def diff(
     if output is not None:
         ui.say(f"{len(points)} changes -> {output}")
         if lines:
-            ui.say("Lane markings are not in this file: `conetl map export --what changes` writes them.")
+            ui.say("This file does not contain lane markings: use `conetl map export --what changes`.")
     if picture is not None:
         ui.say(f"image -> {picture}")
 
@@ -162,15 +164,15 @@ def check_points(
         typer.Option(min=0, help="Sigma of the survey in m, if the file has no sigma_e_m, sigma_n_m, sigma_u_m."),
     ] = None,
     within_m: Annotated[
-        float, typer.Option(min=0.01, help="A cone stands on a point if it is at most this far away.")
+        float, typer.Option(min=0.01, help="Match a cone to a point if it is at most this far away, in metres.")
     ] = 0.75,
     as_of: Annotated[str | None, typer.Option(help="State of the road at this time.")] = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Compare the map with surveyed check points: residuals, RMSE, and whether the stated sigmas are true.
+    """Compare the map with surveyed check points: residuals, RMSE, and whether the residuals agree with the stated sigmas.
 
-    The points change nothing on the map. Exit code 1 if no point has a cone, or the residuals contradict the stated sigmas.
+    Does not change the map. Exit code 1: no point has a cone, or the residuals contradict the stated sigmas.
     """
     from conetl.evaluation.truth import check_map
     from conetl.readers.surveyed_points import read_surveyed_points
@@ -259,7 +261,7 @@ def picture(
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
     if changes is not None and (at is not None or known_at is not None):
-        raise InputError("--changes names both states: leave --at and --known-at out")
+        raise InputError("--changes already names both states: omit --at and --known-at")
     valid_at, known = ui.parse_instant(at), ui.parse_instant(known_at)
     size_mm = ui.parse_size("--size", size, "millimetres", 60, 1200, "240x160")
     with open_map(map_name) as (conn, info):

@@ -35,7 +35,7 @@ def suppress(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Mark a feature as a false positive: no cone is added here, whatever drives detect."""
+    """Mark a feature as a false positive. No drive can add a cone at this location again."""
     _decide_place("suppress", feature, radius, note, by, map_name, as_json)
 
 
@@ -47,7 +47,7 @@ def pin(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Fix a cone: drives may confirm it, but neither move nor remove it."""
+    """Pin a cone: drives can confirm it, but cannot move or remove it."""
     _decide_place("pin", feature, radius, note, by, map_name, as_json)
 
 
@@ -60,7 +60,7 @@ def classify(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Correct the class of an object: what drives detect here as its present class is another one."""
+    """Correct the class of an object that the detector classifies wrongly here."""
     _decide_place("classify", feature, radius, note, by, map_name, as_json, category)
 
 
@@ -73,7 +73,7 @@ def revert(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Undo a changeset (its drive no longer counts) or a decision. Nothing is lost: revert the revert to restore it."""
+    """Undo a changeset or a decision. Nothing is deleted: revert the revert to restore it."""
     from conetl.pipeline.maps import decisions
 
     with open_map(map_name) as (conn, info):
@@ -88,7 +88,7 @@ def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> N
     """What other drives changed after a reverted changeset. numbers: of changesets."""
     if not decided.conflicts:
         return
-    ui.say("Other drives changed these features as well; their changes are kept:")
+    ui.say("Other drives changed these features too; their changes are kept:")
     columns: ui.Columns = {
         "feature": "feature_id",
         "change undone": lambda conflict: str(conflict.kind),
@@ -145,7 +145,7 @@ def accept(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Let a drive on hold count as it is: it is compared with the map, and so are later drives over the same roads."""
+    """Accept a drive on hold: merge it into the map, and recompute later drives over the same roads."""
     from conetl.pipeline.maps.decisions import accept_drive
 
     with open_map(map_name) as (conn, info):
@@ -178,7 +178,7 @@ def who_decides(by: str | None) -> str:
     try:
         return by or getpass.getuser()
     except (OSError, KeyError) as error:  # a container whose user has no name
-        raise InputError("the login name is unknown: give the name of the person who decides with --by NAME") from error
+        raise InputError("the login name is unknown: state who decides with --by NAME") from error
 
 
 def finish(conn: Connection, decided: DecisionOutcome, map_name: str, as_json: bool) -> None:
@@ -190,10 +190,12 @@ def finish(conn: Connection, decided: DecisionOutcome, map_name: str, as_json: b
         ui.say(
             f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): "
             f"{ui.counted(decided.versions_written, 'feature version')} written, "
-            f"{ui.counted(decided.replayed, 'drive')} compared with the map again."
+            f"{ui.counted(decided.replayed, 'drive')} recomputed."
         )
         if decided.replaced_by is not None:
-            ui.say(f"The drive does not count: a later delivery of it does (changeset {decided.replaced_by}).")
+            ui.say(
+                f"This drive has no effect, because a later delivery of it replaced it (changeset {decided.replaced_by})."
+            )
         for change in decided.hold_changes:
             ui.say(change.sentence)
     from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load

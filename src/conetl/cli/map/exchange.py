@@ -42,16 +42,16 @@ def export(
         What, typer.Option(help="Current features, all versions, or the changes between two times.")
     ] = What.FEATURES,
     as_of: Annotated[
-        str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02T10:00+01:00.")
+        str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02T10:00+01:00; default: latest.")
     ] = None,
     believed_at: Annotated[
         str | None, typer.Option("--believed-at", "--known-at", help="Database state at this time; default: now.")
     ] = None,
     since: Annotated[
-        str | None, typer.Option("--from", help="Changes on the road from this time on; default: the first drive.")
+        str | None, typer.Option("--from", help="Only changes at or after this time; default: since the first drive.")
     ] = None,
     until: Annotated[
-        str | None, typer.Option("--to", help="Changes until this time, a day included; default: now.")
+        str | None, typer.Option("--to", help="Only changes up to this time (a date includes that day); default: now.")
     ] = None,
     crs: Annotated[
         str | None,
@@ -71,8 +71,8 @@ def export(
 ) -> None:
     """Export the map, its history or its changes to a file, or its work zones as a WZDx 4.2 feed.
 
-    A manifest (FILE.manifest.json) is written beside the file. Lane markings are lines in the same file; of CSV, GeoParquet and
-    FlatGeobuf, which hold one type of geometry, in a second one, FILE_lane_markings.
+    Writes a manifest, FILE.manifest.json, beside the file. Lane markings are lines in the same file; in CSV, GeoParquet and
+    FlatGeobuf, which hold one type of geometry, they are in a second file, FILE_lane_markings.
     """
     file_format = _format_by_name(output) if file_format is None else file_format
     category = None if category == "all" else category
@@ -141,17 +141,17 @@ def import_(
     ground_height_m: Annotated[
         float | None, typer.Option(help="Ellipsoidal height of the ground if the file has none.")
     ] = None,
-    layer: Annotated[str | None, typer.Option(metavar="NAME", help="Layer to import, if several.")] = None,
+    layer: Annotated[str | None, typer.Option(metavar="NAME", help="Layer to import, if the file has several.")] = None,
     new_ids: Annotated[
         bool, typer.Option("--new-ids", help="Create new ids instead of using those of the file.")
     ] = False,
     accept: Annotated[
-        bool, typer.Option("--accept", help="Import it although its positions or heights contradict those of the map.")
+        bool, typer.Option("--accept", help="Import even if positions or heights contradict those of the map.")
     ] = False,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Import a map made elsewhere, as one changeset. Drives confirm, move and remove its cones like all others."""
+    """Import an existing map as one changeset. Drives confirm, move and remove its cones like any others."""
     from conetl.pipeline.maps.import_map import import_map
     from conetl.readers.maps.imported_rows import read_map_file  # GDAL takes seconds to load
 
@@ -167,7 +167,7 @@ def import_(
         info = find_map(conn, settings.map_name)
         if info is not None and map_srid not in (None, info.srid):
             raise InputError(
-                f"the map {settings.map_name} is in EPSG:{info.srid}, not in EPSG:{map_srid}: omit --map-srid"
+                f"--map-srid {map_srid}: the map {settings.map_name} already exists and is in EPSG:{info.srid}; omit the option"
             )
         srid = info.srid if info else map_srid
         if srid is not None:
@@ -179,32 +179,32 @@ def import_(
         done = import_map(conn, imported, params, map_name=settings.map_name, accept=accept)
     if imported.lines_left_out:
         note(
-            f"{counted(imported.lines_left_out, noun_of(LANE_MARKING))} of {file} left out: only point objects are imported"
+            f"{counted(imported.lines_left_out, noun_of(LANE_MARKING))} of {file} skipped: `map import` reads only point objects"
         )
-    text = f"{file} is on the map {settings.map_name} already: no changes."
+    text = f"{file} is already on the map {settings.map_name}: no changes."
     if done.own:
-        note(f"{done.own} of {counted(total, noun)} of {file} are an export of this map: no new evidence, left out")
+        note(f"{done.own} of {counted(total, noun)} of {file} were exported from this map: skipped, no new evidence")
         if not done.committed and done.changeset_id is None:
-            text = f"{file} is an export of this map: nothing new, no changes."
+            text = f"{file} was exported from this map: no changes."
     if done.same_place:
         note(
-            f"{done.same_place} of {counted(total, noun)} stand exactly where objects of the map stand. If the file was made "
-            "from this map, its evidence counts twice now: undo the import with `conetl map revert`"
+            f"{done.same_place} of {counted(total, noun)} stand exactly where objects of the map stand. If the file was exported "
+            "from this map, its evidence now counts twice: undo the import with `conetl map revert`"
         )
     if done.far:
         note(
-            f"{done.far} of {counted(total, noun)} stand more than 1 km from everything on the map {settings.map_name}: are the "
-            "CRS of the file and the map right? If not, undo the import with `conetl map revert`"
+            f"{done.far} of {counted(total, noun)} stand more than 1 km from everything on the map {settings.map_name}: check "
+            "the CRS of the file and of the map. If one is wrong, undo the import with `conetl map revert`"
         )
     others = Counter(one.feature.category for one in imported.statements if one.feature.category not in FEATURE_CLASSES)
     if others:
         note(
-            f"{others.total()} of {counted(total, 'object')} are of a class that drives neither confirm nor remove: "
-            f"{', '.join(sorted(others))}; the classes that they do: {', '.join(FEATURE_CLASSES)}"
+            f"{others.total()} of {counted(total, 'object')} have a class that no drive confirms or removes: "
+            f"{', '.join(sorted(others))}. conetl detects {', '.join(FEATURE_CLASSES)}"
         )
     if done.committed:
         counts = ", ".join(f"{count} {kind}" for kind, count in done.counts.items() if count)
-        again = f" {counted(done.replayed, 'later drive')} compared with the map again." if done.replayed else ""
+        again = f" {counted(done.replayed, 'later drive')} recomputed." if done.replayed else ""
         text = f"{counted(total - done.own, noun)} (EPSG:{imported.srid}): {counts}.{again}"
     facts = {"file": str(file), "sha256": imported.content_sha256, "srid": imported.srid}
     answer(as_json, done._asdict() | facts, text)
@@ -217,7 +217,7 @@ def licence(
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show or set the licence that is written into every export of the map."""
+    """Show or set the licence that every export of the map contains."""
     with open_map(map_name) as (conn, info):
         if text is not None:
             set_licence(conn, info.map_name, text)
@@ -231,9 +231,9 @@ def qgis(
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a QGIS project that shows the live map, styled by change and probability, with the temporal controller set.
+    """Write a QGIS project of the live map, styled by change and existence probability, ready for the temporal controller.
 
-    Passwords are not stored in it.
+    The project contains no password.
     """
     with open_map(map_name) as (conn, info):
         write_qgis_project(conn, output, map_name=info.map_name, user=user)

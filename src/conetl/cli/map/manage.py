@@ -41,7 +41,7 @@ def list_(as_json: JsonOption = False) -> None:
     elif found:
         print_records("", _MAPS, found, numbers_from=3)
     else:
-        say("This database has no map yet: `conetl ingest DRIVE` or `conetl map create` makes one.")
+        say("This database contains no map yet: `conetl ingest DRIVE` or `conetl map create` creates one.")
 
 
 def create(
@@ -54,15 +54,15 @@ def create(
     ],
     as_json: JsonOption = False,
 ) -> None:
-    """Create an empty map. Not required: the first drive makes its map, in its UTM zone.
+    """Create an empty map. This is optional: the first drive creates its map, in its UTM zone.
 
-    Positions are stored with ellipsoidal heights. A height system, the part after +, is the one in which exports state them.
+    Heights are stored as ellipsoidal heights. The part after + names the height system that exports use.
     """
     settings = read_settings(name)
     srid, vertical_srid = map_crs(crs)
     with open_maps(settings) as conn, transaction(conn, f"The map {name} was not created"):
         if find_map(conn, name) is not None:
-            raise InputError(f"a map named {name} exists already: choose another name (`conetl map list` lists all)")
+            raise InputError(f"a map named {name} already exists: choose another name (`conetl map list` lists all)")
         insert_map(conn, name, srid, vertical_srid=vertical_srid)
     facts = {"map": name, "srid": srid, "vertical_srid": vertical_srid}
     text = f"Map {name}: EPSG:{srid}, heights {system_name(vertical_srid)}. Next: conetl ingest --map {name} DRIVE"
@@ -74,46 +74,48 @@ def rename(
     new_name: Annotated[str, typer.Argument(metavar="NEW", help="Its new name: a-z, 0-9, _ and -.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Give a map another name. Its history, decisions, receipts and reports are kept."""
+    """Rename a map. Its history, decisions, receipts and reports are kept."""
     settings = read_settings(name)
     reports, target = settings.reports_folder, settings.reports_folder.with_name(checked_map_name(new_name))
     with open_map(name) as (conn, _):
         if target.exists() and find_map(conn, new_name) is None:
-            raise InputError(f"{target}: there are reports of an earlier map {new_name}; move them away first")
+            raise InputError(
+                f"{target}: contains reports of an earlier map {new_name}; move them to another folder first"
+            )
         rename_map(conn, name, new_name)
     if reports.is_dir():
         reports.rename(target)
-    answer(as_json, {"map": new_name, "was": name}, f"The map {name} is named {new_name} now.")
+    answer(as_json, {"map": new_name, "was": name}, f"Renamed the map {name} to {new_name}.")
 
 
 def delete(
     name: MapArgument,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     dump: Annotated[
-        Path | None, typer.Option(help="File to keep it in; default: dumps/NAME-TIME.zip in CONETL_HOME.")
+        Path | None, typer.Option(help="File for the dump; default: dumps/NAME-TIME.zip in CONETL_HOME.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete a map with its history, after it was written to a file (dump) that `conetl map restore` brings back.
+    """Delete a map with its history. A dump is written first, from which `conetl map restore` can restore it.
 
-    Drive folders and reports are not touched.
+    Drive folders and reports are not affected.
     """
     settings = read_settings(name)
     path = dump or settings.home / "dumps" / f"{settings.map_name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip"
     if path.exists():
-        raise InputError(f"{path}: exists already, choose another file with --dump")
+        raise InputError(f"{path}: already exists; choose another file with --dump")
     with open_map(name) as (conn, _):
         size = next(one for one in list_maps(conn) if one["map_name"] == name)
         text = f"map {name} with {counted(size['feature_count'], 'feature')} and {counted(size['changeset_count'], 'changeset')}"
         if not yes:
             if as_json or not sys.stdin.isatty():
-                raise InputError(f"nothing was deleted: add --yes to delete the {text} (a dump is kept)")
-            if not typer.confirm(f"Delete the {text}? A dump is kept in {path}."):
+                raise InputError(f"nothing was deleted: add --yes to delete the {text} (a dump is written first)")
+            if not typer.confirm(f"Delete the {text}? A dump will be written to {path}."):
                 say("Nothing was deleted.")
                 return
         rows = delete_map(conn, name, path)
     facts = {"map": name, "dump": str(path), "bytes": path.stat().st_size, "rows": rows}
-    answer(as_json, facts, f"Deleted the {text}. To bring it back: conetl map restore {path}")
+    answer(as_json, facts, f"Deleted the {text}. To restore it: conetl map restore {path}")
 
 
 def restore(
@@ -123,7 +125,7 @@ def restore(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring back a deleted map with its whole history, also in another database with the same schema."""
+    """Restore a deleted map with its whole history, in this or another database with the same schema."""
     settings = read_settings()
     with open_maps(settings) as conn:
         info = restore_map(conn, file, None if name is None else checked_map_name(name))

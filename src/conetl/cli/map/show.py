@@ -71,7 +71,7 @@ def show(
     """List the cones and other objects on the map."""
     if provisional:
         if as_of:
-            raise InputError("--provisional and --as-of exclude each other: provisional cones have no history")
+            raise InputError("--provisional and --as-of cannot be used together: provisional cones have no history")
         from conetl.cli.watch import show_provisional
 
         show_provisional(read_settings(map_name), as_json=as_json)
@@ -119,7 +119,7 @@ def log(
             if not found:
                 raise InputError(f"the map {name} has no feature {feature}: see `conetl map show`")
             if len(found) > 1:
-                raise InputError(f"{feature!r} is ambiguous: give more characters of the id")
+                raise InputError(f"{feature!r} matches several features: give more characters of the id")
             entries = feature_log(conn, found[0])
             classified = read_decisions(conn, map_name=name).classified
             reasons = reasons_of(conn, name, found[0], entries)
@@ -146,7 +146,7 @@ def log(
         for one in classified:
             if any(entry["believed_until"] is None and _is_about(one, entry) for entry in entries):
                 classes = f"{noun_of(one.category)} instead of {noun_of(one.found_as)}"
-                ui.say(f"Class by a person's decision: {classes}, see `conetl map decisions`.")
+                ui.say(f"Class corrected by a decision: {classes} (see `conetl map decisions`).")
 
 
 def _is_about(decision: Classification, entry: Mapping[str, Any]) -> bool:

@@ -54,7 +54,9 @@ MaxAgeOption = Annotated[
 
 
 def check_layout_command(
-    speed_kmh: Annotated[float, typer.Option(min=5, max=200, help="Speed limit that the rules depend on.")] = 50.0,
+    speed_kmh: Annotated[
+        float, typer.Option(min=5, max=200, help="Speed limit of the road; the rules depend on it.")
+    ] = 50.0,
     standard: Annotated[
         str,
         typer.Option(help=f"Source of the rules: {', '.join(layout_check.STANDARDS)}."),
@@ -96,7 +98,7 @@ def check_layout_command(
         export_layout_geojson(findings, output, srid=found.srid)
     if picture is not None:
         if not checked:
-            raise InputError(f"the map {info.map_name} has no work zone to draw: {picture} was not written")
+            raise InputError(f"{picture}: not written, because the map {info.map_name} has no work zones")
         from conetl.reports.layout_image import draw_layout  # matplotlib takes half a second to load
 
         draw_layout(picture, checked, found.paths, title=title)

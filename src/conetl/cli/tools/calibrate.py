@@ -79,11 +79,11 @@ def calibrate(
     report: Annotated[Path | None, typer.Option(help="Folder for report.json and coverage.png.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a two-camera rig from images or videos of a chessboard, a ChArUco board or an AprilGrid.
+    """Calibrate a stereo rig from images or videos of a chessboard, ChArUco board or AprilGrid.
 
-    Of videos, frames are taken where nothing moves: hold the board still for a second in each position.
-    Lens model and board shape are selected by information criterion. The standard deviations include errors that are correlated
-    within a pair. Exit code 1 if more than a quarter of the images were rejected; rig.yaml is written anyway.
+    From videos it uses the frames in which nothing moves, so hold the board still for a second in each position. Lens model and
+    board shape are selected by BIC. The standard deviations include errors that are correlated within a pair. Exit code 1: more
+    than a quarter of the images were rejected (rig.yaml is written anyway).
     """
     # here: matplotlib takes half a second to load
     from conetl.reports.inspection_images import calibration_as_dict, write_calibration_report
@@ -141,10 +141,10 @@ def _videos(sources: list[Path], layout: Layout | None) -> list[Path]:
         if not source.exists():
             raise InputError(f"{source}: no such folder or file")
     if len(sources) > 2 or (len(sources) == 2 and any(source.is_dir() for source in sources)):
-        raise InputError("give one folder, two video files (left, right), or one video file with --layout")
+        raise InputError("expected one folder, two video files (left, right), or one video file with --layout")
     found = sources if sources[0].is_file() else find_videos(sources[0], layout)
     if layout is not None and not found:
-        raise InputError(f"{sources[0]}: --layout is for a video file, and there is none")
+        raise InputError(f"{sources[0]}: --layout requires a video file")
     return found
 
 
@@ -155,7 +155,7 @@ def _pairs_of_videos(videos: list[Path], layout: Layout | None, offset_s: float 
             pairs, found_s = pairs_in_videos(opened, offset_s, on_frame=update)
         except ImageFileError as error:
             raise CalibrationError(str(error)) from error
-    err.print(f"{len(pairs)} pairs of frames; the times of the right video {found_s:+.2f} s", markup=False)
+    err.print(f"{len(pairs)} frame pairs; time offset of the right video {found_s:+.2f} s", markup=False)
     return pairs
 
 
@@ -169,7 +169,7 @@ def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) 
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
     if (left is None) != (right is None):
-        raise InputError("--left-pattern and --right-pattern require each other")
+        raise InputError("--left-pattern and --right-pattern must be used together")
     if left is not None and right is not None:
         return board_images.pairs_by_pattern(folder, left, right)
     return board_images.pairs_even_odd(folder) if pairing == "even-odd" else board_images.pairs_in_folders(folder)
@@ -182,7 +182,7 @@ def _check_found(images: board_images.BoardImages, board: Board) -> None:
     details = Counter(r.detail for r in images.rejections).most_common(1)
     most = f"; most often: {details[0][0]} ({details[0][1]} images)" if details else ""
     raise CalibrationError(
-        f"the {board.kind} of {board.cols} x {board.rows} was found in none of the images{most}. Check --board"
+        f"the {board.kind} of {board.cols} x {board.rows} was not found in any image{most}. Check --board"
     )
 
 
@@ -205,7 +205,7 @@ def _print(content: dict[str, Any]) -> None:
     print_table("Models tried", ("lens", "board", "unknowns", "RMS px", "BIC"), models, numbers_from=2)
     for side, share in content["coverage"].items():
         if share < 0.5:
-            err.print(f"only {100 * share:.0f} % of the {side} image is covered: move the board into the corners")
+            err.print(f"the board covers only {100 * share:.0f} % of the {side} image: also place it in the corners")
     for refused in content["rejections"]:
         say(f"not used: {refused['record']}: {refused['detail']}")
     if content["rejected_corners"]:

@@ -58,11 +58,11 @@ def detect(
     ] = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Detect cones, and what else the model knows, in images and write their boxes as JSON.
+    """Detect cones and all other classes of the model in images, and write the boxes as JSON.
 
     Each box has file_name, category, bbox (x, y, w, h), score of the network, probability (of cones, if the model is
-    calibrated), foot and tip (x, y), in pixels of the displayed image (after its orientation tag). Exit code 1 if some images
-    could not be read; the others are written anyway.
+    calibrated), foot and tip (x, y), in pixels of the displayed image (after its orientation tag). Exit code 1: some images could
+    not be read (the boxes of the others are written anyway).
     """
     paths = _image_files(images)
     drawn_names = _drawn_names(paths) if draw is not None else []
@@ -157,9 +157,9 @@ def locate(
     ],
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Compute ground distance and height of each cone, and of what else the model knows, in one stereo pair.
+    """Compute the ground distance and height of each cone and other object in one stereo pair.
 
-    It needs neither trajectory nor map. Of signs and boards, distance and height are those of the plate.
+    Requires neither a trajectory nor a map. For signs and boards, distance and height are those of the plate.
     """
     from conetl.pipeline.one_pair import locate_pair  # here: `detect` needs none of it, and it takes a while to load
     from conetl.readers.drives.pairs import first_size
@@ -193,11 +193,11 @@ def locate(
     cones = f", {ui.counted(len(found.cones), 'cone')} among them" if found.objects else ""
     ui.say(f"{ui.counted(count_left, 'object')} detected left, {count_right} right, {len(located)} located{cones}.")
     if any(found.unmatched.values()):
-        ui.say(
-            f"Boxes without a match in the other image: {found.unmatched['left']} left, {found.unmatched['right']} right."
-        )
+        ui.say(f"Boxes without a stereo match: {found.unmatched['left']} left, {found.unmatched['right']} right.")
         if not found.matches:
-            ui.say("Are the images swapped, or rectified already, or does the calibration belong to another rig?")
+            ui.say(
+                "Possible causes: swapped images, images that are already rectified, or the calibration of another rig."
+            )
     ui.print_records("", _COLUMNS, enumerate(located, 1))
     for misfit in found.misfits:
         name = misfit.category.replace("_", " ")

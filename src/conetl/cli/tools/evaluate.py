@@ -63,12 +63,10 @@ def evaluate(
     ] = 20.0,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Compare the cones of drives with surveyed truth: the error of each cone, errors over range, and whether sigmas hold.
+    """Compare the cones of drives with surveyed truth: errors of each cone, errors over range, and consistency of the sigmas.
 
-    Lane markings are compared with truth_markings.geojson of a drive where they are searched for (--category lane_marking,
-    which may be given alone).
-    Several drives are evaluated one by one and together: one value in twenty is outside its 95 % band by chance. Nothing is
-    written to the map, and no database is needed.
+    With --category lane_marking it compares lane markings with truth_markings.geojson of the drive. Several drives are evaluated
+    separately and pooled: by chance, one value in twenty is outside its 95 % band. Writes nothing to the map; needs no database.
     """
     settings = read_settings()
     chosen = read_params(params, category, settings)
@@ -80,7 +78,7 @@ def evaluate(
         results = analyse_folder(drive, settings, chosen, map_srid=srid)
         name = results.drive.drive_id
         if name in done:
-            raise InputError(f"{drive} is a second recording of drive {name}: evaluate each drive once")
+            raise InputError(f"{drive}: has the same drive id, {name}, as another folder; evaluate each drive once")
         one = evaluate_drive(
             cones,
             results.drive,
@@ -136,20 +134,20 @@ def _truths_of(
         if any(drive.resolve() == other.resolve() for other in truths):
             raise InputError(f"{drive} is given twice")
         if not drive.is_dir():
-            raise InputError(f"no such drive folder: {drive}")
+            raise InputError(f"{drive}: no such drive folder; check the path")
         if only_lines:
             if not (drive / TRUTH_FILE).is_file():
-                raise InputError(f"{drive} has no {TRUTH_FILE}: see data/README.md")
+                raise InputError(f"{drive}: contains no {TRUTH_FILE}, which data/README.md describes")
             truths[drive] = (drive / TRUTH_FILE, [], None)
             continue
         file = truth or drive / "truth.csv"
         if not file.is_file() and truth is None:
-            raise InputError(f"{drive} has no truth.csv: give the surveyed cones with --truth")
+            raise InputError(f"{drive}: contains no truth.csv; give a file of surveyed cones with --truth")
         known, srid = read_truth_cones(file)
         searched = [cone for cone in known if cone.category in categories]
         if not searched:
             wanted, present = (", ".join(known_of(names)) for names in (categories, {cone.category for cone in known}))
-            raise InputError(f"{file} has no object of the classes {wanted}, but of {present}: choose with --category")
+            raise InputError(f"{file}: contains no {wanted}, only {present}; choose classes with --category")
         truths[drive] = (file, searched, srid)
     return truths
 
@@ -161,7 +159,7 @@ def analyse_folder(
     from conetl.pipeline.analysis import analyse
 
     if not folder.is_dir():
-        raise InputError(f"no such drive folder: {folder}")
+        raise InputError(f"{folder}: no such drive folder; check the path")
     drive, rejections = read_drive(folder, map_srid=map_srid, images_folder=settings.images_folder.resolve())
     ui.note_unmeasured(read_model_card(settings.model_path))
     with ui.progress_bar(drive.drive_id, "images and motions") as update:
@@ -220,7 +218,7 @@ def lidar_check(
     ] = True,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Compare stereo ranges of cones with the drive's own LiDAR, with and without the calibration error that the scene shows."""
+    """Compare stereo ranges of cones with the drive's own LiDAR, with and without a correction of the calibration."""
     with ui.progress_bar("LiDAR check", "scans") as update:
         check = lidar_residuals(
             drive,

@@ -11,7 +11,7 @@ from conetl.cli.console import JsonOption, answer, progress_bar
 
 
 def simulate(
-    folder: Annotated[Path, typer.Argument(help="Folder to write; it must be new or empty.")],
+    folder: Annotated[Path, typer.Argument(help="Folder to write to; it must be new or empty.")],
     pass_number: Annotated[
         int,
         typer.Option(
@@ -36,7 +36,7 @@ def simulate(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Render a stereo drive through a work zone, with its truth (requires the extra `simulate`)."""
+    """Render a stereo drive through a work zone with known truth (requires the extra `simulate`)."""
     from conetl.simulation.simulate import simulate_drive
 
     if base:
