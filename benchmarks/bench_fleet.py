@@ -151,7 +151,7 @@ def commit(conn: Connection, survey: Survey, map_name: str = MAP_NAME) -> Commit
     began_s, python_s, server_s = time.monotonic(), time.thread_time(), server_time_s(conn)
     merged = merge(conn, survey, map_name=map_name, evidence=evidence_of_model())
     if merged is None:
-        raise SystemExit(f"drive {survey.drive.drive_id} was on the map already")
+        raise SystemExit(f"drive {survey.drive.drive_id} was already on the map")
     python_s, server_s = time.thread_time() - python_s, server_time_s(conn) - server_s
     counts = len(survey.tracks), len(survey.positions)
     return Commit(began_s, time.monotonic(), python_s, server_s, *counts, merged.replayed)

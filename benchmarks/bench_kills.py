@@ -4,7 +4,7 @@ A drive of a few frame pairs with cached detections is ingested in a process gro
 instant of the duration of an ingest: by the pipeline's own functions, file by file and into PostGIS, without Prefect, which
 costs seconds per trial and writes nothing of conetl. The same ingest then runs to its end,
 and the final tables (hash of every row, except values of a clock or a sequence), advisory locks, audits (every tenth trial) and
-leftover files are checked. In every second trial the drive comes late: a newer one over the same area is on the map already,
+leftover files are checked. In every second trial the drive comes late: a newer one over the same area is already on the map,
 and is evaluated again.
 
     python benchmarks/bench_kills.py [--kills 200] [--seed 1] [--folder /tmp]

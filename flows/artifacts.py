@@ -173,7 +173,7 @@ def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
                 if not whole:
                     image = pixelated(image, [box[:4] for box in boxes])
                 drawn.append(draw_boxes(image, np.array(boxes).reshape(-1, 10)))
-        except (ImageFileError, StorageError):  # vanished since it was read; the drive is on the map already
+        except (ImageFileError, StorageError):  # vanished since it was read; the drive is already on the map
             continue
         count = sum(match.frame_index == index for match in records.matches)
         rows.append((drawn[0], drawn[1], f"frame pair {index}: {worst[index]:.2f} px residual, {count} cones matched"))

@@ -28,6 +28,14 @@ RETIRED = {
     r"at a glance": "header, overview",
     r"left and right pictures?": "left and right images",
     r"\bway of the\b": "drive path, camera path, trajectory",
+    r"exists already|on the map already": "already exists, already on the map",
+    r"costs? (?:its|the|their|that|those) (?:frame )?pairs?\b": "only its frame pair is lost",
+    r"\berrs? alike": "have the same errors",
+    r"something needs a person": "needs attention",
+    r"on the safe side": "conservative",
+    r"the map is as it was": "the map is unchanged",
+    r"where the story begins": "start reading at",
+    r"mended\b": "fixed",
 }
 #: Files whose text is not ours, or that must name what is retired.
 EXEMPT = (

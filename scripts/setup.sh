@@ -33,7 +33,7 @@ if [ "$(cat .venv/.conetl-lock 2>/dev/null)" != "$lock" ]; then
   .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps --require-hashes -r requirements.txt
   .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
   # Bytecode of what conetl uses, not of all 18,000 files. Where PYTHONDONTWRITEBYTECODE is set, as in many containers, every
-  # process would otherwise compile Prefect anew: 4 s for the server alone.
+  # process would otherwise compile Prefect again: 4 s for the server alone.
   env -u PYTHONDONTWRITEBYTECODE .venv/bin/python scripts/import_all.py
   echo "$lock" > .venv/.conetl-lock
 fi

@@ -123,7 +123,7 @@ def merge(
     hold: str | None = None,
     evidence: DetectorEvidence | None = None,
 ) -> Merged | None:
-    """Merge as the last step of an ingest does; None where the drive is on the map already."""
+    """Merge as the last step of an ingest does; None where the drive is already on the map."""
     params = params or (PAINTED if survey.markings else IngestParams())
     key = key_of(survey, params)
     changeset = Changeset(

@@ -85,7 +85,7 @@ def test_maps_are_created_listed_and_renamed(conetl, conn, two_maps):
     listed = {m["map_name"]: m for m in json.loads(conetl("map", "list", "--json"))}
     assert [(name, m["changeset_count"]) for name, m in listed.items()] == [("east", 0), ("north", 3), ("south", 2)]
     before = everything_of(conn, "north")
-    assert "exists already" in conetl("map", "rename", "north", "south", code=2)
+    assert "already exists" in conetl("map", "rename", "north", "south", code=2)
     conetl("map", "rename", "north", "old_north")
     assert everything_of(conn, "old_north") == before
 
@@ -104,7 +104,7 @@ def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, two_ma
     left.mkdir(parents=True)
     assert f"{left}: contains reports of an earlier map old" in conetl("map", "rename", "north", "old", code=2)
     left.rename(left.with_name("south"))
-    assert "exists already" in conetl("map", "rename", "north", "south", code=2)
+    assert "already exists" in conetl("map", "rename", "north", "south", code=2)
     conetl("map", "rename", "north", "old")  # the process of the drive is gone
 
 
@@ -140,7 +140,7 @@ def test_a_deleted_map_is_restored_as_it_was(conetl, conn, two_maps, tmp_path):
     conetl("map", "restore", dump)
     assert everything_of(conn, "north") == before and everything_of(conn, "south") == other
     assert failed_audits(conn) == []
-    assert "exists already" in conetl("map", "restore", dump, code=2)
+    assert "already exists" in conetl("map", "restore", dump, code=2)
     assert "same ids as those of the map north" in conetl("map", "restore", dump, "--map", "copy", code=2)
     assert "already exists" in conetl("map", "delete", "north", "--yes", "--dump", dump, code=2)
     # It goes on: a drive that is on it is known, a new one is compared.

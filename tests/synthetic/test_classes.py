@@ -100,7 +100,7 @@ def test_each_class_has_its_tracks_and_a_sign_may_hang_above_a_drum() -> None:
 
 def test_errors_of_a_class_are_stated_apart_and_stay_however_many_drives() -> None:
     """What drums of one drive have in common is part of their covariances, not of that between them. It remains in fusion over
-    drives, as the network errs alike in each."""
+    drives, as the network makes the same errors in each."""
     pairs, others = make_path(40), [*ROW, DRUM]
     tracks, _, _ = tracks_of(boxes_of(others, pairs, np.random.default_rng(1)), pairs)
     drum = next(track for track in tracks if track.category == "drum")

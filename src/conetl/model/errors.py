@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 
 EXIT_DONE = 0
-#: Done, but something needs a person: too many rejections, a drive on hold, or files that could not be published.
+#: Done, but needs attention: too many rejections, a drive on hold, or files that could not be published.
 EXIT_NEEDS_ATTENTION = 1
 EXIT_BAD_INPUT = 2
 EXIT_SERVICE_MISSING = 3

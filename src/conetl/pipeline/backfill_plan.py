@@ -1,4 +1,4 @@
-"""The plan of a backfill: which drives to ingest, why, how long it takes, and which are on the map already.
+"""The plan of a backfill: which drives to ingest, why, how long it takes, and which are already on the map.
 
 A drive is identified by its header (`readers/drives/header.py`), so no image is read; the exact content is compared when
 the drive is ingested, and one that is on the map after all changes nothing.

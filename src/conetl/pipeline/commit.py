@@ -84,7 +84,7 @@ def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity
 def already_committed(
     drive: Drive, identity: Identity, settings: Settings, database: MapDatabase
 ) -> IngestReport | None:
-    """The report "no changes" where this very drive is on the map already."""
+    """The report "no changes" where this very drive is already on the map."""
     with database.connection() as conn:
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
         if known is None:
@@ -239,7 +239,7 @@ def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, set
 
 
 def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_name: str) -> IngestReport:
-    """The report of a drive that is on the map already, whether the drive itself is at hand or not."""
+    """The report of a drive that is already on the map, whether the drive itself is at hand or not."""
     return IngestReport(
         drive_id=known.drive_id,
         status="no changes" if known.hold is None else "held",

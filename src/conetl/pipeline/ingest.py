@@ -34,7 +34,7 @@ from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import DriveHeader
 
 _log = logging.getLogger(__name__)
-#: Steps that publish a drive that was committed now, and one that was on the map already.
+#: Steps that publish a drive that was committed now, and one that was already on the map.
 PublishNew = Callable[[CommittedDrive, AnalysedDrive, Settings, MapDatabase, list[StepTime]], object]
 PublishKnown = Callable[[IngestReport, Settings, MapDatabase], object]
 
@@ -90,7 +90,7 @@ def ingest(
             _log.warning(NOT_MEASURED)
 
         def known() -> IngestReport | None:
-            """The report of a drive that is on the map already, once what was left pending is published."""
+            """The report of a drive that is already on the map, once what was left pending is published."""
             report = already_committed(drive, identity, settings, db)
             if report is None or publish_known is None:
                 return report

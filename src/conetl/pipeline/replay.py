@@ -91,7 +91,7 @@ def merge_drive(
 
     changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
     the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: the checks for which the
-    recording must not count; it is stored and changes nothing until a person accepts it. A drive that is on the map already is
+    recording must not count; it is stored and changes nothing until a person accepts it. A drive that is already on the map is
     not merged again (`result.committed`).
     """
     drive = records.drive

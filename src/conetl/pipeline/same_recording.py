@@ -62,7 +62,7 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
 
 
 def refuse_same_images(records: DriveRecords, settings: Settings, database: MapDatabase) -> None:
-    """Raise MapMismatchError where the images of a drive are on the map already, with any log, stamps and compression.
+    """Raise MapMismatchError where the images of a drive are already on the map, with any log, stamps and compression.
 
     No vehicle sees objects again in the same pixels, image by image; an image that is recompressed moves boxes by some.
     """
@@ -93,7 +93,7 @@ def refuse_same_images(records: DriveRecords, settings: Settings, database: MapD
 def _on_the_map(drive: Drive, drive_id: str, changeset_no: int, how: str) -> MapMismatchError:
     what, remedy = f"this is the recording of drive {drive_id} again (changeset {changeset_no}), with {how}", ""
     if drive_id == drive.drive_id:
-        what = f"drive {drive_id} is on the map already, with {how} (changeset {changeset_no})"
+        what = f"drive {drive_id} is already on the map, with {how} (changeset {changeset_no})"
         remedy = ", or give it a drive_id of its own in drive.yaml if it is another drive"
     return MapMismatchError(
         f"{drive.source_path}: {what}. The two would count as two surveys. If this one is to replace it, revert that changeset "

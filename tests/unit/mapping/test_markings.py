@@ -131,7 +131,7 @@ def few_frames(view: MarkingView) -> MarkingView:
 
 
 def test_a_stretch_that_one_frame_pair_showed_is_not_as_sure_as_its_line() -> None:
-    """It is added by the next drive, which shows it more often; one that is on the map already gains nothing by it."""
+    """It is added by the next drive, which shows it more often; one that is already on the map gains nothing by it."""
     first, second = drives_of([ROAD] * 2)
 
     def seldom(drive: DriveEvidence) -> DriveEvidence:

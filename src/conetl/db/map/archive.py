@@ -183,4 +183,4 @@ def _restore(conn: Connection, dump: Path, file: zipfile.ZipFile, manifest: _Man
 
 def _require_free_name(conn: Connection, map_name: str) -> None:
     if find_map(conn, map_name) is not None:
-        raise InputError(f"a map named {map_name} exists already: choose another name")
+        raise InputError(f"a map named {map_name} already exists: choose another name")

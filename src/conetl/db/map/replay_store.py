@@ -181,7 +181,7 @@ def lock_neighbourhood(
     place: adds it (`place_drive`). path_wkt: its path (line, map CRS), of which it may change everything within influence_m;
     None: it changes nothing, because its recording is on hold. adjoining_ns: no other drive of the rig that was recorded within
     this time before or after it is merged meanwhile. reaches_far: whether drives of which nothing is known yet may have to be
-    compared again, too. The result is a changeset, and nothing was added, where the drive is on the map already.
+    compared again, too. The result is a changeset, and nothing was added, where the drive is already on the map.
     """
     recording = {f"{map_name}/drive/{drive.drive_id}", f"{map_name}/content/{drive.content_sha256}"}
     if path_wkt is not None and adjoining_ns:

@@ -189,7 +189,7 @@ def accept_drive(
         others = replays.other_deliveries(conn, known.drive_id, captured_ns, content_sha256, map_name=map_name)
         if others:
             raise ConflictError(
-                f"another delivery of drive {known.drive_id} is on the map already (changeset {others[-1]}); the two would count "
+                f"another delivery of drive {known.drive_id} is already on the map (changeset {others[-1]}); the two would count "
                 f"as two surveys. Revert that one first with `conetl map revert {others[-1]}`, if this one is to count instead."
             )
         decide = partial(at.insert, ACCEPT, changeset_id=known.changeset_id)

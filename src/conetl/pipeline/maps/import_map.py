@@ -43,7 +43,7 @@ class ImportResult(NamedTuple):
     changeset_id: UUID | None
     """None where all rows are an export of this map."""
     committed: bool
-    """False where the same file with the same parameters is on the map already: nothing was written."""
+    """False where the same file with the same parameters is already on the map: nothing was written."""
     counts: dict[DeltaKind, int]
     replayed: int
     """Later drives that were compared with the map again because of it."""

@@ -151,7 +151,7 @@ def _read_small(bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, cont
                 found.infos[topic] = fields
                 found.frame_ids[topic] = str(fields.header.frame_id)
                 content.add(f"info{topic}", np.concatenate([fields.k, fields.d, fields.r, fields.p]).tobytes())
-        elif isinstance(stamp := _stamp_ns(message), int):  # else a remaining gap costs the pairs in it
+        elif isinstance(stamp := _stamp_ns(message), int):  # else the pairs in a remaining gap are lost
             child = getattr(fields, "child_frame_id", "")
             found.frame_ids.setdefault(topic, str(child or fields.header.frame_id))
             try:
