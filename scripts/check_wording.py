@@ -35,7 +35,7 @@ RETIRED = {
     r"on the safe side": "conservative",
     r"the map is as it was": "the map is unchanged",
     r"where the story begins": "start reading at",
-    r"mended\b": "fixed",
+    r"\bmended\b": "fixed",
 }
 #: Files whose text is not ours, or that must name what is retired.
 EXEMPT = (
