@@ -348,7 +348,7 @@ def test_rounded_degrees_are_refused_where_the_stated_sigmas_do_not_cover_it(tmp
 
 
 def test_the_same_file_by_its_right_crs_is_another_import(conn, tmp_path):
-    """A slip in --crs is mended by reverting and importing again, with no other option changed."""
+    """A slip in --crs is corrected by reverting and importing again, with no other option changed."""
     path = plain_csv(tmp_path)
     take(conn, path, crs="EPSG:32633", **SURVEYED)
     revert(conn, "1", map_name="default")

@@ -36,8 +36,8 @@ class IngestReport(Record):
 
     drive_id: str
     status: Literal["committed", "held", "no changes"]
-    """'held': stored, now or before, and on hold. 'no changes': this drive with these parameters and this model is on the map
-    already; nothing was written."""
+    """'held': stored, now or before, and on hold. 'no changes': this drive with these parameters and this model is
+    already on the map; nothing was written."""
     changeset_id: UUID
     captured_from: datetime
     captured_to: datetime

@@ -241,6 +241,6 @@ def outline_jacobian(group: Sequence[Position], shares: Floats, map_SE3_left: Ma
 
 
 def class_error_id(category: str) -> UUID:
-    """Of the outline errors that all objects of a class have in common, among the shared errors of drives: the network errs alike
-    in every drive."""
+    """Of the outline errors that all objects of a class have in common, among the shared errors of drives: the network makes
+    them in every drive."""
     return uuid5(NAMESPACE_OID, f"conetl:outline:{category}")
