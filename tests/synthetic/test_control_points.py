@@ -72,7 +72,7 @@ def test_a_cone_that_is_surveyed_twice_is_named() -> None:
 
 
 def test_sigmas_of_poses_hold() -> None:
-    """NEES of a pose in the middle, with a log of 0.4 m. Cones are taken to have equal errors in all their images, which drawn ones do
+    """NEES of a pose in the middle, with a log of 0.4 m. Cones have equal errors in all their images, which drawn ones do
     not, so that it is below 1."""
     nees, errors_m = [], []
     for seed in range(10):
