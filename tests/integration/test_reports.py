@@ -244,9 +244,9 @@ def test_the_commands(shown: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     said = [runner.invoke(app, ["report", "night", day]).stdout for day in ("2026-03-01", "2026-02-01")]
     assert said[0].startswith("1 drive processed from 2026-03-01 00:00 to 2026-03-02 00:00 UTC.")
     assert said[1].startswith(
-        "No drives processed from 2026-02-01 00:00 to 2026-02-02 00:00 UTC. This report lists drives by"
+        "No drives processed from 2026-02-01 00:00 to 2026-02-02 00:00 UTC. Drives are listed by the time"
     )
-    assert "This report lists drives by" not in said[0]
+    assert "Drives are listed by the time" not in said[0]
 
 
 def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(

@@ -220,7 +220,7 @@ def test_a_report_says_why_fewer_objects_are_on_the_map_than_the_drive_shows(
 ) -> None:
     counts = dict.fromkeys(DeltaKind, 0) | {DeltaKind.ADDED: 6, DeltaKind.CONFIRMED: 2, DeltaKind.REMOVED: 1}
     print_report(report(tracks=9, counts=counts))
-    assert "9 cones, of which 1 not added (existence too uncertain, or too close to another object)." in " ".join(
+    assert "9 cones, of which 1 not added (uncertain, or too close to another object)." in " ".join(
         capsys.readouterr().out.split()
     )
     print_report(report(tracks=8, counts=counts))
@@ -239,7 +239,7 @@ def test_a_report_says_that_no_lane_markings_were_found_where_they_were_searched
     assert "No lane markings found; none changed on the map." in capsys.readouterr().out
     print_report(report(categories=("lane_marking",), markings=2, line_counts={DeltaKind.ADDED: 3}))
     assert "2 lane markings; stretches of them: 3 added." in capsys.readouterr().out
-    left = "not added (existence too uncertain, or too close to another object)"
+    left = "not added (uncertain, or too close to another object)"
     print_report(report(categories=("lane_marking",), markings=1))
     assert f"1 lane marking, of which 1 {left}; none changed on the map." in " ".join(capsys.readouterr().out.split())
     print_report(report(categories=("lane_marking",), markings=2, line_counts={DeltaKind.REMOVED: 1}))

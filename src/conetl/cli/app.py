@@ -237,7 +237,7 @@ def main(
     verbose: Annotated[
         int,
         typer.Option(
-            "--verbose", "-v", count=True, show_default=False, help="Log to standard error; -vv for more detail."
+            "--verbose", "-v", count=True, show_default=False, help="Log to standard error; -vv: more detail."
         ),
     ] = 0,
     _version: Annotated[

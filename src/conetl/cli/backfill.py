@@ -28,18 +28,13 @@ _SHOWN = 25
 
 def backfill(
     root: Annotated[Path, typer.Argument(help="Folder with drives, or with folders of drives.")],
-    since: Annotated[
-        str | None, typer.Option(help="Only drives recorded at or after this time, e.g. 2026-03-01.")
-    ] = None,
+    since: Annotated[str | None, typer.Option(help="Only drives recorded since this time, e.g. 2026-03-01.")] = None,
     until: Annotated[str | None, typer.Option(help="Only drives recorded before this time.")] = None,
     max_parallel: Annotated[
-        int | None,
-        typer.Option(min=1, help="Number of drives to run in parallel; default: one per worker, 1 without workers."),
+        int | None, typer.Option(min=1, help="Drives to run in parallel; default: one per worker, 1 without workers.")
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and exit.")] = False,
-    recheck: Annotated[
-        bool, typer.Option(help="Also compare the content of drives that are already on the map.")
-    ] = False,
+    recheck: Annotated[bool, typer.Option(help="Also compare the content of drives already on the map.")] = False,
     here: Annotated[bool, typer.Option("--here", help="Run in this process even if workers are running.")] = False,
     params: ui.ParamsOption = None,
     category: ui.CategoryOption = None,
@@ -61,11 +56,12 @@ def backfill(
     with open_maps(settings) as conn, ui.spinner("Planning"):
         plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
         pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
+    facts: dict[str, Any] = {"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []}
     if not as_json:
         _print_plan(plan, max_parallel or 1)
     if dry_run or not (plan.todo or pending):
         if as_json:
-            ui.print_json({"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
+            ui.print_json(facts)
         return
     with ExitStack() as running:
         with ui.spinner("Starting Prefect"):
@@ -96,12 +92,8 @@ def backfill(
             where="here" if here else "auto", return_state=True,
         ).result()  # fmt: skip
     if as_json:
-        ui.print_json(
-            {
-                "held": standing.held, "hold_events": standing.hold_events, "plan": plan_as_dict(plan, max_parallel or 1),
-                "drives": [_receipt_as_dict(receipt) for receipt in standing.ended],
-            }
-        )  # fmt: skip
+        drives = [_receipt_as_dict(receipt) for receipt in standing.ended]
+        ui.print_json({**facts, "held": standing.held, "hold_events": standing.hold_events, "drives": drives})
     else:
         _print_summary(standing)
     raise typer.Exit(_exit_code(standing))

@@ -12,17 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import (
-    Columns,
-    JsonOption,
-    MapOption,
-    answer,
-    counted,
-    print_json,
-    print_records,
-    print_table,
-    say,
-)
+from conetl.cli.console import Columns, JsonOption, MapOption, answer, print_json, print_records, print_table, say
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
 from conetl.db.map.map_store import require_map
@@ -31,17 +21,11 @@ from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune
 from conetl.db.schema import database_status, run_audits
 from conetl.db.schema import migrate as apply_migrations
 from conetl.files.atomic import old_images, old_publications, old_results, remove, size_bytes, sweep
-from conetl.model.errors import ConetlError, InputError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings
 
 _log = logging.getLogger(__name__)
-
-
-class AuditFailedError(ConetlError):
-    """An audit returned rows."""
-
-    exit_code = 1
 
 
 def open_database(settings: Settings) -> Connection:
@@ -141,7 +125,7 @@ def audit(as_json: JsonOption = False) -> None:
             for row in result.rows[:10]:
                 say(f"{result.name}: {row}")
     if any(result.rows for result in results):
-        raise AuditFailedError("the audit found inconsistent rows (listed above)")
+        raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
 _PRUNABLE: Columns = {
@@ -183,10 +167,8 @@ def archive(
         with open_map(map_name) as (conn, _):
             restored = restore_drives(conn, settings.map_name, restore)
         if not restored:
-            raise InputError(
-                f"the map {settings.map_name} has no archived drive {restore}: `conetl map log` lists its drives"
-            )
-        answer(as_json, {"restored": restored}, f"Restored {counted(len(restored), 'drive')}.")
+            raise InputError(f"the map {settings.map_name} has no archived drive {restore}: see `conetl map log`")
+        answer(as_json, {"restored": restored}, f"Drives restored: {len(restored)}.")
         return
     to = folder or settings.home / "archive"
     before = now - timedelta(seconds=parse_age(keep_positions or ""))

@@ -44,9 +44,7 @@ def demo(
     started = time.monotonic()
     drives = sorted(path for path in samples.iterdir() if path.is_dir()) if samples.is_dir() else []
     if not drives:
-        raise InputError(
-            f"{samples}: contains no sample drives; run this command in a clone of the conetl repository, or give their folder"
-        )
+        raise InputError(f"{samples}: contains no sample drives; run this in a clone of conetl, or give their folder")
     settings = read_settings(map_name or "demo")
     if not as_json:
         out.print(f"Ingesting {len(drives)} sample drives, one after the other.\n")

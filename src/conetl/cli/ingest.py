@@ -62,11 +62,7 @@ def ingest(
     elif new := [report for report in reports if not report.is_known]:
         image = settings.drive_image_path(new[0].drive_id)
         drawn = len(new) == 1 and image.is_file()
-        ui.say(
-            f"Plan view (the report is beside it): {image}"
-            if drawn
-            else f"Plan views and reports: {settings.reports_folder}"
-        )
+        ui.say(f"Plan view, with report: {image}" if drawn else f"Plan views and reports: {settings.reports_folder}")
         ui.say(f"To show the map in a browser: conetl view --map {settings.map_name}")
     raise typer.Exit(exit_code)
 
@@ -264,6 +260,4 @@ def print_report(report: IngestReport) -> None:
 
 def _left_out(count: int) -> str:
     """The part of a sentence on what the drive shows and the map does not."""
-    return (
-        f", of which {count} not added (existence too uncertain, or too close to another object)" if count > 0 else ""
-    )
+    return f", of which {count} not added (uncertain, or too close to another object)" if count > 0 else ""

@@ -55,9 +55,7 @@ def init(
     ] = None,
     start: Annotated[
         str | None,
-        typer.Option(
-            help="Time of the first left frame, in UTC or with a UTC offset; default: estimated from the images."
-        ),
+        typer.Option(help="Time of the first left frame, UTC or with an offset; default: estimated from the images."),
     ] = None,
     right_offset: Annotated[
         str | None,
@@ -72,7 +70,7 @@ def init(
     ] = None,
     every: Annotated[int | None, typer.Option(min=1, help="Use every n-th frame pair.")] = None,
     from_s: Annotated[
-        float | None, typer.Option("--from", min=0.0, help="Skip the first seconds of the left file.")
+        float | None, typer.Option("--from", min=0.0, help="Start at this second of the left file.")
     ] = None,
     to_s: Annotated[float | None, typer.Option("--to", min=0.0, help="Stop at this second of the left file.")] = None,
     trajectory: Annotated[str | None, typer.Option(help="The GNSS/INS log.")] = None,
@@ -81,17 +79,10 @@ def init(
         str | None,
         typer.Option("--time", help="Time system of the log if it is not UTC: gps, or a time zone like Europe/Berlin."),
     ] = None,
-    columns: Annotated[
-        str | None,
-        typer.Option(help="Columns of a table by name or number, like time=Zeit,lat=B,lon=L."),
-    ] = None,
+    columns: Annotated[str | None, typer.Option(help="Columns of a table, like time=Zeit,lat=B,lon=3.")] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the log's positions, like EPSG:25832.")] = None,
-    heights: Annotated[
-        str | None, typer.Option(help="Heights of the log: ellipsoidal, or a vertical CRS like EPSG:5773.")
-    ] = None,
-    sigma: Annotated[
-        str | None, typer.Option(help="Horizontal sigma of the log in metres, if the log does not contain one.")
-    ] = None,
+    heights: Annotated[str | None, typer.Option(help="Heights: ellipsoidal, or a CRS like EPSG:5773.")] = None,
+    sigma: Annotated[str | None, typer.Option(help="Horizontal sigma in metres, if the log contains none.")] = None,
     rig: Annotated[
         str | None, typer.Option(help="Calibration of the cameras, in any format of `conetl rig convert`.")
     ] = None,
@@ -103,10 +94,7 @@ def init(
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask; fail if a value is missing.")] = False,
-    force: Annotated[
-        bool,
-        typer.Option(help="Rewrite an existing drive.yaml. Settings that no option changes are kept."),
-    ] = False,
+    force: Annotated[bool, typer.Option(help="Rewrite an existing drive.yaml; other settings are kept.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Turn a folder with video or images, a GNSS/INS log and a calibration into a drive: write its drive.yaml.

@@ -63,9 +63,7 @@ def night(
         ui.print_hold_events(facts.hold_events)
         drives = ui.counted(len(facts.drives), "drive") if facts.drives else "No drives"
         failed = f", {len(facts.failures)} failed" if facts.failures else ""
-        hint = (
-            "" if facts.drives or failed else " This report lists drives by the time of processing, not of recording."
-        )
+        hint = "" if facts.drives or failed else " Drives are listed by the time of processing, not of recording."
         ui.say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")
     counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
     _print_written(as_json, path, {**period, **counts, "held": facts.held, "hold_events": facts.hold_events})

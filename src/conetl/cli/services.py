@@ -199,9 +199,7 @@ def status(as_json: JsonOption = False) -> None:
             say(f"Prefect: log in with {login_source(settings.home.resolve())}")
             say(f"Map:     {login_address(view, view_token(settings.home))}")
         if all(service["since"] is None for service in found["services"]):
-            say(
-                "No services are running: start them with `conetl up`, or set CONETL_HOME if they use another home folder."
-            )
+            say("No services are running: start them with `conetl up`, or set CONETL_HOME to another home folder.")
     if not found["up"]:
         raise typer.Exit(EXIT_SERVICE_MISSING)
 

@@ -43,10 +43,7 @@ def view(
     ] = None,
     login: Annotated[
         bool,
-        typer.Option(
-            "--login/--no-login",
-            help="Require the view token. Use --no-login only behind a proxy that has its own login.",
-        ),
+        typer.Option("--login/--no-login", help="Require the view token; --no-login: for a proxy with its own login."),
     ] = True,
     gazetteer: Annotated[
         Path | None,
@@ -64,9 +61,7 @@ def view(
     ] = None,
     basemap_zoom: Annotated[
         int | None,
-        typer.Option(
-            min=0, max=24, help="Highest zoom level of the base map. Default: 19, or that of the PMTiles file."
-        ),
+        typer.Option(min=0, max=24, help="Highest zoom level of the base map. Default: 19, or that of the file."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

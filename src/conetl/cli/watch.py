@@ -36,9 +36,7 @@ def watch(
     drive: Annotated[Path, typer.Argument(help="Drive folder that is being recorded: KITTI raw or plain.")],
     idle_seconds: Annotated[
         float | None,
-        typer.Option(
-            min=0.1, help="Stop after this many seconds without new files; default: run until COMPLETE or Ctrl-C."
-        ),
+        typer.Option(min=0.1, help="Stop after this time without new files; default: at COMPLETE or Ctrl-C."),
     ] = None,
     max_behind: Annotated[
         float, typer.Option(min=0.05, help="Skip frame pairs older than this many seconds while newer ones wait.")

@@ -31,9 +31,7 @@ _AXES = ("east", "north", "up", "horizontal", "3D")
 
 
 def diff(
-    before: Annotated[
-        str, typer.Argument(help="Number of a changeset (the state after it), or a time, e.g. 2026-03-02.")
-    ],
+    before: Annotated[str, typer.Argument(help="Number of a changeset (the state after it), or a time.")],
     after: Annotated[str, typer.Argument(help="The later state, in the same form.")],
     output: Annotated[Path | None, typer.Option("--out", help="GeoJSON file to write.")] = None,
     picture: Annotated[

@@ -193,9 +193,7 @@ def finish(conn: Connection, decided: DecisionOutcome, map_name: str, as_json: b
             f"{ui.counted(decided.replayed, 'drive')} recomputed."
         )
         if decided.replaced_by is not None:
-            ui.say(
-                f"This drive has no effect, because a later delivery of it replaced it (changeset {decided.replaced_by})."
-            )
+            ui.say(f"This drive has no effect: changeset {decided.replaced_by}, a later delivery, replaced it.")
         for change in decided.hold_changes:
             ui.say(change.sentence)
     from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load

@@ -79,9 +79,7 @@ def rename(
     reports, target = settings.reports_folder, settings.reports_folder.with_name(checked_map_name(new_name))
     with open_map(name) as (conn, _):
         if target.exists() and find_map(conn, new_name) is None:
-            raise InputError(
-                f"{target}: contains reports of an earlier map {new_name}; move them to another folder first"
-            )
+            raise InputError(f"{target}: contains reports of an earlier map {new_name}; move them away first")
         rename_map(conn, name, new_name)
     if reports.is_dir():
         reports.rename(target)

@@ -54,9 +54,7 @@ MaxAgeOption = Annotated[
 
 
 def check_layout_command(
-    speed_kmh: Annotated[
-        float, typer.Option(min=5, max=200, help="Speed limit of the road; the rules depend on it.")
-    ] = 50.0,
+    speed_kmh: Annotated[float, typer.Option(min=5, max=200, help="Speed limit of the road, for the rules.")] = 50.0,
     standard: Annotated[
         str,
         typer.Option(help=f"Source of the rules: {', '.join(layout_check.STANDARDS)}."),

@@ -195,9 +195,7 @@ def locate(
     if any(found.unmatched.values()):
         ui.say(f"Boxes without a stereo match: {found.unmatched['left']} left, {found.unmatched['right']} right.")
         if not found.matches:
-            ui.say(
-                "Possible causes: swapped images, images that are already rectified, or the calibration of another rig."
-            )
+            ui.say("Possible causes: swapped images, images already rectified, or the calibration of another rig.")
     ui.print_records("", _COLUMNS, enumerate(located, 1))
     for misfit in found.misfits:
         name = misfit.category.replace("_", " ")
