@@ -34,7 +34,7 @@ RETIRED = {
     r"something needs a person": "needs attention",
     r"on the safe side": "conservative",
     r"the map is as it was": "the map is unchanged",
-    r"where the story begins": "start reading at",
+    r"story begins": "Start with",
     r"\bmended\b": "fixed",
 }
 #: Files whose text is not ours, or that must name what is retired.

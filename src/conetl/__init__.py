@@ -1,6 +1,6 @@
 """conetl: stereo survey drives in, a versioned HD map of traffic cones out.
 
-The names below are the Python API; they are imported when they are first used. The story begins in `conetl.pipeline`.
+The names below are the Python API; they are imported when they are first used. Start with `conetl.pipeline`.
 """
 
 from __future__ import annotations

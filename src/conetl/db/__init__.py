@@ -2,5 +2,5 @@
 
 Every SQL statement comes from the top-level `sql/`, except `analyze` and `drop table` beside bulk loads, the lock of migrations,
 and COPY, whose columns are those of the data. Only `connection.py` imports psycopg2. It imports `readers` and everything below
-it. The story begins in `connection.py`; the map's own tables are in `map/`, the private cluster in `cluster/`.
+it. Start with `connection.py`; the map's own tables are in `map/`, the private cluster in `cluster/`.
 """

@@ -1,6 +1,6 @@
 """The map as files for other programs. A format is a function `write(sources, path)` and one line in `FORMATS`.
 
-It imports `db` and everything below it. The story begins in `export.py`; `source.py` reads the rows that every format writes.
+It imports `db` and everything below it. Start with `export.py`; `source.py` reads the rows that every format writes.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """Tracks to changes of the map: visibility, association with features, fusion, and the history over all drives. Pure functions.
 
-It imports `tracking` and everything below it; no files, no database. The story begins in `history.py`, which calls
+It imports `tracking` and everything below it; no files, no database. Start with `history.py`, which calls
 `changes.py` for each drive.
 """

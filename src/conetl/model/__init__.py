@@ -1,5 +1,5 @@
 """Frozen, validated records, parameters, rejections and errors.
 
-No other package of conetl is imported, no files are read. The story begins in `base.py`, `rig.py` and `drive.py`;
+No other package of conetl is imported, no files are read. Start with `base.py`, `rig.py` and `drive.py`;
 `feature_classes.py` lists the classes of objects, `params.py` all parameters.
 """

@@ -1,5 +1,5 @@
 """Images to detections and motions: decoding, the detector with its passes, calibration boards, visual odometry.
 
-It imports `files`, `geometry` and `model`; only `detector.py` imports onnxruntime. The story begins in `images.py` and
+It imports `files`, `geometry` and `model`; only `detector.py` imports onnxruntime. Start with `images.py` and
 `detector.py`.
 """

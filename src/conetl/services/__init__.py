@@ -1,4 +1,4 @@
 """Background processes of `conetl up`, and access to a Prefect server.
 
-It imports `model` and `files` only. The story begins in `processes.py`.
+It imports `model` and `files` only. Start with `processes.py`.
 """

@@ -1,9 +1,9 @@
-"""Whether the object of a track stood while it was observed: a cone that rolls or is carried past stands nowhere.
+"""Whether the object of a track was stationary while it was observed: a cone that rolls or is carried past is not mapped.
 
-The observations of a track are adjusted once more with a constant velocity as a further unknown, beside the position, the errors
+The observations of a track are adjusted again with a constant velocity as an additional unknown, beside the position, the errors
 that they share, and those of the poses with their joint covariance (`variance_components`). The squared velocity over its
-covariance is the likelihood ratio of motion against rest: chi-square of two degrees of freedom for an object that stands. What
-the tracks of a drive have in common, as where a baseline is wrong, is the vehicle's.
+covariance is the likelihood ratio of motion against rest: chi-square with two degrees of freedom for a stationary object. A
+velocity that all tracks of a drive share, for example because of a wrong baseline, is the vehicle's.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov
 from conetl.tracking.variance_components import adjusted, observed_cone, usable_pairs
 
-#: Objects that stand in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); observations
-#: moved by 0.3 m/s exceed 25 in nine of ten of these tracks. Slower than this (m/s) it blurs its position and no more.
+#: Stationary objects in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); observations
+#: moved by 0.3 m/s exceed 25 in nine of ten of these tracks. Slower motion (m/s) only blurs the position.
 _LEAST_CHI2, _LEAST_MS = 25.0, 0.15
-#: Prior of the velocity (one sigma), and with how many tracks what they have in common is known.
+#: Prior of the velocity (one sigma), and how many tracks are needed to know their common velocity.
 _PRIOR_MS, _LEAST_TRACKS = 5.0, 5
 _LEAST_PAIRS = 3
 
@@ -34,9 +34,9 @@ def without_moving(
     rig: Rig,
     pose_cov: PoseCov,
 ) -> tuple[list[Track], list[Rejection]]:
-    """The tracks, numbered anew, of objects that stood, and rejections of the others.
+    """The tracks of stationary objects, renumbered, and rejections of the others.
 
-    frame_pairs: with refined poses; pose_cov: of these. matches: with their last sigmas.
+    frame_pairs: with refined poses; pose_cov: of these poses. matches: with their final sigmas.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
     pair_of = {pair.frame_index: pair for pair in frame_pairs}
@@ -52,7 +52,7 @@ def without_moving(
     rejections: list[Rejection] = []
     for track in tracks:
         velocity, cov = found.get(track.track_index, (common, np.eye(2)))
-        # A velocity that all tracks share, or that this one has beside it, may be the vehicle's.
+        # Either the whole velocity or its difference from the common one may be the vehicle's error: the smaller counts.
         off = min(velocity, velocity - common, key=np.linalg.norm)
         chi2, speed_ms = float(off @ np.linalg.solve(cov, off)), float(np.linalg.norm(off))
         if chi2 <= _LEAST_CHI2 or speed_ms <= _LEAST_MS:
@@ -81,6 +81,6 @@ def _moving(track: Track, speed_ms: float, chi2: float) -> Rejection:
         step="tracks",
         reason=RejectionReason.MOVING,
         record=f"track first seen in frame pair {track.members[0][0]}",
-        detail=f"moves by {speed_ms:.1f} m/s (chi-square {chi2:.0f}, expected at most {_LEAST_CHI2:g}); objects of a map stand",
+        detail=f"moves at {speed_ms:.1f} m/s (chi-square {chi2:.0f}, limit {_LEAST_CHI2:g}); only objects at rest are mapped",
         payload=track.model_dump(mode="json"),
     )

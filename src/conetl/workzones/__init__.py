@@ -1,4 +1,4 @@
 """Cones of the map to work zones with rows, tapers and closed lanes, and the check of their layout. Pure functions.
 
-It imports `geometry` and `model`. The story begins in `work_zones.py`.
+It imports `geometry` and `model`. Start with `work_zones.py`.
 """

@@ -1,1 +1,1 @@
-"""The commands `conetl map ...` and `conetl base ...`. The story begins in `show.py`."""
+"""The commands `conetl map ...` and `conetl base ...`. Start with `show.py`."""

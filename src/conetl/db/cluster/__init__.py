@@ -1,4 +1,4 @@
 """The private PostGIS cluster of a home folder: found, started, shared and stopped.
 
-It imports `model` only. The story begins in `cluster.py`.
+It imports `model` only. Start with `cluster.py`.
 """

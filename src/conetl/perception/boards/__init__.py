@@ -1,4 +1,4 @@
 """Calibration boards in images: chessboard, ChArUco board and AprilGrid to numbered corners.
 
-It imports the rest of `perception` and what that may import. The story begins in `boards.py`.
+It imports the rest of `perception` and what that may import. Start with `boards.py`.
 """

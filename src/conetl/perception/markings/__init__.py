@@ -1,4 +1,4 @@
 """Lane markings in a frame pair, without a network: the plane of the road, and bright bands of paint on it.
 
-It imports the rest of `perception` and what that may import. The story begins in `crossings.py`.
+It imports the rest of `perception` and what that may import. Start with `crossings.py`.
 """

@@ -1,4 +1,4 @@
 """Detections of a frame pair to stereo matches with image points, by area-based least-squares matching.
 
-It imports `geometry` and `model`. The story begins in `matches.py`.
+It imports `geometry` and `model`. Start with `matches.py`.
 """
