@@ -16,7 +16,7 @@ from conetl.map m
 order by m.map_name;
 
 -- name: rename_map
--- Another name, also for its receipts and watched drives; ids of features keep the name that the map had first.
+-- Rename a map, its receipts and watched drives; ids of features keep the first name of the map.
 -- Parameters: map_id; map_name; new_name.
 with renamed as (
     update conetl.map set map_name = %(new_name)s, id_name = coalesce(id_name, map_name) where map_id = %(map_id)s

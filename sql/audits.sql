@@ -1,7 +1,7 @@
 -- Audits: each statement returns the offending rows, with a column `problem`; none if the audit passes.
 
 -- name: changeset_counts
--- Every changeset holds as many deltas and records as it states (deltas as committed, not as replayed since; a pruned
+-- Every changeset has as many deltas and records as it states (deltas as committed, not as replayed since; a pruned
 -- drive has no detections, stereo matches and positions).
 -- Columns: changeset_id, what, stated, found, problem.
 with delta_counts as (
@@ -100,7 +100,7 @@ select table_name, record, 'is not positive definite' as problem
 from matrix
 where case
     when xx > 0 and yy > 0 and zz > 0 and xx < 'infinity' and yy < 'infinity' and zz < 'infinity' then
-        -- Scaled to correlations, so that small variances do not drown in rounding.
+        -- Scaled to correlations, so that small variances are not lost in rounding.
         abs(xy / sqrt(xx) / sqrt(yy)) >= 1
         or 1 + 2 * (xy / sqrt(xx) / sqrt(yy)) * (xz / sqrt(xx) / sqrt(zz)) * (yz / sqrt(yy) / sqrt(zz))
             - (xy / sqrt(xx) / sqrt(yy)) ^ 2 - (xz / sqrt(xx) / sqrt(zz)) ^ 2 - (yz / sqrt(yy) / sqrt(zz)) ^ 2 <= 0
@@ -140,8 +140,8 @@ or ST_IsEmpty(geom)
 or not (ST_X(geom) between -1e9 and 1e9 and ST_Y(geom) between -1e9 and 1e9 and ST_Z(geom) between -1e6 and 1e6);
 
 -- name: lines
--- Every line has its own covariance per vertex, and the position of its feature is its middle vertex; what is said of a line is
--- said of a feature that is one.
+-- Every line has its own covariance per vertex, and the position of its feature is its middle vertex; properties of lines
+-- belong to features that are lines.
 -- Columns: table_name, record, problem.
 select 'feature_version' as table_name, v.feature_id || ' version ' || v.version as record, p.problem
 from conetl.feature_version v
@@ -374,7 +374,7 @@ cross join lateral (
 where fits and not coalesce(xx <= 1.0001 * cov_xx and yy <= 1.0001 * cov_yy and zz <= 1.0001 * cov_zz, false);
 
 -- name: suppressed_locations
--- Every current version that stands at a location which a person suppressed is suppressed, and no other one is.
+-- Exactly the current versions at locations that a person suppressed are suppressed.
 -- Columns: feature_id, version, problem.
 -- A micrometre around the edge of a location is ignored: two programs compare distances with radii there.
 with location as (

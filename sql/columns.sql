@@ -1,7 +1,7 @@
 -- Columns that several statements share: `{{state columns}}` is replaced by the list `state` below, `{{state columns of v}}` by the
 -- same with v instead of x. A new column of features or deltas is added here.
 -- state: what feature_version, and the stages from which it is filled, hold of the state of a feature.
--- feature: what is read of a version as MapFeature (metres, m^2, UTC nanoseconds), but for existence_probability.
+-- feature: what is read of a version as MapFeature (metres, m^2, UTC nanoseconds), without existence_probability.
 -- change: what a delta and its stages hold besides versions and changeset.
 -- receipt: what is read as Receipt.
 -- frame_pair: what is read as FramePair and its Pose.

@@ -38,7 +38,7 @@ where c.changeset_id = %(changeset_id)s and c.run_id is not null
 on conflict (run_id, step) do nothing;
 
 -- name: changeset_exists
--- Whether a changeset id is in use, on whatever map. Parameters: changeset_id.
+-- Whether a changeset id is in use, on any map. Parameters: changeset_id.
 select exists (select from conetl.changeset c where c.changeset_id = %(changeset_id)s) as found;
 
 -- name: insert_changeset
@@ -131,7 +131,7 @@ where s.kind in ('added', 'split')
 on conflict (feature_id) where map_id > 0 do nothing;
 
 -- name: end_versions
--- End the system period of the versions that this changeset replaces, and write each again as it holds from now on: valid
+-- End the system period of the versions that this changeset replaces, and write each again as it is valid from now on:
 -- only until its successor begins, which is at least a microsecond later, so that no state is ever lost.
 -- any(array(...)): one lookup in the primary key each; a join would read the primary key from its start to the last of
 -- them. Parameters: committed_at (timestamptz).

@@ -1,8 +1,8 @@
 -- Drives on hold: what begins and ends a hold, which drives wait, and what happened in order.
 
 -- name: end_holds
--- End the holds against the map of some changesets that are not held for this reason any more. That of a recording stays,
--- also once it is accepted.
+-- End the holds against the map of some changesets that are no longer held for this reason. A hold against the recording
+-- remains, also once it is accepted.
 -- Parameters: committed_at (timestamptz); changeset_ids (uuid[]); reasons (text[], null: not held).
 update conetl.hold h
 set system_period = tstzrange(lower(h.system_period), %(committed_at)s)
@@ -10,7 +10,7 @@ from unnest(%(changeset_ids)s::uuid[], %(reasons)s::text[]) n (changeset_id, rea
 where h.changeset_id = n.changeset_id and h.by_map and upper_inf(h.system_period) and h.reason is distinct from n.reason;
 
 -- name: begin_holds
--- Hold some changesets, unless they are held already.
+-- Put some changesets on hold, unless they are on hold already.
 -- Parameters: committed_at; changeset_ids; reasons (as for end_holds); checks (text[], JSON arrays of health checks); by_map:
 -- whether the comparison with the map decided it.
 insert into conetl.hold (changeset_id, by_map, reason, checks, system_period)
@@ -20,7 +20,7 @@ where n.reason is not null
 on conflict (changeset_id) where upper_inf(system_period) do nothing;
 
 -- name: held_drives
--- The drives of a map that are on hold now, the one that waits longest first. A hold whose cause or figures changed continues.
+-- The drives of a map that are on hold now, the oldest hold first. A hold whose cause or figures changed continues.
 -- Parameters: map_name. Columns: as HeldDrive.
 with recursive waiting as (
     select h.changeset_id, h.since
@@ -40,7 +40,7 @@ where m.map_name = %(map_name)s
 order by w.since, c.changeset_no;
 
 -- name: unheld_states
--- Why changesets that were on hold are not any more. Parameters: changeset_ids (uuid[]).
+-- Why changesets are no longer on hold. Parameters: changeset_ids (uuid[]).
 -- Columns: changeset_id; state: reverted, released (it counts) or replaced (by a later delivery of the recording).
 select
     c.changeset_id,
@@ -79,8 +79,8 @@ from conetl.hold h
 where h.changeset_id = %(changeset_id)s and h.by_map and upper_inf(h.system_period);
 
 -- name: hold_events
--- What happened to drives that are or were on hold, in order. A hold that ends with an acceptance, or gives way to one with
--- another cause, is not an event of its own; nor is one with other figures of the same check. Parameters: map_name; since, until (timestamptz, null: all). Columns: as HoldEvent.
+-- What happened to drives that are or were on hold, in order. The end of a hold by acceptance, or by a hold with
+-- another cause, is not a separate event; nor is a hold with other figures of the same check. Parameters: map_name; since, until (timestamptz, null: all). Columns: as HoldEvent.
 with held as (
     select distinct h.changeset_id, c.changeset_no, d.drive_id
     from conetl.hold h

@@ -114,7 +114,7 @@ left join lateral (
 ) p on true;
 
 -- name: review_doubtful
--- Standing cones whose existence probability, after the last drive that missed them, lies between two values; the least
+-- Standing cones whose existence probability, after the last drive that missed them, is between two values; the least
 -- certain (nearest to 0.5) first, without those about which somebody decided.
 -- Parameters: map_name; first_row; max_rows; least; most. Columns: as above.
 with doubted as (

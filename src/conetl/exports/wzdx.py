@@ -98,7 +98,7 @@ class FeedContext:
 
 
 def export_work_zone_feed(zones: Sequence[WorkZone], path: Path, context: FeedContext) -> int:
-    """Write a WorkZoneFeed with one road event per zone that stands or ended recently; their number."""
+    """Write a WorkZoneFeed with one road event per zone that exists or ended recently; their number."""
     oldest_ns = ns_from_utc(context.at - timedelta(days=context.params.keep_ended_days))
     shown = [z for z in zones if z.history.end_ns is None or z.history.end_ns >= oldest_ns]
     ids = {zone.history.zone_id for zone in shown}
@@ -154,7 +154,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
     ended = history.end_ns is not None
     surveyed = utc_from_ns(max(cone.last_seen_ns for cone in zone.layout.cones))
     stale = not ended and context.at - surveyed > timedelta(days=params.max_age_days)
-    # Of a zone that was surveyed in time no longer than that survey counts.
+    # For a zone with a recent survey, the end is limited by the age of that survey.
     assumed_end = context.at + timedelta(hours=params.assumed_duration_h)
     if not stale:
         assumed_end = max(min(assumed_end, surveyed + timedelta(days=params.max_age_days)), context.at)

@@ -30,7 +30,7 @@ def matrix_k(camera: Camera) -> Floats:
 def project(camera: Camera, points_cam_m: ArrayLike) -> Floats:
     """Image points (..., 2) in pixels of camera-frame points (..., 3), the camera's lens included.
 
-    Raises ValueError where a point does not lie in front of the camera: it has no image. A point beyond the lens's
+    Raises ValueError if a point is not in front of the camera: it has no image. A point beyond the lens's
     `field_radius` gets the number that the model gives there, as in OpenCV; see `lens.field_radius`.
     """
     p = np.asarray(points_cam_m, dtype=np.float64)

@@ -84,7 +84,7 @@ def rectify(rig: Rig) -> Rig:
 
 
 def check_stereo_baseline(left_SE3_right: ArrayLike) -> None:
-    """Raise ValueError unless the right camera sits to the right of the left one, roughly along its rows."""
+    """Raise ValueError unless the right camera is to the right of the left one, roughly along its rows."""
     x, y, z = (float(c) for c in np.asarray(left_SE3_right, dtype=np.float64)[:3, 3])
     if not x > MIN_BASELINE_M:
         raise ValueError(

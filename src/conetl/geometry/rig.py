@@ -100,7 +100,7 @@ def right_camera_turned(rig: Rig, rotation_rad: Floats) -> Rig:
 
 
 def body_is_left_camera(rig: Rig) -> bool:
-    """True where the rig has no body of its own (no INS): its body frame then is the left camera's."""
+    """True if the rig has no body frame (no INS): then it is the left camera's."""
     return bool(np.allclose(body_SE3_camera(rig, "left"), np.eye(4), rtol=0.0, atol=1e-12))
 
 

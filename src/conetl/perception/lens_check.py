@@ -1,7 +1,7 @@
 """Whether both lenses are as the calibration has them: rows of points in both images, by their distance from the centre.
 
-Of a rectified pair a point lies in the same row of both images. A radial distortion that one lens has beyond its calibration
-moves rows by the third power of the distance from the centre, as no turn of a camera and no focal length does. Corners that were
+In a rectified pair a point is in the same row of both images. A radial distortion that the calibration of one lens lacks moves
+rows by the third power of the distance from the centre, unlike a rotation of a camera or a focal length. Corners that were
 matched in both images are followed to a tenth of a pixel (Lucas & Kanade 1981).
 """
 
@@ -18,7 +18,7 @@ from conetl.model.rig import Camera
 
 #: Good drives, rendered ones and a real street, have up to 0.004 (k1 of Brown's model); 0.02 are 4 px of disparity at a corner.
 _MOST, _SIGMAS = 0.02, 6.0
-#: Points lie on equal rows but for so much (px of the whole image), are found again so near, and enough of them tell.
+#: Points lie on equal rows but for this much (px of the whole image), are found again so near, and enough of them tell.
 _ROWS_PX, _FOUND_PX, _MIN_POINTS = 8.0, 4.0, 100
 _WINDOW_PX, _ROUNDS, _HUBER_SIGMAS, _LEAST_PX = 15, 10, 1.5, 0.05
 

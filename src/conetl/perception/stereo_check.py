@@ -46,14 +46,14 @@ _MAX_ROWS_PX, _SCATTER_PX, _FINE_ROWS_PX = 40.0, 2.0, 0.7
 _CORRECTED_ROWS_PX = 4.0
 #: Positions of a corner are good to this, whatever their number (px of the whole image).
 _FLOOR_PX = 0.3
-#: Right images of another frame must fit so many times as many points: while the vehicle stands all fit alike.
+#: Right images of another frame must fit this many times as many points: while the vehicle stands, all fit equally.
 _FITS_BETTER = 1.3
 _LAGS = (-3, -2, -1, 1, 2, 3)
 #: Pairs that are tried of a part that cannot be followed, and most parts.
 _PAIRS_OF_PART, _MOST_PARTS = 3, 10
 #: Of points on equal rows at most 0.3 % lie farther right in the right image of a good drive; shifted by 6 columns 5 to 10 %.
 _MAX_BEYOND_SHARE = 0.02
-#: A square shows nothing below this share of the detail of the sharper ones; so many of the lower half may.
+#: A square shows nothing below this share of the detail of the sharper ones; this many of the lower half may.
 _BLANK, _SHARP_QUANTILE, _MAX_BLANK_SHARE = 0.05, 0.8, 0.1
 #: A square is unclear below this ratio of fine to coarse structure, or this share of that ratio, or of the fine structure, in
 #: the other image; so are those connected with it below the larger limits. Noise of grey levels is not structure.

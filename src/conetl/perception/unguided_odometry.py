@@ -19,13 +19,13 @@ from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_spans
 
-#: Images are followed at this width (px), so many per second, and for so many intervals (2.5 minutes).
+#: Images are followed at this width (px), this many per second, and for this many intervals (2.5 minutes).
 _WIDTH_PX, _RATE_HZ, _MOST_INTERVALS = 640, 10.0, 1500
 #: Speeds that are tried where no motion is known (m/s).
 _TRIED_M_S = (0.0, 5.0, 10.0, 18.0, 28.0)
-#: After an interval that could not be measured speeds are tried again, but not in each of many: a covered lens costs no minutes.
+#: After an interval that could not be measured speeds are tried again, but only now and then: a covered lens must not take long.
 _TRY_EVERY = 10
-#: A motion may differ by so much from the one before (m, rad).
+#: A motion may differ by this much from the one before (m, rad).
 _REACH_M, _REACH_RAD = 3.0, 0.15
 
 

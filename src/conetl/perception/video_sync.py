@@ -1,6 +1,6 @@
 """By how much two video files of one rig are shifted against each other, from the motion that both show.
 
-Between successive frames the whole image moves up and down as the vehicle pitches, in both cameras alike; sideways it also
+Between successive frames the whole image moves up and down as the vehicle pitches, in both cameras equally; sideways it also
 moves as near objects pass, which one camera sees earlier. The shifts are measured by phase correlation (Kuglin & Hines 1975) of
 small images, and both series are correlated with each other.
 """

@@ -32,9 +32,9 @@ _SMOOTHED, _MOST_CORRELATED = 1.5, 10.0
 #: wave and a whole one.
 _BORESIGHT_RAD, _SCALE, _SCALE_CHANGES = 0.03, 0.02, (0.003, 0.003)
 _UNKNOWNS = 5 + len(_SCALE_CHANGES)
-#: An offset is corrected from so many seconds, and so many of its sigmas, on, if it is known this well.
+#: An offset is corrected from this many seconds, and this many of its sigmas, on, if it is known this well.
 LEAST_S, _SIGNIFICANT, MAX_SIGMA_S = 0.005, 4.0, 0.01
-#: ... and from so many of its sigmas on it widens those of the positions.
+#: ... and from this many of its sigmas on it widens those of the positions.
 _DOUBTFUL = 2.0
 _ITERATIONS, _HUBER, _LEAST_INTERVALS = 12, 2.0, 20
 #: Between sparse records the poses err for seconds: fewer of them may agree with another offset by chance.
@@ -44,7 +44,7 @@ _CUT, _LAGS = 3.0, 6
 _ACCELERATION, _AROUND, _NOISE = 8.0, 4, 8.0
 #: A sigma from a median has this share of the degrees of freedom of its values; few make errors Student's, not normal.
 _MEDIAN_SHARE, _LEAST_FREEDOM = 0.37, 4.0
-#: An offset that differs by this much must fit worse by so much (chi-square of one degree of freedom at 5 sigma).
+#: An offset that differs by this much must fit worse by this much (chi-square of one degree of freedom at 5 sigma).
 _APART_S, _LEAST_GAIN = 0.1, 25.0
 #: Errors of 1,150 offsets on simulated drives (`make bench-health`) in sigmas of the adjustment, root mean square.
 _UNDERSTATED = 1.04
@@ -69,7 +69,7 @@ class ClockOffset(NamedTuple):
         return self.is_significant or (better and self.sigma_s <= MAX_SIGMA_S)
 
     def remaining_s(self, assumed_s: float) -> float:
-        """Sigma of the offset that is left: of the correction, else as assumed, and wider where the drive is in doubt of that."""
+        """Sigma of the remaining offset: of the correction, else as assumed, and wider if the drive contradicts that."""
         if self.is_applied(assumed_s):
             return self.sigma_s
         doubtful = self.sigma_s <= MAX_SIGMA_S and abs(self.offset_s) > _DOUBTFUL * self.sigma_s
@@ -81,7 +81,7 @@ def estimate_clock(
 ) -> ClockOffset | None:
     """The offset under which logged and measured motions agree best; None where the drive does not show it.
 
-    by_speeds: the attitudes of the log are those of visual odometry, so that only velocities in the map's frame tell.
+    by_speeds: the attitudes of the log are those of visual odometry, so that only velocities in the map's frame show it.
     """
     if len(motions.start) < _LEAST_INTERVALS:
         return None
@@ -210,7 +210,7 @@ def _rates(next_SE3_first: Floats, steps_s: Floats) -> Floats:
 
 
 def _without_jumps(rates: Floats, steps_s: Floats) -> Floats:
-    """(N,) 0 where the log leaves the speed around it faster than a vehicle can, else 1: a jump would draw the offset."""
+    """(N,) 0 where the log changes its speed faster than a vehicle can, else 1: a jump would bias the offset."""
     usual = median_filter(rates[:, 3:], size=(2 * _AROUND + 1, 1), mode="nearest")
     apart = np.linalg.norm(rates[:, 3:] - usual, axis=1)
     most = max(_ACCELERATION * _AROUND * float(np.median(steps_s)), _NOISE * float(np.median(apart)))

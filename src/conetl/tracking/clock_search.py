@@ -24,21 +24,21 @@ from conetl.tracking.clock import robust_fit, smoothed
 
 #: Step of both signals and of the offsets that are tried (s).
 _STEP_S = 0.1
-#: Both signals are smoothed by so many steps: turns of a vehicle last longer, noise does not.
+#: Both signals are smoothed by this many steps: turns of a vehicle last longer, noise does not.
 _SMOOTHED = 4.0
 #: Offsets are tried under which the trajectory covers this share of the images, and this many seconds of them.
 _OVERLAP_SHARE, _OVERLAP_S = 0.6, 5.0
-#: Residuals beyond so many sigmas count as this many: a passing lorry, a lost fix.
+#: Residuals beyond this many sigmas count as this many: a passing lorry, a lost fix.
 _CUT = 3.0
 #: Least sigmas of the two columns: of the turn (rad/s, or m/s^2 across where the trajectory has no attitude), of the speed (m/s).
 _LEAST_SIGMA = {True: np.array([0.002, 0.03]), False: np.array([0.02, 0.03])}
-#: An offset that differs by this much must fit worse by so much (chi-square of one degree of freedom at 5 sigma).
+#: An offset that differs by this much must fit worse by this much (chi-square of one degree of freedom at 5 sigma).
 _APART_S, _LEAST_GAIN = 0.5, 25.0
 #: Of the variance of one of the signals the best offset explains at least this share.
 _LEAST_EXPLAINED = 0.5
 #: The trajectory is not interpolated over longer gaps (s; in median distances of its records).
 _GAP_S, _GAP_FACTOR = 0.5, 2.5
-#: Residuals of sparse records are alike over so many of their distances.
+#: Residuals of sparse records are correlated over this many of their distances.
 _ALIKE = 2.5
 #: Sigma of the scale of the speeds, and the least and largest one of a result (s): `clock.py` finds what is left within 0.4 s.
 _SCALE, LEAST_SIGMA_S, _MAX_SIGMA_S = 0.02, 0.002, 0.15
@@ -159,7 +159,7 @@ def _searched(target: Floats, padded: Floats, least: Floats) -> tuple[int, Float
 
 
 def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Floats]:
-    """(N, 2) turn and speed at even steps, NaN where no image tells them, and their times (N,) s; None of too few."""
+    """(N, 2) turn and speed at even steps, NaN where no image shows them, and their times (N,) s; None if too few."""
     times = rates.times_s
     if len(times) < 2 or times[-1] - times[0] < _OVERLAP_S:
         return None, times

@@ -2,7 +2,7 @@
 
 Points and cones belong together by position; names do not matter. Which points agree is decided by the joint covariance of the
 cones before any takes part: one that the others contradict is named and left out (data snooping, Baarda 1968). Where three agree
-that GNSS/INS is wrong by more than it states they are believed; fewer are not.
+that GNSS/INS is wrong by more than it states they are used; fewer are not.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, Refinemen
 NAME = "control points"
 #: Chi-square of 3 degrees of freedom at 0.001: beyond it a point contradicts the others.
 _GATE_CHI2 = 16.3
-#: Where GNSS/INS may be wrong by so much more than it states (m, 1 sigma), so many points have to agree on it.
+#: Where GNSS/INS may be wrong by this much more than it states (m, 1 sigma), this many points have to agree on it.
 _FREE_M, _LEAST_AGREEING = 1.0, 3
 #: Points that lie so near to where GNSS/INS has them in plan (m), but not in height, may be wrong themselves.
 _SAME_PLAN_M = 0.1
-#: At most about so many points are tried as the one from which the others are predicted.
+#: At most about this many points are tried as the one from which the others are predicted.
 _MOST_SEEDS = 12
 #: Another assignment that fits worse by less than this (chi-square) may be the right one.
 _AMBIGUOUS_CHI2 = 9.0
-#: The cone nearest to a point is at most so far away (m), beside three sigmas of GNSS/INS.
+#: The cone nearest to a point is at most this far away (m), beside three sigmas of GNSS/INS.
 _NEAR_M = 2.0
 #: Points farther than this from all poses (m) have no cone in view.
 _FAR_M = 100.0
@@ -81,7 +81,7 @@ def refine_with_control(
     params: IngestParams,
     points: Sequence[SurveyedPoint],
 ) -> RefinedTrajectory:
-    """As `refine_with_cones`, adjusted to those control points that agree; `control` of the result says which do not."""
+    """As `refine_with_cones`, adjusted to those control points that agree; `control` of the result lists those that do not."""
     plain = refine_with_cones(frame_pairs, rig, motions, matches, params)
     if not points or not params.trajectory.refine:
         return plain
@@ -273,7 +273,7 @@ def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: 
 
 
 def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> HealthCheck:
-    """What the points say; its value is how many are used."""
+    """The check of the points; its value is how many are used."""
     used, wrong, count = len(tie.cone_of), len(tie.wrong), f"{len(points)} control points"
     named = ", ".join(f"{points[k].name} ({metres:.2f} m from the cone there)" for k, metres in tie.wrong.items())
     if not used and not wrong:

@@ -37,9 +37,9 @@ from conetl.tracking.trajectory import (
     refine_trajectory,
 )
 
-#: Differences of distances beyond so many prior sigmas of the calibration's scale, and of their own, may be a drift of the log.
+#: Differences of distances beyond this many prior sigmas of the calibration's scale, and of their own, may be a drift of the log.
 _DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
-#: Neighbouring observations of a cone are correlated (background, sun, calibration): so many count as one.
+#: Neighbouring observations of a cone are correlated (background, sun, calibration): this many count as one.
 _CORRELATED = 4.0
 #: Offsets of the clocks beside a course: each takes what the adjustment before it had laid into the attitudes.
 _ROUNDS = 3

@@ -194,7 +194,7 @@ def common_cov(
 def track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:
     """(F, 3, 3) Jacobian of a track by each of its positions; their sum is the identity.
 
-    Those of the fit (`JointFit.shares`), as positions alone tell them.
+    Those of the fit (`JointFit.shares`), from positions alone.
     """
     turn = np.array([map_SE3_left(pose, rig)[:3, :3] for pose in poses])
     cov = cov_matrices([p.camera_cov_m2 for p in members])

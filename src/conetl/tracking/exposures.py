@@ -31,16 +31,16 @@ from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
 
 EXPOSURES, DOUBLED = "exposures of both cameras", "images of one instant"
-#: Of the baseline: the right camera may stand so much before or behind its place, and that far it is known at best. Cones 4 m
+#: Of the baseline: the right camera may stand this much before or behind its place, and that far it is known at best. Cones 4 m
 #: aside are off by 0.08 m then. Sample drives and KITTI: 0.1 to 0.6 %.
 _MAX_AHEAD, _FLOOR, _SIGMAS = 0.02, 0.002, 6.0
-#: Points are outliers beyond so many sigmas of the median deviation.
+#: Points are outliers beyond this many sigmas of the median deviation.
 _OUTLIER_SIGMAS, _ROUNDS = 3.0, 6
 _LEAST_SPANS = 8
-#: Objects are doubled where so many pairs, and this share of all objects, stand one interval's travel apart (to so many metres)
+#: Objects are doubled where so many pairs, and this share of all objects, are one interval's travel apart (to this many metres)
 #: without a third one in that row. Shorter travel does not separate the images of one object.
 _LEAST_PAIRS, _PAIRED_SHARE, _APART_M, _LEAST_STEP_M = 4, 0.6, 0.15, 0.3
-#: A lost frame shows where the log moves that far in an interval, at an even speed; at most so many intervals are tried.
+#: A lost frame shows where the log moves that far in an interval, at an even speed; at most this many intervals are tried.
 _UNEVEN_SHARE, _MOST_TRIED = 0.2, 40
 
 
@@ -136,7 +136,7 @@ def check_lost_frames(
     params: TrajectoryParams,
 ) -> HealthCheck:
     """Whether the images move twice or half as far as an even log between two frame pairs: both cameras lost a frame, or repeated
-    one, and all later images are of other poses than their numbers or time stamps say.
+    one, and all later images have other poses than their numbers or time stamps state.
 
     At speed such an interval is measured only from a guess of that length, so that those that were not are followed again.
     read: grey images of a frame pair.

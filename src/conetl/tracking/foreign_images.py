@@ -20,13 +20,13 @@ from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
 
-#: Images that go elsewhere contradict the log by so much (m), and by so many times what an even log departs from itself; it turns
-#: by no more than so much (rad) beyond the mean of the intervals before and after.
+#: Images of another path contradict the log by this much (m), and by this many times the change of an even log; it turns
+#: by no more than this much (rad) beyond the mean of the intervals before and after.
 _ELSEWHERE_M, _EVEN_TIMES = 0.2, 2.0
 _EVEN_RAD = np.radians(0.3)
 #: Intervals, by their first and second pair counted from the one before, that cross it; and those beside it of equal lengths.
 _ACROSS, _BESIDE = ((0, 1), (-1, 1), (0, 2), (-1, 2)), ((-1, 0), (1, 2), (-2, 0), (1, 3))
-#: At most so many intervals are tried.
+#: At most this many intervals are tried.
 _MOST_TRIED = 40
 
 
@@ -71,7 +71,7 @@ def check_recording(
 def _goes_elsewhere(
     k: int, off_m: Floats, pairs: Sequence[FramePair], rig: Rig, read: ImageReader, params: TrajectoryParams
 ) -> bool:
-    """Whether all motions across the interval after pair k say what it says. off_m (3,): NaN where it was not measured."""
+    """Whether all motions across the interval after pair k agree with it. off_m (3,): NaN where it was not measured."""
 
     def evened(pair: FramePair, side: Side) -> NDArray[np.uint8]:
         return np.asarray(cv2.equalizeHist(read(pair, side)))  # the exposure may change from one image to the next

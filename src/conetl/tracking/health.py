@@ -31,20 +31,20 @@ from conetl.tracking.trajectory import (
 ALIGNMENT, DISTANCES = "alignment of cameras and GNSS/INS", "distances by images and by GNSS/INS"
 #: Checks that no offset of the clocks explains.
 _NOT_OF_CLOCKS = (JUMPS, DISTANCES)
-#: A drive of fewer intervals says too little about itself, but for jumps.
+#: A drive of fewer intervals has too little evidence, except for jumps.
 _LEAST_INTERVALS = 8
 _MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
-#: The scale of the motions may be off by so many of its prior sigmas, and of its own.
+#: The scale of the motions may be off by this many of its prior sigmas, and of its own.
 _MAX_SCALE_SIGMAS = 3.2
-#: Cameras look aside by more than so much (rad), and by so many of its sigmas: sample drives and KITTI by up to 0.27 degrees.
+#: Cameras look aside by more than this much (rad), and by this many of its sigmas: sample drives and KITTI by up to 0.27 degrees.
 _ASIDE_RAD, _ASIDE_SIGMAS = np.radians(0.25), 4.5
-#: Of all intervals at most so many in a row cannot be measured, as behind a lorry.
+#: Of all intervals at most this many in a row cannot be measured, as behind a lorry.
 _LOST_SHARE = 0.35
 #: Of normally distributed values, from the median of their absolute deviations and the square root of their number.
 _SIGMA_OF_MEDIAN = 1.4826 * np.sqrt(np.pi / 2)
-#: A drift is at least so many metres, and so many sigmas of the change of the log's errors.
+#: A drift is at least this many metres, and this many sigmas of the change of the log's errors.
 _DRIFT_M, _DRIFT_SIGMAS = 0.1, 6.0
-#: A vehicle that drives backwards for more intervals than this reverses; in each it moves so many metres, and so many of the
+#: A vehicle that drives backwards for more intervals than this reverses; in each it moves this many metres, and this many of the
 #: sigmas of the log's change.
 _MAX_REVERSED, _REVERSED_M, _REVERSED_SIGMAS = 10, 0.05, 3.0
 #: Motions are compared where they are longer, and have something in common from this share of their lengths on.
@@ -54,7 +54,7 @@ _DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
 _OTHER_SHARE, _OTHER_DEG, _OTHER_LENGTHS, _OTHER_SCALE = 0.5, 0.15, 0.05, 0.2
 #: A log below this speed stands still, and one this far away from the direction in which the cameras look has other axes.
 _STANDING_M_S, _ASIDE_DEG = 0.5, 20.0
-#: Positions scatter where half of them bend the path by more than a vehicle can (m/s^2), and by so much of their stated sigmas.
+#: Positions scatter where half of them bend the path by more than a vehicle can (m/s^2), and by this much of their stated sigmas.
 #: The middle of the bends is that many sigmas of one coordinate.
 _BENDS_M_S2, _SCATTER_SHARE, _BEND_SIGMAS = 8.0, 0.5, np.sqrt(6 * np.log(4))
 
@@ -105,7 +105,7 @@ def check_trajectory(
 
 
 def _with_likely_cause(check: HealthCheck, clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
-    """A hold for which a beginning of the images that was but estimated is the first thing to look at, with that said first.
+    """A hold whose likeliest cause is a start of the images that was only estimated: the message begins with that.
 
     Poses that are interpolated to other instants than those of their records fit the images less, also once the clock is
     corrected; the advice of each check is about recordings whose clocks are known.
@@ -162,7 +162,7 @@ def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: Me
 
 
 def _measured(frame_pairs: Sequence[FramePair], rig: Rig, starts: Ints) -> HealthCheck:
-    """Whether images that show enough for it can be followed from frame to frame, in no long part of the drive not at all.
+    """Whether images with enough structure can be followed from frame to frame, without a long part where none can.
 
     starts (K,): numbers of the first frame pairs of the intervals that visual odometry measured.
     """

@@ -22,12 +22,12 @@ from conetl.model.health import HealthCheck, hold_if
 from conetl.model.rig import Rig
 
 JUMPS = "jumps of the poses"
-#: A jump is at least so many metres, and so many of the sigmas that the log states for its change within an interval.
+#: A jump is at least this many metres, and this many of the sigmas that the log states for its change within an interval.
 _LEAST_M, _JUMP_SIGMAS = 0.1, 6.0
-#: A jump of the attitude is at least so many radians, and so many of its sigmas; where no motion was measured, beyond what a
+#: A jump of the attitude is at least this many radians, and this many of its sigmas; where no motion was measured, beyond what a
 #: vehicle may gain in turn rate (rad/s^2) against this many neighbours on each side.
 _TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
-#: Jumps that a filter spreads are sought over so many intervals, and are at least so many sigmas: good drives have up to 7.6.
+#: Jumps that a filter spreads span this many intervals, and are at least this many sigmas: good drives have up to 7.6.
 #: Shares of the distance that all motions have in common are computed from longer ones than this (m).
 _SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
 #: Least time between two frame pairs.

@@ -1,4 +1,4 @@
-"""Health check of the cameras' mount: whether they sit, and are rolled, where the calibration has them on the body.
+"""Health check of the cameras' mount: whether lever arm and roll on the body are those of the calibration.
 
 Where the vehicle moves tells which way they look (`health.py`), but not their roll about that direction, nor the lever arm. Turns
 do: the images turn about an axis that is rolled against that of the log, and cameras elsewhere move otherwise. (Hand-eye
@@ -18,7 +18,7 @@ from conetl.tracking.clock import robust_fit
 
 #: What is known beforehand (one sigma) of roll, pitch, yaw (rad), of right, down, forward (m), and of the scale of the motions.
 _PRIOR = (0.1, 0.1, 0.1, 3.0, 3.0, 3.0, 0.02)
-#: Errors are at least so many degrees or metres, and so many sigmas: 120 simulated good drives have up to 3.8.
+#: Errors are at least this many degrees or metres, and this many sigmas: 120 simulated good drives have up to 3.8.
 _LEAST_DEG, _LEAST_M, _SIGMAS = 1.0, 0.3, 5.5
 _LEAST_MOTIONS, _ROUNDS = 20, 6
 

@@ -144,7 +144,7 @@ def fuse_group(
     if foot is None or centre is None or tip is None:
         return _reject(RejectionReason.NOT_CONVERGED, group, "the joint adjustment of all rays found no point")
     height_m = float(tip.xyz_m[2] - foot.xyz_m[2])
-    # Pose errors shift foot and tip alike: only the scatter of the box edges makes the height uncertain.
+    # Pose errors shift foot and tip equally: only the scatter of the box edges makes the height uncertain.
     height_sigma_m = float(
         np.sqrt(
             2 / sum((rig.left.fy_px / p.range_m / m.sigma_v_px) ** 2 for p, m in zip(group, pairs, strict=True))

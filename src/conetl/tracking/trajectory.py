@@ -37,7 +37,7 @@ from conetl.tracking.clock import ClockOffset
 
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
 _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S = 1e-4, 1e-6, 1e-3
-#: Visual odometry turns about the optical axis by so much per metre (one sigma) in all intervals alike: points are followed less
+#: Visual odometry turns about the optical axis by this much per metre (one sigma) in all intervals: points are followed less
 #: well where the road comes nearer. Recorded attitudes hold it, a course does not show it.
 _TURN_RAD_PER_M = 5e-5
 #: Chi-square of 6 degrees of freedom at 1e-6, beyond which an interval contradicts GNSS/INS.
@@ -203,7 +203,7 @@ def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParam
     own = _without(stated, between)
     new = white = np.maximum(share, 1e-3) * own
     if between.any():
-        # All frame pairs between two records together say as much as one record does; from one to the next their errors change
+        # All frame pairs between two records together count as one record; from one to the next their errors change
         # by a part only.
         sharing = np.maximum(gap_s / np.median(step_s), 1.0)[:, None]
         new = np.hypot(white, between * np.minimum(_CHANGING / sharing, 1.0))

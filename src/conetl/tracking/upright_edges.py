@@ -1,6 +1,6 @@
-"""Roll of a vehicle whose log has positions only, from edges of what stands upright: posts, walls, windows.
+"""Roll of a vehicle whose log has positions only, from upright edges: posts, walls, windows.
 
-Images of vertical lines meet in one point, whose position tells roll and pitch (vanishing point; Caprile & Torre 1990). Visual
+Images of vertical lines meet in one point, which gives roll and pitch (vanishing point; Caprile & Torre 1990). Visual
 odometry tells how both change, the edges of many images what they are.
 """
 
@@ -24,18 +24,18 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.working_size import ImageReader
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
 
-#: One tilt is found for every part of a drive of so many seconds, from so many of its images.
+#: One tilt is found for every part of a drive of this many seconds, from this many of its images.
 _PART_S, _IMAGES = 10.0, 12
 #: Edges are at least so long; the direction of a longer one is known better (px, rad).
 _LEAST_PX, _END_PX, _UNEVEN_RAD = 20.0, 0.7, np.radians(0.25)
-#: Edges are searched within so much of the vertical by course and odometry; upright ones are within so much of each other (rad).
+#: Edges are searched this near to the vertical by course and odometry; upright ones are this near to each other (rad).
 _SEARCH_RAD, _NEAR_RAD = np.radians(8.0), np.radians(0.6)
-#: At least so many are upright, and such a share of those that are searched: of edges of all directions it is 0.08, and up to
+#: At least this many are upright, and such a share of those that are searched: of edges of all directions it is 0.08, and up to
 #: 0.25 in clips whose halves contradict each other.
 _LEAST_EDGES, _LEAST_SHARE = 40, 0.3
-#: An edge is seen in many images, and houses lean (rad, one sigma): it counts as one in so many, and no roll is known better.
+#: An edge is seen in many images, and houses lean (rad, one sigma): it counts as one in this many, and no roll is known better.
 _ALIKE, _LEANS_RAD = 10.0, np.radians(0.25)
-#: What a course says of roll and pitch, and what is known where edges show nothing (rad, one sigma).
+#: Roll and pitch from a course, and without information from edges (rad, one sigma).
 _BY_COURSE_RAD, _UNKNOWN_RAD = np.radians([2.5, 1.5]), np.radians(10.0)
 
 

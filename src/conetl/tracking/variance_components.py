@@ -32,7 +32,7 @@ from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_si
 _STATED_DOF = 16.0
 #: Limits of the factors on sigma; beyond them poses or calibration disagree, not the images.
 _SIGMA_BOUNDS = (0.5, 2.0)
-#: Larger residuals count as so many sigmas (Huber 1964); of normal errors that removes 0.5 % of the squares.
+#: Larger residuals count as this many sigmas (Huber 1964); of normal errors that removes 0.5 % of the squares.
 _HUBER_SIGMAS, _ROBUST_ROUNDS = 3.0, 4
 _MAX_ITERATIONS, _CONVERGED = 50, 1e-3
 #: Frame pairs of one track that are used: the time grows with their third power, and a vehicle may wait beside a cone.

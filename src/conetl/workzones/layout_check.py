@@ -55,7 +55,7 @@ def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, flo
 
 
 def _sure(norm: str | None) -> Level:
-    """Of a rule that is exceeded for certain."""
+    """Level of a finding that certainly exceeds a limit; norm: the rule that states it, if any."""
     return Level.VIOLATION if norm else Level.DEVIATION
 
 

@@ -1,7 +1,7 @@
 """Work zones from the map's history: cones chained along the road and tracked over time, so that a zone keeps its id.
 
 Time advances by changesets. At each one the present cones of a neighbourhood are chained along the road; a chain that shares
-cones with a zone is that zone, whatever was added, moved or removed.
+cones with a zone is that zone, regardless of what was added, moved or removed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from conetl.model.work_zone_records import DrivePath, ZoneHistory
 from conetl.workzones.road_lines import axes_of, passes_beside
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/work_zone")
-#: A car needs this width between cones; so wide a gap separates two zones.
+#: A car needs this width between cones; a gap this wide separates two zones.
 _CAR_WIDTH_M = 2.0
 _CELL_M = 20.0
 

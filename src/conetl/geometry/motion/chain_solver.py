@@ -79,7 +79,7 @@ def covariance(normal: ChainNormal) -> ChainCovariance:
 
 
 def with_common_errors(result: ChainCovariance, reach: Floats, sigma: Floats) -> ChainCovariance:
-    """The covariance with errors that all states share and that the observations say nothing about.
+    """The covariance with errors that all states share and that the observations do not show.
 
     reach (K, n, c): change of each state by one of c independent errors; sigma (c,). As the "considered" parameters of Schmidt
     (1966).

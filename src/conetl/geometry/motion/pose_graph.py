@@ -253,7 +253,7 @@ def motion_jacobians(map_SE3_first: Floats, map_SE3_second: Floats, body_SE3_lef
     by_first[..., :3, 3:] = motion[..., :3, :3] @ left_R_body
     by_second[..., :3, 3:] = -left_R_body
     by_first[..., 3:, :3], by_second[..., 3:, :3] = second_R_map, -second_R_map
-    # The camera sits at a lever from the body: turning the body moves it.
+    # The camera is offset from the body: turning the body moves it.
     by_first[..., 3:, 3:] = -motion[..., :3, :3] @ left_R_body @ lever
     by_second[..., 3:, 3:] = left_R_body @ lever + cross_matrix(motion[..., :3, 3]) @ left_R_body
     return by_first, by_second

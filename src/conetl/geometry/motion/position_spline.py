@@ -27,7 +27,7 @@ _ANY_SPEED_M_S, _ANYWHERE_M = 40.0, 1e4
 LONGEST_GAP_S = 60.0
 #: Records nearer in time than this to one that is used are left out (s): the slow error hardly changes between them.
 _LEAST_STEP_S = 0.19
-#: A vehicle moves from this speed on, and from this many of its sigmas on: else its course says nothing about its heading.
+#: A vehicle moves from this speed on, and from this many of its sigmas on: else its course does not determine its heading.
 _MOVING_M_S, _MOVING_SIGMAS = 0.5, 4.0
 #: The antenna is this far from the rear axle, along the vehicle (m, one sigma): in a bend its course is not the heading.
 _AHEAD_OF_AXLE_M = 1.5

@@ -8,7 +8,7 @@ import numpy as np
 
 from conetl.model.arrays import Floats
 
-#: So many steps before and after one say how fast the vehicle was.
+#: This many steps before and after one give the vehicle's speed.
 _NEIGHBOURS = 4
 #: m/s^2: what a vehicle may gain or lose in speed at once, by how much its horizontal acceleration departs from an even one
 #: within a few seconds of driving, and by how much its vertical one does on a road.
@@ -26,7 +26,7 @@ class StepMisfit(NamedTuple):
     """What of each a vehicle may drive beside an even change of its speed, m."""
 
     def unexplained_m(self, errors_m: tuple[float, float]) -> float:
-        """Length of the step's misfit where one of its parts is beyond what a vehicle does and what the positions err; else 0.
+        """Length of the step's misfit if one of its components exceeds what a vehicle can do and the position errors; else 0.
 
         errors_m: largest errors of the positions, horizontal and vertical."""
         beyond = any(off > own + error for off, own, error in zip(self.off_m, self.driven_m, errors_m, strict=True))
@@ -53,7 +53,7 @@ def step_misfit(steps_m: Floats, speeds: Floats, times_s: Floats, k: int) -> Ste
     near = near[near != k]
     if len(near) < 2:
         return None
-    # Between neighbours on both sides speed changes evenly but for a jerk; beyond them it may change at once.
+    # Between neighbours on both sides acceleration is constant apart from a jerk; beyond them speed may change at once.
     reach_s = float(times_s[last] - times_s[first])
     if min((near < k).sum(), (near > k).sum()) >= 2:
         speed = np.polynomial.polynomial.polyfit(middle_s[near] - middle_s[k], speeds[near], 1)[0]

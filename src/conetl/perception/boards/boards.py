@@ -224,7 +224,7 @@ def _right_handed(corners: Floats, size: tuple[int, int]) -> Floats:
 
 
 def _why_no_chessboard(image: Grey, board: Board) -> NotFound:
-    """A smaller search tells a board that is cut off from one that is not there, or is of another size."""
+    """A smaller search distinguishes a board that is cut off from one that is missing or has another size."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
     if not found or meta.size <= 9:  # nine corners are easily found in a fence or a shirt

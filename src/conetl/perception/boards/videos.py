@@ -26,7 +26,7 @@ from conetl.perception.video_sync import SEARCH_S, correlation_peak
 MAX_PAIRS = 60
 #: Seconds between the frames that are compared, longest recording, width of the small images.
 _STEP_S, _MAX_S, _WIDTH_PX = 0.2, 1800.0, 96
-#: One frame is taken of so many that follow each other.
+#: One frame of this many successive ones is used.
 _WINDOW = 5
 #: Mean difference (grey levels) of two small images: less is the noise of a still scene, and of frames that show the same view.
 _STILL, _ALIKE = 1.0, 1.5

@@ -28,7 +28,7 @@ Grid = NDArray[np.float32]
 _STEP_M = 0.01
 #: Weights of blue, green and red in the grey levels.
 _RED_AND_GREEN = np.array([[0.0, 0.5, 0.5]], dtype=np.float32)
-#: Rows of the grid are at least so far apart along the road.
+#: Rows of the grid are at least this far apart along the road.
 _ROW_STEP_M = 0.2
 #: Sigma of the Gaussian whose derivative finds edges.
 _EDGE_SIGMA_M = 0.02

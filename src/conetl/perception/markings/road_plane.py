@@ -35,7 +35,7 @@ _TOLERANCES = (0.1, 0.05, 0.03, 0.03)
 #: Largest slope of the road against the body: brakes and ramps.
 _MAX_TILT_RAD = 0.12
 _MIN_POINTS = 80
-#: One of so many rows and columns of the disparities is used.
+#: One of this many rows and columns of the disparities is used.
 _EVERY = 4
 
 

@@ -17,15 +17,15 @@ from conetl.tracking.markings.located import LocatedPoints
 _BIN_M, _CELL_M = 0.5, 0.02
 #: Smoothing of the density across the path: what points of one marking scatter.
 _SPREAD_M = 0.03
-#: Nodes have at least the weight of so many points of usual weight, and this share of the densest one within `_BESIDE_M`.
+#: Nodes have at least the weight of this many points of usual weight, and this share of the densest one within `_BESIDE_M`.
 _LEAST_POINTS, _LEAST_SHARE, _BESIDE_M = 1.0, 0.2, 0.15
-#: Nodes are at least so far apart: two lines of paint and the road between them.
+#: Nodes are at least this far apart: two lines of paint and the road between them.
 _APART_M = 0.12
 #: A chain is continued by the line through its nodes of this length; shorter than `_LEAST_FIT_M` it runs along the path.
 _FIT_M, _LEAST_FIT_M = 6.0, 1.5
 #: Largest distance of a node from it: at once, and more for every metre of a gap, with and without a known direction.
 _GATE_M, _GATE_PER_M, _GATE_PER_M_WITHOUT, _WIDEST_GATE_M = 0.1, 0.02, 0.08, 0.4
-#: Of two chains the one that was lost for longer has to be nearer by so much per metre.
+#: Of two chains the one that was lost for longer has to be nearer by this much per metre.
 _PER_GAP = 0.03
 #: Points belong to the chain that is nearest, at most this far.
 _MEMBER_M = 0.15

@@ -15,7 +15,7 @@ from conetl.model.drive import Drive
 from conetl.model.rig import Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
 
-#: The path is given by points so far apart, smoothed so much: a vehicle sways within its lane. Points nearer than this to the one
+#: Spacing and smoothing of the path's points: a vehicle sways within its lane. Points nearer than this to the one
 #: before are left out.
 _PATH_STEP_M, _PATH_SIGMA_M, _LEAST_MOVE_M = 1.0, 3.0, 0.3
 #: Variance of disparities by the square of how far aside a point is, in camera heights; variance of offsets straight ahead, as a

@@ -30,17 +30,17 @@ _LEAST_GAP_M, _LEAST_RUN_M = 0.5, 0.4
 _LONGEST_DASH_M, _LONGEST_HOLE_M = 8.0, 4.0
 #: Gaps of one line have at most this relative scatter (median absolute deviation); dashes may be cut or worn.
 _REGULAR = 0.3
-#: Gaps of more than so many dashes are none (1 : 3 in North America is the longest in use).
+#: Gaps of more than this many dashes are not gaps of a pattern (1 : 3 in North America is the longest in use).
 _LONGEST_GAP = 4.0
 #: Shorter gaps than this share of the longest one are worn holes in dashes.
 _HOLE_SHARE = 0.4
-#: About so many dashes are laid over each other: over more, in bends, the period along the path changes.
+#: About this many dashes are superimposed: with more, in bends, the period along the path changes.
 _OVERLAID = 8
 #: The period of dashes differs at most by this share from the median of their distances.
 _PERIOD_SHARE = 0.05
 #: A line with paint on more than this share of its length is solid, although worn.
 _WORN = 0.75
-#: The chain is drawn by points so far apart for its projection into the images.
+#: The chain is drawn by points this far apart for its projection into the images.
 _DRAWN_M = 0.25
 
 

@@ -30,7 +30,7 @@ from conetl.tracking.markings.patterns import PatternPiece, pieces_of, searched_
 
 #: Huber's bound, in sigmas, and rounds of the robust fit.
 _ROBUST, _ROUNDS = 2.0, 4
-#: A course is fitted to so many points at least.
+#: A course is fitted to this many points at least.
 _LEAST_POINTS = 6
 #: Weights of the squared bend (m per vertex) of a course, and of its change, against that of one point: the bend alone would
 #: straighten the ends of curves. Chosen on twelve rendered drives.
@@ -40,7 +40,7 @@ _BEND, _CHANGE = 0.9, 3.0
 _FRAME_SIGMA_PX, _COMMON_SIGMA_PX = 0.05, 0.012
 #: Sigma across a marking of its worn edges, as a share of the scatter of its width.
 _WORN_SHARE = 0.15
-#: The bend of a course is the mean of those at so many vertices; sigma of what it adds, as a share of that.
+#: The bend of a course is the mean of those at this many vertices; sigma of what it adds, as a share of that.
 _BEND_VERTICES, _LOST_SHARE = 5, 1.0
 #: Share of the variance of the points about the course that vertices show beside the errors above. Most likely, as the share of
 #: worn edges, on twelve rendered drives.
@@ -49,7 +49,7 @@ _NOISE_SHARE = 0.8
 _LEAST_SHARE = 0.02
 #: Largest scatter of the points about the course (m) and of the widths (share).
 _MAX_SCATTER_M, _MAX_WIDTH_SCATTER = 0.08, 0.35
-#: Least share of hits where there is paint: of solid lines, and of dashes, between which there is none.
+#: Least share of hits on paint: for solid lines, and for dashes, which have gaps.
 _MIN_HITS = {"solid": 0.3, "dashed": 0.15}
 _FAR_PERCENT = 67.0
 #: Systematic error of a width: blurred edges of paint have no exact position.
@@ -57,7 +57,7 @@ _WIDTH_SIGMA_M = 0.006
 #: The logarithm of the ratio of paint to road, in blue or red less that in green, of white paint is within this, of yellow paint
 #: below that in blue.
 _WHITE, _YELLOW = 0.2, -0.25
-#: A point that is so high above the road beside it is no paint: bands of cones, cars.
+#: A point this high above the road beside it is not paint: bands of cones, cars.
 _MAX_ABOVE_M = 0.12
 
 
