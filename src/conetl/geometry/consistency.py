@@ -63,7 +63,7 @@ class Consistency:
     def __add__(self, other: Consistency) -> Consistency:
         """Of two drives together: sums against the sum of their degrees of freedom.
 
-        As in the Monte Carlo test of Bar-Shalom, Li & Kirubarajan (2001, ch. 5.4): chi-square where the drives err independently.
+        As in the Monte Carlo test of Bar-Shalom, Li & Kirubarajan (2001, ch. 5.4): chi-square for independent drives.
         The error of a calibration that they share makes the band of `common` somewhat too narrow.
         """
         return Consistency(self.absolute + other.absolute, self.relative + other.relative, self.common + other.common)

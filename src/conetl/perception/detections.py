@@ -92,7 +92,7 @@ def without_unread(
 
 
 def with_detail(drive: Drive, details: Iterable[ImageDetail]) -> tuple[Drive, list[Rejection]]:
-    """The drive with the detail of its images in its frame pairs, and rejections of pairs that are no evidence of absence."""
+    """The drive with the detail of its images in its frame pairs, and rejections of pairs that are not evidence of absence."""
     least: dict[int, ImageDetail] = {}
     for one in details:
         if one.frame_index not in least or one.detail < least[one.frame_index].detail:

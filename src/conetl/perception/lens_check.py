@@ -18,7 +18,7 @@ from conetl.model.rig import Camera
 
 #: Good drives, rendered ones and a real street, have up to 0.004 (k1 of Brown's model); 0.02 are 4 px of disparity at a corner.
 _MOST, _SIGMAS = 0.02, 6.0
-#: Points lie on equal rows but for this much (px of the whole image), are found again so near, and enough of them tell.
+#: Largest row difference of points (px of the whole image), largest distance when found again, and least number of points.
 _ROWS_PX, _FOUND_PX, _MIN_POINTS = 8.0, 4.0, 100
 _WINDOW_PX, _ROUNDS, _HUBER_SIGMAS, _LEAST_PX = 15, 10, 1.5, 0.05
 

@@ -217,7 +217,7 @@ def _unclear_squares(octaves: dict[Side, list[NDArray[np.float32]]]) -> UnclearS
 
 
 def _check_sharpness(unclear: UnclearSquares | None, drive: Drive) -> HealthCheck:
-    """Whether a part of a lens is smeared, so that the drive is no evidence of what is missing there."""
+    """Whether a part of a lens is smeared, so that the drive is not evidence of absence there."""
     shares = dict.fromkeys(SIDES, 0.0)
     for side in SIDES if unclear else ():
         camera = drive.rig.left if side == "left" else drive.rig.right
@@ -298,7 +298,7 @@ def _check_columns(columns: Floats) -> HealthCheck:
 
 
 def _rows_of_one_scene(offsets: Floats) -> Floats:
-    """Row offsets of the matches that lie on equal rows but for a common offset, and not farther right in the right image."""
+    """Row offsets of the matches that are on equal rows, apart from a common offset, and not farther right in the right image."""
     rows = offsets[(np.abs(offsets[:, 1]) <= _MAX_ROWS_PX) & (offsets[:, 0] >= -_SHRINK), 1]
     kept: Floats = rows[np.abs(rows - np.median(rows)) <= _SCATTER_PX] if len(rows) else rows
     return kept

@@ -275,7 +275,7 @@ class _Decoder:
         self.frames = chain([] if first is None else [first], self.frames)
 
     def _key_frame(self, pts: int) -> int:
-        """When the last key frame before a time stamp is decoded, or that time stamp where the file does not tell."""
+        """When the last key frame before a time stamp is decoded, or that time stamp if the file does not state it."""
         entries = self._stream.index_entries
         k = entries.search_timestamp(pts, backward=True) if len(entries) else -1
         return entries[k].timestamp if k >= 0 else pts

@@ -21,7 +21,7 @@ from conetl.perception.video_frames import frames_between
 _WINDOWS, _WINDOW_S, SEARCH_S = 6, 7.5, 5.0
 #: Width of the small images, and over how many of them the slow part of the motion is taken away: it is alike at many shifts.
 _WIDTH_PX, _SLOW = 160, 15
-#: A correlation that tells a shift, by how much it must be better than at any other shift, and better than one frame to either
+#: A correlation that gives a shift, by how much it must be better than at any other shift, and better than one frame to either
 #: side: the smooth motion of a good road is alike over some frames.
 _LEAST, _LEAST_LEAD, _LEAST_STEP = 0.5, 0.1, 0.25
 #: Of 500 Hz; time stamps of a damaged file may be a nanosecond apart, and a correlation has a value for each.
@@ -39,7 +39,7 @@ class VideoLag(NamedTuple):
 
     @property
     def is_constant(self) -> bool:
-        """False where one of the files lost frames that its time stamps do not tell."""
+        """False if one of the files lost frames without a trace in its time stamps."""
         return all(abs(offset_s - self.offset_s) < self.period_s / 2 for _, offset_s in self.windows)
 
 

@@ -1,8 +1,8 @@
 """Offset between the clock of the cameras and that of GNSS/INS, from visual odometry against the logged poses.
 
-Turns and changes of speed that the images show earlier or later than the log tell the offset (the idea of Rehder, Siegwart &
+Turns and changes of speed that the images show earlier or later than the log give the offset (the idea of Rehder, Siegwart &
 Furgale 2016, with motions in place of feature tracks). A boresight error and an error of scale, which act on the same motions,
-are estimated along with it, and how the share by which visual odometry errs changes within the drive. On a straight drive at
+are estimated along with it, and changes of the relative error of visual odometry within the drive. On a straight drive at
 constant speed the offset cannot be observed, and its sigma says so.
 """
 
@@ -37,7 +37,7 @@ LEAST_S, _SIGNIFICANT, MAX_SIGMA_S = 0.005, 4.0, 0.01
 #: ... and from this many of its sigmas on it widens those of the positions.
 _DOUBTFUL = 2.0
 _ITERATIONS, _HUBER, _LEAST_INTERVALS = 12, 2.0, 20
-#: Between sparse records the poses err for seconds: fewer of them may agree with another offset by chance.
+#: Between sparse records poses have errors for seconds: fewer of them may agree with another offset by chance.
 _LEAST_RECORDS = 10
 _CUT, _LAGS = 3.0, 6
 #: What a vehicle may gain or lose in speed, m/s^2, how many intervals around one show what is usual, and what is beyond noise.
@@ -58,12 +58,12 @@ class ClockOffset(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """Whether the poses are to be corrected by it."""
+        """Whether the poses must be corrected by it."""
         least_s = max(LEAST_S, _SIGNIFICANT * self.sigma_s)
         return self.sigma_s <= MAX_SIGMA_S and least_s < abs(self.offset_s) < _TRIED_S[-1] - 0.02
 
     def is_applied(self, assumed_s: float) -> bool:
-        """Whether the poses are to be corrected by it, given the sigma of the clocks without it: that of clocks that were not
+        """Whether the poses must be corrected by it, given the sigma of the clocks without it: that of clocks that were not
         synchronised is large, and any better estimate counts."""
         better = assumed_s > LEAST_S and 2 * self.sigma_s <= assumed_s and abs(self.offset_s) < _TRIED_S[-1] - 0.02
         return self.is_significant or (better and self.sigma_s <= MAX_SIGMA_S)
@@ -105,7 +105,7 @@ def estimate_clock(
     if used.sum() < _LEAST_INTERVALS:
         return None
     # A smoothed value beside a gap is that of another instant, away from the gap. The slopes are those of the images: those of
-    # the log would have its noise, which is far more, and promise an offset known better than it is.
+    # the log have more noise, and would make the sigma of the offset too small.
     centre_s = smoothed(middle_s[:, None], known)[:, 0]
     there = known > 0
     told = slice(3 if by_speeds else 0, 6)
@@ -169,7 +169,7 @@ def robust_fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: 
     unknowns = len(prior)
     free = slice(1 if held else 0, unknowns)
     solution, normal, left_over = np.zeros(unknowns), prior, misfit
-    # What turns to and fro suffers from noise of just its frequency.
+    # Oscillating turns suffer from noise of the same frequency.
     alike = _autocorrelations(by[..., 0], lags)
     for _ in range(rounds):
         sigma = np.maximum(_spread(left_over), 1e-9)
@@ -218,7 +218,7 @@ def _without_jumps(rates: Floats, steps_s: Floats) -> Floats:
 
 
 def smoothed(signal: Floats, known: Floats, intervals: float = _SMOOTHED) -> Floats:
-    """(N, C) a signal with gaps, smoothed by so many intervals; known (N,): 1 where it has a value, else 0."""
+    """(N, C) a signal with gaps, smoothed by this many intervals; known (N,): 1 where it has a value, else 0."""
     weight = gaussian_filter1d(known, intervals, mode="nearest")
     total = gaussian_filter1d(signal * known[:, None], intervals, axis=0, mode="nearest")
     return np.asarray(total / np.maximum(weight, 1e-6)[:, None])

@@ -30,7 +30,7 @@ NAME = "control points"
 _GATE_CHI2 = 16.3
 #: Where GNSS/INS may be wrong by this much more than it states (m, 1 sigma), this many points have to agree on it.
 _FREE_M, _LEAST_AGREEING = 1.0, 3
-#: Points that lie so near to where GNSS/INS has them in plan (m), but not in height, may be wrong themselves.
+#: Points this near to their position by GNSS/INS in plan (m), but not in height, may be wrong themselves.
 _SAME_PLAN_M = 0.1
 #: At most about this many points are tried as the one from which the others are predicted.
 _MOST_SEEDS = 12

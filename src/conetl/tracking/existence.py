@@ -7,7 +7,7 @@ detector in use (`model/detector_evidence.py`):
 - a box at the expected location: p(box with this score | cone, apparent height, hidden share) over that of a lookalike;
 - no box: (1 - P(detect | height, hidden)) over (1 - P(box | lookalike)). Successive misses of one camera may have one cause, an
   undetected object in front: with a small probability the whole run is no evidence;
-- a box that belongs to other positions: if only such a box covers the location, the image is no evidence;
+- a box that belongs to other positions: if only such a box covers the location, the image is not evidence;
 - images of one object are correlated, most at equal apparent heights (`joint_log_ratio`).
 """
 

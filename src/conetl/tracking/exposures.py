@@ -31,13 +31,13 @@ from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
 
 EXPOSURES, DOUBLED = "exposures of both cameras", "images of one instant"
-#: Of the baseline: the right camera may stand this much before or behind its place, and that far it is known at best. Cones 4 m
+#: Shares of the baseline by which the right camera may be off along the path, and to which that is known at best. Cones 4 m
 #: aside are off by 0.08 m then. Sample drives and KITTI: 0.1 to 0.6 %.
 _MAX_AHEAD, _FLOOR, _SIGMAS = 0.02, 0.002, 6.0
 #: Points are outliers beyond this many sigmas of the median deviation.
 _OUTLIER_SIGMAS, _ROUNDS = 3.0, 6
 _LEAST_SPANS = 8
-#: Objects are doubled where so many pairs, and this share of all objects, are one interval's travel apart (to this many metres)
+#: Objects are doubled where this many pairs, and this share of all objects, are one interval's travel apart (to this many metres)
 #: without a third one in that row. Shorter travel does not separate the images of one object.
 _LEAST_PAIRS, _PAIRED_SHARE, _APART_M, _LEAST_STEP_M = 4, 0.6, 0.15, 0.3
 #: A lost frame shows where the log moves that far in an interval, at an even speed; at most this many intervals are tried.
@@ -45,7 +45,7 @@ _UNEVEN_SHARE, _MOST_TRIED = 0.2, 40
 
 
 def right_camera_ahead(cameras: StereoCameras, spans: Sequence[Floats]) -> tuple[float, ...]:
-    """How far the right camera stands before its place by the calibration, and the sigma of that, as shares of the baseline.
+    """How far the right camera is before its calibrated position, and the sigma of that, as shares of the baseline.
 
     spans: points (N, 4) u_left, v_left, u_right, v_right (px). Empty where they do not determine it.
     """

@@ -135,7 +135,7 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
 
 
 def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: MeasuredMotions) -> list[HealthCheck]:
-    """Whether the images move where the course of sparse positions has the vehicle move; none of a log with more records.
+    """Whether images and course of sparse positions show the same direction; none for a log with more records.
 
     A course that is taken for the heading of a vehicle that reverses is opposite to what its cameras show.
     """
@@ -340,7 +340,7 @@ def _change_variance(log: LoggedPoses, i: int, j: int) -> Floats:
 
 
 def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) -> HealthCheck:
-    """Whether the images show the vehicle moving where the log has it move, in the median of the drive.
+    """Whether images and log show the same direction of motion, in the median of the drive.
 
     Cameras that look aside and positions that drift at a constant rate are the same to them. The adjustment turns the poses, and
     leaves the drift in the positions.

@@ -35,7 +35,7 @@ _LEAST_STEP_S = 1e-3
 
 
 def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
-    """Intervals that no accepted motion confirms, and in which the log moves otherwise than their neighbours."""
+    """Intervals that no accepted motion confirms, and in which the log does not move like their neighbours."""
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
     times_s = np.maximum.accumulate(times_s + _LEAST_STEP_S * np.arange(len(times_s)))
     left = np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs])
@@ -104,9 +104,9 @@ def check_slow_jumps(
 
 
 def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
-    """Intervals that no accepted motion confirms, and in which the log turns otherwise than the images or the intervals around.
+    """Intervals that no accepted motion confirms, and in which the log does not turn like the images or the intervals around.
 
-    A measured motion that is wrong is refused too: then it is the one that differs from its neighbours.
+    A wrong measured motion is rejected too: then that motion differs from its neighbours.
     """
     to_camera = np.array(rig.body_SE3_left)[:3, :3].T ** 2
     sigma = np.sqrt(np.array([pair.pose.sigma_rpy_rad for pair in frame_pairs]) ** 2 @ to_camera.T)

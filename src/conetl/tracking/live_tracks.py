@@ -1,7 +1,7 @@
 """Tracks of a drive that is being recorded: one frame pair at a time, in bounded memory.
 
 Differences from `fuse_tracks`: poses are the logged ones; an ended group is joined only by a group that begins (two long
-fragments of one cone stay two); only the nearest positions of a group and the last images take part; the road surface is not
+fragments of one cone remain two); only the nearest positions of a group and the last images are used; the road surface is not
 checked. The later ingest of the whole drive replaces all results.
 """
 

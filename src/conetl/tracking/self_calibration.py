@@ -1,6 +1,6 @@
 """Whether a drive contradicts the calibration of its rig, and the corrected rig.
 
-`geometry/calibration/self_calibration.py` has the estimate. Here: the spans of the drive that take part, significance and
+`geometry/calibration/self_calibration.py` has the estimate. Here: the spans of the drive that are used, significance and
 plausibility of the estimate, and the rig with its right camera corrected. A turn changes `body_SE3_right`; intersection,
 odometry and tracks use the full orientation. A bend at the sides of the image changes turn and principal point together. Images
 are not resampled: of a rig with `rectified_from` the camera that took them is turned by the same angle; a bend would change the

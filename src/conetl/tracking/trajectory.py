@@ -228,7 +228,7 @@ def is_by_course(frame_pairs: Sequence[FramePair]) -> bool:
 def _white_share(
     log: LoggedPoses, error_m: Floats, frame_pairs: Sequence[FramePair], params: TrajectoryParams
 ) -> float:
-    """Share of the sigmas of sparse positions that is independent in every record, as they err against the adjusted ones.
+    """Share of the sigmas of sparse positions that is independent in every record, from their errors against the adjusted ones.
 
     error_m: (K, 3). At least the share in `params`: positions without an INS may scatter by more.
     """

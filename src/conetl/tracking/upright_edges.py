@@ -1,7 +1,7 @@
 """Roll of a vehicle whose log has positions only, from upright edges: posts, walls, windows.
 
 Images of vertical lines meet in one point, which gives roll and pitch (vanishing point; Caprile & Torre 1990). Visual
-odometry tells how both change, the edges of many images what they are.
+odometry gives the changes of both, the edges of many images their values.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
 
 #: One tilt is found for every part of a drive of this many seconds, from this many of its images.
 _PART_S, _IMAGES = 10.0, 12
-#: Edges are at least so long; the direction of a longer one is known better (px, rad).
+#: Edges are at least this long; the direction of a longer one is known better (px, rad).
 _LEAST_PX, _END_PX, _UNEVEN_RAD = 20.0, 0.7, np.radians(0.25)
 #: Edges are searched this near to the vertical by course and odometry; upright ones are this near to each other (rad).
 _SEARCH_RAD, _NEAR_RAD = np.radians(8.0), np.radians(0.6)

@@ -96,7 +96,7 @@ def estimate_variance_factors(
             squares[number] += of_cone[0]
             freedom[number] += of_cone[1]
         squares[:, 2], freedom[:, 2] = squares[:, 2].sum(), freedom[:, 2].sum()
-        # The stated variances count as so many residuals of the stated size.
+        # The stated variances count as this many residuals of the stated size.
         step = (squares + _STATED_DOF / factors) / (freedom + _STATED_DOF)
         factors = factors * step
         if np.abs(step - 1).max(initial=0.0) < _CONVERGED:

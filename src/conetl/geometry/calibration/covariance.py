@@ -7,7 +7,7 @@ to all images of a rig: over the sightings of one cone the Jacobians are average
 
 A calibration is wrong by L z: z are independent errors of one sigma each, L L^T is the stated covariance. A position that was
 found with it is wrong by A z with the shared-error Jacobian A = J L (metres), J from `calibration_jacobian`; two positions with
-Jacobians A and B have the covariance A B^T in common, of whatever drives. L is the symmetric square root of the correlations
+Jacobians A and B have the covariance A B^T in common, for any drives. L is the symmetric square root of the correlations
 times the sigmas, which does not depend on the order of parameters. Stored as float32 (`SharedErrorJacobian`): 3 x K numbers for
 every version of every cone.
 

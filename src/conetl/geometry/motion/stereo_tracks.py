@@ -115,7 +115,7 @@ def motions_of(
 ) -> Iterator[RelativeMotion]:
     """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1].
 
-    earlier: motions of the same tracks by a slightly other rig, as start values in place of the search among hypotheses. Without
+    earlier: motions of the same tracks by a slightly different rig, as start values, not a search of hypotheses. Without
     them the motion of the interval before is tried first.
     """
     cameras = cameras_of(rig)

@@ -68,7 +68,7 @@ class RoadPlane(NamedTuple):
 
 def right_from_parallel(rig: Rig) -> Floats:
     """(3, 3) homography from pixels of a right camera with the left one's interior orientation and axes to those of the right
-    image: the identity but for the turn by which self-calibration corrected the right camera."""
+    image: the identity, apart from the rotation by which self-calibration corrected the right camera."""
     turn = left_SE3_right(rig)[:3, :3]
     return np.asarray(matrix_k(rig.right) @ turn.T @ np.linalg.inv(matrix_k(rig.left)))
 

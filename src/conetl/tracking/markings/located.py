@@ -23,7 +23,7 @@ _PATH_STEP_M, _PATH_SIGMA_M, _LEAST_MOVE_M = 1.0, 3.0, 0.3
 _OBLIQUE, _COLUMNS = 0.25, 0.25
 #: Length of the end of a path by which it is continued.
 _BEND_M = 10.0
-#: A point lies so far behind and ahead of its camera along the path; a path may come back to the same road.
+#: A point is this far behind and ahead of its camera along the path; a path may return to the same road.
 _BEHIND_M, _AHEAD_M = 5.0, 15.0
 
 

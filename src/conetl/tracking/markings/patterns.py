@@ -225,7 +225,7 @@ def _dashes(runs: list[_Run], searched: Searched) -> tuple[float, float] | None:
 
 
 def _overlaid(dashes: list[_Run], searched: Searched) -> tuple[float, float] | None:
-    """Lengths of dashes and gaps (m), all periods laid over each other; None where no part of the period is bare in all of them.
+    """Lengths of dashes and gaps (m), all periods superimposed; None if no part of the period is bare in all of them.
 
     So the end of a dash that is worn or hidden is known from the others. The period is the one with which paint, where its share
     of hits is at least `_PAINTED`, explains hits and misses best; where several do, as with two dashes, the one nearest to the

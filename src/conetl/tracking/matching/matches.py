@@ -46,7 +46,7 @@ _EDGE_SIGMA_SHARE = 0.025
 #: or width, and a term divided by the height (px^2). Across the rows in each image, along the rows in both equally, and common to
 #: all observations of one cone. Measured on the sample drives (docs/explanation/accuracy.md).
 _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.003, 2.0)
-#: Share of the box's width by which a foot errs along the rows if a nearer object hides all of the box's lower half. Measured on
+#: Share of the box's width by which a foot is off along the rows if a nearer object hides the whole lower half. Measured on
 #: the sample drives and mixed worlds 4 and 5.
 _FOOT_HIDDEN = 0.3
 #: Ratio of the scatter of feet to the difference of both images, which have errors in common.
