@@ -267,7 +267,7 @@ order by d.changeset_no;
 
 -- name: adjoining_drives
 -- The drives of other recordings that are active, or held by the map, and that ended just before, or began just after, some
--- drives; and these drives themselves where they do.
+-- drives; and these drives themselves if they are active or held.
 -- Parameters: drive_uuids (uuid[], of one map); within_ns; check (JSON: a list of an object with its name).
 -- Columns: of_uuid (one of drive_uuids), then as AdjoiningDrive.
 select

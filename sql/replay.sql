@@ -2,7 +2,7 @@
 -- case when map_id ...: the planner would compare geometries first, and those of another map may have another CRS.
 
 -- name: affected_drives
--- The drives that must be compared with the map again when some drives come, go or are judged differently: the active
+-- The drives that must be compared with the map again when some drives are added, removed or change status: the active
 -- ones among them, every later one whose area meets one of theirs, and so on.
 -- Parameters: drive_uuids (uuid[], of one map). Columns: drive_uuid, changeset_id, idempotency_key, in the order of the
 -- fold.

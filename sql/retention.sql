@@ -18,7 +18,7 @@ having upper(d.captured_period) < %(before)s and max(c.committed_at) < %(before)
 order by d.captured_from_ns, d.drive_uuid;
 
 -- name: prune_drives
--- Delete the stereo matches, detections and positions of some drives, and remember that they have none any more.
+-- Delete the stereo matches, detections and positions of some drives, and record that they have none.
 -- Parameters: drive_uuids (uuid[]); pruned_at (timestamptz). Columns: deleted (number of rows).
 with stereo_matches as (
     delete from conetl.stereo_match r where r.drive_uuid = any(%(drive_uuids)s) returning 1
@@ -35,7 +35,7 @@ marked as (
 select (select count(*) from stereo_matches) + (select count(*) from detections) + (select count(*) from positions) as deleted;
 
 -- name: pruned_drives
--- Which of some drives have no raw records any more.
+-- Which of some drives no longer have raw records.
 -- Parameters: drive_uuids (uuid[]). Columns: drive_uuid, drive_id, captured_to, pruned_at (timestamptz), archive_path (null: deleted);
 -- rows (json: how many records each table had).
 select

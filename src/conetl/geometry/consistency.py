@@ -2,7 +2,7 @@
 
 The normalised estimation error squared (NEES, e.g. Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4) of N points is chi-square with 3N
 degrees of freedom only for independent errors. GNSS/INS and calibration errors are common to the points of one drive, so
-`consistency` splits the squared error exactly into a relative and a common part with degrees of freedom of their own.
+`consistency` splits the squared error exactly into a relative and a common part with separate degrees of freedom.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Nees:
 
     @property
     def per_dof(self) -> float:
-        """1 on average if the covariance is right; 4 where the sigmas are half of what they should be, 1/4 where double."""
+        """1 on average if the covariance is correct; 4 if the sigmas are half the correct ones, 1/4 if double."""
         if self.dof == 0:
             raise ValueError("a NEES requires degrees of freedom")
         return self.value / self.dof

@@ -1,6 +1,6 @@
 """Latitude, longitude, ellipsoidal height and local level frames -> the map's coordinate reference system (CRS).
 
-Easting and northing come from pyproj; heights stay ellipsoidal (WGS 84), whatever the map CRS says about heights.
+Easting and northing come from pyproj; heights remain ellipsoidal (WGS 84) in any map CRS.
 GNSS/INS headings count from true north or east, the map's axes are grid north and grid east; the angle between them is the
 meridian (grid) convergence, up to 3 degrees in a UTM zone: 1.5 degrees are 26 cm at 10 m.
 
@@ -288,7 +288,7 @@ def _known(code: int) -> CRS:
 
 
 def operations(source: CRS, target: CRS, area: AreaOfInterest | None) -> TransformerGroup:
-    """PROJ's transformations, the best first; never one that leaves heights as they are for want of a grid.
+    """PROJ's transformations, the best first; never one that leaves heights unchanged because a grid is missing.
 
     Raises ProjError or CRSError.
     """

@@ -7,7 +7,7 @@ camera on a pseudo high definition map database"), for V views and P points at o
 
 Iterated until the sum of squares of the correction is below 1e-10 m^2 (the paper's criterion), from the linear solution of the
 same equations multiplied by the depth. Coordinates are relative to the first camera of each point, so that large map coordinates
-cost no digits. Degenerate points get a status, never a number.
+lose no digits. Degenerate points get a status, never a number.
 
 Inside, components come first and points last: arrays are (..., V, n), or (..., V, 1) where all points share a view.
 

@@ -1,7 +1,7 @@
 """Output of the shipped network -> boxes.
 
 Pixel convention: a box is [x, y, w, h] with x, y its top-left corner; the centre of the top-left pixel is (0.5, 0.5) in
-these box coordinates, that is, an image W wide spans x = 0 .. W. `docs/reference/coordinates.md` says how observations use this.
+these box coordinates, that is, an image W wide spans x = 0 .. W. See `docs/reference/coordinates.md` for observations.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The cone detector: loads an ONNX network and finds cones in one image. The only importer of onnxruntime.
 
 A model is two files: `NAME.onnx` and its sidecar `NAME.onnx.json` (`model_card.py`). Networks of the YOLO family are supported
-(`heads.py`); the shipped one has a head of its own (`decoding.py`).
+(`heads.py`); the shipped one has its own head (`decoding.py`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MIN_SIDE_PX = 8
 #: At least this many rows are searched, wherever the road begins.
 MIN_ROWS_PX = 120
 #: Images of this shorter side and more are searched at half and a quarter of their size, too: cones taller than about 250 px
-#: are too large for the network. That takes time, so small images are searched so only where they are single ones.
+#: are too large for the network. That takes time, so of small images only single ones are searched that way.
 COARSE_PASSES_FROM_PX, COARSE_PASSES_OF_SINGLE_FROM_PX = 480, 160
 LARGE_CONE_PX = 48.0
 #: Margin around a searched part, in pixels of the network's input: boxes then differ from those of the whole image by 0.08 px in

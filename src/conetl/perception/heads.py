@@ -283,7 +283,7 @@ def _sigmoid(values: Output) -> Floats:
 
 
 def _probabilities(head: YoloHead, values: Output) -> Floats:
-    """The values as probabilities; NaN and infinity stay. Raises ModelFileError where they lie clearly beyond 0 .. 1."""
+    """The values as probabilities; NaN and infinity are kept. Raises ModelFileError if they are clearly outside 0 .. 1."""
     wide: Floats = values.astype(np.float64)
     finite = wide[np.isfinite(wide)]
     if finite.size and (finite.min() < -PROBABILITY_SLACK or finite.max() > 1.0 + PROBABILITY_SLACK):

@@ -1,4 +1,4 @@
-"""How much fine structure an image shows: what a covered lens, the dark, fog and blur take away before the detector is blind.
+"""Fine structure of an image: covered lenses, darkness, fog and blur reduce it before the detector stops finding objects.
 
 The measure is the standard deviation of what is finer than about 25 pixels, in grey levels, at a quarter of the resolution (where
 noise of single pixels is averaged away), in the median over squares of 32 pixels. Images of the sample drives and of a real
@@ -22,7 +22,7 @@ _BLOCK, _LEAST_INSIDE = 8, 0.25
 
 
 def fine_detail(image: NDArray[np.uint8]) -> float:
-    """Grey levels; image: (H, W, 3) in blue, green, red. 0 for one smaller than 32 pixels, or that shows but blocks of JPEG."""
+    """Grey levels; image: (H, W, 3) in blue, green, red. 0 for one smaller than 32 pixels, or that shows only JPEG blocks."""
     green = np.asarray(cv2.extractChannel(image, 1), np.uint8)
     if _inside_blocks(green[::_SHRINK]) < _LEAST_INSIDE:
         return 0.0
@@ -39,7 +39,7 @@ def detail_by_octaves(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """(2, H // 64, W // 64) variance of what is finer than about 25 px, and of what is from there to 75 px, in squares of 64 px
     (`SQUARE_PX`); image: (H, W) grey.
 
-    Blur takes away the former, and leaves the latter.
+    Blur removes the former, not the latter.
     """
     height, width = image.shape[0] // _SHRINK, image.shape[1] // _SHRINK
     squares = image.shape[0] // SQUARE_PX, image.shape[1] // SQUARE_PX

@@ -127,7 +127,7 @@ def _inspect_jpeg(data: bytes) -> ImageHeader:
             size = (int.from_bytes(body[3:5], "big"), int.from_bytes(body[1:3], "big"))
         scanned = marker == 0xDA
         position += 2 + length
-    # Some cameras pad the file; the end marker must still be the last thing that means anything.
+    # Some cameras pad the file; only padding may follow the end marker.
     if not data[position:].rstrip(b"\x00\r\n ").endswith(b"\xff\xd9"):
         raise ImageTruncatedError("the JPEG lacks its end marker (FF D9): the file is truncated")
     if size is None:
@@ -201,7 +201,7 @@ def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> I
         try:
             return check_image_bytes(data, name, expected_size, file_bytes)
         except ImageFileError:
-            pass  # a long header, or really broken: the whole file says which
+            pass  # a long header, or really broken: the whole file shows which
     return check_image_bytes(read_bytes(path), name, expected_size)
 
 
@@ -287,9 +287,9 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_hashed_bytes(path: Path, sha256: str) -> bytes:
-    """The bytes of an image as they were when its drive was read: from memory, or read again where they are not there any more.
+    """The bytes of an image as they were when its drive was read: from memory, or read again if they are no longer there.
 
-    Raises StorageError where they cannot be read again, or are others by now: neither is a property of the drive. Without a hash
+    Raises StorageError if they cannot be read again, or have changed: neither is a property of the drive. Without a hash
     (only headers were read) they are whatever the file holds, and ImageFileError is raised where it cannot be read.
     """
     if not sha256:

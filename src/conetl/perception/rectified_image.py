@@ -1,4 +1,4 @@
-"""Images of a rig as geometry wants them: read, and resampled where the rig that took them is not rectified."""
+"""Images of a rig for geometry: read, and resampled if the rig that took them is not rectified."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from conetl.perception.images import ImageFileError, decode_image, read_hashed_b
 from conetl.perception.video import frame_of
 from conetl.perception.video_frames import read_frame
 
-#: Bicubic: bilinear resampling blurs by how far a pixel falls between its neighbours, and area-based matching sees that as shift.
+#: Bicubic: the blur of bilinear resampling depends on the sub-pixel phase, which area-based matching would measure as a shift.
 _INTERPOLATION = cv2.INTER_CUBIC
 _BLOCK_ROWS = 64
 

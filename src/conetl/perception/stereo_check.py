@@ -1,13 +1,13 @@
 """Whether the two images of a pair belong together and show the road: sides, trigger, rows and lenses, from the images alone.
 
-In a rectified pair every point lies in the right image at the same row and not farther right than in the left one. Of ORB
+In a rectified pair every point is at the same row of the right image and not farther right than in the left one. Of ORB
 features (Rublee et al. 2011) matched in the sample drives and a real street 73 to 86 % do; with the right image of the frame
 before or after 24 to 68 %, and with swapped, mirrored or upside-down images 0 to 15 %.
 
 The lower half of an image shows the road, and no part of a road is without structure: of squares of 32 px there (median over five
 images) none of the sample drives has less than 11 % of the detail that a fifth of the whole image exceeds, and of a real street
-9 %. What covers a lens in part leaves squares without any. Rain, dirt and grease on a lens take away what is finer than 25 px
-and leave what is coarser. In squares of 64 px of ten rendered drives and a real street the ratio of both (standard deviations)
+9 %. A partly covered lens gives squares without any. Rain, dirt and grease on a lens remove structure finer than 25 px
+and keep coarser structure. In squares of 64 px of ten rendered drives and a real street the ratio of both (standard deviations)
 is at least 0.64, and at least 0.75 times that in the other image; a blur of 5 px makes it 0.4 to 0.7, and 0.55 times that.
 """
 
@@ -40,7 +40,7 @@ _PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
 _SHRINK, _MAX_HAMMING = 2, 50
 #: Share of the matches from which the sides are wrong, and below which the right images of other frames are tried.
 _WRONG_SHARE, _FITTING_SHARE = 0.7, 0.7
-#: Rows by which right images may lie off, scatter of a match, and what self-calibration finds (px of the whole image).
+#: Rows by which right images may be off, scatter of a match, and what self-calibration finds (px of the whole image).
 _MAX_ROWS_PX, _SCATTER_PX, _FINE_ROWS_PX = 40.0, 2.0, 0.7
 #: Up to here an offset is corrected, as a turn of the camera. For a shift by 12 px the columns in the corners are then 2 px off.
 _CORRECTED_ROWS_PX = 4.0
@@ -75,7 +75,7 @@ class _Features(NamedTuple):
 
 
 def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
-    """Look at some pairs of a drive; the drive, with the right camera turned where its images lie some rows off and with the
+    """Check some pairs of a drive; the drive, with the right camera turned if its images are some rows off and with the
     parts of its images that are unclear, and the checks.
 
     Images without detail pass. Raises DriveFolderError where the sides are wrong.

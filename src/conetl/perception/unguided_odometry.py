@@ -1,7 +1,7 @@
-"""Visual odometry of images whose poses are not known yet: what the offset of the clocks is found from.
+"""Visual odometry of images without known poses, from which the offset of the clocks is found.
 
 Each interval starts from the motion of the interval before, the first from speeds that are tried. Images are reduced, so that
-points may move far between two of them; the motions are good to some millimetres, less than those of a drive with poses.
+points may move far between two of them; the motions are accurate to a few millimetres, less than those of a drive with poses.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def measure_motions(
     cameras, asked = cameras_of(rig), [np.eye(4)]
 
     def spans() -> Iterator[tuple[int, int, Floats]]:
-        """The interval that is asked for next: the last one of `asked` may change between two."""
+        """The interval that is requested next: the last one of `asked` may change between two."""
         while state[0] + 1 < len(pairs):
             yield state[0], state[0] + 1, asked[0]
 

@@ -19,10 +19,10 @@ from conetl.perception.video_frames import frames_between
 
 #: Windows along the recording, and by how much the files may be shifted.
 _WINDOWS, _WINDOW_S, SEARCH_S = 6, 7.5, 5.0
-#: Width of the small images, and over how many of them the slow part of the motion is taken away: it is alike at many shifts.
+#: Width of the small images, and over how many of them the slow part of the motion is removed: it is similar at many shifts.
 _WIDTH_PX, _SLOW = 160, 15
 #: A correlation that gives a shift, by how much it must be better than at any other shift, and better than one frame to either
-#: side: the smooth motion of a good road is alike over some frames.
+#: side: the smooth motion of a good road is similar over some frames.
 _LEAST, _LEAST_LEAD, _LEAST_STEP = 0.5, 0.1, 0.25
 #: Of 500 Hz; time stamps of a damaged file may be a nanosecond apart, and a correlation has a value for each.
 _SHORTEST_PERIOD_S = 0.002

@@ -2,7 +2,7 @@
 
 Visual odometry without any pose gives speed and turn rate of the vehicle at the stamps of the images, the trajectory gives them
 at its own. All offsets within the search are tried (cross-correlation with robust residuals), the best one must fit significantly
-better than any other, and is then refined by least squares as in `clock.py`, which finds what is left of it.
+better than any other, and is then refined by least squares as in `clock.py`, which finds the remainder.
 """
 
 from __future__ import annotations

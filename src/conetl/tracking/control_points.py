@@ -1,8 +1,8 @@
 """Surveyed control points in the adjustment of a drive's poses: detected cones with known coordinates.
 
 Points and cones belong together by position; names do not matter. Which points agree is decided by the joint covariance of the
-cones before any takes part: one that the others contradict is named and left out (data snooping, Baarda 1968). Where three agree
-that GNSS/INS is wrong by more than it states they are used; fewer are not.
+cones before any is used: one that the others contradict is reported and left out (data snooping, Baarda 1968). If three agree
+that GNSS/INS is wrong by more than it states, they are used; fewer are not.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ from conetl.tracking.trajectory import (
 _DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
 #: Neighbouring observations of a cone are correlated (background, sun, calibration): this many count as one.
 _CORRELATED = 4.0
-#: Offsets of the clocks beside a course: each takes what the adjustment before it had laid into the attitudes.
+#: Offsets of the clocks beside a course: each finds what the adjustment before it had put into the attitudes.
 _ROUNDS = 3
 
 
@@ -59,7 +59,7 @@ def refine_with_cones(
     one fixed point in many frames. The poses are those of the adjustment with cones, their covariance that of the adjustment
     without: the same observations make the tracks afterwards and must count only once. Those on control points do count.
 
-    A clock that the drive shows to be off is corrected first; what is left of its offset, and the error of the lever arm, are in
+    A clock that the drive shows to be off is corrected first; its remaining offset, and the error of the lever arm, are in
     the covariance. frame_pairs: as logged. motions: as for `refine_trajectory`. The result is that of visual odometry alone
     without `trajectory.cone_landmarks`, beside good GNSS/INS, without such cones, and if the adjustment with cones fails.
     """

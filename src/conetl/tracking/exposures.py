@@ -1,6 +1,6 @@
 """When images were taken: by both cameras at one instant, each of one instant only, and none lost or repeated by both.
 
-A right camera that exposes 5 ms late at 14 m/s stands 7 cm farther forward than calibrated, and cones 4 m beside the path are
+A right camera that exposes 5 ms late at 14 m/s is 7 cm farther forward than calibrated, and cones 4 m beside the path are
 0.3 m off. Odometry and log hardly show it, but the rows of the right image do: points move away from the middle row in proportion
 to row and disparity, y d per baseline. A turn of the camera moves rows by 1 + y^2, x y and x, another focal length by y, and
 another principal point by 1, at all distances: all six are estimated together, and sigmas are those of the scatter between the
@@ -173,7 +173,7 @@ def check_lost_frames(
 def _moves_by(
     factor: float, first: FramePair, second: FramePair, rig: Rig, read: ImageReader, params: TrajectoryParams
 ) -> bool:
-    """Whether the images of two frame pairs show so many times the motion of their poses."""
+    """Whether the images of two frame pairs show this many times the motion of their poses."""
     start, end = np.array(first.pose.map_t_body_m), np.array(second.pose.map_t_body_m)
     guess = second.pose.model_copy(update={"map_t_body_m": vec3(start + factor * (end - start))})
     both = (first, second.model_copy(update={"pose": guess}))

@@ -37,7 +37,7 @@ def check_recording(
     read: ImageReader,
     params: TrajectoryParams,
 ) -> HealthCheck:
-    """Whether the images go elsewhere between two frame pairs and an even log does not: images of another recording follow.
+    """Whether the images leave an even log between two frame pairs: images of another recording follow.
 
     Motions before and after agree with the log; the one between contradicts it, as do all that cross it, or none of them can be
     measured, although those beside it can. read: grey images of a frame pair.

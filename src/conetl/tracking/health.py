@@ -52,10 +52,10 @@ _DRIVEN_M, _COMMON_SHARE = 0.1, 0.008
 #: Images are of another time than the log where most motions turn otherwise (degrees in an interval) and are of other lengths, or
 #: of lengths that no calibration explains.
 _OTHER_SHARE, _OTHER_DEG, _OTHER_LENGTHS, _OTHER_SCALE = 0.5, 0.15, 0.05, 0.2
-#: A log below this speed stands still, and one this far away from the direction in which the cameras look has other axes.
+#: Below this speed a vehicle stands still, and a log this far away from the direction in which the cameras look has other axes.
 _STANDING_M_S, _ASIDE_DEG = 0.5, 20.0
 #: Positions scatter where half of them bend the path by more than a vehicle can (m/s^2), and by this much of their stated sigmas.
-#: The middle of the bends is that many sigmas of one coordinate.
+#: The median of the bends is this many sigmas of one coordinate.
 _BENDS_M_S2, _SCATTER_SHARE, _BEND_SIGMAS = 8.0, 0.5, np.sqrt(6 * np.log(4))
 
 _LONGER = (
@@ -190,7 +190,7 @@ def _measured(frame_pairs: Sequence[FramePair], rig: Rig, starts: Ints) -> Healt
 
 
 def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
-    """What is wrong with the log by itself, as a sentence after others; empty where nothing is."""
+    """What is wrong with the log alone, as a sentence after others; empty if nothing is."""
     positions_m = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
     looks = np.array([pair.pose.map_R_body for pair in frame_pairs]) @ np.array(rig.body_SE3_left)[:3, 2]
     steps_m, ahead = np.diff(positions_m[:, :2], axis=0), (looks[1:, :2] + looks[:-1, :2]) / 2
@@ -279,7 +279,7 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
     detail = f"The clocks agree ({text})."
     applied = clock.is_applied(params.clock_sigma_s)
     if applied:
-        # An offset within what was known of the clocks, as of videos whose beginning was searched, is not the recorder's fault.
+        # An offset within the stated error of the clocks, as for videos whose start was searched, is not the recorder's fault.
         advice = "Correct the synchronisation of the recorder."
         if abs(clock.offset_s) <= 3 * params.clock_sigma_s:
             advice = f"The clocks were known to {1e3 * params.clock_sigma_s:.0f} ms."

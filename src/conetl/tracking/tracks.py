@@ -204,7 +204,7 @@ def fuse_group(
 
 
 def _category_of(group: Sequence[Position]) -> str:
-    """The class that the boxes of one object speak for most: that of the greatest sum of scores."""
+    """The class of one object: that of the greatest sum of scores of its boxes."""
     scores: defaultdict[str, float] = defaultdict(float)
     for position in group:
         scores[position.category] += position.score

@@ -238,7 +238,7 @@ def _white_share(
     if not 0 < lag < len(error_m):
         return params.gnss_white_share
     kept = np.exp(-apart_s / params.gnss_correlation_s)
-    # Heading and slope were fitted to few records: Student's variance of what is left.
+    # Heading and slope were fitted to few records: Student's variance of the residuals.
     freedom = max(3 * (len(error_m) / lag - 1) - 4, 0.5)
     change2 = np.mean(((error_m[lag:] - error_m[:-lag]) / log.sigma_p[lag:]) ** 2) / 2 * (freedom + 4) / freedom
     return float(np.sqrt(np.clip((change2 - (1 - kept)) / kept, params.gnss_white_share**2, 1.0)))
@@ -285,7 +285,7 @@ def measured_motions(
 def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: float) -> Bools:
     """(M,): which measured intervals are plausible.
 
-    An interval is refused if it contradicts GNSS/INS beyond its errors, or if it alone departs from its neighbours while
+    An interval is rejected if it contradicts GNSS/INS beyond its errors, or if it alone differs from its neighbours while
     GNSS/INS is smooth: errors of GNSS/INS last longer than one interval.
     """
     k = motions.start

@@ -1,4 +1,4 @@
-"""Errors of a rig's calibration: their covariance, how they move the points that are intersected with it, and what of them
+"""Errors of a rig's calibration: their covariance, their effect on the points that are intersected with it, and what of them
 several drives share.
 
 The least-squares point moves by dX = -(A^T A)^-1 A^T B dp, A and B being the derivatives of the collinearity equations by point

@@ -115,7 +115,7 @@ def calibrate_stereo(
     design effect of the richest model (see `rig_covariance`). Raises BundleError.
     """
     bundle, kept, rejected = _assembled(np.asarray(points_m, dtype=np.float64), views, start)
-    # Blunders are judged under a flexible model, so that good corners of a bent lens or board stay.
+    # Blunders are found with a flexible model, so that good corners of a distorted lens or bent board are kept.
     first: LensModel = models[0] if len(models) == 1 else "brown"
     richest: BoardShape = "free" if "free" in board_shapes else "flat"
     bundle, kept, more, corners = _robust(_remodelled(bundle, first, richest), kept)
@@ -337,7 +337,7 @@ def _sum_of_squares(bundle: Bundle, views: Sequence[BoardView]) -> float:
 def _tried(
     bundle: Bundle, views: Sequence[BoardView], model: LensModel, shape: BoardShape, scale: float, factor: float
 ) -> tuple[Candidate, Bundle | None]:
-    """One model, adjusted and judged. scale: variance of one independent observation; factor: of one coordinate (px^2)."""
+    """One model, adjusted and rated. scale: variance of one independent observation; factor: of one coordinate (px^2)."""
     fit = _remodelled(bundle, model, shape)
     parameters = fit.rig_parameters + _shape_parameters(fit, views)
     observations = 2 * sum(len(v.point_ids) for v in views)
