@@ -20,9 +20,9 @@ from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.rig import CalibrationCovariance
+from conetl.tracking.checks.poses import check_calibration, check_trajectory
 from conetl.tracking.clock import ClockOffset, estimate_clock
 from conetl.tracking.drive_refinement import refine_with_cones
-from conetl.tracking.health import check_calibration, check_trajectory
 from conetl.tracking.self_calibration import SelfCalibration, Span, self_calibrate
 from conetl.tracking.trajectory import RefinedTrajectory, measured_motions, read_log
 from tests.synthetic.odometry import STEP_S, log_of, motions_of, pose_errors

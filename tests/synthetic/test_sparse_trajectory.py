@@ -24,9 +24,9 @@ from conetl.readers.drives.video_timing import refined_clock
 from conetl.simulation.scenario import scenario_pass
 from conetl.simulation.simulate import simulated_rig
 from conetl.simulation.trajectory import true_poses
+from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.clock_search import find_clock_offset, rates_of
 from conetl.tracking.drive_refinement import refine_with_cones
-from conetl.tracking.health import check_trajectory
 from conetl.tracking.trajectory import RefinementOutcome, log_errors, refine_trajectory
 from tests.integration.small_drives import SAMPLES
 from tests.synthetic.good_drives import PARAMS, RIG

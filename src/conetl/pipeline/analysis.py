@@ -27,9 +27,9 @@ from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitte
 from conetl.pipeline.markings import mark
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
+from conetl.tracking.checks.exposures import check_doubled, check_exposures
+from conetl.tracking.checks.poses import check_calibration
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
-from conetl.tracking.exposures import check_doubled, check_exposures
-from conetl.tracking.health import check_calibration
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.tracking.standing import without_moving

@@ -28,10 +28,10 @@ from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
+from conetl.tracking.checks.exposures import check_lost_frames, right_camera_ahead
+from conetl.tracking.checks.foreign_images import check_recording
+from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.control_points import refine_with_control
-from conetl.tracking.exposures import check_lost_frames, right_camera_ahead
-from conetl.tracking.foreign_images import check_recording
-from conetl.tracking.health import check_trajectory
 from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, span_params
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
 from conetl.tracking.trajectory import RefinedTrajectory, is_by_course

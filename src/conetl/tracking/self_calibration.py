@@ -73,7 +73,7 @@ class SelfCalibration(Record):
     model_gap: tuple[float, ...] = ()
     """(rx, ry, rz, bend): their change if disparities may also follow another field; empty without an estimate."""
     right_ahead: tuple[float, ...] = ()
-    """How far the right camera stands before its place, and the sigma of that (`exposures.py`); empty where it is not known."""
+    """Offset of the right camera forward of its calibrated position, and its sigma (`checks/exposures.py`); empty if unknown."""
     span_count: int = Field(default=0, ge=0)
     point_count: int = Field(default=0, ge=0)
     prior_chi2: float = Field(default=0, ge=0)

@@ -18,7 +18,7 @@ from conetl.pipeline.chunks import Chunk, chunks_of
 from conetl.pipeline.odometry import grey_reader, self_calibrate
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
-from conetl.tracking.exposures import check_lost_frames
+from conetl.tracking.checks.exposures import check_lost_frames
 from tests.integration.small_drives import SAMPLES
 from tests.mutants.recordings import images_shifted
 from tests.synthetic.world import make_path, make_rig

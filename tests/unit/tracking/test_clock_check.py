@@ -6,9 +6,9 @@ import pytest
 
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import TrajectoryParams
+from conetl.tracking.checks.jumps import JUMPS
+from conetl.tracking.checks.poses import _clock, _with_likely_cause
 from conetl.tracking.clock import ClockOffset
-from conetl.tracking.health import _clock, _with_likely_cause
-from conetl.tracking.jumps import JUMPS
 
 
 @pytest.mark.parametrize(("known_s", "advice"), [(0.031, "known to 31 ms"), (0.001, "Correct the synchronisation")])

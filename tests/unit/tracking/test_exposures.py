@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry.motion.stereo_motion import StereoCameras
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import Verdict
-from conetl.tracking.exposures import check_doubled, right_camera_ahead
+from conetl.tracking.checks.exposures import check_doubled, right_camera_ahead
 from tests import records
 
 BASELINE_M, SPANS, POINTS = 0.4, 20, 150

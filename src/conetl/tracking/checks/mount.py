@@ -1,6 +1,6 @@
 """Health check of the cameras' mount: whether lever arm and roll on the body are those of the calibration.
 
-The direction of motion shows which way they look (`health.py`), but not their roll about that direction, nor the lever arm. Turns
+The direction of motion shows which way they look (`poses.py`), but not their roll about that direction, nor the lever arm. Turns
 do: the images turn about an axis that is rolled against that of the log, and cameras elsewhere move otherwise. (Hand-eye
 calibration, Tsai & Lenz 1989, for small errors.)
 """

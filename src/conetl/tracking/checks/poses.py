@@ -14,10 +14,10 @@ from conetl.model.drive import MIN_DETAIL, FramePair
 from conetl.model.health import CALIBRATION, HealthCheck, Verdict, hold, hold_if
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
+from conetl.tracking.checks.jumps import JUMPS, check_jumps, check_slow_jumps, check_turn_jumps
+from conetl.tracking.checks.mount import check_mount
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
 from conetl.tracking.drive_refinement import scale_is_doubtful
-from conetl.tracking.jumps import JUMPS, check_jumps, check_slow_jumps, check_turn_jumps
-from conetl.tracking.mount import check_mount
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
 from conetl.tracking.trajectory import (
     RefinedTrajectory,
