@@ -82,7 +82,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     """
     count = len(drive.frame_pairs)
     chosen = np.unique(np.linspace(0, count - 1, _PAIRS).astype(int)).tolist()
-    features, offsets = _matching(drive)
+    features, points, offsets = _matching(drive)
     # Of a video in two files much is decoded for one frame: both at once.
     with ThreadPoolExecutor(1 if in_one_file(drive.frame_pairs[0]) else 2) as pool:
         list(pool.map(lambda side: [features(k, side) for k in chosen], SIDES))
@@ -107,8 +107,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     if len(rows) < _MIN_MATCHES or trigger.verdict is not Verdict.PASS:
         return drive, checks
     checks.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
-    both = [(features(k, "left"), features(k, "right")) for k in chosen]
-    seen = [(left.small, right.small, *_matched_points(left, right)) for left, right in both]
+    seen = [(features(k, "left").small, features(k, "right").small, *points(k, 0)) for k in chosen]
     checks.append(check_distortion(seen, drive.rig.right, _SHRINK))
     off_px, sigma_px = float(rows.mean()), float(np.hypot(rows.std() / np.sqrt(len(rows)), _FLOOR_PX))
     judged = partial(
@@ -135,7 +134,7 @@ def check_lost_parts(drive: Drive, lost: Sequence[bool]) -> list[HealthCheck]:
 
     lost: (K - 1,) whether visual odometry failed between frame pairs.
     """
-    offsets = _matching(drive)[1]
+    offsets = _matching(drive).offsets
     gone = np.array(lost)
     gone[1:-1] |= gone[:-2] & gone[2:]  # one may be measured by chance
     ends = np.flatnonzero(np.diff(gone, prepend=False, append=False)).reshape(-1, 2).tolist()
@@ -148,17 +147,28 @@ def check_lost_parts(drive: Drive, lost: Sequence[bool]) -> list[HealthCheck]:
     return [check for check in checks if check.verdict is not Verdict.PASS][:1]
 
 
-def _matching(drive: Drive) -> tuple[Callable[[int, Side], _Features], Callable[[Sequence[int], int], Floats]]:
-    """Functions that give the features of an image, by its number, and by numbers and a lag (N, 2) columns left minus right, and
-    rows right minus left, of matches with the right images that many frames later."""
+class _Matching(NamedTuple):
+    """Functions that give, once for all checks, what the images of a drive show."""
+
+    features: Callable[[int, Side], _Features]
+    """Of the image of a frame pair, by its number."""
+    points: Callable[[int, int], tuple[Floats, Floats]]
+    """(M, 2) px each: matches of a left image, by its number, with the right one that many frames later."""
+    offsets: Callable[[Sequence[int], int], Floats]
+    """(N, 2) columns left minus right, and rows right minus left, of the matches of several left images."""
+
+
+def _matching(drive: Drive) -> _Matching:
     count = len(drive.frame_pairs)
     features = cache(lambda number, side: _features(drive, number, side))
-    matched = cache(lambda number, lag: _offsets(features(number, "left"), features(number + lag, "right")))
+    points = cache(lambda number, lag: _matched_points(features(number, "left"), features(number + lag, "right")))
 
     def offsets(numbers: Sequence[int], lag: int) -> Floats:
-        return np.concatenate([np.empty((0, 2)), *(matched(k, lag) for k in numbers if 0 <= k + lag < count)])
+        found = [points(k, lag) for k in numbers if 0 <= k + lag < count]
+        parts = [np.column_stack([ours[:, 0] - theirs[:, 0], theirs[:, 1] - ours[:, 1]]) for ours, theirs in found]
+        return np.concatenate([np.empty((0, 2)), *parts])
 
-    return features, offsets
+    return _Matching(features, points, offsets)
 
 
 def in_one_file(pair: FramePair) -> bool:
@@ -317,12 +327,6 @@ def _features(drive: Drive, number: int, side: Side) -> _Features:
         return _Features(detail=detail, octaves=octaves)
     corners_px = np.array([point.pt for point in points]) * _SHRINK
     return _Features(corners_px, np.asarray(found, np.uint8), detail, octaves, np.asarray(small, np.uint8))
-
-
-def _offsets(left: _Features, right: _Features) -> Floats:
-    """(M, 2) columns left minus right and rows right minus left of mutually best matches."""
-    ours, theirs = _matched_points(left, right)
-    return np.column_stack([ours[:, 0] - theirs[:, 0], theirs[:, 1] - ours[:, 1]])
 
 
 def _matched_points(left: _Features, right: _Features) -> tuple[Floats, Floats]:

@@ -8,16 +8,16 @@ velocity that all tracks of a drive share, for example because of a wrong baseli
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import FramePair, StereoMatch, Track
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov
-from conetl.tracking.variance_components import adjusted, observed_cone, usable_pairs
+from conetl.tracking.variance_components import ObservedCone, adjusted, observed_cone, usable_pairs
 
 #: Stationary objects in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); observations
 #: moved by 0.3 m/s exceed 25 in nine of ten of these tracks. Slower motion (m/s) only blurs the position.
@@ -39,12 +39,14 @@ def without_moving(
     frame_pairs: with refined poses; pose_cov: of these poses. matches: with their final sigmas.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
-    pair_of = {pair.frame_index: pair for pair in frame_pairs}
+    poses = {pair.frame_index: pair.pose for pair in frame_pairs}
+    at_ns = {pair.frame_index: pair.captured_at_ns for pair in frame_pairs}
     found = {}
     for track in tracks:
         pairs = usable_pairs(track, match_of)
         if len(pairs) >= _LEAST_PAIRS:
-            found[track.track_index] = _velocity(np.array(track.xyz_m), pairs, rig, pair_of, pose_cov)
+            cone = observed_cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov)
+            found[track.track_index] = _velocity(cone, np.array([at_ns[m.frame_index] for m in pairs], dtype=np.int64))
     common = np.zeros(2)
     if len(found) >= _LEAST_TRACKS:
         common = np.median([velocity for velocity, _ in found.values()], axis=0)
@@ -62,13 +64,8 @@ def without_moving(
     return kept, rejections
 
 
-def _velocity(
-    xyz_m: Floats, pairs: Sequence[StereoMatch], rig: Rig, pair_of: Mapping[int, FramePair], pose_cov: PoseCov
-) -> tuple[Floats, Floats]:
-    """(2,) m/s east and north of an object, and (2, 2) its covariance."""
-    poses = {index: pair.pose for index, pair in pair_of.items()}
-    cone = observed_cone(xyz_m, pairs, rig, poses, pose_cov)
-    at_ns = np.array([pair_of[m.frame_index].captured_at_ns for m in pairs], dtype=np.int64)
+def _velocity(cone: ObservedCone, at_ns: Ints) -> tuple[Floats, Floats]:
+    """(2,) m/s east and north of an object observed at times (F,), and (2, 2) its covariance."""
     seconds = (at_ns - at_ns[0]) * 1e-9
     by_velocity = cone.design[:, :, :3] * (_PRIOR_MS * (seconds - seconds.mean()))[:, None, None]
     cone = cone._replace(design=np.concatenate([cone.design, by_velocity], axis=2))
