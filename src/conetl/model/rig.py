@@ -64,6 +64,16 @@ class Camera(Record):
             raise ValueError(f"{self.width_px} x {self.height_px} pixels are more than {MAX_IMAGE_PIXELS:,}")
         return self
 
+    @model_validator(mode="after")
+    def _principal_point_near_the_image(self) -> Camera:
+        # Beside the image by more than its size, it is that of another image size. (A crop may lie beside it.)
+        width, height = self.width_px, self.height_px
+        if not (-width < self.cx_px < 2 * width and -height < self.cy_px < 2 * height):
+            raise ValueError(
+                f"the principal point ({self.cx_px:g}, {self.cy_px:g}) is far outside of the image, {width} x {height} pixels"
+            )
+        return self
+
 
 class SharedErrors(Record):
     """Errors of a calibration common to all drives that use it; the rest is of this drive alone."""

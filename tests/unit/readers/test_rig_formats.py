@@ -308,7 +308,7 @@ BAD_KALIBR = {
     "no rotation": (change("cam1/T_cn_cnm1", np.diag([1, 2, 1, 1]).tolist()), "T_cn_cnm1.*not a rigid motion"),
     "words": (change("cam0/resolution", "big"), "'cam0.resolution' must be numbers"),
     "half pixels": (change("cam0/resolution", [640.5, 480]), "'cam0.resolution' must be whole numbers"),
-    "another image": (change("cam0/resolution", [160, 120]), "'cam0.intrinsics' has the principal point"),
+    "another image": (change("cam0/resolution", [160, 120]), "'cam0.intrinsics' cannot be used: the principal point"),
     "far": (change("cam1/T_cn_cnm1", (np.eye(4) - 1.5e9 * np.eye(4, k=3)).tolist()), r"T_cn_cnm1.*baseline is 1.5e\+09 m"),
     "negative f": (change("cam0/intrinsics", [-900, 900, 640, 360]), "'cam0.intrinsics' must have positive focal"),
 }  # fmt: skip

@@ -99,6 +99,7 @@ def test_the_rig_id_follows_the_numbers(folder: Path) -> None:
         ("T: -0.81", "T: -81", "the lever arm of body_SE3_left is"),
         ("T: -0.81", "T: -810", "the lever arm of body_SE3_left is"),
         ("S_rect_02: 1.242000e+03", "S_rect_02: 4e+05", "pixels are more than"),
+        (P2, P2.replace("1.7e+02", "1.7e+20"), r"the principal point \(610, 1.7e\+20\) is far outside of the image"),
         (P2, P2.rsplit(" ", 1)[0], "'P_rect_02' must be 12 numbers, found 11"),
         (P3, P3.replace("-3.4e+02", "nan"), "'P_rect_03' must be finite numbers"),
         (P3, P3.replace("-3.4e+02", "3.4e+02"), "left and right swapped"),

@@ -178,9 +178,6 @@ def camera_from_matrix(node: Node, k: Floats, size: Size, lens: Lens) -> Camera:
     if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
         raise node.bad("must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     width, height = size
-    # A principal point outside the image by the image's size belongs to another image size.
-    if not (-width < cx < 2 * width and -height < cy < 2 * height):
-        raise node.bad(f"has the principal point ({cx:.1f}, {cy:.1f}), far outside {width} x {height} pixels")
     with named(f"{node.path}: '{node.key}' cannot be used", CalibrationError):
         return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
 
