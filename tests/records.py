@@ -245,12 +245,13 @@ def commit(
     key: str,
     start_ns: int = START_NS,
     map_name: str = "default",
+    srid: int = SRID,
     markings: Sequence[MarkingTrack] = (),
     **options: Any,
 ) -> Any:
     """Commit a small drive with these deltas; `key` is one or more hex digits, different for every drive."""
     # Recorded at the same instant; the content puts them into the order of their keys.
-    made = drive(f"drive_{key}", start_ns=start_ns, content_sha256=f"{int(key, 16):064x}")
+    made = drive(f"drive_{key}", start_ns=start_ns, srid=srid, content_sha256=f"{int(key, 16):064x}")
     with map_transaction(conn, map_name):
         return commit_changeset(
             conn,

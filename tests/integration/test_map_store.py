@@ -172,15 +172,7 @@ def test_features_within_a_box(conn, samples):
 
 def test_maps_do_not_see_each_other(conn, samples):
     samples.commit(conn, samples.added(samples.feature("a")), key="1")
-    drive = samples.drive("elsewhere", srid=32633)
-    changeset = samples.changeset(samples.added(samples.feature("b")), drive_id="elsewhere", key="2")
-    with store.map_transaction(conn, "berlin"):
-        commit_changeset(
-            conn,
-            DriveRecords(drive, samples.detections(), [], samples.positions(), [samples.track()]),
-            changeset,
-            map_name="berlin",
-        )
+    samples.commit(conn, samples.added(samples.feature("b")), key="2", map_name="berlin", srid=32633)
     assert len(store.read_current_features(conn)) == len(store.read_current_features(conn, map_name="berlin")) == 1
     assert (store.find_map(conn).srid, store.find_map(conn, "berlin").srid) == (32632, 32633)
     assert store.find_changeset(conn, "1" * 64, map_name="berlin") is None
@@ -191,18 +183,8 @@ def test_maps_do_not_see_each_other(conn, samples):
 
 def test_equal_coordinates_in_another_crs_disturb_no_drive(conn, samples):
     """The planner may compare geometries before it compares maps: with a thousand versions it does."""
-    for number, srid in enumerate((32632, 32631)):
-        drive = samples.drive(f"drive {number}", srid=srid)
-        changeset = samples.changeset(
-            samples.added(samples.feature("ab"[number])), drive_id=drive.drive_id, key=str(number)
-        )
-        with store.map_transaction(conn, f"zone_{srid}"):
-            commit_changeset(
-                conn,
-                DriveRecords(drive, samples.detections(), [], samples.positions(), [samples.track()]),
-                changeset,
-                map_name=f"zone_{srid}",
-            )
+    for key, srid in (("a", 32632), ("b", 32631)):
+        samples.commit(conn, samples.added(samples.feature(key)), key=key, map_name=f"zone_{srid}", srid=srid)
     with conn.cursor() as cursor:
         cursor.execute("select drive_uuid from conetl.drive")
         drives = [row[0] for row in cursor.fetchall()]

@@ -76,6 +76,10 @@ def receipt(conn: Any, tmp_path: Path) -> Any:
     return write
 
 
+def latest(conn: Any, drive: DriveHeader) -> Receipt:
+    return latest_receipts(conn, map_name="default", headers=[drive.header_sha256])[drive.header_sha256]
+
+
 def actions(plan: Plan) -> list[tuple[str, str]]:
     return [(line.header.drive_id, line.action) for line in plan.lines]
 
@@ -197,9 +201,7 @@ def test_a_lock_says_who_lives(conn: Any, database_url: str, plan: Any, receipt:
     assert held_locks(conn, names) == set()
     assert end_crashed(conn, started, "gone", tmp_path) is not None
     assert end_crashed(conn, started, "gone", tmp_path) is None, "told once"
-    assert (
-        latest_receipts(conn, map_name="default", headers=[drive.header_sha256])[drive.header_sha256].state == "crashed"
-    )
+    assert latest(conn, drive).state == "crashed"
     assert held_locks(conn, names) == set()
 
 
@@ -255,7 +257,7 @@ def test_any_id_has_a_receipt(drive_id: str, receipt: Any, conn: Any, tmp_path: 
     """File systems count bytes; and names of files may be bytes that are not UTF-8."""
     drive = replace(headers(1)[0], drive_id=drive_id)
     receipt(drive, "failed", reason=f"{drive_id} is wrong", may_pass=False)
-    kept = latest_receipts(conn, map_name="default", headers=[drive.header_sha256])[drive.header_sha256]
+    kept = latest(conn, drive)
     assert kept.reason.startswith("M\\xfcnchen" if "M" in drive_id else drive_id)
     (path,) = (tmp_path / "default").glob("*.json")
     assert json.loads(path.read_text())["drive_id"] == kept.drive_id
@@ -284,9 +286,7 @@ def test_a_full_disk_costs_the_copy_of_a_receipt_and_nothing_else(
     with monkeypatch.context() as failing:
         failing.setattr(os, "fsync", full)
         receipt(drive, "failed", reason="no usable pose", may_pass=False)
-    assert (
-        latest_receipts(conn, map_name="default", headers=[drive.header_sha256])[drive.header_sha256].state == "failed"
-    )
+    assert latest(conn, drive).state == "failed"
     assert "its copy is not" in caplog.text
     assert "No space left" in caplog.text
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == [copy]

@@ -18,8 +18,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from functools import partial
-from itertools import chain
-from typing import Any, TypeVar
+from typing import Any
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 from conetl.db import connection as db
@@ -49,8 +48,6 @@ _COUNTED = {
 #: `drives.insert_drive` makes the area larger by more than this.
 _PATH_STEP_M = 3.0
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
-
-T = TypeVar("T")
 
 
 def place_drive(
@@ -242,21 +239,17 @@ def path_wkt(drive: Drive) -> str:
 
 
 def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iterator[db.CopyBlock]:
-    return chain(
-        _blocks("conetl.frame_pair", records.drive.frame_pairs, partial(map_rows.frame_pair_columns, drive_uuid, srid)),
-        _blocks("conetl.detection", records.detections, partial(map_rows.detection_columns, drive_uuid)),
-        _blocks("conetl.stereo_match", records.matches, partial(map_rows.match_columns, drive_uuid)),
-        _blocks("conetl.position", records.positions, partial(map_rows.position_columns, drive_uuid, srid)),
-        _blocks("conetl.track", records.tracks, partial(map_rows.track_columns, drive_uuid, srid)),
-        _blocks("conetl.marking_track", records.markings, partial(map_rows.marking_track_columns, drive_uuid, srid)),
+    tables: tuple[tuple[str, Sequence[Any], Callable[[Any], map_rows.Columns]], ...] = (
+        ("frame_pair", records.drive.frame_pairs, partial(map_rows.frame_pair_columns, drive_uuid, srid)),
+        ("detection", records.detections, partial(map_rows.detection_columns, drive_uuid)),
+        ("stereo_match", records.matches, partial(map_rows.match_columns, drive_uuid)),
+        ("position", records.positions, partial(map_rows.position_columns, drive_uuid, srid)),
+        ("track", records.tracks, partial(map_rows.track_columns, drive_uuid, srid)),
+        ("marking_track", records.markings, partial(map_rows.marking_track_columns, drive_uuid, srid)),
     )
-
-
-def _blocks(
-    table: str, records: Sequence[T], columns_of: Callable[[Sequence[T]], map_rows.Columns]
-) -> Iterator[db.CopyBlock]:
-    for start in range(0, len(records), BLOCK_RECORDS):
-        yield db.encoded_block(table, columns_of(records[start : start + BLOCK_RECORDS]))
+    for table, some, columns_of in tables:
+        for start in range(0, len(some), BLOCK_RECORDS):
+            yield db.encoded_block(f"conetl.{table}", columns_of(some[start : start + BLOCK_RECORDS]))
 
 
 def _stage_deltas(

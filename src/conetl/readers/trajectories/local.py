@@ -8,6 +8,7 @@ Columns are read by their order. drive.yaml gives the position of the frame on t
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from conetl.readers.trajectories.recorded import Reading
@@ -31,20 +32,19 @@ def looks_like_tum(lines: list[str]) -> bool:
     )
 
 
-def read_euroc(path: Path, settings: TrajectoryFile) -> Reading:
-    """The poses of a data.csv."""
-    return _read(path, settings, ("x", "y", "z", "qw", "qx", "qy", "qz"), ",", TimeFormat("UTC", "unix", 0))
-
-
-def read_tum(path: Path, settings: TrajectoryFile) -> Reading:
-    """The poses of a TUM file."""
-    return _read(path, settings, ("x", "y", "z", "qx", "qy", "qz", "qw"), None, TimeFormat("UTC", "unix"))
-
-
 def _read(
-    path: Path, settings: TrajectoryFile, names: tuple[str, ...], delimiter: str | None, clock: TimeFormat
+    path: Path, settings: TrajectoryFile, *, names: tuple[str, ...], delimiter: str | None, clock: TimeFormat
 ) -> Reading:
     columns = {"time": Column(0, "timestamp")} | {name: Column(i, name) for i, name in enumerate(names, 1)}
     return Reading(
         table_records(path, TableLayout(columns, "local", 1, delimiter, clock=clock), settings), axes="local"
     )
+
+
+#: The poses of a data.csv, and those of a TUM file.
+read_euroc = partial(
+    _read, names=("x", "y", "z", "qw", "qx", "qy", "qz"), delimiter=",", clock=TimeFormat("UTC", "unix", 0)
+)
+read_tum = partial(
+    _read, names=("x", "y", "z", "qx", "qy", "qz", "qw"), delimiter=None, clock=TimeFormat("UTC", "unix")
+)
