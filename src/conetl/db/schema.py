@@ -183,12 +183,7 @@ def run_audits(conn: Connection) -> list[AuditResult]:
     """Run all audits over all maps of the database, on one snapshot; changes nothing."""
     with db.transaction(conn, "The audits could not be run"):
         db.query(conn, "exports.snapshot")
-        return audits_of_open_transaction(conn)
-
-
-def audits_of_open_transaction(conn: Connection) -> list[AuditResult]:
-    """Run all audits inside the caller's open transaction, its own uncommitted changes included."""
-    return [_run(conn, name, text) for name, text in db.statements("audits").items()]
+        return [_run(conn, name, text) for name, text in db.statements("audits").items()]
 
 
 def _run(conn: Connection, name: str, text: str) -> AuditResult:

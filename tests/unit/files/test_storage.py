@@ -92,6 +92,7 @@ def test_unavailable_storage_is_a_missing_service(storage: pytest.MonkeyPatch) -
 
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+        environment.setenv("AWS_MAX_ATTEMPTS", "1")  # else it tries five times, with seconds in between
         s3fs.S3FileSystem.clear_instance_cache()
         try:
             with pytest.raises(ServiceError, match="s3://elsewhere/drive"):

@@ -129,6 +129,8 @@ def test_cones_are_where_those_of_the_images_are(name: str, whole: Drive, cones:
         lag = find_video_lag(*(index_video(folder / f"{side}.mp4") for side in ("left", "right")))
         assert lag is None or abs(lag.offset_s) < 0.025
     assert largest_m(read_drive(folder)[0], cones, tmp_path) < 0.015, "half a column between the colours makes 0.01 m"
+    if name != "two files":
+        return  # positions alone need the same of every image, however the file holds it
     log = video_drives.LOGS["RTKLIB .pos"]
     alone = video_drives.with_log(folder, tmp_path / "positions", log, video_drives.known_of(whole))
     assert largest_m(read_drive(alone)[0], cones, tmp_path) < 0.02, "upright edges show the roll"
@@ -674,9 +676,9 @@ def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:
 
 def test_cameras_that_never_agree_take_no_time() -> None:
     left, right = (
-        [Image(17 * 10**17 + n * 33_000_000 + off, Path(str(n))) for n in range(50_000)] for off in (0, 16_000_000)
+        [Image(17 * 10**17 + n * 33_000_000 + off, Path(str(n))) for n in range(20_000)] for off in (0, 16_000_000)
     )
     couples = pair_by_stamp(left, right, 5_000_000)
-    assert len(couples) == 100_000 and all((a is None) != (b is None) for a, b in couples)
+    assert len(couples) == 40_000 and all((a is None) != (b is None) for a, b in couples)
     stamps = [image.stamp for couple in couples for image in couple if image]
     assert stamps == sorted(stamps)
