@@ -34,10 +34,6 @@ class RenderedErrors:
 
     errors_m: Array
     """(N, 3) left camera frame"""
-    height_errors_m: Array
-    """(N,)"""
-    sigmas_m: Array
-    """(N, 3) stated"""
     draws: int
 
 
@@ -47,8 +43,6 @@ def locate_draws(pair: RenderedPair, detector: Detector, seeds: Sequence[int]) -
     found = [one for seed in seeds if (one := _locate(pair, gain, detector, np.random.default_rng(seed))) is not None]
     return RenderedErrors(
         np.array([np.subtract(one.xyz_m, pair.foot_m) for one in found]).reshape(-1, 3),
-        np.array([one.cone_height_m - pair.cone_height_m for one in found]),
-        np.array([np.sqrt([one.cov_m2[0], one.cov_m2[3], one.cov_m2[5]]) for one in found]).reshape(-1, 3),
         len(seeds),
     )
 
@@ -111,17 +105,13 @@ def study(figure_path: Path) -> str:
     scatter.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     figure.savefig(figure_path, dpi=80)
     plt.close(figure)
-    head = ["", "found", "median 3D, cm", "mean right", "down", "depth", "scatter right", "down", "depth", "stated right", "down",
-            "depth", "height, mean"]  # fmt: skip
+    head = ["", "found", "median 3D, cm", "mean right", "down", "depth"]
     lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def _row(name: str, e: RenderedErrors) -> list[str]:
     if not len(e.errors_m):
-        return [name, f"0 of {e.draws}", *["-"] * 11]
-    values = (
-        float(np.median(np.linalg.norm(e.errors_m, axis=1))), *e.errors_m.mean(axis=0), *e.errors_m.std(axis=0),
-        *np.sqrt(np.mean(e.sigmas_m**2, axis=0)), e.height_errors_m.mean(),
-    )  # fmt: skip
+        return [name, f"0 of {e.draws}", *["-"] * 4]
+    values = (float(np.median(np.linalg.norm(e.errors_m, axis=1))), *e.errors_m.mean(axis=0))
     return [name, f"{len(e.errors_m)} of {e.draws}", *(f"{100 * value:.2f}" for value in values)]
