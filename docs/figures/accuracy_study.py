@@ -1,13 +1,12 @@
-"""Makes the figures of docs/explanation/accuracy.md and the tables between its markers: python docs/figures/accuracy_study.py
+"""Makes the figures of docs/explanation/accuracy.md and prints their tables: python docs/figures/accuracy_study.py
 
 Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone. Names of parts (range, calibration, frames, sides, render)
-make only those and leave the rest of the page as it is.
+make only those.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 import time
 from pathlib import Path
 
@@ -270,25 +269,14 @@ def _save(figure: plt.Figure, name: str) -> None:
     plt.close(figure)
 
 
-def fill(page: str, name: str, text: str) -> str:
-    """The page with what stands between its markers `<!-- name -->` and `<!-- end name -->` replaced."""
-    pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end {name} -->)", re.DOTALL)
-    if not pattern.search(page):
-        raise ValueError(f"docs/explanation/accuracy.md has no markers for {name}")
-    return pattern.sub(lambda found: f"{found[1]}\n{text}\n\n{found[2]}", page)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parts = {"range": over_range, "calibration": calibration, "frames": frames, "sides": sides, "render": rendered_cone}
     parser.add_argument("parts", nargs="*", choices=[*parts, []], help="parts of the page; all of them unless given")
     wanted = parser.parse_args().parts or list(parts)
-    page = DOCS / "explanation" / "accuracy.md"
     for name in wanted:
         started = time.monotonic()
-        text = parts[name]()
-        page.write_text(fill(page.read_text(encoding="utf-8"), name, text), encoding="utf-8")
-        print(f"{name}: {time.monotonic() - started:.1f} s", flush=True)
+        print(f"{parts[name]()}\n\n{name}: {time.monotonic() - started:.1f} s\n", flush=True)
 
 
 if __name__ == "__main__":
