@@ -13,6 +13,7 @@ import pytest
 from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune_drives, restore_drives
+from conetl.files.parquet_store import read_table, write_table
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_place, revert
@@ -172,6 +173,20 @@ def test_a_missing_file_of_the_archive_is_named_and_nothing_is_written(conn, tmp
     with pytest.raises(InputError, match=r"position\.parquet.*put the file back"):
         merge(conn, survey(1))
     assert valid_time_map(conn) == before
+    assert raw_rows(conn) == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("file", "column"), [("position", "easting_m"), ("detection", "drive_uuid"), ("stereo_match", "match_index")]
+)
+def test_a_file_of_the_archive_without_a_column_is_named(conn, tmp_path, file, column):
+    for day in (0, 2):
+        merge(conn, survey(day))
+    archive(conn, tmp_path)
+    for path in tmp_path.glob(f"*/{file}.parquet"):
+        write_table(read_table(path).drop_columns([column]), path)
+    with pytest.raises(InputError, match=rf"{file}\.parquet.* {column}.*[Nn]othing was written.*put the file back"):
+        merge(conn, survey(1))
     assert raw_rows(conn) == [0, 0, 0]
 
 

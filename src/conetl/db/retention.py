@@ -131,9 +131,10 @@ def restore_drives(conn: Connection, map_name: str, drive_id: str | None = None)
 def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, int]) -> None:
     """Inside the caller's transaction. rows: how many each file must have, by table.
 
-    Raises InputError where a file is missing, damaged, shorter or that of another drive.
+    Raises InputError where a file is missing, damaged, shorter, without a column, or that of another drive.
     """
     for table in _RAW_TABLES:
+        archived = db.load_sql(f"retention.records_of_{table}").rstrip(";")
         try:
             records = read_table(path / f"{table}.parquet")
         except (OSError, pa.ArrowException) as error:
@@ -141,6 +142,12 @@ def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, 
                 f"{path / table}.parquet: the archived records of the drive are required, but cannot be read ({error}). Nothing "
                 "was written; put the file back where it was."
             ) from error
+        expected = [name for name, _ in db.query_columns(conn, archived, {"drive_uuid": drive_uuid})]
+        if missing := sorted(set(expected) - set(records.column_names)):
+            raise InputError(
+                f"{path / table}.parquet: it has no column {', '.join(missing)}. Nothing was written; put the file back that "
+                "`conetl db archive` wrote."
+            )
         others = set(records["drive_uuid"].unique().to_pylist()) - {str(drive_uuid)}
         if others or len(records) != rows[table]:
             of_others = f" of drive {min(others)}" if others else ""
