@@ -423,6 +423,8 @@ def test_a_clock_that_was_not_set_is_found_although_its_times_rise() -> None:
     two_days = misplaced(rising | {n: start + 27 * day // 24 + n for n in range(9, 14)})
     assert list(two_days) == [9, 10, 11, 12, 13]
     assert "is 1.1 days from" in two_days[9] and "frame pairs 9 to 13 are of another recording: split" in two_days[9]
+    next_morning = misplaced(rising | {n: start + 17 * day // 24 + n for n in range(9, 12)})
+    assert "is 0.7 days from" in next_morning[9] and "frame pairs 9 to 11 are of another recording" in next_morning[9]
     assert list(misplaced({n: n for n in range(3)})) == [0, 1, 2]
     assert misplaced({}) == {}
     assert "does not rise" in misplaced(rising | {9: start})[9]

@@ -36,8 +36,9 @@ EARLIEST_NS = 1_199_145_600_000_000_000
 what it records until August 2027 before this; no drive is that old."""
 MAX_AHEAD_NS = DAY_NS
 """A day: this computer's clock may be wrong, too, by a time zone."""
-MAX_FROM_MEDIAN_NS = DAY_NS
-"""A day: no drive is longer; a smaller error of a clock shows in the order of the frames or against the poses."""
+MAX_FROM_MEDIAN_NS = 16 * 3600 * SECOND_NS
+"""A drive may rest for half a day, but what was recorded the next morning is another one, with cones that were moved meanwhile. A
+smaller error of a clock shows in the order of the frames or against the poses."""
 GPS_EPOCH_NS = 315_964_800 * SECOND_NS
 """1980-01-06 00:00 UTC."""
 #: Days that began after a leap second (IERS Bulletin C). No library: those that we found read a file of this computer or of the
@@ -86,7 +87,7 @@ def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
         apart = {n: abs(stamp - middle) for n, stamp in others.items() if abs(stamp - middle) > MAX_FROM_MEDIAN_NS}
         ends = f"{min(apart, default=0)} to {max(apart, default=0)}"
         for number, apart_ns in apart.items():
-            wrong[number] = f"is {apart_ns / MAX_FROM_MEDIAN_NS:.1f} days from most others of the drive: another clock"
+            wrong[number] = f"is {apart_ns / DAY_NS:.1f} days from most others of the drive: another clock"
             if len(apart) > 1:
                 wrong[number] += (
                     f", or frame pairs {ends} are of another recording: split them into folders of their own"
