@@ -129,6 +129,35 @@ def distorted(image: Image, k1: float, focal: float = 0.58) -> Image:
     return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_CUBIC), np.uint8)
 
 
+def stretched(rows: float) -> ImageMutant:
+    """The scene is so many times as tall around the middle of the image, as in a video of another aspect ratio."""
+
+    def change(image: Image) -> Image:
+        height, width = image.shape[:2]
+        about_middle = np.array([[1.0, 0.0, 0.0], [0.0, rows, (1 - rows) * height / 2]])
+        border = cv2.BORDER_REPLICATE
+        return np.asarray(
+            cv2.warpAffine(image, about_middle, (width, height), flags=cv2.INTER_CUBIC, borderMode=border), np.uint8
+        )
+
+    return change
+
+
+@prepared
+def another_day(folder: Path, other: Path, hours: int) -> None:
+    """The records of another drive follow, recorded so many hours after the beginning of this one."""
+    count = len(list((folder / CAMERAS[0] / "data").iterdir()))
+    for name in (*CAMERAS, "oxts"):
+        for file in (other / name / "data").iterdir():
+            shutil.copy(file, folder / name / "data" / f"{int(file.stem) + count:010d}{file.suffix}")
+        stamps, later = folder / name / "timestamps.txt", other / name / "timestamps.txt"
+        if stamps.is_file():
+            own, others = (np.array(file.read_text().split("\n"), "datetime64[ns]") for file in (stamps, later))
+            others = own[0] + np.timedelta64(hours, "h") + (others - others[0])
+            text = "\n".join(str(stamp).replace("T", " ") for stamp in (*own, *others) if not np.isnat(stamp))
+            stamps.write_text(f"{text}\n")
+
+
 def mirrored(image: Image) -> Image:
     return np.ascontiguousarray(image[:, ::-1])
 

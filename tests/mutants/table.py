@@ -271,6 +271,7 @@ def _cameras() -> list[WrongRecording]:
             wrong(f"blur {s:g} px", both(images.blurred(s)), _BLIND if s > 3 else None, on=(FIRST, SECOND))
             for s in (1.0, 3.0, 6.0, 8.0)
         ),
+        wrong("images stretched vertically by 10 %", both(images.stretched(1.1))),
         wrong("right images blur 3 px", only_right(images.blurred(3.0))),
         wrong("right images blur 6 px", only_right(images.blurred(6.0)), _BLIND),
         wrong("lower part of the left lens smeared, 5 px", only_left(images.smeared(5.0))),
@@ -293,6 +294,13 @@ def _cameras() -> list[WrongRecording]:
         ),
         WrongRecording(
             "images blended with those before", files=images.blended, cause="two instants", on=(FIRST, SECOND), fast=True
+        ),
+        WrongRecording(
+            "drive of the next morning in the same folder", files=images.another_day(SAMPLES[1], 20),
+            cause="of another recording: split", on=(FIRST,),
+        ),
+        WrongRecording(
+            "sides swapped from the middle on", files=changed(images.swapped, 0.5), cause="shifted sideways", on=(FIRST, SECOND)
         ),
         WrongRecording("both cameras frozen", files=images.frozen(*images.CAMERAS), cause="repeats its image", on=_IMAGES),
         WrongRecording("left camera frozen", files=images.frozen("image_02"), cause="repeats its image", on=(FIRST, SECOND)),
@@ -393,6 +401,7 @@ def _street() -> list[WrongRecording]:
         WrongRecording("right images 3 rows lower", files=changed(only_right(shifted(3, 0))), on=street),
         WrongRecording("right images +6 columns", files=changed(only_right(shifted(0, 6))), cause="shifted sideways", on=street),
         WrongRecording("right lens k1 -0.05", files=changed(only_right(images.distorted(-0.05))), cause="distorted", on=street),
+        WrongRecording("images stretched vertically by 10 %", files=changed(both(images.stretched(1.1))), on=street),
         image("both lenses covered", both(images.darker(0.0)), _BLIND),
         image("fog 0.9", both(images.foggier(0.9)), _BLIND),
         image("sides swapped", images.swapped, _SIDES),

@@ -93,6 +93,20 @@ def test_right_images_some_rows_off_are_corrected(sample_settings: Settings, tmp
     assert against_truth(analysed, SAMPLES[0])[1].max() < 18.4
 
 
+def test_images_that_were_stretched_vertically_are_named(sample_settings: Settings, tmp_path: Path) -> None:
+    [recording] = [one for one in RECORDINGS if "stretched" in one.name and SECOND in one.on]
+    checks = analyse(recording.read(SECOND, tmp_path)[0], settings=sample_settings).health
+    [check] = [check for check in checks if check.verdict is not Verdict.PASS]
+    assert check.verdict is Verdict.WARN and check.value == pytest.approx(9.1, abs=2.0)
+    assert "stretched vertically" in check.detail
+
+
+def test_the_records_of_the_next_morning_are_not_of_the_drive(tmp_path: Path) -> None:
+    drive, rejections = NAMED["drive of the next morning in the same folder"].read(FIRST, tmp_path)
+    assert len(drive.frame_pairs) == len(rejections) == 39
+    assert all("39 to 77 are of another recording: split" in rejection.detail for rejection in rejections)
+
+
 @pytest.mark.parametrize("recording", SEEN, ids=lambda recording: recording.name)
 def test_images_alone_show_covered_or_other_lenses_and_shifted_columns(
     tmp_path: Path, recording: WrongRecording

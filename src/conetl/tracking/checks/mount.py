@@ -1,8 +1,11 @@
-"""Health check of the cameras' mount: whether lever arm and roll on the body are those of the calibration.
+"""Health checks by turns: whether lever arm and roll of the cameras on the body, and the shape of their pixels, are those of the
+calibration.
 
 The direction of motion shows which way they look (`poses.py`), but not their roll about that direction, nor the lever arm. Turns
 do: the images turn about an axis that is rolled against that of the log, and cameras elsewhere move otherwise. (Hand-eye
-calibration, Tsai & Lenz 1989, for small errors.)
+calibration, Tsai & Lenz 1989, for small errors.) Images that were stretched vertically leave all distances as they are and make
+heights wrong; they show the vehicle pitching more than it does. So do attitudes that are smoothed, or interpolated between few
+records, but these lack the faster part of every turn.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Bools, Floats
-from conetl.model.health import HealthCheck, hold_if
+from conetl.model.health import HealthCheck, Verdict, hold_if
 from conetl.tracking.clock import robust_fit
 
 #: What is known beforehand (one sigma) of roll, pitch, yaw (rad), of right, down, forward (m), and of the scale of the motions.
@@ -21,10 +24,13 @@ _PRIOR = (0.1, 0.1, 0.1, 3.0, 3.0, 3.0, 0.02)
 #: Errors are at least this many degrees or metres, and this many sigmas: 120 simulated good drives have up to 3.8.
 _LEAST_DEG, _LEAST_M, _SIGMAS = 1.0, 0.3, 5.5
 _LEAST_MOTIONS, _ROUNDS = 20, 6
+#: Prior of the share by which images show more pitch than the log, and of what smoothing takes from turns, in their second
+#: differences; the share is at least this much, and this many sigmas.
+_STRETCH_PRIOR, _LEAST_STRETCH, _STRETCH_SIGMAS = (0.3, 1.0), 0.05, 5.0
 
 
 def check_mount(log: LoggedPoses, measured: MeasuredMotions, good: Bools, residual: Floats) -> list[HealthCheck]:
-    """The roll of the cameras and their lever arm by the motions that are plausible (M,).
+    """The roll of the cameras, their lever arm and the height of their pixels by the motions that are plausible (M,).
 
     residual: (M, 6), measured minus logged. The log has more noise than the images, so the measured motions show the turns.
     """
@@ -43,7 +49,33 @@ def check_mount(log: LoggedPoses, measured: MeasuredMotions, good: Bools, residu
     return [
         _judged("roll of the cameras", roll_deg, roll_sigma_deg, _LEAST_DEG, "degrees", "rolled", "left side up"),
         _judged("lever arm of the cameras", arm[0], arm[1], _LEAST_M, "m", "mounted", arm[2]),
+        _check_stretch(residual[good], by, turns),
     ]  # fmt: skip
+
+
+def _check_stretch(residual: Floats, by: Floats, turns: Floats) -> HealthCheck:
+    """Whether the images were stretched vertically. by: (N, 6, 7) derivatives of the residuals (N, 6); turns: (N, 3) rad."""
+    more, first = np.zeros((*residual.shape, 2)), len(_PRIOR)
+    more[:, 0, 0], more[1:-1, :3, 1] = turns[:, 0], np.diff(turns, 2, axis=0)
+    columns, prior = np.concatenate([by, more], axis=2), np.diag(np.array([*_PRIOR, *_STRETCH_PRIOR]) ** -2)
+    found = []
+    for count in (first + 1, first + 2):  # without and with smoothed attitudes: both have to show it
+        fit = robust_fit(residual, columns[..., :count], prior[:count, :count], _ROUNDS)
+        found.append((float(fit.solution[first]), float(np.linalg.inv(fit.normal)[first, first] ** 0.5)))
+    share, sigma = min(found, key=lambda one: abs(one[0]) / one[1])
+    least = min(abs(one) for one, _ in found) if found[0][0] * found[1][0] > 0 else 0.0
+    warned = least > _LEAST_STRETCH and abs(share) > _STRETCH_SIGMAS * sigma
+    detail = "The vehicle pitches in the images as by GNSS/INS."
+    if warned:
+        detail = (
+            f"The images show the vehicle pitching {100 * share:+.0f} +- {100 * sigma:.0f} % more than GNSS/INS: they were "
+            "stretched vertically (a video of another aspect ratio?), or fy of the calibration is wrong, and heights against the "
+            "cameras are wrong by that share. Deliver the images as they were recorded, or calibrate the rig (conetl calibrate)."
+        )
+    return HealthCheck(
+        name="aspect ratio of the images", verdict=Verdict.WARN if warned else Verdict.PASS, value=round(100 * share, 1),
+        sigma=round(100 * sigma, 1), limit=round(100 * max(_LEAST_STRETCH, _STRETCH_SIGMAS * sigma), 1), unit="%", detail=detail,
+    )  # fmt: skip
 
 
 def _judged(name: str, value: float, sigma: float, least: float, unit: str, how: str, positive: str) -> HealthCheck:
