@@ -15,7 +15,7 @@ help:           ## list the targets
 
 setup:          ## install the locked dependencies into .venv, and PostGIS from the system's packages
 	@scripts/setup.sh
-	@[ "$(MAKECMDGOALS)" != setup ] || echo 'Ready. Next: `export PATH=$$PWD/.venv/bin:$$PATH`, then `conetl --help`; or `make demo` to try the sample drives.'
+	@[ "$(MAKECMDGOALS)" != setup ] || echo 'Ready. Next: `export PATH=$$PWD/.venv/bin:$$PATH`, then `conetl init path/to/folder` for your recording, or `make demo` for the sample drives.'
 
 demo: setup     ## ingest three sample drives and compare the map with the truth
 	@$(BIN)/conetl demo

@@ -15,21 +15,30 @@ import typer
 from conetl.cli.console import JsonOption, answer, complain, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import validated
-from conetl.model.base import utc_from_ns
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import video_facts
 from conetl.readers.drives import find_format, plain
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.readers.drives.proposal import Proposal, Question, answers_in, outside_log, propose, still_valid
+from conetl.readers.drives.proposal import (
+    Proposal,
+    Question,
+    answers_in,
+    outside_log,
+    propose,
+    stated_time,
+    still_valid,
+    suggested,
+)
 from conetl.readers.drives.video import NAME, Preview, preview
 from conetl.readers.drives.video_timing import Timing, UnknownTimeError
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
 from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 
 _TIME_QUESTIONS = {
-    "timestamps": "File with the time of each left image, one per line (UTC, or nanoseconds since 1970)",
+    "timestamps": "File with the time of each left image, one per line (UTC, or nanoseconds since 1970), or the trajectory if it "
+    "has one record per image",
     "start": "Time of the first left frame, in UTC or with a UTC offset, like 2026-03-02 11:00:00.250+01:00",
     "right-offset": "Seconds by which the right file begins after the left one (0 if both start at the same trigger)",
 }
@@ -63,7 +72,9 @@ def init(
     ] = None,
     timestamps: Annotated[
         str | None,
-        typer.Option(help="File with the time of each left image, one per line; not needed if file names are times."),
+        typer.Option(
+            help="File with the time of each left image, one per line, or the trajectory; not needed if names are times."
+        ),
     ] = None,
     right_timestamps: Annotated[
         str | None, typer.Option(help="The same for the right images, if their times are different.")
@@ -94,7 +105,9 @@ def init(
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask; fail if a value is missing.")] = False,
-    force: Annotated[bool, typer.Option(help="Rewrite an existing drive.yaml; other settings are kept.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Rewrite an existing drive.yaml; other settings are kept.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Turn a folder with video or images, a GNSS/INS log and a calibration into a drive: write its drive.yaml.
@@ -140,7 +153,7 @@ def init(
         )
     if start_ns is not None and sigma_s and "start" not in answers:
         text += (
-            f"\nTime of the first left frame, estimated from the images: {_stated(start_ns)} +-{1000 * sigma_s:.0f} ms. "
+            f"\nTime of the first left frame, estimated from the images: {stated_time(start_ns)} +-{1000 * sigma_s:.0f} ms. "
             "If you know the exact time, set --start."
         )
     _finish(folder, text, settings, as_json)
@@ -214,7 +227,7 @@ def _settled(
             try:
                 return settings, _previewed(root, settings, proposal.rig), proposal.rig
             except UnknownTimeError as error:
-                questions = [Question(error.key, _TIME_QUESTIONS[error.key], cause=error.cause)]
+                questions = [_of_time(root, settings, error)]
             except ConetlError as error:
                 _write(root, settings, proposal.rig)
                 complain(
@@ -257,6 +270,14 @@ def _previewed(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> Prev
             return found
 
 
+def _of_time(root: Path, settings: Mapping[str, Any], error: UnknownTimeError) -> Question:
+    """The question for a time, with an answer if the trajectory has one."""
+    text, known = _TIME_QUESTIONS[error.key], suggested(root, settings, error.key)
+    if known is None:
+        return Question(error.key, text, cause=error.cause)
+    return Question(error.key, text, default=known[0], cause=f"{error.cause}. {known[1]}")
+
+
 def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], questions: Sequence[Question]) -> str:
     """All options that a folder still needs, as far as they can be known without the answers. questions: the first of them."""
     texts: dict[str, str] = {}
@@ -276,7 +297,7 @@ def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], qu
                 try:
                     _previewed(root, settings, proposal.rig)
                 except UnknownTimeError as error:
-                    questions = [Question(error.key, _TIME_QUESTIONS[error.key], cause=error.cause)]
+                    questions = [_of_time(root, settings, error)]
     lines = "\n".join(f"  --{key}: {text}" for key, text in texts.items())
     return f"{root}: these values are missing; set them with these options:\n{lines}"
 
@@ -294,7 +315,7 @@ def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
         camera = "" if found.serial is None else f", its factory calibration is SN{found.serial}.conf"
         say(f"  ZED recording {path.name}: {found.frames:,} frames, copied to {target.name}{camera}")
     answers = {"left": target.name, "layout": "left-right"}
-    return answers if found.start_ns is None else answers | {"start": _stated(found.start_ns)}
+    return answers if found.start_ns is None else answers | {"start": stated_time(found.start_ns)}
 
 
 def _answer(question: Question) -> str:
@@ -305,15 +326,11 @@ def _add_timing(settings: dict[str, Any], timing: Timing) -> None:
     """What the images showed, so that it is not searched again."""
     images = settings["images"]
     if timing.start_ns is not None:
-        images["start"] = _stated(timing.start_ns)
+        images["start"] = stated_time(timing.start_ns)
         if "layout" not in images:
             images["right_offset_s"] = round(timing.right_offset_s, 6)
     if timing.clock.sigma_s:
         settings["clock"] = {"offset_s": 0.0, "sigma_s": round(timing.clock.sigma_s, 4)}
-
-
-def _stated(time_ns: int) -> str:
-    return f"{utc_from_ns(time_ns):%Y-%m-%d %H:%M:%S}.{time_ns % 10**9:09d}Z"
 
 
 def _write(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> None:

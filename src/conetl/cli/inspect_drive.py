@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -77,6 +78,8 @@ def inspect(
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs
     warned = any(check.verdict in (Verdict.WARN, Verdict.HOLD) for check in checks)
     doubtful = lost > IngestParams().max_rejected_fraction or summary.poses.jumps or warned
+    if not (doubtful or as_json):
+        ui.say(f"Next: conetl ingest {quote(str(drive))}")
     raise typer.Exit(EXIT_NEEDS_ATTENTION if doubtful else EXIT_DONE)
 
 

@@ -7,7 +7,9 @@ import os
 import re
 import subprocess
 import sys
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -26,7 +28,7 @@ from conetl.perception.video import index_video, video_facts
 from conetl.perception.video_sync import find_video_lag
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives import drive_format, read_drive, video_timing
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import Image, pair_by_stamp
 from conetl.readers.rigs import WRITERS, read_rig_yaml, write_rig_yaml
@@ -225,10 +227,20 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     made = init(root, "--timestamps", "local.txt")
     assert made.exit_code == 1 and "its own are from 2026-03-02T09:41:07" in made.output
     assert "trajectory.time: Europe/Berlin" in made.output
-    made = init(root, "--force", "--timestamps", "times.txt")
-    assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
-    drive, _ = read_drive(root)
-    assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
+    # The trajectory states the times, too, if it has a record per image.
+    assert "drive.csv has one record per image" in said
+    for file in ("times.txt", "drive.csv"):
+        made = init(root, "--force", "--timestamps", file)
+        assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
+        drive, _ = read_drive(root)
+        assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
+    rows = (root / "drive.csv").read_text().splitlines(keepends=True)
+    (root / "drive.csv").write_text("".join(rows[:-1]))
+    with pytest.raises(DriveFolderError, match=r"15 valid and 0 bad records, but 16 images of left"):
+        read_drive(root)
+    (root / "drive.yaml").unlink()
+    (root / "drive.csv").rename(root / "short.csv")
+    assert "one record per image;" not in str(init(root).exception)
 
 
 def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -> None:
@@ -451,6 +463,60 @@ def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: 
     made = init(copy)
     assert "--layout: Where are" in str(made.exception) and "--rig" not in str(made.exception)
     assert "stereo.yml" not in made.output
+
+
+def test_init_takes_a_calibration_in_millimetres_that_states_no_unit(folder: Path, tmp_path: Path) -> None:
+    copy, rig = copied(folder, tmp_path, "rig.yaml"), read_rig_yaml(folder / "rig.yaml")
+    WRITERS["opencv"](rig, tmp_path / "stereo.yml")
+    unstated = ("image_", "length_unit")
+    lines = [line for line in (tmp_path / "stereo.yml").read_text().splitlines() if not line.startswith(unstated)]
+    text = "\n".join(lines)
+    begin = text.index("data: [", text.index("\nT:")) + len("data: [")
+    for baseline, taken in (("-540.2", True), ("-54000", False)):
+        end = text.index("]", begin)
+        (copy / "stereo.yml").write_text(f"{text[:begin]} {baseline}, 0., 0. {text[end:]}")
+        made = init(copy)
+        assert ("lengths taken as mm): 960 x 320, baseline 0.540 m" in made.output) is taken, made.output
+        assert ("stereo.yml is not used as a calibration" in made.output) is not taken
+
+
+def test_init_knows_the_layout_by_the_size_of_the_calibration(tmp_path: Path, sample: Drive) -> None:
+    for layout in ("left-right", "top-bottom"):
+        root = video_drives.write_video_drive(tmp_path / layout, sample, layout=layout)
+        (root / "drive.yaml").unlink()
+        made = init(root, "--start", start_of(sample))
+        assert made.exit_code == 0 and f"both.mp4: layout {layout}, by the size" in made.output, made.output
+        assert yaml.safe_load((root / "drive.yaml").read_text())["images"]["layout"] == layout
+    (root / "drive.yaml").unlink()
+    (root / "rig.yaml").rename(tmp_path / "rig.yaml")
+    assert "--layout: Where are" in str(init(root).exception)
+    made = init(root, "--rig", str(tmp_path / "rig.yaml"), "--start", start_of(sample))
+    assert made.exit_code == 0, made.exception
+    made = init(root, "--force", "--layout", "0.05")
+    assert "--layout 0.05: expected one of left-right" in str(made.exception).replace("'", "")
+
+
+def test_init_suggests_the_first_record_of_a_log_with_one_per_frame(
+    folder: Path, tmp_path: Path, sample: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy, asked = copied(folder, tmp_path), []
+
+    def lag_of(*videos: Any) -> Any:
+        asked.append(videos)
+        return find_video_lag(*videos)
+
+    monkeypatch.setattr(video_timing, "_video_lag", lru_cache(maxsize=1)(lag_of))
+    made = init(copy)
+    assert f"that was at {start_of(sample)}" in str(made.exception), made.exception
+    # What the images show is not searched again after an answer.
+    made = init(copy, "--start", start_of(sample))
+    assert made.exit_code == 0 and len(asked) == 1, made.output
+    (copy / "drive.yaml").unlink()
+    rows = (copy / "drive.csv").read_text().splitlines(keepends=True)
+    (copy / "drive.csv").unlink()
+    (copy / "short.csv").write_text("".join(rows[:-1]))
+    made = init(copy)
+    assert "--start: " in str(made.exception) and "that was at" not in str(made.exception)
 
 
 def test_init_finds_files_that_are_named_from_the_current_folder(

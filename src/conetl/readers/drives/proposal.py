@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from conetl.geometry import rig as rigs
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.rig import Camera, Rig, Side
-from conetl.perception.video import VIDEO_SUFFIXES, video_facts
+from conetl.perception.video import VIDEO_SUFFIXES, Layout, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
@@ -32,6 +32,8 @@ _TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 _LARGEST_RIG_BYTES = 4_000_000
 #: How far a principal point is from the centre of its image, at most, in parts of the image's size.
 _OFF_CENTRE = 0.2
+#: Baselines that a file without a unit may mean in millimetres (m).
+_MILLIMETRES_M = (0.1, 2.0)
 #: Assumptions about a table that does not state its time scale or heights.
 _TAKEN = {
     "time": "times taken as UTC; if they are local or of GPS, state --time, like Europe/Berlin",
@@ -56,6 +58,7 @@ _KEYS = {
     "time": ("trajectory", "time"), "crs": ("trajectory", "crs"), "heights": ("trajectory", "heights"),
     "sigma": ("sigmas", "horizontal_m"), "columns": ("trajectory", "columns"),
 }  # fmt: skip
+_LAYOUTS = get_args(Layout)
 _MOUNT = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
 
 
@@ -160,6 +163,9 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
         proposal.found.extend(f"images in {folder.name}/: {len(image_files(folder)):,}" for folder in folders)
     if len(sources) == 1 or "layout" in images:
         images.setdefault("left", sources[0].name)
+        if videos and "layout" not in images and (layout := _layout_of(root, answers)) is not None:
+            images["layout"] = layout
+            proposal.found.append(f"{images['left']}: layout {layout}, by the size of the calibration (else: --layout)")
         if "layout" not in images:
             text = "Where are left and right in each frame: left-right, right-left, top-bottom or bottom-top?"
             proposal.questions.append(Question("layout", text, "left-right"))
@@ -181,6 +187,22 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     return facts.width_px // across, facts.height_px // down
 
 
+def _layout_of(root: Path, answers: Mapping[str, str]) -> str | None:
+    """How both images lie in each frame of the only video, left or top first, if a calibration is for one half of the frame."""
+
+    def fits(size: tuple[int, int]) -> bool:
+        if "rig" not in answers:
+            return bool(_fitting_rigs(root, size, Proposal([], [], {}, None))[0])
+        camera = _read_rig(root / answers["rig"], size)[0].left
+        return (camera.width_px, camera.height_px) == size
+
+    facts = video_facts(root / names_in(root, VIDEO_SUFFIXES)[0])
+    width_px, height_px = facts.width_px, facts.height_px
+    halves = {"left-right": (width_px // 2, height_px), "top-bottom": (width_px, height_px // 2)}
+    fitting = [layout for layout, size in halves.items() if fits(size)]
+    return fitting[0] if len(fitting) == 1 and not fits((width_px, height_px)) else None
+
+
 def _of_side(names: Sequence[str], side: Side) -> list[str]:
     """The files or folders that are called left or right, else those with its letter alone, like GX010042_L.MP4."""
     stems = {name: Path(name).stem.lower() for name in names}
@@ -195,6 +217,8 @@ def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
     images: dict[str, Any] = {_KEYS[option][1]: answers[option] for option in options if option in answers}
     if "right-offset" in answers:
         images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
+    if images.get("layout", _LAYOUTS[0]) not in _LAYOUTS:
+        raise InputError(f"--layout {shown(images['layout'])}: expected one of {', '.join(_LAYOUTS)}")
     if "start" in images:
         with named("--start"):
             parse_timestamp(images["start"])
@@ -258,6 +282,30 @@ def outside_log(root: Path, settings: Mapping[str, Any]) -> str | None:
     )
 
 
+def stated_time(time_ns: int) -> str:
+    """A time as drive.yaml states it."""
+    return f"{utc_from_ns(time_ns):%Y-%m-%d %H:%M:%S}.{time_ns % 10**9:09d}Z"
+
+
+def suggested(root: Path, settings: Mapping[str, Any], key: str) -> tuple[str, str] | None:
+    """An answer to the question for `start` or `timestamps`, and the reason: the trajectory has a record per left image."""
+    images, log = settings["images"], settings["trajectory"]
+    left, recorded = root / images["left"], _recorded(root / log["file"], json.dumps(log))
+    times_ns = recorded.times_ns
+    if left.is_dir():
+        if key != "timestamps" or len(times_ns) != len(image_files(left)) or recorded.bad:
+            return None
+        return log[
+            "file"
+        ], f"{log['file']} has one record per image; if each states the time of its image, name this file"
+    facts, span_s = video_facts(left), float(times_ns[-1] - times_ns[0]) * 1e-9
+    count = len(times_ns)
+    if key != "start" or count != facts.frames or abs(span_s - facts.duration_s) > 2 * span_s / max(count - 1, 1):
+        return None
+    start = stated_time(int(times_ns[0]))
+    return start, f"{log['file']} has one record per frame; if the first is of the first frame, that was at {start}"
+
+
 def _columns(text: str) -> dict[str, str | int]:
     """Column by our name for it, of `time=Zeit,lat=2`, or of JSON. Raises InputError."""
     if text.startswith("{"):
@@ -303,14 +351,14 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         replaces = (root / RIG_YAML).is_file() and RIG_YAML not in (path.name for path, _, _ in found)
         if len(found) != 1 or replaces:  # a file that somebody made is not replaced without being asked
             names = ", ".join(path.name for path, _, _ in found) or "none was found that fits"
-            text = f"Which file is the calibration of the cameras ({names})? 'conetl calibrate' makes one from images of a board."
+            text = f"Which file is the calibration of the cameras ({names})?"
+            if not found:
+                text += " 'conetl calibrate' makes one from images of a board."
             proposal.questions.append(Question("rig", text + f" It replaces {RIG_YAML}." * replaces))
             return None
         path, rig, kind = found[0]
     image_size = f"{rig.left.width_px} x {rig.left.height_px}"
-    proposal.found.append(
-        f"calibration {path.name} ({FORMAT_NAMES[kind]}): {image_size}, baseline {rig.baseline_m:.3f} m"
-    )
+    proposal.found.append(f"calibration {path.name} ({kind}): {image_size}, baseline {rig.baseline_m:.3f} m")
     if "mount" in answers:
         values = _numbers("mount", answers["mount"], 3, 6)
         proposal.settings["mount"] = dict(zip(_MOUNT, values, strict=False))
@@ -337,14 +385,14 @@ def _mounted(values: Sequence[float]) -> str:
 
 def _fitting_rigs(
     root: Path, size: tuple[int, int] | None, proposal: Proposal
-) -> tuple[list[tuple[Path, Rig, Any]], list[str]]:
+) -> tuple[list[tuple[Path, Rig, str]], list[str]]:
     """The calibrations for images of this size: rig.yaml, or where it is missing or of another size, those of other tools.
 
     With them: which files cannot be read as one, and why.
     """
     unread: list[str] = []
     names = sorted(set(names_in(root, _RIG_SUFFIXES)) - {DRIVE_YAML}, key=lambda name: (name != RIG_YAML, name))
-    found: list[tuple[Path, Rig, Any]] = []
+    found: list[tuple[Path, Rig, str]] = []
     for path in (root / name for name in names):
         if (found and found[0][0].name == RIG_YAML) or path.stat().st_size > _LARGEST_RIG_BYTES:
             continue
@@ -366,23 +414,31 @@ def _fitting_rigs(
     return found, unread
 
 
-def _read_rig(path: Path, size: tuple[int, int] | None) -> tuple[Rig, Any]:
-    """A calibration and its format; a file without an image size is one of images of this size. Raises CalibrationError."""
+def _read_rig(path: Path, size: tuple[int, int] | None) -> tuple[Rig, str]:
+    """A calibration, and its format in words. Raises CalibrationError.
+
+    A file without an image size is one of images of this size, one without a unit whose baseline in metres is too long is in mm.
+    """
     try:
-        return read_rig_and_format(path)
+        rig, kind = read_rig_and_format(path)
+        return rig, FORMAT_NAMES[kind]
     except CalibrationError:
-        rig = None
-        with suppress(CalibrationError):
-            rig, kind = read_rig_and_format(path, image_size=size)
-        # With another size the principal point would not be near the centre.
-        if rig is None or size is None or not all(_is_centred(camera, size) for camera in (rig.left, rig.right)):
-            raise
-        return rig, kind
+        shortest_m, longest_m = _MILLIMETRES_M
+        for image_size, unit in ((size, None), (None, "mm"), (size, "mm")):
+            with suppress(CalibrationError):
+                rig, kind = read_rig_and_format(path, image_size=image_size, length_unit=unit)
+                # With another size the principal point would not be near the centre.
+                if _is_centred(rig.left) and _is_centred(rig.right):
+                    if unit is None:
+                        return rig, FORMAT_NAMES[kind]
+                    if shortest_m <= rig.baseline_m <= longest_m:
+                        return rig, f"{FORMAT_NAMES[kind]}, lengths taken as mm"
+        raise
 
 
-def _is_centred(camera: Camera, size: tuple[int, int]) -> bool:
-    centre_px = (camera.cx_px, camera.cy_px)
-    return all(abs(c / n - 0.5) <= _OFF_CENTRE for c, n in zip(centre_px, size, strict=True))
+def _is_centred(camera: Camera) -> bool:
+    x, y = camera.cx_px / camera.width_px, camera.cy_px / camera.height_px
+    return max(abs(x - 0.5), abs(y - 0.5)) <= _OFF_CENTRE
 
 
 def _numbers(key: str, text: str, least: int, most: int) -> list[float]:

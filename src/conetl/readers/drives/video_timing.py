@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,6 +51,8 @@ _STATED_SIGMA_S = 0.01
 #: Offsets of two methods that differ by more sigmas contradict each other.
 _CONTRADICTS = 4.0
 _log = logging.getLogger(__name__)
+#: `conetl init` reads a drive again after each answer.
+_video_lag = lru_cache(maxsize=1)(find_video_lag)
 
 
 class CameraImages(NamedTuple):
@@ -94,8 +97,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         own = images.right_timestamps
         hint = f": its {len(left.paths)} lines are those of {left.name}. Name the times of the right images in {DRIVE_YAML}, "
         hint = "" if own else hint + "too: 'images: {right_timestamps: right.txt}'"
-        ours = _listed(left, images.timestamps, source)
-        theirs = _listed(right, own or images.timestamps, source, hint)
+        ours = _listed(left, images.timestamps, source, track)
+        theirs = _listed(right, own or images.timestamps, source, track, hint)
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
         if search_s is not None and search_s > MAX_SEARCH_S:
@@ -160,13 +163,21 @@ def _at(camera: CameraImages, start_ns: int) -> list[Image]:
     ]
 
 
-def _listed(camera: CameraImages, name: str | None, source: Source, hint: str = "") -> list[Image]:
+def _listed(camera: CameraImages, name: str | None, source: Source, track: Samples, hint: str = "") -> list[Image]:
     """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError.
 
-    hint: the end of the message where the file has more or fewer lines.
+    The file may be the trajectory itself, with one record per image. hint: the end of the message where the file has more or
+    fewer lines.
     """
     if name is None:
         return _named(camera, source)
+    if name == source.settings.trajectory.file:
+        if len(track.times_ns) != len(camera.paths) or track.bad:
+            raise DriveFolderError(
+                f"{source.root / name}: {len(track.times_ns)} valid and {len(track.bad)} bad records, but {len(camera.paths)} "
+                f"images of {camera.name}: the trajectory states the times of images only if it has one record per image"
+            )
+        return [Image(stamp_ns, path) for stamp_ns, path in zip(track.times_ns, camera.paths, strict=True)]
     file = inside(source.root, name, DRIVE_YAML)
     try:
         data = read_bytes(file, _MOST_TIME_BYTES)
@@ -189,6 +200,8 @@ def _lines(data: bytes) -> list[str]:
 def stamps_of_images(folder: Path, root: Path, settings: DriveYaml) -> list[int]:
     """Times (UTC ns) of the images of a folder, by their names or the file of their times, without those that cannot be read."""
     name = settings.images.timestamps
+    if name is not None and name == settings.trajectory.file:
+        return []  # the header of a drive reads no trajectory
     if name is None:
         texts = [path.stem for path in image_files(folder)]
     else:
@@ -270,7 +283,7 @@ def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -
         return settings.right_offset_s
     assert left.video is not None and right.video is not None
     try:
-        lag = find_video_lag(left.video, right.video)
+        lag = _video_lag(left.video, right.video)
     except ImageFileError as error:
         raise DriveFolderError(str(error)) from error
     if lag is None:
