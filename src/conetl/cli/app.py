@@ -211,7 +211,11 @@ def _load(name: str, prefix: str, target: str, *examples: str) -> Any:
     text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
     lines = ["Examples:", *(f"conetl {prefix}{name} {example}".rstrip() for example in examples)]
     one.command(name, help=text, epilog="\n\n".join(lines))(command)
-    return typer.main.get_command(one)
+    loaded: Any = typer.main.get_command(one)
+    for param in loaded.params:
+        if getattr(param, "is_flag", False):
+            param.metavar = ""  # else the help page names the type of a switch, and its texts get narrower
+    return loaded
 
 
 app = typer.Typer(

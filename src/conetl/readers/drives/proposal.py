@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from conetl.geometry import rig as rigs
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.rig import Camera, Rig, Side
-from conetl.perception.video import VIDEO_SUFFIXES, Layout, video_facts
+from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
@@ -58,7 +58,6 @@ _KEYS = {
     "time": ("trajectory", "time"), "crs": ("trajectory", "crs"), "heights": ("trajectory", "heights"),
     "sigma": ("sigmas", "horizontal_m"), "columns": ("trajectory", "columns"),
 }  # fmt: skip
-_LAYOUTS = get_args(Layout)
 _MOUNT = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
 
 
@@ -217,8 +216,8 @@ def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
     images: dict[str, Any] = {_KEYS[option][1]: answers[option] for option in options if option in answers}
     if "right-offset" in answers:
         images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
-    if images.get("layout", _LAYOUTS[0]) not in _LAYOUTS:
-        raise InputError(f"--layout {shown(images['layout'])}: expected one of {', '.join(_LAYOUTS)}")
+    if images.get("layout", LAYOUTS[0]) not in LAYOUTS:
+        raise InputError(f"--layout {shown(images['layout'])}: expected one of {', '.join(LAYOUTS)}")
     if "start" in images:
         with named("--start"):
             parse_timestamp(images["start"])
