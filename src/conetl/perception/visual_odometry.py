@@ -132,8 +132,10 @@ def _follow(
     good &= np.linalg.norm(other_route - next_right, axis=1) <= params.circle_tolerance_px
     if int(good.sum()) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
-    first_px = _stored(working, left[good], right[good])
-    second_px = _stored(working, next_left[good], next_right[good])
+    left, right, next_left, next_right = left[good], right[good], next_left[good], next_right[good]
+    centre = _centre_of_texture(first.left, left, window_px)
+    first_px = _stored(working, left + centre, right + centre)
+    second_px = _stored(working, next_left + centre, next_right + centre)
     return first_px, second_px, params.sigma_px / float(working.scale[0]), None
 
 
@@ -232,6 +234,26 @@ def _flow(
         winSize=(window_px, window_px), criteria=stop, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)
+
+
+def _centre_of_texture(image: Image, points: Points, window_px: int) -> Points:
+    """Where the texture of a window has its centre (N, 2), from the window's own: the point nearest to all its edges, by their
+    gradients (Förstner & Gülch 1987).
+
+    The shift of a window is that of this point. The window's own centre moves by another amount where the image grows towards
+    the camera or is foreshortened: 2 px off and 15 % larger are 0.3 px, to the same side in all intervals that see a corner.
+    """
+    reach = np.arange(-(window_px // 2) - 1, window_px // 2 + 2, dtype=np.float32)
+    size = len(reach)
+    columns, rows = points[:, :1] + np.tile(reach, size), points[:, 1:] + np.repeat(reach, size)
+    seen = cv2.remap(image.astype(np.float32), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    patches = seen.reshape(-1, size, size)
+    along_u, along_v = patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2], patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1]
+    towards = along_u * reach[1:-1] + along_v * reach[1:-1, None]
+    terms = np.stack([along_u, along_v, towards], axis=1).reshape(-1, 3, window_px**2)
+    (uu, uv, u), (_, vv, v) = np.moveaxis(terms[:, :2] @ terms.transpose(0, 2, 1), 0, -1)
+    found = np.stack([vv * u - uv * v, uu * v - uv * u], axis=1) / np.maximum(uu * vv - uv**2, 1e-6)[:, None]
+    return np.asarray(np.clip(found, -window_px / 2, window_px / 2), dtype=np.float32)
 
 
 def _offset(columns: NDArray[np.floating], rows: NDArray[np.floating]) -> Points:

@@ -145,6 +145,21 @@ def enlarged(camera: Camera) -> Camera:
     )  # fmt: skip
 
 
+def test_points_stay_where_they_are_on_a_wall_that_comes_nearer() -> None:
+    """It grows by a sixth: a window whose texture lies to one side of its centre moves with the texture, not with the centre."""
+    pairs = make_path(2, step_m=2.0)
+    (points,) = follow_drive(pairs, RIG, wall_image, PARAMS)
+    before, after, _ = points.points()
+    camera, first, second = RIG.left, *(map_SE3_left(pair.pose, RIG) for pair in pairs)
+    rays = (before[:, :2] - (camera.cx_px, camera.cy_px)) / (camera.fx_px, camera.fy_px)
+    on_wall = np.column_stack([WALL_M * rays, np.full(len(rays), WALL_M), np.ones(len(rays))])
+    seen = on_wall @ se3.compose(se3.invert(second), first).T
+    expected = seen[:, :2] / seen[:, 2:3] * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px)
+    assert len(rays) > 200
+    off = after[:, :2] - expected
+    assert np.sqrt((off**2).mean(axis=0)).max() < 0.08
+
+
 def test_what_opencv_refuses_costs_its_interval_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Never the drive: an error of the library in the first interval leaves the second."""
     whole, asked = cv2.StereoBM.create, []
