@@ -127,7 +127,7 @@ def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):
     decide_place(conn, PIN, one, map_name="default", note="of old", decided_by="Grace")
     fill_form(page, "Pin", "on the kerb", token=TOKEN)
     page.wait_for_selector(".decide-status.bad >> text=There is a decision to pin this position already")
-    assert "Now: version 1, added by" in page.locator(".panel .decide-status").inner_text()
+    assert "It is now version 1, added by" in page.locator(".panel .decide-status").inner_text()
     page.wait_for_selector(".decide-section .decision >> text=Pinned by Grace: of old")
     fill_form(page, "Unpin", "done", token=None)
     page.wait_for_selector(".decide-status.good")
@@ -245,7 +245,7 @@ def test_a_drive_on_hold_is_accepted_and_the_acceptance_withdrawn(page, conn):
     page.wait_for_selector(".decision-row:has-text('On hold'):has-text('jumps by 5.0 m')")
     page.click(".decision-row:has-text('On hold')")
     page.wait_for_selector(f".drive-text:has-text('{held.drive.drive_id}')")
-    assert page.locator(".drive-decide button").all_text_contents() == ["Accept …", "Revert …"]
+    assert page.locator(".drive-decide button").all_text_contents() == ["Accept …", "Revert drive …"]
     assert page.locator(".drive-text .hold-reason").inner_text() == "GNSS/INS jumps by 5.0 m."
     assert "jumps by 5.0 m" in (page.locator(".column:has(.held)").get_attribute("title") or "")
     fill_form(page, "Accept", "seen in the images", token=TOKEN, within=".drive-decide")

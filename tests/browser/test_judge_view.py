@@ -163,8 +163,8 @@ def test_the_state_of_the_chosen_time_is_everywhere(page, address, changed):
         assert page.evaluate(east) != after and page.locator(".panel .why").inner_text().startswith("Added: "), state
         page.wait_for_selector(f".sightings:has-text('{survey(0).drive.drive_id}')")
     open_cone(page, address, changed["moved"], f"mode=instant&valid={first:%Y-%m-%dT00:00:00Z}")
-    page.wait_for_selector(".panel .chip.kind:text('not yet on the map')")
-    assert "it was added by" in page.locator(".panel .notice").inner_text()
+    page.wait_for_selector(".panel .chip.kind:text('not on the map yet')")
+    assert "added it." in page.locator(".panel .notice").inner_text()
     open_cone(page, address, changed["removed"], "mode=instant")
     page.wait_for_selector(".panel .chip.kind:text('removed')")
     open_cone(page, address, changed["moved"], "changeset=99")

@@ -115,10 +115,10 @@ def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, fea
     wait_for_rows(page, 2)
     page.fill("#probability", "0")
     page.click("button.filter-more")
-    page.fill("[aria-label='Greatest existence probability']", "0.8")
+    page.fill("[aria-label='Maximum existence probability']", "0.8")
     wait_for_rows(page, 1)
     assert rows(page) == ids(features, "comes")
-    page.fill("[aria-label='Greatest existence probability']", "")
+    page.fill("[aria-label='Maximum existence probability']", "")
     page.select_option(".filter-field select", "1")
     wait_for_rows(page, 0)  # the second drive changed or confirmed all of them
     assert "4 cones hidden by filters" in page.locator(".filter-summary").inner_text()
@@ -130,7 +130,7 @@ def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, fea
     page.wait_for_url(lambda url: "hide" not in url and "drive=" not in url)
     page.click("button.filter-more")
     for label, value in (
-        ("Greatest horizontal sigma in centimetres", "0.1"), ("Greatest height in metres", "0.1"),
+        ("Maximum horizontal sigma in centimetres", "0.1"), ("Maximum height in metres", "0.1"),
         ("Last seen from", "2030-01-01"),
     ):  # fmt: skip
         page.fill(f"[aria-label='{label}']", value)
@@ -176,7 +176,7 @@ def test_classes_have_a_legend_a_filter_and_words(page, address, conn, features)
 def test_only_in_view_follows_the_camera(page, address, features):
     open_view(page, address, f"#list=cones&feature={features['stays']}")
     page.wait_for_selector(".panel >> text=Evidence")
-    page.click(".panel button:text-is('centre')")
+    page.click(".panel button:text-is('Centre')")
     for _ in range(14):
         page.keyboard.press("+")
     page.check("#in-view")
@@ -241,12 +241,12 @@ def test_downloads_are_what_is_shown(page, address, features):
     shown = {f["properties"]["feature_id"] for f in json.loads(text)["features"]}
     assert shown == {features[n] for n in ("stays", "goes", "wanders")}
     assert len(list(csv.DictReader(io.StringIO(download("CSV")[1].decode())))) == 3
-    name, data = download("Picture of the view")
+    name, data = download("Image of the view")
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert name.endswith(".png") and image.shape[1] > 900 and image[: image.shape[0] // 2].std() > 3
     page.click("text=Work zones")
     page.fill("[placeholder=Publisher]", "City")
-    page.fill("[placeholder='Name of the road']", "L 605")
+    page.fill("[placeholder='Road name']", "L 605")
     name, text = download("Download WZDx")
     assert name.startswith("default_2026-03-") and json.loads(text)["feed_info"]["publisher"] == "City"
     assert page.get_attribute(".menu-popup a[target=_blank]", "href") == "./api/maps/default/changesets/1/report"
@@ -263,7 +263,7 @@ def test_an_address_that_is_wrong_is_said_so(browser, address):
         ("feature=12", "feature=12 is not the id of a cone"),
         ("mode=instnt", "mode=instnt is not one of drive"),
         ("mode=instant&valid=yesterday", "valid=yesterday is not a time"),
-        ("crs=EPSG:4326", "crs is not known to this page"),
+        ("crs=EPSG:4326", "crs is unknown"),
         ("p=2&sigma=x", "p=2 is not a probability; sigma=x is not a number"),
     ):
         tab.goto("about:blank")
@@ -274,7 +274,7 @@ def test_an_address_that_is_wrong_is_said_so(browser, address):
             tab.click("text=Show the latest")
             tab.wait_for_selector('html[data-cones="4"]', state="attached")
         if "elsewhere" in hash_:
-            tab.get_by_text("This database holds “default”").first.wait_for()
+            tab.get_by_text("Select one of the maps of this database: “default”").first.wait_for()
     tab.close()
 
 

@@ -127,7 +127,7 @@ def test_3_the_width_between_cones(task, changed):
         hand.click("button:text-is('Measure')")
         for feature_id in (stays[0], stays[1], stays[-1]):
             hand.click_cone(feature_id)
-        row = hand.page.locator(".measure .row:has-text('Last point to first line')")
+        row = hand.page.locator(".measure .row:has-text('Last point to line 1–2')")
         row.locator("text=±").wait_for()
 
 
@@ -152,7 +152,7 @@ def test_6_cones_below_a_probability(task):
     with task("&changeset=2") as hand:
         hand.click("button:has-text('List') >> nth=0")
         hand.click("button.filter-more")
-        hand.write("[aria-label='Greatest existence probability']", "0.8")
+        hand.write("[aria-label='Maximum existence probability']", "0.8")
         hand.page.wait_for_selector(".filter-summary:has-text('hidden by filters')")
 
 

@@ -136,7 +136,7 @@ def test_compare_and_any_time(page, address, samples):
     time_input.fill(f"{utc_from_ns(samples.START_NS):%Y-%m-%d} 07:00:00")
     time_input.press("Enter")
     page.wait_for_selector('html[data-cones="0"]', state="attached")
-    assert "No cones on the road at this time" in page.locator(".legend").inner_text()
+    assert "No cones on the map at this time" in page.locator(".legend").inner_text()
 
 
 def test_a_click_shows_history_and_images(page, address, features):
@@ -147,11 +147,11 @@ def test_a_click_shows_history_and_images(page, address, features):
     assert features["wanders"][:8] in panel
     assert "moved by 1.500 m" in panel
     assert "458006.500 E" in panel
-    assert "Sighting 4 of 6" in panel  # the nearest of the drive that is shown
+    assert "Image pair 4 of 6" in panel  # the nearest of the drive that is shown
     sizes = page.eval_on_selector_all("figure img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
     assert len(sizes) == 2 and all(min(size) >= 300 for size in sizes)
     page.keyboard.press("n")
-    page.wait_for_selector("text=Sighting 5 of 6")
+    page.wait_for_selector("text=Image pair 5 of 6")
     page.keyboard.press("Escape")
     page.wait_for_selector(".panel", state="hidden")
 
@@ -185,11 +185,11 @@ def test_a_reload_right_after_a_choice_keeps_it(page, address, features):
     click_cone(page, features["wanders"])
     page.reload()
     page.wait_for_selector(f"h2:text-is('{features['wanders'][:8]}')")
-    page.wait_for_selector("text=Sighting 4 of 6")
+    page.wait_for_selector("text=Image pair 4 of 6")
     settle(page)
     page.keyboard.press("n")
     page.reload()
-    page.wait_for_selector("text=Sighting 5 of 6")
+    page.wait_for_selector("text=Image pair 5 of 6")
     settle(page)
     page.keyboard.press("Escape")
     page.keyboard.press("b")
@@ -201,7 +201,7 @@ def test_a_reload_right_after_a_choice_keeps_it(page, address, features):
 def test_a_choice_is_in_the_address_before_the_next_thing_happens(page, address, features):
     """In the same turn of the page's own loop, whatever moved just before; what keeps moving is written when it rests."""
     open_view(page, f"{address}#map=default&feature={features['wanders']}")
-    page.wait_for_selector("text=Sighting 4 of 6")
+    page.wait_for_selector("text=Image pair 4 of 6")
     settle(page)
     press = "key => (window.dispatchEvent(new KeyboardEvent('keydown', { key })), location.hash)"
     assert "sighting=" not in page.evaluate("() => location.hash")

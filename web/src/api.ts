@@ -273,7 +273,7 @@ export async function ask(path: string, init: RequestInit = {}): Promise<Respons
     response = await fetch(`./api/${path}`, init);
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
-    throw new ApiError("The server does not answer. Is `conetl view` still running?", 0);
+    throw new ApiError("The server does not answer. Check that `conetl view` is running, then try again.", 0);
   }
   if (response.ok) return response;
   let detail = `The server answered ${response.status}.`;

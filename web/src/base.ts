@@ -24,7 +24,7 @@ export function createBase(stage: Stage, onTrouble: (error: unknown) => void) {
       lines.show(found.lines);
       stage.warm();
       document.documentElement.dataset["lines"] = String(found.lines.length);
-      if (base.truncated || found.truncated) onTrouble(new Error("The base layers exceed the limit of one page: some are not shown."));
+      if (base.truncated || found.truncated) onTrouble(new Error("The base layers are too large for this page: some of them are not shown."));
       return base.layers;
     },
     close(): void {

@@ -106,7 +106,7 @@ export function createBasemap(stage: Stage, host: HTMLElement, projector: Projec
       tile.state = "missing";
       failed += 1;
       if (failed === 4 && ![...tiles.values()].some((t) => t.state === "there")) {
-        trouble(`The base map is not shown: ${new URL(image.src).host} does not answer, or does not allow other pages to read its tiles (CORS).`);
+        trouble(`The base map cannot be loaded: ${new URL(image.src).host} does not answer, or does not allow other sites to use its tiles (CORS).`);
       }
       stage.draw();
     };

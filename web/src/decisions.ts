@@ -2,6 +2,7 @@
 // tab once a person typed it, and sends in a header only.
 import { api, ApiError, type Decision, type Decisions, type HistoryItem, type DecisionRequest } from "./api";
 import { el, fill, plural, utc } from "./dom";
+import { STYLES } from "./kinds";
 
 const TOKEN = "conetl writer token";
 const NAME = "conetl name";
@@ -27,7 +28,7 @@ export interface Choice {
   done: string;
 }
 
-/** A decision about a place is one about lines, or about what stands there. */
+/** A decision about a position concerns either lane markings or the object that stands there. */
 export function aboutFeature(all: Decision[], id: string, xyz: [number, number, number] | undefined, isLine: boolean): Decision[] {
   return all.filter((d) => {
     if (d.changeset_id !== null) return false;
@@ -40,8 +41,8 @@ export const placeChoice = (kind: "suppress" | "pin", id: string, version: numbe
   text: kind === "suppress" ? "Suppress …" : "Pin …",
   explain:
     kind === "suppress"
-      ? `No ${noun} stands here, whatever drives observe: it is removed from the map, its history is kept.`
-      : `This ${noun} stands: drives can confirm it, but neither remove nor move it.`,
+      ? `Removes this ${noun} from the map and keeps its history. Later drives do not add one here again.`
+      : `Keeps this ${noun} on the map at this position. Later drives can confirm it, but not move or remove it.`,
   submit: `${kind === "suppress" ? "Suppress" : "Pin"} this ${noun}`,
   withRadius: true,
   request: (by) => ({ kind, feature_id: id, expected_version: version, ...by }),
@@ -49,12 +50,12 @@ export const placeChoice = (kind: "suppress" | "pin", id: string, version: numbe
 });
 
 const WITHDRAWALS: Record<Decision["kind"], [text: string, submit: string, explain: string]> = {
-  suppress: ["Withdraw …", "Withdraw the decision", "The decision no longer applies: drives update this position again."],
-  classify: ["Withdraw …", "Withdraw the decision", "The decision no longer applies: the class is that of the detector again."],
-  pin: ["Unpin …", "Unpin", "The decision no longer applies: drives update this position again."],
-  revert: ["Withdraw …", "Withdraw the decision", "The drive counts again."],
-  accept: ["Withdraw …", "Withdraw the decision", "The drive is on hold again, if its checks still find the contradiction."],
-  hold: ["Accept …", "Accept the drive", "The drive counts as it is, whatever its health checks found."],
+  suppress: ["Withdraw …", "Withdraw the decision", "Drives update this position again."],
+  classify: ["Withdraw …", "Withdraw the decision", "The detector decides the class again."],
+  pin: ["Unpin …", "Unpin", "Drives update this position again."],
+  revert: ["Withdraw …", "Withdraw the decision", "The drive is merged into the map again."],
+  accept: ["Withdraw …", "Withdraw the decision", "The drive goes on hold again if its health checks still fail."],
+  hold: ["Accept …", "Accept the drive", "The drive is merged into the map although a health check failed."],
 };
 
 export const withdrawChoice = (d: Decision): Choice => ({
@@ -69,8 +70,8 @@ export const withdrawChoice = (d: Decision): Choice => ({
 });
 
 export const revertChoice = (changesetId: string, driveId: string): Choice => ({
-  text: "Revert …",
-  explain: `${driveId} no longer counts. Observations of other drives are kept, and the decision can be withdrawn.`,
+  text: "Revert drive …",
+  explain: `Takes ${driveId} out of the map. Observations of other drives stay, and you can withdraw the decision.`,
   submit: "Revert this drive",
   request: ({ decided_by, reason }) => ({ kind: "revert", changeset_id: changesetId, decided_by, reason }),
   done: "Reverted.",
@@ -81,7 +82,7 @@ const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: 
 /** "Pinned by Ada: stands on a kerb", with the time. */
 export function sentence(d: Decision): HTMLElement {
   return el("div", { class: "decision" },
-    el("b", { textContent: `${LABELS[d.kind]}${d.drive_id ? ` ${d.drive_id}` : ""}` }), ` by ${d.decided_by ?? (d.kind === "hold" ? "health checks" : "an unknown person")}`,
+    el("b", { textContent: `${LABELS[d.kind]}${d.drive_id ? ` ${d.drive_id}` : ""}` }), ` by ${d.decided_by ?? (d.kind === "hold" ? "the health checks" : "unknown")}`,
     Boolean(d.reason) && `: ${d.reason}`, el("small", { textContent: `${utc(d.decided_at)} UTC${d.radius_m === null ? "" : ` · within ${d.radius_m} m`}` })); // prettier-ignore
 }
 
@@ -90,7 +91,7 @@ export function createDecider(host: HTMLElement) {
   const status = el("p", { class: "decide-status", role: "status", aria: { live: "polite" }, hidden: true });
   const buttons = el("div", { class: "decide-buttons" });
   const formHost = el("div", {});
-  host.append(buttons, formHost, status);
+  host.append(buttons, el("div", { class: "decide-popup" }, formHost, status));
   let key = "";
   let busy = false;
 
@@ -118,6 +119,7 @@ export function createDecider(host: HTMLElement) {
 
   function close(focus: HTMLElement | null): void {
     fill(formHost);
+    report("", false);
     for (const b of buttons.children) b.setAttribute("aria-expanded", "false");
     focus?.focus();
   }
@@ -125,7 +127,6 @@ export function createDecider(host: HTMLElement) {
   function toggle(choice: Choice, button: HTMLElement, context: DecideContext): void {
     const wasOpen = button.getAttribute("aria-expanded") === "true";
     close(null);
-    report("", false);
     if (wasOpen) return;
     button.setAttribute("aria-expanded", "true");
     const form = makeForm(choice, context, () => close(button));
@@ -139,7 +140,7 @@ export function createDecider(host: HTMLElement) {
     const reason = text({ name: "reason", minLength: 3, maxLength: 500 });
     const radius = el("input", { type: "number", name: "radius", value: "1", min: "0.1", max: "20", step: "0.1", required: true });
     const token = text({ name: "token", type: "password", autocomplete: "off" });
-    const tokenRow = label("Writer token", token, "Stored for this tab only.");
+    const tokenRow = label("Writer token", token, "In the file that conetl view names when it starts. Kept for this tab only.");
     const known = sessionStorage.getItem(TOKEN);
     if (known !== null) {
       token.required = false;
@@ -149,7 +150,7 @@ export function createDecider(host: HTMLElement) {
     const abort = el("button", { type: "button", textContent: "Cancel", onclick: cancel });
     const form = el("form", { class: "decide", noValidate: false },
       el("p", { class: "hint", textContent: choice.explain }),
-      label("Your name", name), label("Reason", reason, "Both are stored with the decision and visible to everyone."),
+      label("Your name", name), label("Reason", reason, "Name and reason are visible to everyone who sees the map."),
       choice.withRadius && label("Radius (m)", radius), tokenRow,
       el("div", { class: "decide-actions" }, submit, abort)); // prettier-ignore
     form.addEventListener("keydown", (event) => {
@@ -229,7 +230,7 @@ function currentState(body: unknown): string {
   const now = typeof body === "object" && body !== null && "now" in body ? (body.now as HistoryItem | null) : null;
   if (!now) return "";
   const [easting, northing] = now.map_xyz_m;
-  return ` Now: version ${now.version}, ${now.kind.replaceAll("_", " ")} by ${now.drive_id}, at ${easting.toFixed(3)} E ${northing.toFixed(3)} N.`;
+  return ` It is now version ${now.version}, ${STYLES[now.kind].label} by ${now.drive_id}, at ${easting.toFixed(3)} E ${northing.toFixed(3)} N.`;
 }
 
 /** The section of the sidebar that lists the decisions in effect. */
@@ -240,6 +241,6 @@ export function createDecisionList(host: HTMLElement, open: (d: Decision) => voi
     fill(host, el("h2", { textContent: "Decisions" }),
       ...answer.decisions.slice(0, 50).map((d) =>
         el("button", { type: "button", class: "decision-row", title: "Show", onclick: () => open(d) }, sentence(d))),
-      answer.decisions.length > 50 && el("p", { class: "hint", textContent: `${answer.decisions.length - 50} older ones: run conetl map decisions to list all.` })); // prettier-ignore
+      answer.decisions.length > 50 && el("p", { class: "hint", textContent: `${answer.decisions.length - 50} older decisions: run conetl map decisions to list them.` })); // prettier-ignore
   };
 }

@@ -1,4 +1,4 @@
-// The menu “Download”: files of the state that is shown, the picture of the view, the drive's report.
+// The menu “Download”: files of the state that is shown, an image of the view, the report of the drive.
 import { api, ApiError, type Instant, type TimelineItem } from "./api";
 import { countOf } from "./classes";
 import { el, fill, messageOf, utc } from "./dom";
@@ -48,7 +48,7 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
 
   function draw(): void {
     const shown = actions.shown();
-    if (!shown) return fill(menu, el("p", { class: "hint", textContent: "Nothing is shown that could be downloaded." }));
+    if (!shown) return fill(menu, el("p", { class: "hint", textContent: "There is nothing to download: the view shows no drive." }));
     const inBox = el("input", { type: "checkbox" });
     const links = el("div", { class: "download-links" });
     const drawLinks = () => {
@@ -62,23 +62,23 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
     inBox.addEventListener("change", drawLinks);
     drawLinks();
     fill(menu,
-      el("p", {}, el("strong", { textContent: shown.map }), ` ${shown.title}`), el("p", { class: "hint", textContent: `${countOf(shown.coneCount)} on the road, whatever the filters` }),
-      shown.box && el("label", { class: "check" }, inBox, "Only what is in the view (its box)"), links,
+      el("p", {}, el("strong", { textContent: shown.map }), ` ${shown.title}`), el("p", { class: "hint", textContent: `${countOf(shown.coneCount)} on the road; filters do not apply` }),
+      shown.box && el("label", { class: "check" }, inBox, "Only the area in view"), links,
       feedForm(shown),
-      el("button", { type: "button", class: "download-link", onclick: () => void picture(shown) }, "Picture of the view", el("small", { textContent: "PNG" })),
+      el("button", { type: "button", class: "download-link", onclick: () => void picture(shown) }, "Image of the view", el("small", { textContent: "PNG" })),
       shown.drive && shown.drive.frame_pair_count > 0 && report(shown.map, shown.drive)); // prettier-ignore
   }
 
   const link = (name: string, href: string, detail: string) =>
     el("a", { class: "download-link", href, download: "" }, name, el("small", { textContent: detail }));
   const report = (map: string, drive: TimelineItem) =>
-    el("a", { class: "download-link", href: api.report(map, drive.changeset_no), target: "_blank", rel: "noopener" }, `Report of ${drive.drive_id}`, el("small", { textContent: "HTML" }));
+    el("a", { class: "download-link", href: api.report(map, drive.changeset_no), target: "_blank", rel: "noopener" }, `Report on ${drive.drive_id}`, el("small", { textContent: "HTML" }));
 
   /** A feed names its publisher and road, which the map does not contain. */
   function feedForm(shown: Shown): HTMLElement {
     const [publisher, road] = (localStorage.getItem(REMEMBERED) ?? "\n").split("\n");
     const field = (label: string, value: string | undefined) => el("input", { type: "text", required: true, maxLength: 200, value: value ?? "", placeholder: label, aria: { label } });
-    const [who, where] = [field("Publisher", publisher), field("Name of the road", road)];
+    const [who, where] = [field("Publisher", publisher), field("Road name", road)];
     const form = el("form", {}, who, where, el("button", { type: "submit", textContent: "Download WZDx" }));
     form.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -88,7 +88,7 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
     return el("details", {}, el("summary", { class: "download-link" }, "Work zones, WZDx 4.2"), form);
   }
 
-  /** Small files whose errors are worth reading. */
+  /** A small file, fetched here so that an error can be shown. */
   async function save(path: string): Promise<void> {
     try {
       const response = await fetch(path);
@@ -96,7 +96,7 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
       const name = /filename="([^"]+)"/.exec(response.headers.get("content-disposition") ?? "")?.[1] ?? "wzdx.geojson";
       saveBlob(await response.blob(), name);
     } catch (error) {
-      actions.failed(`The file was not made: ${messageOf(error)}`);
+      actions.failed(`The file could not be created: ${messageOf(error)}`);
     }
   }
 
@@ -104,7 +104,7 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
     try {
       saveBlob(await actions.picture(), `${shown.map}_${stamp(shown.at.valid ?? new Date().toISOString())}.png`);
     } catch (error) {
-      actions.failed(`The picture was not made: ${messageOf(error)}`);
+      actions.failed(`The image could not be created: ${messageOf(error)}`);
     }
   }
 }
@@ -125,7 +125,7 @@ export function pictureOf(canvas: HTMLCanvasElement, view: HTMLElement, title: s
   const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
   const out = el("canvas", { width: canvas.width, height: canvas.height + Math.round(30 * ratio) });
   const pen = out.getContext("2d");
-  if (!pen) throw new Error("this browser cannot draw in two dimensions");
+  if (!pen) throw new Error("this browser has no 2D canvas");
   pen.fillStyle = "#ffffff";
   pen.fillRect(0, 0, out.width, out.height);
   pen.drawImage(canvas, 0, 0);
@@ -141,5 +141,5 @@ export function pictureOf(canvas: HTMLCanvasElement, view: HTMLElement, title: s
   pen.textAlign = "right";
   pen.fillText(text, canvas.clientWidth - 10, bottom);
   if (width) pen.fillRect(canvas.clientWidth - 22 - pen.measureText(text).width - width, bottom - 1.5, width, 3);
-  return new Promise((done, fail) => out.toBlob((blob) => (blob ? done(blob) : fail(new Error("the picture is too large"))), "image/png"));
+  return new Promise((done, fail) => out.toBlob((blob) => (blob ? done(blob) : fail(new Error("the image is too large"))), "image/png"));
 }

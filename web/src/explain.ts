@@ -49,7 +49,7 @@ export function createEmptyPosition(host: HTMLElement, open: (start: Start) => v
 
   function draw(map: string, id: string, now: HistoryItem): void {
     const frame = frames[at];
-    if (!frame) return fill(host, el("h3", { textContent: "Empty position" }), el("p", { class: "hint", textContent: "The frame pairs of this drive are not kept any more." }));
+    if (!frame) return fill(host, el("h3", { textContent: "Position without a cone" }), el("p", { class: "hint", textContent: "The frame pairs of this drive were deleted." }));
     const focus = document.activeElement instanceof HTMLElement && host.contains(document.activeElement) ? document.activeElement.dataset["focus"] : undefined;
     const go = (to: number) => {
       at = Math.min(Math.max(to, 0), frames.length - 1);
@@ -59,11 +59,11 @@ export function createEmptyPosition(host: HTMLElement, open: (start: Start) => v
     slider.addEventListener("input", () => go(Number(slider.value)));
     const step = (to: number, text: string, label: string) =>
       el("button", { type: "button", class: "step", textContent: text, disabled: to < 0 || to >= frames.length, data: { focus: label }, aria: { label }, onclick: () => go(to) });
-    const larger = el("button", { type: "button", class: "crop", title: "Open the images (I)", aria: { label: "Open these images" }, onclick: () => open({ drive_uuid: now.drive_uuid, frame_index: frame.frame_index }) },
+    const larger = el("button", { type: "button", class: "crop", title: "Open the images (I)", onclick: () => open({ drive_uuid: now.drive_uuid, frame_index: frame.frame_index }) },
       el("span", { class: "panes", data: { columns: "2" } }, ...panes.map((p) => p.node))); // prettier-ignore
     fill(host, el("h3", { textContent: `Position without a cone: ${plural(frames.length, "frame pair")}` }), larger,
       el("div", { class: "stepper" }, step(at - 1, "‹", "Previous frame pair without a cone"), slider, step(at + 1, "›", "Next frame pair without a cone")),
-      el("p", { class: "hint", textContent: `${now.drive_id} · frame pair ${frame.frame_index} · ${frame.range_m.toFixed(1)} m away · dashed: the position on the map` })); // prettier-ignore
+      el("p", { class: "hint", textContent: `${now.drive_id} · frame pair ${frame.frame_index} · ${frame.range_m.toFixed(1)} m away · dashed: position on the map` })); // prettier-ignore
     if (focus) host.querySelector<HTMLElement>(`[data-focus="${focus}"]:not(:disabled)`)?.focus();
     void showFrame(map, id, now).catch(() => undefined); // its panes say what is missing
   }

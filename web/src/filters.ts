@@ -103,7 +103,7 @@ export interface FilterActions {
 export function createFilterBar(actions: FilterActions) {
   let state: State | null = null;
   const set = (values: Partial<Filter>) => state && actions.change({ filter: { ...state.filter, ...values } }, false);
-  const chips = el("div", { class: "kind-chips", role: "group", aria: { label: "Kinds shown" } });
+  const chips = el("div", { class: "kind-chips", role: "group", aria: { label: "Kinds" } });
   const summary = el("span", { class: "filter-summary", role: "status" });
   const clear = el("button", { type: "button", class: "link", textContent: "clear", onclick: () => actions.change(noFilters(), false) });
   const more = el("button", { type: "button", class: "filter-more", aria: { expanded: "false", controls: "filter-fields" } });
@@ -117,11 +117,11 @@ export function createFilterBar(actions: FilterActions) {
     return { input, show: () => document.activeElement !== input && (input.value = String(show() ?? "")) };
   }
   const filterField = (label: string, step: string, name: NumberName) => numberField(label, step, () => state?.filter[name] ?? null, (value) => set({ [name]: value }));
-  const minP = numberField("Least existence probability", "0.01", () => state?.minProbability || null, (value) => actions.change({ minProbability: Math.min(value ?? 0, 1) }, false)); // prettier-ignore
-  const maxP = filterField("Greatest existence probability", "0.01", "maxProbability");
-  const sigma = filterField("Greatest horizontal sigma in centimetres", "0.1", "maxSigma_cm");
-  const low = filterField("Least height in metres", "0.01", "minHeight_m");
-  const high = filterField("Greatest height in metres", "0.01", "maxHeight_m");
+  const minP = numberField("Minimum existence probability", "0.01", () => state?.minProbability || null, (value) => actions.change({ minProbability: Math.min(value ?? 0, 1) }, false)); // prettier-ignore
+  const maxP = filterField("Maximum existence probability", "0.01", "maxProbability");
+  const sigma = filterField("Maximum horizontal sigma in centimetres", "0.1", "maxSigma_cm");
+  const low = filterField("Minimum height in metres", "0.01", "minHeight_m");
+  const high = filterField("Maximum height in metres", "0.01", "maxHeight_m");
   for (const { input } of [minP, maxP]) input.max = "1";
   const drive = el("select", { aria: { label: "Drive that last observed or changed the cone" }, onchange: () => set({ drive: drive.value === "" ? null : Number(drive.value) }) });
   const day = (label: string, name: "seenFrom" | "seenTo") => {
@@ -164,7 +164,7 @@ export function createFilterBar(actions: FilterActions) {
       drive.value = String(next.filter.drive ?? "");
       for (const field of [minP, maxP, sigma, low, high, from, to]) field.show();
       const left = cones.length - shownCount;
-      const why = next.inView ? (filterCount(next) ? "by filters or outside of the view" : "outside of the view") : "by filters";
+      const why = next.inView ? (filterCount(next) ? "by filters or outside the view" : "outside the view") : "by filters";
       fill(summary, left ? `${countOf(left)} hidden ${why}` : countOf(cones.length), filterCount(next) > 0 && " – ", filterCount(next) > 0 && clear);
     },
   };
@@ -172,7 +172,7 @@ export function createFilterBar(actions: FilterActions) {
   function chip(now: State, kind: Kind, count: number): HTMLElement {
     const shown = !now.hidden.has(kind);
     const label = kindLabel(kind, now);
-    const title = `${shown ? "Hide" : "Show"} “${label}”; double click: only these`;
+    const title = `${shown ? "Hide" : "Show"} “${label}”; double-click: show only these`;
     const toggle = () => {
       const hidden = new Set(now.hidden);
       if (!hidden.delete(kind)) hidden.add(kind);

@@ -22,10 +22,10 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
   const size = range("point-size", 0.5, 4, 0.5, (v) => actions.change({ size: v }));
   const opacity = range("point-opacity", 0.1, 1, 0.05, (v) => actions.change({ opacity: v }));
   const basemap = range("basemap-opacity", 0, 1, 0.05, (v) => actions.change({ basemap: v }));
-  const grid = select<Grid>("grid", [["lines", "lines"], ["labels", "lines, coordinates in the plan"], ["none", "none"]], (g) => actions.change({ grid: g }));
+  const grid = select<Grid>("grid", [["lines", "lines"], ["labels", "lines with coordinates (plan only)"], ["none", "none"]], (g) => actions.change({ grid: g }));
   const row = (text: string, control: HTMLElement) => el("label", { htmlFor: control.id }, el("span", { textContent: text }), control);
-  const points = el("div", { class: "group" }, row("Points by", colouring), row("Size", size), row("Opacity", opacity));
-  const tiles = row("Base map", basemap);
+  const points = el("div", { class: "group" }, row("Colour points by", colouring), row("Point size", size), row("Point opacity", opacity));
+  const tiles = row("Base map opacity", basemap);
   const reset = el("button", { type: "button", class: "link", textContent: "Reset", onclick: () => {
     const { colouring: c, size: s, opacity: o, basemap: b, grid: g } = SCENE;
     actions.change({ colouring: c, size: s, opacity: o, basemap: b, grid: g });
@@ -43,8 +43,8 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
     open(false);
     toggle.focus();
   });
-  const plan = el("button", { type: "button", id: "plan", title: "Plan or perspective (T)", onclick: () => actions.change({ plan: plan.textContent === "Plan" }) });
-  const measure = el("button", { type: "button", id: "measure", textContent: "Measure", title: "Distances and areas (M)", onclick: () => actions.measure() });
+  const plan = el("button", { type: "button", id: "plan", title: "Switch between plan and 3D (T)", onclick: () => actions.change({ plan: plan.textContent === "Plan" }) });
+  const measure = el("button", { type: "button", id: "measure", textContent: "Measure", title: "Measure distances and areas (M)", onclick: () => actions.measure() });
   host.append(el("div", { class: "map-tools", role: "toolbar", aria: { label: "Map" } }, plan, measure, toggle, panel));
 
   return {

@@ -17,33 +17,33 @@ const SHORTCUTS: [string, string][] = [
   ["← ↑ → ↓, with Shift", "pan, rotate"],
   ["+ −", "zoom"],
   ["Home", "show everything"],
-  ["T", "plan (north up) or perspective"],
+  ["T", "plan (north up) or 3D"],
   ["M", "measure"],
   ["X", "copy the coordinates under the cursor"],
   [",  .", "previous, next drive"],
-  ["B, C", "before / after, changes"],
-  ["1, 2", "LiDAR points, lane boundaries on or off"],
-  ["P, N", "previous, next sighting"],
-  ["I", "images of the selected cone, in full size"],
-  ["A, R, S", "in the review list: accept, reject, skip"],
+  ["B, C", "before or after the drive, changes"],
+  ["1, 2", "show or hide LiDAR points, lane boundaries"],
+  ["P, N", "previous, next image pair"],
+  ["I", "full images of the selected cone"],
+  ["A, R, S", "accept, reject, skip (in the review list)"],
   ["/", "search"],
-  ["L", "list of cones and changes"],
-  ["[  ] or K, J", "previous, next cone of the list"],
-  ["Esc", "close the panel"],
+  ["L", "open or close the list"],
+  ["[  ] or K, J", "previous, next row of the list"],
+  ["Esc", "close what is open"],
 ];
 const STATUS_TEXT: Record<LiveStatus, string> = { live: "live", waiting: "no connection", trouble: "database error" };
 
 export function createLayout(app: HTMLElement) {
   const view = el("main", { class: "view" });
   const sidebar = el("aside", { class: "sidebar", id: "sidebar", aria: { label: "Map and legend" } });
-  const panel = el("aside", { class: "panel", hidden: true, aria: { label: "Selected cone" } });
+  const panel = el("aside", { class: "panel", hidden: true, aria: { label: "Selected object" } });
   const list = el("section", { class: "list", hidden: true, aria: { label: "Lists" } });
   const listButton = el("button", { type: "button", class: "link", aria: { expanded: "false" } }, "List ", el("kbd", { textContent: "L" }));
   const listPane = createListPane(list, listButton);
   /** Parts of the header that other modules fill. */
   const tools = { search: el("div", { class: "tool-search" }), download: el("div", {}) };
   const timeline = el("footer", { class: "timeline" });
-  const brand = el("div", { class: "brand" });
+  const brand = el("h1", { class: "brand" });
   const dot = el("span", { class: "status", role: "status" }, el("i"), el("span", { textContent: "connecting" }));
   dot.dataset["status"] = "waiting";
   const progress = el("div", { class: "progress", hidden: true });
@@ -53,7 +53,7 @@ export function createLayout(app: HTMLElement) {
   const tip = el("div", { class: "tip", hidden: true, aria: { hidden: "true" } });
   const help = el("dialog", { class: "help" },
     el("h2", { textContent: "Shortcuts" }), el("dl", {}, ...SHORTCUTS.flatMap(([keys, what]) => [el("dt", { textContent: keys }), el("dd", { textContent: what })])),
-    el("p", { class: "hint", textContent: "Cones are drawn in true size (measured height, standard width); their markers have a fixed size. The address of this page opens the same view for a colleague." }),
+    el("p", { class: "hint", textContent: "Cones are drawn with their measured height and a standard width; markers have a fixed size. To share this view, send the address of this page." }),
     el("button", { type: "button", textContent: "Close", onclick: () => help.close() })); // prettier-ignore
   const menu = el("button", { type: "button", class: "menu", textContent: "☰ Legend", aria: { expanded: "false", controls: "sidebar" } });
   menu.addEventListener("click", () => {

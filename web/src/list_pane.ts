@@ -43,7 +43,7 @@ export function createListPane(host: HTMLElement, toggleButton: HTMLButtonElemen
   let opened: string | null = null;
 
   const tabs = el("div", { class: "list-tabs", role: "tablist", aria: { label: "Lists" } });
-  const grip = el("div", { class: "list-grip", role: "separator", tabIndex: 0, title: "Drag, or ↑ ↓: height of the list",
+  const grip = el("div", { class: "list-grip", role: "separator", tabIndex: 0, title: "Drag, or press ↑ ↓, to change the height",
     aria: { orientation: "horizontal", label: "Height of the list", valuemin: String(LEAST_PX), valuenow: "264" } }); // prettier-ignore
   const close = el("button", { type: "button", class: "close", textContent: "×", title: "Close the list (L)", aria: { label: "Close the list" }, onclick: () => choose(null) });
   const head = el("div", { class: "list-head" }, tabs, el("span", { class: "space" }), close);

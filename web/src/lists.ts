@@ -16,10 +16,10 @@ export interface ListActions extends FilterActions {
 
 type Name = "cones" | "changes";
 const DEFAULT_SORT: Record<Name, string> = { cones: "existence", changes: "shift-" };
-/** Kinds of which a drive says nothing new. */
+/** Whether the drive evaluated it. */
 const isChange = (kind: Kind): boolean => kind !== "unchanged" && kind !== "standing";
 
-/** Largest moves first, then what came, went or looks different, then the little moves of confirmed cones. */
+/** Largest moves first, then added, removed and otherwise changed ones, then the small shifts of confirmed cones. */
 function shiftOrder(c: Cone): number | null {
   if (c.kind === "moved") return 1e6 + (c.shift_m ?? 0);
   if (c.kind === "confirmed" || c.kind === "standing" || c.kind === "unchanged") return c.shift_m;
@@ -37,14 +37,14 @@ export function createLists(pane: ListPane, actions: ListActions) {
   let scrollToChosen = true;
 
   const columns: Column<Cone>[] = [
-    { id: "id", title: "Cone", hint: "First characters of the id", width: "80px", value: (c) => c.id, text: (c) => shortId(c.id) },
+    { id: "id", title: "Cone", hint: "First 8 characters of the id", width: "80px", value: (c) => c.id, text: (c) => shortId(c.id) },
     { id: "class", title: "Class", width: "minmax(136px, 1fr)", value: (c) => classOrder(c.category), text: (c) => classOf(c.category).label, icon: (c) => classIcon(c.category) },
     { id: "kind", title: "Kind", width: "minmax(116px, 1fr)", value: (c) => KIND_ORDER.indexOf(c.kind), text: (c) => (state ? kindLabel(c.kind, state) : ""), icon: (c) => icon(c.kind) },
-    { id: "existence", title: "Existence", hint: "Existence probability", width: "84px", number: true, value: (c) => c.probability, text: (c) => c.probability.toFixed(3) },
+    { id: "existence", title: "Existence", hint: "Existence probability", width: "96px", number: true, value: (c) => c.probability, text: (c) => c.probability.toFixed(3) },
     { id: "sigma", title: "Sigma cm", hint: "Horizontal sigma, along the major axis of the error ellipse", width: "92px", number: true, descending: true, value: (c) => c.sigma_m, text: (c) => (c.sigma_m * 100).toFixed(1) },
     { id: "height", title: "Height m", hint: "Height of the cone", width: "88px", number: true, value: (c) => c.height_m, text: (c) => c.height_m.toFixed(2) },
-    { id: "shift", title: "Shift cm", hint: "How far it moved; largest move first, then what came and went, then confirmed cones", width: "84px", number: true, descending: true, value: shiftOrder, text: (c) => (c.shift_m === null ? "" : (c.shift_m * 100).toFixed(1)) },
-    { id: "drive", title: "Drive", hint: "Drive that last observed or changed it", width: "minmax(100px, 1.6fr)", value: (c) => c.changeset, text: (c) => drives.get(c.changeset) ?? "" },
+    { id: "shift", title: "Shift cm", hint: "Horizontal shift. Sorted: moved, then added and removed, then confirmed", width: "84px", number: true, descending: true, value: shiftOrder, text: (c) => (c.shift_m === null ? "" : (c.shift_m * 100).toFixed(1)) },
+    { id: "drive", title: "Drive", hint: "Last drive that observed or changed it", width: "minmax(184px, 1.6fr)", value: (c) => c.changeset, text: (c) => drives.get(c.changeset) ?? "" },
     { id: "seen", title: "Last seen (UTC)", width: "128px", descending: true, value: (c) => c.seenAt, text: (c) => utc(new Date(c.seenAt).toISOString(), false) },
     { id: "observations", title: "Obs.", hint: "Observations in total", width: "58px", number: true, descending: true, value: (c) => c.observations, text: (c) => c.observations.toLocaleString("en") },
     { id: "east", title: "East m", hint: "Easting in the map's CRS", width: "96px", number: true, value: (c) => c.xyz[0], text: (c) => at(c, 0, origin).toFixed(2) },

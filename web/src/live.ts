@@ -23,14 +23,14 @@ export function listen(map: string, on: LiveHandlers): () => void {
   function open(): void {
     source = api.events(map);
     source.addEventListener("changeset", (event: MessageEvent<string>) => {
-      on.status("live", "New drives appear here as soon as they are committed.");
+      on.status("live", "New drives appear as soon as they are committed.");
       on.newest(Number(event.data));
     });
     source.addEventListener("decision", (event: MessageEvent<string>) => on.decided(Number(event.data)));
     source.addEventListener("base", (event: MessageEvent<string>) => on.base(event.data));
     source.addEventListener("trouble", (event: MessageEvent<string>) => on.status("trouble", event.data));
     source.addEventListener("error", () => {
-      on.status("waiting", "No connection: new drives do not appear until it is restored. Retrying …");
+      on.status("waiting", "No connection to the server: new drives do not appear. Trying again …");
       if (source?.readyState === EventSource.CLOSED && !ended) timer = window.setTimeout(open, RETRY_MS);
     });
   }

@@ -42,7 +42,7 @@ let stage: Stage;
 try {
   stage = createStage(layout.view);
 } catch (error) {
-  layout.card("This browser cannot draw in 3D", "WebGL is disabled or missing. Enable hardware acceleration, or use another browser.");
+  layout.card("The map cannot be drawn", "This browser has no WebGL. Turn on hardware acceleration in its settings, or use another browser.");
   throw error;
 }
 const cones = createCones(stage);
@@ -217,7 +217,7 @@ const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [],
 function readAddress(): State {
   const problems: string[] = [];
   const found = parseState(location.hash, problems);
-  if (problems.length) layout.toast(`Left out of this address: ${problems.join("; ")}.`, { text: "OK", run: () => undefined });
+  if (problems.length) layout.toast(`Part of this link was ignored: ${problems.join("; ")}.`, { text: "OK", run: () => undefined });
   return found;
 }
 
@@ -306,7 +306,7 @@ async function newChangeset(no: number): Promise<void> {
     void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
     const counts = [`${item.added_count} added`, `${item.moved_count} moved`, `${item.removed_count} removed`, ...lineChanges([item]).map((change) => change.text)].join(", ");
     const follows = state.mode === "drive" && state.changeset === null;
-    const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} does not count: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
+    const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} was committed, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
     layout.toast(said, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
     await refresh();
     if (chosen) await select(chosen.id);
@@ -347,7 +347,7 @@ async function refresh(): Promise<void> {
     const there = maps.filter((m) => m.changeset_count > 0).map((m) => `“${m.map_name}”`);
     const unknown = there.length > 0 && !maps.some((m) => m.map_name === state.map);
     const title = unknown ? `There is no map “${state.map}”` : `The map “${state.map}” is empty`;
-    const hint = unknown ? `This database holds ${there.join(", ")}: select one on the left. To create a new map, ingest a drive:` : "It appears here as soon as a drive is ingested:";
+    const hint = unknown ? `Select one of the maps of this database: ${there.join(", ")}. To create a new map, ingest a drive:` : "Ingest a drive; it appears here at once:";
     layout.card(title, hint, { code: `${state.map === "default" ? "" : `CONETL_MAP_NAME=${state.map} `}conetl ingest path/to/drive` });
     layout.empty(true);
     show([], []);
@@ -369,7 +369,7 @@ async function refresh(): Promise<void> {
     if (mine !== refreshNo) return;
     layout.card(null);
     if (chosen && chosenKnown !== shownState(state, timeline.changesets).known) void select(chosen.id);
-    layout.notice(truncated ? `Only the first ${countOf(next.length)} are shown: the map exceeds the limit of one view.` : null);
+    layout.notice(truncated ? `Only the first ${countOf(next.length)} are shown: this map is too large for one view.` : null);
     show(next, drives);
   } catch (error) {
     if (mine === refreshNo) fail(error, refresh);

@@ -73,7 +73,7 @@ export function widthOf([a, b, c]: [MeasuredPoint, MeasuredPoint, MeasuredPoint]
   return { value: Math.abs(cross) / length, sigma: sigmaOf([a, b, c], [[-nx * (1 - along), -ny * (1 - along)], [-nx * along, -ny * along], [nx, ny]]) };
 }
 
-/** With as many digits as its sigma has any use for. */
+/** With a third decimal only if the sigma is below 1 cm. */
 export function quantity({ value, sigma }: { value: number; sigma: number | null }, unit: string): string {
   if (sigma === null) return `${value.toFixed(2)} ${unit}`;
   const digits = sigma < 0.0095 ? 3 : 2;
@@ -110,7 +110,7 @@ export function createMeasure(stage: Stage, host: HTMLElement, actions: MeasureA
   const undo = el("button", { type: "button", textContent: "Undo", title: "Remove the last point (Backspace)", onclick: () => removeLast() });
   const box = el("section", { class: "measure", hidden: true, aria: { label: "Measure" } },
     el("div", { class: "measure-head" }, el("div", { class: "segmented", role: "group", aria: { label: "What to measure" } }, ...tabs),
-      el("button", { type: "button", class: "close", textContent: "×", title: "End (Esc)", aria: { label: "End measuring" }, onclick: () => end() })),
+      el("button", { type: "button", class: "close", textContent: "×", title: "Close (Esc)", aria: { label: "End measuring" }, onclick: () => end() })),
     result, el("div", { class: "measure-actions" }, copy, undo)); // prettier-ignore
   host.append(svg, labels, box);
 
@@ -158,8 +158,8 @@ export function createMeasure(stage: Stage, host: HTMLElement, actions: MeasureA
     const free = points.filter((p) => p.id === null).length;
     fill(result,
       ...rows.map(([name, text], i) => el("div", { class: i ? "row" : "row total" }, el("span", { textContent: name }), el("b", { textContent: text }))),
-      el("p", { class: "hint", textContent: !rows.length ? `Click ${kind === "line" ? "two or more" : "three or more"} cones, or points on the ground.`
-        : free ? "Free points have no sigma: click cones." : "1 sigma, horizontal; errors that cones share are not subtracted." })); // prettier-ignore
+      el("p", { class: "hint", textContent: !rows.length ? `Click ${kind === "line" ? "two" : "three"} or more cones or points on the ground.`
+        : free ? "Points on the ground have no sigma; cones do." : "Horizontal, 1 sigma; errors of the cones are taken as independent." })); // prettier-ignore
     said = rows.map(([name, text]) => `${name}\t${text}`).join("\n");
     place();
     stage.draw();
@@ -171,7 +171,7 @@ export function createMeasure(stage: Stage, host: HTMLElement, actions: MeasureA
     if (kind === "area") return [["Area", quantity(areaOf(points), "m²")], ["Perimeter", quantity(lengthOf([...points, points[0]!]), "m")]];
     const rows: [string, string][] = [[points.length > 2 ? "Total" : "Distance", quantity(lengthOf(points), "m")]];
     const [a, b, last] = [points[0]!, points[1]!, points.at(-1)!];
-    if (points.length > 2 && Math.hypot(a.xyz[0] - b.xyz[0], a.xyz[1] - b.xyz[1]) > 0) rows.push(["Last point to first line", quantity(widthOf([a, b, last]), "m")]);
+    if (points.length > 2 && Math.hypot(a.xyz[0] - b.xyz[0], a.xyz[1] - b.xyz[1]) > 0) rows.push(["Last point to line 1–2", quantity(widthOf([a, b, last]), "m")]);
     if (points.length > 2) for (let i = 1; i < points.length; i++) rows.push([`${names[i - 1]} – ${names[i]}`, quantity(lengthOf([points[i - 1]!, points[i]!]), "m")]);
     return rows;
   }

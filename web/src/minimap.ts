@@ -12,7 +12,7 @@ const LARGER = 3;
 
 export function createMinimap(stage: Stage, host: HTMLElement) {
   const canvas = el("canvas", { class: "minimap-canvas", width: 2 * WIDTH, height: 2 * HEIGHT });
-  const box = el("div", { class: "minimap", hidden: true, title: "The whole map; click to go there", aria: { hidden: "true" } }, canvas);
+  const box = el("div", { class: "minimap", hidden: true, title: "Overview: click to move the view", aria: { hidden: "true" } }, canvas);
   host.append(box);
   const back = el("canvas", { width: canvas.width, height: canvas.height });
   let cones: Cone[] = [];

@@ -64,14 +64,14 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   host.append(head, scroll);
 
   function setHead(id: string, ...chips: Node[]): void {
-    const copy = el("button", { type: "button", class: "link", textContent: "copy id" });
+    const copy = el("button", { type: "button", class: "link", textContent: "Copy id" });
     copy.addEventListener("click", () => {
-      void navigator.clipboard.writeText(id).then(() => (copy.textContent = "copied"), () => (copy.textContent = "copying is not allowed")); // prettier-ignore
+      void navigator.clipboard.writeText(id).then(() => (copy.textContent = "Copied"), () => (copy.textContent = "Not allowed by the browser")); // prettier-ignore
     });
     fill(
       head,
       el("div", { class: "panel-title" }, ...chips, el("h2", { class: "mono", textContent: shortId(id), title: id }), copy,
-        el("button", { type: "button", class: "link", textContent: "centre", onclick: () => actions.centre() })),
+        el("button", { type: "button", class: "link", textContent: "Centre", onclick: () => actions.centre() })),
       el("button", { type: "button", class: "close", textContent: "×", title: "Close (Esc)", aria: { label: "Close" }, onclick: () => actions.close() }),
     ); // prettier-ignore
   }
@@ -95,12 +95,12 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     const now = stateOf(chosen);
     const kind = chosen.kind ?? now?.kind;
     const about = aboutFeature(chosen.decisions?.decisions ?? [], chosen.id, chosen.history.at(-1)?.xyz_m, Boolean(first.marking));
-    setHead(chosen.id, kind ? el("span", { class: "chip kind" }, icon(kind), STYLES[kind].label) : el("span", { class: "chip kind", textContent: "not yet on the map" }),
+    setHead(chosen.id, kind ? el("span", { class: "chip kind" }, icon(kind), STYLES[kind].label) : el("span", { class: "chip kind", textContent: "not on the map yet" }),
       ...(about.some((d) => d.kind === "pin") ? [el("span", { class: "chip pinned", textContent: "pinned" })] : [])); // prettier-ignore
     fill(reason, now && sentenceOf(now));
     fill(facts);
     if (now) showFacts(chosen, now);
-    else fill(reason, el("p", { class: "notice", textContent: `Not on the map at this time: it was added by ${first.drive_id}, recorded ${utc(first.captured_from)} UTC.` }));
+    else fill(reason, el("p", { class: "notice", textContent: `Not on the map yet: ${first.drive_id}, recorded ${utc(first.captured_from)} UTC, added it.` }));
     if (now?.marking) emptyHost.hidden = true; // no image shows it alone
     else void showEmpty(chosen.map, chosen.id, now);
     showDecisions(chosen);
@@ -111,7 +111,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   function showFacts(chosen: Chosen, now: HistoryItem): void {
     const e = ellipse95(now.cov_m2);
     const auto = niceFactor(e);
-    const factor = el("select", { aria: { label: "Enlargement of the ellipse" } },
+    const factor = el("select", { aria: { label: "Scale of the drawn ellipse" } },
       el("option", { value: "auto", textContent: `${auto}× (auto)` }), ...[1, 10, 100].map((f) => el("option", { value: String(f), textContent: `${f}×` }))); // prettier-ignore
     factor.value = chosen.factor === null ? "auto" : String(chosen.factor);
     factor.addEventListener("change", () => actions.setFactor(factor.value === "auto" ? null : Number(factor.value)));
@@ -121,15 +121,15 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     const [easting, northing, height] = now.map_xyz_m.map((v) => v.toFixed(3));
     fill(
       facts,
-      isGone(now.kind) && el("p", { class: "hint", textContent: "The values below are its last ones." }),
+      isGone(now.kind) && el("p", { class: "hint", textContent: "Last values before it left the map:" }),
       el(
         "dl", {},
         ...row("Class", classOf(now.category).label),
-        ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, ${line ? "middle of the stretch" : "foot centre"}` })),
+        ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, ${line ? "middle of this piece" : "foot centre"}` })),
         ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
         ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${cm(now.cov_m2[0])}, ${cm(now.cov_m2[3])}, ${cm(now.cov_m2[5])}` })),
-        ...(line ? lineRows(line) : row("95 % ellipse", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm semi-axes` }),
-          el("small", {}, "drawn at ", factor))),
+        ...(line ? lineRows(line) : row("95 % semi-axes", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm` }),
+          el("small", {}, "ellipse drawn at ", factor))),
         ...row("Existence probability", meter, el("span", { class: "mono", textContent: now.existence_probability.toFixed(4) })),
         ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} in total` })),
         ...(line ? [] : row("Object height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` }))),
@@ -164,7 +164,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
           el("button", { type: "button", title: h.why, onclick: () => actions.showChangeset(h.changeset_no) },
             icon(h.kind),
             el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.kind === "moved" && h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, other(h), h.kind === "missed" ? frames(h) : ` · version ${h.version}`,
-              el("small", { textContent: `${utc(h.changed_at)} UTC · ${h.drive_id}` }),
+              el("small", {}, `${utc(h.changed_at)} UTC · `, el("span", { class: "together", textContent: h.drive_id })),
               el("small", { textContent: `existence ${h.existence_probability.toFixed(4)} · ${plural(h.observation_count, "observation")} · σ ${cm((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
       ),
     ); // prettier-ignore
@@ -178,14 +178,14 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     }
     const s = sightings?.[chosen.sightingIndex];
     if (!sightings || !s) {
-      const text = sightings ? "No sighting of this object until this time." : "Loading sightings …";
+      const text = sightings ? "No images of this object up to this time." : "Loading images …";
       shownImage = "";
       return fill(seen, el("h3", { textContent: "Images" }), el("p", { class: sightings ? "hint" : "hint loading", textContent: text }));
     }
     const i = chosen.sightingIndex;
     const key = `${chosen.map} ${s.drive_uuid} ${s.frame_index} ${s.match_index} ${whole}`;
     const stepFocus = document.activeElement instanceof HTMLElement ? document.activeElement.dataset["focus"] : undefined;
-    const slider = el("input", { type: "range", min: "0", max: String(sightings.length - 1), step: "1", value: String(i), data: { focus: "slider" }, aria: { label: "Sighting" } });
+    const slider = el("input", { type: "range", min: "0", max: String(sightings.length - 1), step: "1", value: String(i), data: { focus: "slider" }, aria: { label: "Image pair" } });
     slider.addEventListener("input", () => actions.showSighting(Number(slider.value)));
     const box = el("input", { type: "checkbox", checked: whole, data: { focus: "whole" } });
     box.addEventListener("change", () => {
@@ -198,11 +198,11 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     holder.classList.toggle("whole", whole);
     fill(
       seen,
-      el("h3", {}, "Images", el("label", { class: "check small" }, box, "full image")),
+      el("h3", {}, "Images", el("label", { class: "check small" }, box, "whole image")),
       holder,
-      el("div", { class: "stepper" }, step(i - 1, "‹", "Previous sighting (P)"), slider, step(i + 1, "›", "Next sighting (N)")),
-      el("p", { class: "hint", textContent: `Sighting ${i + 1} of ${sightings.length}${chosen.truncated ? " (more exist)" : ""} · ${s.drive_id} · frame pair ${s.frame_index} · ${utc(s.captured_at)} UTC` }),
-      el("p", { class: "hint", textContent: `Range ${s.range_m.toFixed(2)} m · score left ${s.left.score.toFixed(2)}, right ${s.right.score.toFixed(2)} · residual ${s.residual_rms_px.toFixed(2)} px` }),
+      el("div", { class: "stepper" }, step(i - 1, "‹", "Previous image pair (P)"), slider, step(i + 1, "›", "Next image pair (N)")),
+      el("p", { class: "hint", textContent: `Image pair ${i + 1} of ${sightings.length}${chosen.truncated ? " (the first ones)" : ""} · ${s.drive_id} · frame pair ${s.frame_index} · ${utc(s.captured_at)} UTC` }),
+      el("p", { class: "hint", textContent: `${s.range_m.toFixed(1)} m away · score ${s.left.score.toFixed(2)} left, ${s.right.score.toFixed(2)} right · residual ${s.residual_rms_px.toFixed(2)} px` }),
     ); // prettier-ignore
     if (stepFocus) seen.querySelector<HTMLElement>(`[data-focus="${stepFocus}"]:not(:disabled)`)?.focus();
     if (key !== shownImage) {
@@ -259,10 +259,10 @@ function row(name: string, ...values: (Node | string)[]): Node[] {
 }
 
 const lineRows = (line: Marking): Node[] => [
-  ...row("Sigma across", el("span", { class: "mono", textContent: `${(line.sigma_lateral_m * 100).toFixed(1)} cm` }), el("small", { textContent: "of the least certain vertex" })),
+  ...row("Sigma across", el("span", { class: "mono", textContent: `${(line.sigma_lateral_m * 100).toFixed(1)} cm` }), el("small", { textContent: "largest along the line" })),
   ...row("Paint", el("span", { textContent: wordsOf(line) })),
   ...row("Width", el("span", { class: "mono", textContent: `${line.width_m.toFixed(3)} ± ${line.width_sigma_m.toFixed(3)} m` })),
-  ...row("Length", el("span", { class: "mono", textContent: `${lengthOf(line.line_m).toFixed(2)} m` }), el("small", { textContent: "of this stretch" })),
+  ...row("Length", el("span", { class: "mono", textContent: `${lengthOf(line.line_m).toFixed(2)} m` }), el("small", { textContent: "of this piece" })),
 ]; // prettier-ignore
 
 /** "observed by 3 drives, not observed by 1 drive", broken only at the comma. */

@@ -1,5 +1,5 @@
-// The review queue: what needs a person first. Decisions go to the server; what was skipped, or agreed with without a decision, is
-// remembered in this browser.
+// The review queue: drives on hold and uncertain changes. Decisions go to the server; this browser remembers what was skipped, or
+// accepted without a decision.
 import { createDecider, type Choice, type DecideContext } from "./decisions";
 import { el, fill, messageOf, plural, shortId, utc } from "./dom";
 import { judging, type ReviewItem, type ReviewKind } from "./judging";
@@ -26,11 +26,11 @@ const keyOf = (i: ReviewItem) => `${i.kind} ${i.feature_id ?? i.changeset_id ?? 
 
 export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, actions: ReviewActions) {
   const badge = el("b", { class: "badge", textContent: "0", data: { count: "0" } });
-  const button = el("button", { type: "button", class: "link review-button", title: "What needs a person first", onclick: () => open() }, el("span", { textContent: "Review " }), badge);
+  const button = el("button", { type: "button", class: "link review-button", title: "Drives and changes to review", onclick: () => open() }, el("span", { textContent: "Review " }), badge);
   const list = el("ol", { class: "review-items" });
   const about = el("div", {});
   const buttons = el("div", { class: "review-actions" });
-  const skip = el("button", { type: "button", textContent: "Skip (S)", title: "Leave it to others; only this browser remembers", onclick: () => putAside() });
+  const skip = el("button", { type: "button", textContent: "Skip (S)", title: "Decide later; only this browser remembers it", onclick: () => putAside() });
   const agree = el("button", { type: "button", textContent: "Accept (A)", onclick: () => putAside() });
   const images = el("button", { type: "button", textContent: "Images (I)", onclick: () => openImages() });
   const deciderHost = el("div", {});
@@ -108,14 +108,14 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
   function drawDetail(): void {
     const item = chosen();
     buttons.hidden = !item;
-    if (!item) return fill(about, el("p", { class: "hint", textContent: waiting().length ? "Select what to review: ↑ ↓, then A accepts, R rejects, S skips." : "Nothing waits for a person." }));
-    const figures = item.checks.map((c) => el("tr", {}, el("th", { textContent: c.name }), el("td", { class: "mono", textContent: c.figures || "not measurable" })));
+    if (!item) return fill(about, el("p", { class: "hint", textContent: waiting().length ? "Select an item (↑ ↓), then accept (A), reject (R) or skip (S) it." : "Nothing to review." }));
+    const figures = item.checks.map((c) => el("tr", {}, el("th", { textContent: c.name }), el("td", { class: "mono", textContent: c.figures || "not measured" })));
     fill(about, el("p", { class: "why", textContent: item.why }), figures.length > 0 && el("table", {}, ...figures),
       el("p", { class: "hint", textContent: meaning(item) })); // prettier-ignore
     agree.hidden = !(item.kind === "removal" || item.kind === "move");
     const context: DecideContext = { map: actions.map(), changed: () => (actions.decided(), void load()), wrote: (text) => (next(), actions.said(text)) };
     decider.show(`${keyOf(item).replaceAll(" ", "_")} ${String(item.version)} ${String(actions.writable())}`, actions.writable() ? choices(item) : [], context);
-    if (!actions.writable()) about.append(el("p", { class: "hint", textContent: "This server is read-only: start conetl view --decisions to decide." }));
+    if (!actions.writable()) about.append(el("p", { class: "hint", textContent: "Read-only: decisions require `conetl view --decisions`." }));
   }
 
   function openImages(): boolean {
@@ -195,10 +195,10 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
 
 function meaning(item: ReviewItem): string {
   switch (item.kind) {
-    case "held": return "Accept: the drive counts as it is. Reject: it is reverted and never counts. Skip: it stays on hold.";
-    case "removal": return "Accept: the cone is gone, nothing is written (this browser remembers). Reject: it stands; a pin brings it back.";
-    case "move": return "Accept: it stands at the new position, nothing is written (this browser remembers). Reject: no cone stands there; the position is suppressed.";
-    case "doubtful": return "Accept: the cone stands; it is pinned. Reject: no cone stands there; the position is suppressed.";
+    case "held": return "Accept: merge the drive into the map. Reject: keep it out of the map. Skip: leave it on hold.";
+    case "removal": return "Accept: the cone is gone; only this browser remembers that you agreed. Reject: the cone still stands; a pin puts it back.";
+    case "move": return "Accept: the new position is right; only this browser remembers that you agreed. Reject: no cone stands there; the position is suppressed.";
+    case "doubtful": return "Accept: the cone stands and is pinned. Reject: no cone stands there; the position is suppressed.";
   }
 }
 
@@ -207,15 +207,15 @@ function choices(item: ReviewItem): Choice[] {
   const text = (accept: boolean) => (accept ? "Accept … (A)" : "Reject … (R)");
   if (item.kind === "held" && changeset !== null)
     return [
-      { text: text(true), explain: `${item.drive_id} counts as it is, whatever its health checks found.`, submit: "Accept the drive", done: "Accepted.",
+      { text: text(true), explain: `Merges ${item.drive_id} into the map although a health check failed.`, submit: "Accept the drive", done: "Accepted.",
         request: ({ decided_by, reason }) => ({ kind: "accept", changeset_id: changeset, decided_by, reason }) },
-      { text: text(false), explain: `${item.drive_id} does not count. The decision can be withdrawn.`, submit: "Revert the drive", done: "Reverted.",
+      { text: text(false), explain: `Keeps ${item.drive_id} out of the map. You can withdraw the decision.`, submit: "Revert the drive", done: "Reverted.",
         request: ({ decided_by, reason }) => ({ kind: "revert", changeset_id: changeset, decided_by, reason }) },
     ]; // prettier-ignore
   if (feature === null || version === null) return [];
   const place = (kind: "pin" | "suppress", accept: boolean): Choice => ({
     text: text(accept), withRadius: true, done: kind === "pin" ? "Pinned." : "Suppressed.", submit: kind === "pin" ? "Pin this cone" : "Suppress this position",
-    explain: kind === "pin" ? "This cone stands: drives can confirm it, but neither remove nor move it." : "No cone stands here, whatever drives observe.",
+    explain: kind === "pin" ? "Keeps this cone on the map at this position. Later drives can confirm it, but not move or remove it." : "Removes this cone from the map. Later drives do not add one here again.",
     request: (by) => ({ kind, feature_id: feature, expected_version: version, ...by }),
   });
   if (item.kind === "removal") return [place("pin", false)];

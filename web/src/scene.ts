@@ -32,7 +32,7 @@ export function createStage(host: HTMLElement) {
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
   const canvas = renderer.domElement;
   canvas.tabIndex = 0;
-  canvas.setAttribute("aria-label", "Map in three dimensions. Arrow keys move, plus and minus zoom, Home shows everything.");
+  canvas.setAttribute("aria-label", "3D map. Arrow keys pan, plus and minus zoom, Home shows everything.");
   const scaleText = el("span");
   const scaleLine = el("i");
   const north = el("button", { class: "north", type: "button", title: "Turn north up", aria: { label: "Turn north up" }, textContent: "N" });

@@ -24,12 +24,12 @@ export function createSearch(host: HTMLElement, actions: SearchActions) {
   let active = -1;
   let timer = 0;
   let asked = 0;
-  const list = el("div", { class: "search-list", id: "search-list", role: "listbox", hidden: true, aria: { label: "Found" } });
+  const list = el("div", { class: "search-list", id: "search-list", role: "listbox", hidden: true, aria: { label: "Search results" } });
   const status = el("p", { class: "search-status hint", role: "status", hidden: true });
   const popup = el("div", { class: "search-popup", hidden: true }, status, list);
   const input = el("input", {
-    id: "search", type: "search", placeholder: "Cone, drive, date, coordinates, place", autocomplete: "off", spellcheck: false, maxLength: 100, role: "combobox",
-    aria: { label: "Search: id of a cone, drive, date, coordinates or place", expanded: "false", controls: "search-list", autocomplete: "list" },
+    id: "search", type: "search", placeholder: "Search cone, drive, date, coordinates", autocomplete: "off", spellcheck: false, maxLength: 100, role: "combobox",
+    aria: { label: "Search for the id of a cone, a drive, a date, coordinates or a place", expanded: "false", controls: "search-list", autocomplete: "list" },
   }); // prettier-ignore
   const form = el("form", { class: "search", role: "search" }, input, el("kbd", { textContent: "/" }), popup);
   host.append(form);
@@ -115,7 +115,7 @@ export function createSearch(host: HTMLElement, actions: SearchActions) {
       ...options.flatMap((option, i) => (option.group === group ? [row(option, i)] : []))))); // prettier-ignore
     list.hidden = !options.length;
     input.setAttribute("aria-expanded", String(options.length > 0));
-    say(options.length ? (truncated ? "More were found: type more." : "") : `Nothing found for “${text}”. Search for the beginning of a cone's id, a drive, a date (2026-03-02), coordinates (east north, or latitude, longitude) or a place.`);
+    say(options.length ? (truncated ? "There are more results: type more characters." : "") : `Nothing found for “${text}”. Try the first characters of a cone's id, a drive, a date (2026-03-02), coordinates (easting northing, or latitude, longitude) or a place.`);
     activate(options.length ? 0 : -1);
   }
 
@@ -142,12 +142,12 @@ export function createSearch(host: HTMLElement, actions: SearchActions) {
   };
 }
 
-const coordinates = ({ lat_lon_deg: at }: FoundPosition): string => (at ? `${at[0].toFixed(6)}, ${at[1].toFixed(6)}` : "outside of the map's CRS");
+const coordinates = ({ lat_lon_deg: at }: FoundPosition): string => (at ? `${at[0].toFixed(6)}, ${at[1].toFixed(6)}` : "outside the map's CRS");
 
 /** A pin at a found position. */
 export function createMarker(stage: Stage, host: HTMLElement, remove: () => void) {
   let at: [number, number, number] | null = null;
-  const pin = el("button", { type: "button", class: "found-pin", hidden: true, title: "Found position: click removes the marker", aria: { label: "Remove the marker" }, onclick: remove });
+  const pin = el("button", { type: "button", class: "found-pin", hidden: true, title: "Search result: click to remove the marker", aria: { label: "Remove the marker" }, onclick: remove });
   host.append(pin);
   stage.beforeDraw(() => {
     const pixel = at && stage.project(at);

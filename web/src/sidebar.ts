@@ -42,7 +42,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
     el("section", {}, heading, legend), classSection,
     el("section", {}, el("label", { htmlFor: "probability" }, "Existence probability ≥ ", probabilityText), probability),
     baseSection,
-    el("section", {}, switchRow("trajectory", "way", el("i", { class: "swatch path" }), "Camera path (left)"),
+    el("section", {}, switchRow("trajectory", "way", el("i", { class: "swatch path" }), "Drive path"),
       el("button", { type: "button", class: "wide", onclick: () => actions.fit() }, "Show everything ", el("kbd", { textContent: "Home" }))),
   ); // prettier-ignore
 
@@ -82,7 +82,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       const counts = new Map<Kind, number>();
       for (const cone of cones) counts.set(cone.kind, (counts.get(cone.kind) ?? 0) + 1);
       const rows = KIND_ORDER.filter((kind) => counts.has(kind)).map((kind) => legendRow(state, kind, counts.get(kind) ?? 0));
-      const hint = !rows.length ? "No cones on the road at this time." : shownCount < cones.length ? `${countOf(cones.length - shownCount)} hidden by filters` : "";
+      const hint = !rows.length ? "No cones on the map at this time." : shownCount < cones.length ? `${countOf(cones.length - shownCount)} hidden by filters` : "";
       const focused = document.activeElement?.id ?? "";
       heading.textContent = onlyCones() ? "Cones shown" : "Objects shown";
       classSection.hidden = classCounts().size < 2 && state.filter.hiddenClasses === null;

@@ -105,7 +105,7 @@ export function parseState(hash: string, problems: string[] = []): State {
   state.mark = value<number[] | null>("mark", null, "a position", numbers(2)) as State["mark"];
   const camera = value<number[] | null>("cam", null, "a camera", numbers(6));
   if (camera && (camera[5] ?? 0) > 0) state.camera = camera as CameraPose;
-  for (const name of new Set(p.keys())) if (!p.asked.has(name)) problems.push(`${name} is not known to this page`);
+  for (const name of new Set(p.keys())) if (!p.asked.has(name)) problems.push(`${name} is unknown`);
   return state;
 }
 

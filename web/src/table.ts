@@ -156,7 +156,7 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
       });
       for (const slot of slots) slot.forget();
       draw();
-      fill(none, "No rows: nothing matches the filters, or nothing changed.");
+      fill(none, "Nothing matches the filters, or nothing changed.");
     },
     choose(id, scroll) {
       chosenId = id;

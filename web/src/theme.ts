@@ -69,7 +69,7 @@ export function themeSwitch(): HTMLButtonElement {
   const button = el("button", { type: "button", class: "link theme", id: "theme" });
   const show = () => {
     button.textContent = isDark() ? "Light" : "Dark";
-    button.title = isDark() ? "Light colours" : "Dark colours";
+    button.title = isDark() ? "Switch to light colours" : "Switch to dark colours";
   };
   button.addEventListener("click", () => {
     const next = isDark() ? "light" : "dark";

@@ -101,9 +101,9 @@ export function createTimeAxis(actions: AxisActions) {
   const entries = el("div", { class: "axis-entries" });
   const scale = el("div", { class: "axis-scale", aria: { hidden: "true" } });
   const zoomButton = (text: string, label: string, run: () => void) => el("button", { type: "button", class: "step", textContent: text, title: label, aria: { label }, onclick: run });
-  const zoomOut = zoomButton("−", "Zoom the timeline out", () => zoom(2));
-  const zoomIn = zoomButton("+", "Zoom the timeline in", () => zoom(0.5));
-  const all = zoomButton("↔", "Show all times", () => setSpan(full));
+  const zoomOut = zoomButton("−", "Zoom out", () => zoom(2));
+  const zoomIn = zoomButton("+", "Zoom in", () => zoom(0.5));
+  const all = zoomButton("↔", "Show the whole timeline", () => setSpan(full));
   const track = el("div", { class: "axis-track" }, entries, scale);
   const node = el("div", { class: "axis" }, track, el("div", { class: "axis-zoom" }, zoomIn, zoomOut, all));
   let times: number[] = [];

@@ -154,19 +154,19 @@ function driveView(actions: TimelineActions) {
 function notCounted(about: Decision[], hold: string | null): HTMLElement {
   if (hold !== null) return el("span", { class: "chip off", title: hold, textContent: "on hold" });
   const reverted = about.some((d) => d.kind === "revert");
-  return el("span", { class: "chip off", title: reverted ? "A person decided that it does not count." : "A later analysis or delivery of the same recording replaced it, or it was reverted.", textContent: reverted ? "reverted" : "not counted" });
+  return el("span", { class: "chip off", title: reverted ? "Reverted by a decision: not part of the map." : "Not part of the map: reverted, or replaced by a later analysis or delivery of the same recording.", textContent: reverted ? "reverted" : "not counted" });
 }
 
 function knownSelect(actions: TimelineActions) {
   let filled: TimelineItem[] | null = null; // thousands of drives are filled in once
   const select = el("select", { onchange: () => actions.change({ known: select.value === "now" ? null : Number(select.value) }) });
   return {
-    node: el("label", {}, "Database state as of ", select),
+    node: el("label", {}, "Database as of ", select),
     update: (state: State, items: TimelineItem[]) => {
       if (filled !== items) {
         filled = items;
         fill(select, el("option", { value: "now", textContent: "now" }),
-          ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after the commit of ${t.drive_id}` }))); // prettier-ignore
+          ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after ${t.drive_id}` }))); // prettier-ignore
       }
       select.value = state.known === null ? "now" : String(state.known);
     },
@@ -189,8 +189,8 @@ function compareView(actions: TimelineActions) {
   swap.addEventListener("click", () => actions.change({ from: number(to) ?? newest, to: number(from) ?? newest }));
   return {
     node: el("div", { class: "form-line" }, el("label", {}, "From ", from), swap, el("label", {}, "to ", to), known.node,
-      el("label", { class: "check", title: "The first state left of a divider, the second right of it" }, swipe, "Swipe"),
-      el("p", { class: "hint", textContent: "Cones count as moved from 0.5 m, the limit of the pipeline." })), // prettier-ignore
+      el("label", { class: "check", title: "Show the first state left of a divider, the second right of it" }, swipe, "Swipe"),
+      el("p", { class: "hint", textContent: "A cone counts as moved if it shifted by 0.5 m or more." })), // prettier-ignore
     update(state: State, items: TimelineItem[]): void {
       latest = state;
       newest = items.at(-1)?.changeset_no ?? 0;
@@ -207,7 +207,7 @@ function compareView(actions: TimelineActions) {
     filled = items;
     const drives = () => items.map((t, i) =>
       el("option", { value: i === items.length - 1 ? "latest" : String(t.changeset_no), textContent: `${utc(t.captured_from, false)} · after ${t.drive_id}` })); // prettier-ignore
-    fill(from, el("option", { value: "0", textContent: "before the first drive (empty map)" }), ...drives());
+    fill(from, el("option", { value: "0", textContent: "empty map, before the first drive" }), ...drives());
     fill(to, ...drives());
   }
 }
@@ -231,7 +231,7 @@ function instantView(actions: TimelineActions) {
   input.addEventListener("change", () => {
     const text = input.value.trim().replace(" ", "T");
     const time = Date.parse(text.includes("T") ? `${text}Z` : text);
-    input.setCustomValidity(Number.isNaN(time) ? "Enter a time such as 2026-03-02 or 2026-03-02 09:41:07 (UTC)" : "");
+    input.setCustomValidity(Number.isNaN(time) ? "Enter a UTC time such as 2026-03-02 or 2026-03-02 09:41:07" : "");
     if (input.reportValidity()) show(time);
   });
 

@@ -30,7 +30,7 @@ type Sides = Side | "both";
 const SIDES: [Sides, string, string][] = [["left", "Left", "1"], ["right", "Right", "2"], ["both", "Both", "3"]];
 const SWITCHES = [["boxes", "Boxes", "B"], ["cone", "Projected cone", "O"], ["epipolar", "Epipolar line", "E"]] as const;
 type Switch = (typeof SWITCHES)[number][0];
-const STATES = { observed: "cone observed", empty: "position visible, no cone observed", occupied: "another detection at the position", hidden: "position hidden" };
+const STATES = { observed: "cone observed", empty: "position visible, no cone observed", occupied: "another object at the position", hidden: "position hidden" };
 const PAN_PX = 60;
 /** Screen pixels for the height of the cone after "zoom to the cone". */
 const CONE_PX = 220;
@@ -47,7 +47,7 @@ export function createViewer(host: HTMLElement) {
   const title = el("h2", {});
   const why = el("p", { class: "viewer-why" });
   const drives = el("select", { aria: { label: "Drive" } });
-  const others = el("select", { aria: { label: "Drive to compare with" } });
+  const others = el("select", { aria: { label: "Drive to Compare with" } });
   const compareBox = el("input", { type: "checkbox" });
   const sideButtons = SIDES.map(([value, text, key]) => el("button", { type: "button", textContent: text, title: `${text} (${key})`, data: { value }, onclick: () => setSides(value) }));
   const switches = SWITCHES.map(([name, text, key]) => {
@@ -63,7 +63,7 @@ export function createViewer(host: HTMLElement) {
   const stepper = (by: number, sign: string, label: string) => el("button", { type: "button", class: "step", textContent: sign, title: label, aria: { label }, onclick: () => step(by) });
   const button = (label: string, key: string, run: () => void) => el("button", { type: "button", title: `${label} (${key})`, textContent: label, onclick: run });
   const zoom = button("Zoom to the cone", "Z", () => zoomToCone());
-  const compareRow = el("label", { class: "check" }, compareBox, "compare with", others, el("kbd", { textContent: "C" }));
+  const compareRow = el("label", { class: "check" }, compareBox, "Compare with", others, el("kbd", { textContent: "C" }));
   const dialog = el("dialog", { class: "viewer", aria: { label: "Images" } },
     el("header", {}, title, why, el("button", { type: "button", class: "close", textContent: "×", title: "Close (Esc)", aria: { label: "Close the images" }, onclick: () => dialog.close() })),
     el("div", { class: "viewer-tools" },
@@ -233,7 +233,7 @@ export function createViewer(host: HTMLElement) {
     otherPath = null;
   }
 
-  const nameOf = (p: DrivePass) => `${p.drive_id} · ${p.kind ? STYLES[p.kind].label : "not evaluated"}${p.counts ? "" : " · does not count"}`;
+  const nameOf = (p: DrivePass) => `${p.drive_id} · ${p.kind ? STYLES[p.kind].label : "not evaluated"}${p.counts ? "" : " · not part of the map"}`;
 
   /** The frame pair of the other drive from the nearest position: among those that show the cone, if this one does. */
   async function otherFrame(index: number): Promise<Frame | null> {
@@ -300,7 +300,7 @@ export function createViewer(host: HTMLElement) {
     dialog.dataset["frame"] = `${own.drive_id} ${own.frame_index}`;
     fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${utc(own.captured_at)} UTC`,
       subject.now && " · ", subject.now && (seen ? `${seen.range_m.toFixed(1)} m away, ${STATES[seen.state]}` : "position not in view"),
-      own.pixelated && el("small", { textContent: " · pixelated away from detections (CONETL_IMAGES=full shows all)" })); // prettier-ignore
+      own.pixelated && el("small", { textContent: " · pixelated outside detections (CONETL_IMAGES=full shows all)" })); // prettier-ignore
   }
 
   /** One or two, whichever shows the images larger; four images as two rows of pairs. */
@@ -399,7 +399,7 @@ export function createViewer(host: HTMLElement) {
         const wanted = start?.drive_uuid ?? next.now.drive_uuid;
         const own = passOf(wanted) ?? passes[0];
         if (!own && !start) {
-          text.textContent = "No drive on the map has this position in view: its records were pruned, or the map was imported.";
+          text.textContent = "No drive has images of this position: its records were deleted, or the map was imported.";
           return;
         }
         await openDrive(own?.drive_uuid ?? wanted, own?.drive_uuid === start?.drive_uuid ? (start?.frame_index ?? null) : null);

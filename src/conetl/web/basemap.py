@@ -1,6 +1,6 @@
-"""The base map of the operator's choice: tiles of another server, which the browser requests, or a local PMTiles file.
+"""The base map that the operator chose: tiles of another server, which the browser requests, or a local PMTiles file.
 
-Raster tiles of a PMTiles file of version 3 are read where they lie.
+Raster tiles of a PMTiles file of version 3 are read in place.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from pmtiles.tile import (
 from conetl.model.errors import InputError, StorageError
 from conetl.web.models import BaseMapItem
 
-#: Most servers of XYZ tiles end there; a deeper zoom enlarges the tiles of this one.
+#: Most XYZ servers have no deeper level; a deeper zoom enlarges the tiles of this one.
 DEFAULT_ZOOM = 19
-#: Names of the same three numbers in templates of WMTS.
+#: Names of the same three numbers in WMTS templates.
 _SYNONYMS = {"TileMatrix": "z", "TileCol": "x", "TileRow": "y"}
 _HOST = re.compile(r"(?:[a-z0-9.-]+|\[[0-9a-f:]+\])(?::\d{1,5})?", re.IGNORECASE)
 Zoom = Annotated[int, PathParameter(ge=0, le=30)]
@@ -41,7 +41,7 @@ _HEADER_BYTES = 127
 _MEDIA_TYPES = {
     TileType.PNG: "image/png", TileType.JPEG: "image/jpeg", TileType.WEBP: "image/webp", TileType.AVIF: "image/avif",
 }  # fmt: skip
-#: Larger directories and tiles are refused: a damaged file must not fill the memory.
+#: Larger directories and tiles are refused: a damaged file must not exhaust the memory.
 _MAX_DIRECTORY_BYTES = 1_000_000
 _MAX_TILE_BYTES = 8_000_000
 #: The specification allows three levels of leaves below the root in practice.
@@ -84,7 +84,7 @@ def base_map(source: str, attribution: str | None = None, max_zoom: int | None =
 
 
 def _has_port(parts: SplitResult) -> bool:
-    """Whether the port, if there is one, is one."""
+    """Whether the port, if given, is valid."""
     try:
         return parts.port != 0
     except ValueError:
@@ -131,7 +131,7 @@ class Archive:
         self._directory(*self._root)
 
     def tile(self, z: int, x: int, y: int) -> bytes | None:
-        """The bytes of a tile; None without one. Raises StorageError if the file is damaged."""
+        """The bytes of a tile; None if there is none. Raises StorageError if the file is damaged."""
         if not (self.min_zoom <= z <= self.max_zoom and x < 1 << z and y < 1 << z):
             return None
         wanted = zxy_to_tileid(z, x, y)

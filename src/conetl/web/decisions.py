@@ -1,4 +1,4 @@
-"""Routes of decisions: what needs a person first, the decisions in effect, and new ones by holders of the writer token."""
+"""Routes of decisions: the review queue, the decisions in effect, and new ones by holders of the writer token."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Name = Annotated[str, StringConstraints(strip_whitespace=True, min_length=2, max
 Reason = Annotated[str, StringConstraints(strip_whitespace=True, min_length=3, max_length=500, pattern=_LINE)]
 #: Existence probabilities between these are near the threshold of 0.5.
 _LEAST, _MOST = 0.3, 0.7
-#: A move as large as a lane is half wide.
+#: About half the width of a lane.
 _MOVED_FROM_M = 1.0
 _MAX_ITEMS = 100
 #: In the order of the queue, the statement of each kind of cones and its bounds.
@@ -63,7 +63,7 @@ class _Request(Record):
 
 
 class PlaceRequest(_Request):
-    """No cone stands at the position of this feature (suppress), or the cone stands (pin), whatever drives observe."""
+    """Whatever drives observe: no cone stands at the position of this feature (suppress), or the cone stands (pin)."""
 
     kind: Literal["suppress", "pin"]
     feature_id: UUID
@@ -73,7 +73,7 @@ class PlaceRequest(_Request):
 
 
 class DriveRequest(_Request):
-    """The drive of a changeset no longer counts (revert), or counts although it is on hold (accept)."""
+    """The drive of a changeset is taken out of the map (revert), or merged although it is on hold (accept)."""
 
     kind: Literal["revert", "accept"]
     changeset_id: UUID
@@ -91,7 +91,7 @@ DecisionRequest = Annotated[PlaceRequest | DriveRequest | WithdrawRequest, Field
 
 @dataclass(frozen=True)
 class Writer:
-    """The token that a server accepts, and the database of the decisions; each opens a connection of its own that can write."""
+    """The token that a server accepts, and the database of the decisions; each decision opens its own connection."""
 
     token: SecretStr
     database_url: str
@@ -177,8 +177,8 @@ def review(
     offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
     limit: Annotated[int, Query(ge=1, le=_MAX_ITEMS)] = 50,
 ) -> m.Review:
-    """What waits for a person: drives on hold, removed cones, moves of 1 m or more, cones with an existence probability of 0.3 to
-    0.7. What somebody decided is not in it."""
+    """What to review: drives on hold, removed cones, moves of 1 m or more, cones with an existence probability of 0.3 to 0.7.
+    What was decided already is left out."""
     origin = origin_of(conn, map_name)
     held = held_drives(conn, map_name=map_name)
     counts = {"held": len(held)}

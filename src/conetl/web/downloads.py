@@ -48,7 +48,7 @@ def download(
     publisher: Text = None,
     road_name: Text = None,
 ) -> FileResponse:
-    """The map of an instant as a file; with `from_valid_at` the changes since then; `wzdx`: its work zones.
+    """The map at an instant as a file; with `from_valid_at`, the changes since then; `wzdx`: its work zones.
 
     WZDx requires the publisher and the name of the road, and describes the whole map as the database knows it now.
     """
@@ -86,7 +86,7 @@ def download(
     except BaseException:
         folder.cleanup()
         raise
-    # Not compressed on the way: the browser shows how much of the file is there.
+    # Not compressed: the browser can show the progress of the download.
     headers = {"Content-Encoding": "identity", "Cache-Control": "no-store"}
     return FileResponse(
         path,
@@ -107,7 +107,7 @@ def _corners(box: str | None) -> tuple[float, float, float, float] | None:
 
 
 def _file_name(map_name: str, file_format: str, until: datetime | None, since: datetime | None) -> str:
-    """Name with the map and the time, of a state without a time that of the download."""
+    """Name with the map and the time: of the state, or of the download if the state has none."""
     suffix = "_wzdx.geojson" if file_format == "wzdx" else FORMATS[file_format].suffix
     times = [since, until or datetime.now(UTC)] if since else [until or datetime.now(UTC)]
     parts = [f"{time.astimezone(UTC):%Y-%m-%dT%H-%M-%SZ}" for time in times if time]

@@ -118,7 +118,7 @@ def _position(row: dict[str, Any]) -> tuple[float, float, float]:
 
 
 def _problem(row: dict[str, Any], side: str) -> str | None:
-    """Why an image cannot be shown; None where its file is there."""
+    """Why an image cannot be shown; None if its file exists."""
     try:
         image_file(row["source_path"], row[f"{side}_path"])
     except ConetlError as error:

@@ -1,4 +1,4 @@
-"""Answers by which people judge changes: drives past a cone, frames with their boxes, and the review queue."""
+"""Answers for the review of changes: drives past a cone, frames with their boxes, and the review queue."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FrameBox(Box):
 
 
 class FrameView(Answer):
-    """One image of a frame pair, and its camera; rectified, without a lens."""
+    """One image of a frame pair, and its camera; rectified, without distortion."""
 
     width_px: int
     height_px: int
@@ -40,7 +40,7 @@ class FrameView(Answer):
     """Rows of the rotation from the camera's axes (right, down, forward) to the map's."""
     boxes: list[FrameBox]
     problem: str | None
-    """Why there is no image; null where there is one."""
+    """Why there is no image; null if there is one."""
 
 
 class Frame(Answer):
@@ -50,7 +50,7 @@ class Frame(Answer):
     captured_at: datetime
     origin_m: Vec3
     pixelated: bool
-    """Images are pixelated away from detections."""
+    """Images are pixelated outside detections."""
     left: FrameView
     right: FrameView
 
@@ -60,12 +60,12 @@ class Measured(Answer):
 
     name: str
     figures: str
-    """What was measured, its sigma and its limit; empty where the recording does not show it."""
+    """What was measured, its sigma and its limit; empty if the recording does not show it."""
     detail: str
 
 
 class ReviewItem(Answer):
-    """What waits for a person. Of held drives `feature_id`, `xyz_m` and `version` are null."""
+    """What a person should review. Of held drives `feature_id`, `xyz_m` and `version` are null."""
 
     kind: Literal["held", "removal", "move", "doubtful"]
     changeset_no: int
@@ -73,7 +73,7 @@ class ReviewItem(Answer):
     """Of a held drive."""
     drive_id: str
     at: datetime
-    """Since when a drive waits, or a change was true on the road."""
+    """Since when a drive is on hold, or a change was true on the road."""
     why: str
     checks: list[Measured]
     feature_id: UUID | None

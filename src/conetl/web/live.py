@@ -58,7 +58,7 @@ class HeadWatcher:
         """Server-sent events, at once and after every commit that changes them: `changeset` and `decision` with the number of the
         map's newest one (0: none), `base` with a text that changes with the base layers; `trouble` with a message while the
         database is unavailable."""
-        if self.full():  # many came at the same moment
+        if self.full():  # many were opened at the same moment
             yield _event("trouble", _TOO_MANY)
             return
         self._streams += 1

@@ -24,7 +24,7 @@ router = APIRouter(tags=["maps"])
 _MAP = "/maps/{map_name}"
 _MAX_SIGHTINGS = 2_000
 _MAX_TRAJECTORY = 50_000
-#: The pipeline too treats nearer positions as one.
+#: The pipeline, too, treats nearer positions as one.
 _MOVED_FROM_M = ReconcileParams().min_gate_m
 
 
@@ -60,7 +60,7 @@ def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at
         markings=[to.answer(m.Stretch, row, origin) for row in lines],
         truncated=truncated,
     )
-    # FastAPI would make dictionaries of a hundred thousand features first.
+    # FastAPI would first convert a hundred thousand features to dictionaries.
     return Response(sent.model_dump_json(), media_type="application/json")
 
 
@@ -82,8 +82,8 @@ def changes_between(
     to_known_at: Instant = None,
     moved_from_m: Annotated[float, Query(ge=0.01, le=100.0, allow_inf_nan=False)] = _MOVED_FROM_M,
 ) -> m.Changes:
-    """Differences of the map between two instants; a feature moved if its position changed by `moved_from_m` or more, a lane
-    marking from the distance at which another drive's is taken for another one."""
+    """Differences of the map between two instants; a feature moved if its position changed by `moved_from_m` or more; a lane
+    marking, if the pipeline would take it for another one."""
     origin = origin_of(conn, map_name)
     found, truncated = store.read_some(
         conn, "serving.changes_between", MAX_FEATURES, map_name=map_name, moved_from_m=moved_from_m,

@@ -28,7 +28,7 @@ class Answer(BaseModel):
 class Listing(Answer):
     origin_m: Vec3
     truncated: bool
-    """True if the map holds more than one answer may."""
+    """True if the map has more than one answer can hold."""
 
 
 class MapItem(Answer):
@@ -51,7 +51,7 @@ class BaseMapItem(Answer):
 class Maps(Answer):
     maps: list[MapItem]
     chosen: str
-    """The map that `conetl view` was started for."""
+    """The map with which `conetl view` was started."""
     basemap: BaseMapItem | None
 
 
@@ -115,7 +115,7 @@ class Feature(FeatureState):
 
 
 class MarkingShape(Answer):
-    """Shape of a lane marking, or of a stretch of one."""
+    """Shape of a lane marking, or of a piece of one."""
 
     line_m: list[Vec3]
     """Vertices of its centre line, in the direction of travel of the drive that first observed it."""
@@ -130,7 +130,7 @@ class MarkingShape(Answer):
 
 
 class Stretch(Feature):
-    """A stretch of a lane marking; its position is that of the middle vertex."""
+    """A piece of a lane marking; its position is that of the middle vertex."""
 
     marking: MarkingShape
 
@@ -270,9 +270,9 @@ class Decided(Answer):
     also_changed: list[UUID]
     """Of a reverted changeset: features that later drives changed too; their observations are kept."""
     hold_changes: list[str]
-    """Drives that went on hold by it, or are on hold no longer, a sentence each."""
+    """Drives that it put on hold or released, a sentence each."""
     report_problem: str | None
-    """Why a QA report on disk could not be written again; null where nothing failed. The decision is made."""
+    """Why a QA report on disk could not be written again; null if nothing failed. The decision is stored in any case."""
 
 
 class FoundDrive(Answer):
@@ -286,7 +286,7 @@ class FoundPosition(Answer):
     """Name of a place, or how a coordinate pair was read."""
     xy_m: tuple[float, float]
     lat_lon_deg: tuple[float, float] | None
-    """None where the map's CRS does not reach."""
+    """None outside the area of the map's CRS."""
 
 
 class SearchResult(Answer):
@@ -322,7 +322,7 @@ class BaseTile(Answer):
 class BaseLayers(Listing):
     layers: list[BaseLayer]
     tiles: list[BaseTile]
-    """Coarse levels first; tiles of all levels together are the cloud."""
+    """Coarse levels first; the tiles of all levels together are the whole cloud."""
 
 
 class BaseLine(Answer):
@@ -337,7 +337,7 @@ class BaseLines(Listing):
 
 
 class ProvisionalFeature(Answer):
-    """A cone of a drive that is being recorded, or that was and is not ingested yet: no part of the map."""
+    """A cone of a drive that is being recorded, or that was recorded and is not ingested yet; not part of the map."""
 
     drive_id: str
     feature_index: int
@@ -368,4 +368,4 @@ class Conflict(Problem):
     """A decision about a state that has changed."""
 
     now: HistoryItem | None
-    """The feature's newest state; None if it is gone, or the decision was not about a feature."""
+    """The feature's newest state; None if it is gone or the decision was not about a feature."""

@@ -48,7 +48,7 @@ def dated(text: str | None) -> str | None:
 MapName = Annotated[str, Path(pattern=r"^[a-z0-9_-]{1,40}$", description="Name of the map.")]
 Instant = Annotated[
     datetime | None, BeforeValidator(dated), AfterValidator(_utc),
-    Query(description="ISO 8601; UTC where it names no zone. By default the latest."),
+    Query(description="ISO 8601; UTC if it names no zone. By default the latest."),
 ]  # fmt: skip
 ChangesetNo = Annotated[int, Path(ge=1, le=2**62)]
 Index = Annotated[int, Path(ge=0, le=2**31 - 1)]
@@ -80,7 +80,7 @@ _DATETIME: TypeAdapter[datetime] = TypeAdapter(Annotated[datetime, BeforeValidat
 
 
 def parse_instant(text: str) -> datetime:
-    """An instant; UTC where it names no zone. Raises BadParameterError."""
+    """An instant; UTC if it names no zone. Raises BadParameterError."""
     try:
         time = _DATETIME.validate_python(text)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Rows of the database -> answers: offsets from the origin that a float32 holds, camera poses, UTC times."""
+"""Rows of the database -> answers: offsets from the origin that fit into a float32, camera poses, UTC times."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
 
 
 def marking(shape: Mapping[str, Any] | None, origin_m: Vec3) -> MarkingShape | None:
-    """The shape of a lane marking, as conetl.marking_json makes it; None of point objects."""
+    """The shape of a lane marking, as returned by conetl.marking_json; None of point objects."""
     if shape is None:
         return None
     return MarkingShape(**{**shape, "line_m": [offset(vertex, origin_m) for vertex in shape["line_m"]]})

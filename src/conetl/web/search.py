@@ -1,4 +1,4 @@
-"""Routes of places: cones, drives, days, coordinates and places by a searched text; longitude and latitude in the browser.
+"""Routes of the search for cones, drives, days, coordinates and places, and of longitude and latitude in the browser.
 
 The page computes the coordinates under the cursor, and places the tiles of a base map, by polynomials of the map's projection,
 without a request for each.
@@ -27,13 +27,13 @@ if TYPE_CHECKING:  # GDAL takes seconds to load
 router = APIRouter()
 _MAX_FOUND = 20
 _NUMBER = r"[-+]?\d{1,9}(?:\.\d*)?"
-#: "458006.5 5428010", "49.005, 8.43", with units or letters of the axes that people copy along.
+#: "458006.5 5428010", "49.005, 8.43", with the units or axis letters that people copy along.
 _PAIR = re.compile(rf"\s*({_NUMBER})\s*(?:°|m|E|N)?\s*[\s,;]\s*({_NUMBER})\s*(?:°|m|E|N)?\s*", re.IGNORECASE)
 #: Of two ways to read a pair, the one whose point is nearer to the map is meant, if the other one is farther than this.
 _FAR_M = 100_000.0
 #: Half the side of the square in which the polynomials hold; the page asks for others beyond it.
 RADIUS_M = 20_000.0
-#: Largest error of both polynomials within RADIUS_M; a CRS that bends more has none.
+#: Largest error of both polynomials within RADIUS_M; for a CRS with larger ones there are no polynomials.
 TOLERANCE_M = 0.01
 _DEGREE = 5
 _METRES_PER_DEGREE = 111_320.0
@@ -46,7 +46,7 @@ Metres = Annotated[float, Query(ge=-5e6, le=5e6, allow_inf_nan=False)]
 def search(
     map_name: MapName, conn: Reader, request: Request, text: Annotated[str, Query(min_length=1, max_length=100)]
 ) -> m.SearchResult:
-    """What a text may mean: an id's beginning, a part of a drive's id, a day (2026-03-02), a coordinate pair, a place."""
+    """What a text may mean: the beginning of an id, a part of a drive's id, a day (2026-03-02), a coordinate pair, a place."""
     origin = origin_of(conn, map_name)
     info = require_map(conn, map_name)
     wanted = text.strip()
@@ -67,7 +67,8 @@ def search(
 
 
 def _positions(text: str, srid: int, origin: Vec3) -> list[m.FoundPosition]:
-    """The point of a coordinate pair: lat, lon where both are small enough, else E N of the map's CRS; swapped if nearer."""
+    """The point of a coordinate pair: lat, lon if both are small enough, else E N of the map's CRS; swapped if that is
+    nearer."""
     pair = _PAIR.fullmatch(text)
     if pair is None:
         return []

@@ -23,6 +23,9 @@ _LOG_IN = (
     "Log in: open the address with the token that `conetl status` or `conetl view` prints, or give the token (the file "
     "view_token in CONETL_HOME) as the password, with any user name."
 )
+_WRONG_TOKEN = (
+    "The writer token is missing or wrong. `conetl view --decisions` names the file that contains it when it starts."
+)
 _REALM = "conetl view, token as password"
 _LOGIN_S = 30 * 86_400
 #: Only this server's own files run or load, and no other page may embed or read them.
@@ -42,11 +45,11 @@ _HEADERS = {
 
 
 class Guard:
-    """ASGI middleware: a login, refusal of other pages' requests and of those of absurd length, headers of every answer.
+    """ASGI middleware: a login, refusal of requests of other pages and of overlong ones, headers of every answer.
 
     Other pages could not read the answers, but they could keep the server and its streams busy. Streams are not buffered.
     tokens: one of them is required of every request, as a cookie, as the password of Basic authentication, as a Bearer token, or
-    once as `?token=` of a page, which sets the cookie; none: everybody who reaches the server may read.
+    once as `?token=` of a page, which sets the cookie; without tokens, everybody who reaches the server may read.
     image_host: the one other server whose images pages may load, such as https://tiles.example; None for none.
     """
 
@@ -146,7 +149,7 @@ def _require_writer(request: Request) -> None:
     scheme, _, given = headers.get("authorization", "").partition(" ")
     wanted = writer.token.get_secret_value().encode()
     if not (hmac.compare_digest(given.strip().encode(), wanted) and scheme.lower() == "bearer"):
-        raise HTTPException(401, "The writer token is missing or wrong.", headers={"WWW-Authenticate": "Bearer"})
+        raise HTTPException(401, _WRONG_TOKEN, headers={"WWW-Authenticate": "Bearer"})
     if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise HTTPException(415, "A decision must be sent as application/json.")
     length = headers.get("content-length", "")

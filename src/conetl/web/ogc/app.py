@@ -1,4 +1,4 @@
-"""The application that is mounted at `/ogc`: tipg's routes without HTML, our pages of items, the API definition and errors."""
+"""The application that is mounted at `/ogc`: tipg's routes without HTML, our item pages, the API definition and errors."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _CONFORMS_TO = [
 #: Parameters of tipg that are not offered: a filter could call any database function, the others mean nothing for points.
 _NOT_OFFERED = frozenset({"filter", "filter-lang", "geom-column", "datetime-column", "simplify", "bbox-only", "type"})
 ITEMS = "/collections/{collectionId}/items"
-#: Operations with a filter for each property.
+#: Operations that have a filter for each property.
 _FILTERED = (ITEMS, "/collections/{collectionId}/tiles/{tileMatrixSetId}/{z}/{x}/{y}")
 _ERROR_RESPONSES = {
     "400": "A parameter is invalid or unknown.",
@@ -123,7 +123,7 @@ class OgcProblem(Problem):
 
 
 def _definition(app: FastAPI) -> dict[str, Any]:
-    """FastAPI's definition without HTML and what is not offered, with filters by property; built once."""
+    """FastAPI's definition without HTML and without what is not offered, with filters by property; built once."""
     if app.openapi_schema is not None:
         return app.openapi_schema
     document = get_openapi(title=app.title, version=app.version, routes=app.routes, description=app.description)
@@ -147,7 +147,7 @@ def _definition(app: FastAPI) -> dict[str, Any]:
         operation["responses"] |= errors
     document["components"]["schemas"]["OgcProblem"] = OgcProblem.model_json_schema()
     [limit] = [p for p in document["paths"][ITEMS]["get"]["parameters"] if p["name"] == "limit"]
-    document["components"]["parameters"] = {"limit": limit}  # where QGIS reads the largest page
+    document["components"]["parameters"] = {"limit": limit}  # QGIS reads the largest page from here
     app.openapi_schema = document
     return document
 

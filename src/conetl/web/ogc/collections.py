@@ -127,7 +127,7 @@ class AsOfCollection(PgCollection):
 
     @property
     def extent(self) -> Extent:
-        """The area that the map's drives covered, from the first drive on."""
+        """The area that the map's drives covered, and the time from the first drive on."""
         since = self.served.since.astimezone(UTC).isoformat().replace("+00:00", "Z")
         return Extent(spatial=Spatial(bbox=[list(self.served.extent)]), temporal=Temporal(interval=[[since, None]]))
 
@@ -146,7 +146,7 @@ class AsOfCollection(PgCollection):
         return wanted if where is None else where + wanted
 
     def _sort_expressions(self, sortby: str | None) -> list[tuple[str, str]]:
-        """tipg's order with the id last: without it, items that are equal in the order could appear on two pages or on none."""
+        """tipg's order, and last the id: without it, items that compare equal could appear on two pages or on none."""
         order: list[tuple[str, str]] = super()._sort_expressions(sortby)
         return order if any(name == "feature_id" for name, _ in order) else [*order, ("feature_id", "feature_id")]
 
@@ -201,7 +201,7 @@ class AsOfCollection(PgCollection):
         self, conn: asyncpg.Connection, text: Mapping[str, str], arguments: Mapping[str, str | float],
         limit: int, offset: int, links: tuple[str, str],
     ) -> Page:  # fmt: skip
-        """A page out of a large part of a large map: first the versions that are on it, then their items."""
+        """A page of a large part of a large map: first the versions that are on it, then their items."""
         found_text = {**text, "box": _named(arguments, 3)}
         found = await store.fetch(conn, "features_found", found_text, limit, offset, *arguments.values())
         if not found:
@@ -213,7 +213,7 @@ class AsOfCollection(PgCollection):
         return Page(items, returned, found[0]["matched"])
 
     async def _items(self, conn: asyncpg.Connection, text: Mapping[str, str], *arguments: object) -> tuple[bytes, int]:
-        """Items of one page as JSON with commas between them, and how many."""
+        """Items of one page as comma-separated JSON, and their number."""
         name = "changes_page" if self.table == "changes" else "features_page"
         [row] = await store.fetch(conn, name, text, *arguments)
         return (row["items"] or "").encode(), row["returned"]
@@ -253,7 +253,7 @@ class AsOfCollection(PgCollection):
     def _arguments(self, box: Degrees | None, interval: Interval | None) -> dict[str, str | float]:
         """Arguments of the function in the order of its parameters; names and instants as text.
 
-        Without a box where all of the map is requested: that is a statement of its own, with a plan of its own.
+        Without a box if the whole map is requested: that is a separate statement with its own plan.
         """
         near = store.ALL_ROWS if box is None else store.rows_near(box, self.served)
         arguments = {"map_name": self.served.map_name} | self._times(interval)

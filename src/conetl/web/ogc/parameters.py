@@ -1,4 +1,4 @@
-"""Dependencies of the OGC API: instants, collections and filters of a request. What is invalid is answered 400 or 404."""
+"""Dependencies of the OGC API: instants, collections and filters of a request. Invalid values are answered with 400 or 404."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_OFFSET = 2**31
 ItemForm = Annotated[Literal["geojson", "json", "csv", "geojsonseq", "ndjson"], Query(description="Format.")]
 
 
-# All dependencies are coroutines: FastAPI runs plain functions in a thread each.
+# All dependencies are coroutines: FastAPI runs each plain function in a thread.
 async def read_instants(
     at: Instant = None,
     known_at: Instant = None,
