@@ -124,7 +124,7 @@ def test_a_missing_image_is_left_out(shown: Any, latest: CommittedChangeset) -> 
 def test_alerts(shown: Any, latest: CommittedChangeset) -> None:
     facts = read_drive_facts(shown, latest, map_name="default")
     told = " ".join(f.text for f in alerts(facts))
-    assert "1 cone is removed from the map: no. 1" in told
+    assert "1 cone removed from the map: no. 1" in told
     assert "The trajectory is the logged one" in told and "Calibration: <b>turned</b>" in told
     assert "Clean <b>the lens</b>." in told
     confirmed = tuple(c for c in facts.changes if c["kind"] is DeltaKind.CONFIRMED)
@@ -192,7 +192,7 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     assert facts.size_at(since) == 0
     assert [row["warnings"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
     for told in (
-        "2 drives failed", "no usable pose", "1 cone vanished", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
+        "2 drives failed", "no usable pose", "1 cone was removed", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
     ):  # fmt: skip
         assert told in page
 
@@ -261,7 +261,7 @@ def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
     assert [(one["drive_id"], one["checks"][0]["value"]) for one in night["held"]] == [(held.drive.drive_id, 5.0)]
     page = (tmp_path / "night.html").read_text()
     assert_loads_nothing(page)
-    assert "1 drive is on hold and waits for a person" in page and "All drives are on the map" not in page
+    assert "1 drive is on hold: accept or revert" in page and "All drives are on the map" not in page
     for said in ("jumps of the poses", "5 +- 0.1 m (limit 0.1)", "conetl drive accept 2 --note REASON"):
         assert said in page, said
     conetl("report", "drive", "2")

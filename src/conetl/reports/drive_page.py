@@ -104,7 +104,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
     kinds = Counter(c["kind"] for c in facts.changes)
     if not facts.changeset.counts:
         hold = facts.changeset.hold
-        reason = "it was reverted, or the drive was analysed or delivered again."
+        reason = "it was reverted, or replaced by a later analysis or delivery of the same recording."
         if hold:
             reason = f"the drive is on hold. {hold} {what_to_do(facts.changeset.changeset_no)}"
         yield Alert(True, f"This changeset is not in effect: {reason}")
@@ -125,16 +125,17 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(True, "No cone was found on this drive.")
     if len(facts.residual_px) and (middle := float(np.median(facts.residual_px))) > _RESIDUAL_PX:
         yield Alert(
-            True, f"The median residual is {middle:.2f} px: check calibration and synchronisation of the cameras."
+            True,
+            f"The median residual is {middle:.2f} px: check the calibration and the synchronisation of the cameras.",
         )
     if vague := [c for c in facts.changes if c["sigma_m"] > _SIGMA_M and not c["kind"].ends]:
-        yield Alert(False, f"{_cones(vague)} located no better than {_SIGMA_M} m (1 sigma): {_numbers(vague)}.")
+        yield Alert(False, f"{_cones(vague)} with a horizontal sigma above {_SIGMA_M} m: {_numbers(vague)}.")
     if doubtful := [c for c in facts.changes if c["kind"].founds and c["existence_probability"] < _DOUBTFUL]:
         yield Alert(
             False, f"{_cones(doubtful)} added with an existence probability below {_DOUBTFUL:g}: {_numbers(doubtful)}."
         )
     if removed := [c for c in facts.changes if c["kind"] is DeltaKind.REMOVED]:
-        yield Alert(False, f"{_cones(removed)} removed from the map: {_numbers(removed)}; see the images.")
+        yield Alert(False, f"{_cones(removed)} removed from the map: {_numbers(removed)}. Check the images.")
     run = facts.header["facts"]
     if str(run.get("trajectory_outcome", "refined")) not in _NORMAL_TRAJECTORIES:
         yield Alert(False, f"The trajectory is the logged one: {run.get('trajectory', '')}.")
@@ -143,7 +144,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
 
 
 def _cones(changes: Sequence[Row]) -> str:
-    return "1 cone is" if len(changes) == 1 else f"{len(changes)} cones are"
+    return "1 cone" if len(changes) == 1 else f"{len(changes)} cones"
 
 
 def _numbers(changes: Sequence[Row]) -> str:
@@ -253,9 +254,9 @@ def _sighting(conn: Connection, drive_uuid: UUID, track_index: int, title: str) 
     """The nearest frame pair of a track."""
     rows = read(conn, _UNREAD, "reports.sighting", drive_uuid=drive_uuid, track_index=track_index)
     if not rows:
-        return PairOfCrops(title, (), "its raw records were pruned")
+        return PairOfCrops(title, (), "its records were deleted")
     row = rows[0]
-    title += f", frame {row['frame_index']}, {row['range_m']:.1f} m"
+    title += f", frame pair {row['frame_index']}, {row['range_m']:.1f} m"
     boxes = [tuple(row[f"{side}_{name}_px"] for name in "xywh") for side in SIDES]
     paths = [row["left_path"], row["right_path"]]
     return _crops(title, row["source_path"], Rig.model_validate(row["rig"]), paths, boxes)
@@ -270,7 +271,7 @@ def _expected(facts: DriveFacts, change: Row, drive: DriveObservations) -> PairO
         return PairOfCrops("this drive", (), "its position is not completely in view in any image pair")
     largest = int(heights_px[:, 0].argmax())
     pair = facts.frame_pairs[rows[largest]]
-    title = f"this drive, frame {pair.frame_index}: expected position"
+    title = f"this drive, frame pair {pair.frame_index}: expected position"
     shown = [(x0 + 0.5, y0 + 0.5, x1 - x0, y1 - y0) for x0, y0, x1, y1 in boxes[largest]]
     return _crops(title, facts.header["source_path"], facts.rig, [pair.left_path, pair.right_path], shown)
 
