@@ -21,17 +21,17 @@ from conetl.model.errors import InputError
 
 MANIFEST_VERSION = 1
 _WGS84 = "OGC:CRS84"
-#: Memory of the database per sort or join. A million features fit; a history has more joins and any length.
+#: Memory of the database per sort or join. Enough for a million features; a history has more joins and any length.
 _WORK_MEM = {What.FEATURES: "128MB", What.CHANGES: "64MB", What.HISTORY: "64MB"}
 
 
 def export_map(conn: Connection, path: Path, file_format: str, request: ExportRequest) -> dict[str, Any]:
     """Write the rows of `request` to `path` and a manifest to `path` + '.manifest.json'; the manifest.
 
-    All rows come from one snapshot of the database, in batches. All files appear at the end, or none. Where the map has lane
-    markings and a file of the format holds one type of geometry, they are in a second file (`cones_lane_markings.csv`) with a
-    manifest of its own; `lane_markings` of the manifest says in which file they are, and how many. Raises InputError for an
-    unknown format or map, and where the files cannot be written.
+    All rows come from one snapshot of the database, in batches. All files appear at the end, or none. If the map has lane
+    markings and a file of the format holds one type of geometry only, they are in a second file (`cones_lane_markings.csv`)
+    with a manifest of its own; `lane_markings` of the manifest says in which file they are, and how many. Raises InputError for
+    an unknown format or map, and if the files cannot be written.
     """
     if file_format not in FORMATS:
         raise InputError(f"unknown format {file_format}: choose one of {', '.join(FORMATS)}")

@@ -9,7 +9,7 @@ class Field(NamedTuple):
     """One field."""
 
     alias: str
-    """Heading for people, as in QGIS."""
+    """Heading, as in QGIS."""
     unit: str
     """Empty for ids, words and counts."""
     meaning: str

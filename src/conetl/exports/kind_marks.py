@@ -40,14 +40,14 @@ STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")
 DARK_POINT, BRIGHT_POINT, LANE, DRIVE_PATH = "#a9a294", "#dcd7cc", "#8a7443", "#4a5560"
 #: #rrggbb of the paint by `Marking.colour`.
 PAINT = {"white": "#ffffff", "yellow": "#f2b705", "other": "#9aa5b0"}
-#: Around the paint, so that white is seen on white paper.
+#: Around the paint, so that white is visible on white paper.
 CASING = "#4a5560"
 
 
 def dashes_of(vertices_m: ArrayLike, dash_m: float | None, gap_m: float | None) -> list[Floats]:
     """The parts of a lane marking (N, 2 or 3) that are painted: one of solid lines, dash_m and gap_m None.
 
-    Where along the road the dashes begin is not known: one dash has its middle in the middle of the line.
+    It is not known where along the road the dashes begin: one dash is centred on the middle of the line.
     """
     line = np.asarray(vertices_m, np.float64)
     if dash_m is None or gap_m is None:

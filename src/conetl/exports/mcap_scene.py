@@ -1,10 +1,10 @@
 """The map as an MCAP recording for Foxglove: cones in true size, coloured by their change, and lane markings in true width.
 
-Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones and, where the map has them,
-/lane_markings (SceneUpdate), /tf (FrameTransform from
-the map's CRS to a frame `map` with its origin near the first cone, because graphics cards compute in float32) and /origin
-(LocationFix of that origin). Features and changes are one instant. A history follows the time on the road, in one database
-state (that of `believed_at`): cones appear, change and disappear as the recording plays.
+Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones and, if the map has them, /lane_markings
+(SceneUpdate), /tf (FrameTransform from the map's CRS to a frame `map` with its origin near the first cone, because graphics
+cards compute in float32) and /origin (LocationFix of that origin). Features and changes are shown at one instant. A history
+follows the time on the road, in one database state (that of `believed_at`): cones appear, change and disappear as the recording
+plays.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def _entity(row: Object, origin: Point) -> Object:
 
 
 def _stripes(row: Object, origin: Point, colour: Object) -> Object:
-    """A lane marking in its width: one line, or one per dash."""
+    """A lane marking with its width: one line, or one per dash."""
     line = row[LINE_NAME] - np.array(origin)
     if row["change"] in (None, "confirmed"):
         colour = _rgb(PAINT[row["colour"]]) | {"a": colour["a"]}
@@ -135,7 +135,7 @@ def _stripes(row: Object, origin: Point, colour: Object) -> Object:
 
 
 def _body(row: Object, origin: Point, colour: Object) -> Object:
-    """A cone, or a cylinder for objects of other classes, and an arrow where it was moved."""
+    """A cone, or a cylinder for objects of other classes, and an arrow if it was moved."""
     x, y, z = row["easting_m"] - origin[0], row["northing_m"] - origin[1], row["ellipsoidal_height_m"] - origin[2]
     height_m = row["height_m"]
     category = row["category"]
@@ -248,7 +248,7 @@ _ENTITY = _object(
     metadata=_list(_object("foxglove.KeyValuePair", key=_STRING, value=_STRING)),
     arrows=_list(_ARROW), cylinders=_list(_CYLINDER), **{kind: _list() for kind in _PRIMITIVES[2:]},
 )  # fmt: skip
-#: The three messages, with names and fields as in Foxglove's documentation.
+#: The three messages, with the names and fields of Foxglove's documentation.
 SCENE_UPDATE = _object(
     "foxglove.SceneUpdate",
     deletions=_list(_object("foxglove.SceneEntityDeletion", timestamp=_TIME, type=_INTEGER, id=_STRING)),

@@ -1,9 +1,9 @@
 """A QGIS project (3.22 or newer) over the live tables, with styled layers and the temporal controller set to the map's time.
 
-The project holds no data and no password: QGIS queries the database whenever it draws, and prompts for a password where the
-server requires one. Layers: the standing cones, coloured by their latest change and transparent by their existence probability;
-the 95 % circles of their positions; the lane markings in the width, colour and pattern of the paint; all cones that ever stood,
-for the temporal controller.
+The project holds no data and no password: QGIS queries the database whenever it draws, and prompts for a password if the server
+requires one. Layers: the standing cones, coloured by their latest change and transparent by their existence probability; the
+95 % circles of their positions; the lane markings in the width, colour and pattern of the paint; all cones that ever stood, for
+the temporal controller.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _DEFAULTS = {"shown": True, "circles": False, "temporal": False, "lines": False}
 def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str | None = None) -> None:
     """Write a project file (.qgz or .qgs) for a map. user: login that QGIS uses; None: that of `conn`.
 
-    Raises InputError for an unknown map, and where the file cannot be written.
+    Raises InputError for an unknown map, and if the file cannot be written.
     """
     if path.suffix.lower() not in (".qgz", ".qgs"):
         raise InputError(f"{path}: a QGIS project is a .qgz or .qgs file")

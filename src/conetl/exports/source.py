@@ -1,4 +1,4 @@
-"""What an export writes: rows of the map in Arrow record batches, read from the server while they are written."""
+"""The rows that an export writes: Arrow record batches, read from the server while they are written."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _DERIVED = {
     "old_ground_height_m": (pa.float64(), "old_height_m"),
 }
 POSITION_NAMES = ("easting_m", "northing_m", "ellipsoidal_height_m")
-#: Columns of the history, left out where neither history nor changes are exported.
+#: Columns of the history, left out if neither history nor changes are exported.
 _HISTORY_NAMES = ("change", "shift_m", "present", "suppressed", "system_from", "system_to")
 #: The line itself, as well-known binary in hexadecimal digits, and the columns that only lines and only points have.
 LINE_NAME = "line"
@@ -78,7 +78,7 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class ExportSource:
-    """The rows of one request with one type of geometry. Made by `open_source`, valid in its block."""
+    """The rows of one request with one type of geometry. Created by `open_source`, valid within its block."""
 
     conn: Connection
     info: MapInfo
@@ -111,7 +111,7 @@ class ExportSource:
 
     @property
     def crs(self) -> CRS:
-        """The CRS of easting, northing and, where that is not ellipsoidal, ground height."""
+        """The CRS of easting, northing and, if that is not ellipsoidal, ground height."""
         return compound_crs(*self.epsg)
 
     @property
@@ -195,7 +195,7 @@ class ExportSource:
 
     @property
     def _has_change(self) -> bool:
-        """Standing features, too, carry their latest change where rows are in the order of time."""
+        """Standing features, too, carry their latest change if rows are in the order of time."""
         return self.order is Order.BY_TIME or self.request.what is not What.FEATURES
 
     @property
@@ -231,7 +231,7 @@ def _floats(*columns: pa.Array) -> Floats:
 
 
 def _turned(columns: dict[str, pa.Array], turn: Floats) -> dict[str, pa.Array]:
-    """Sigmas and covariances of axes that `turn` (n, 2, 2) turns; the vertical one stays."""
+    """Sigmas and covariances after the rotation `turn` (n, 2, 2) of the horizontal axes."""
     sigma_e, sigma_n, cov = (_floats(columns[name]) for name in ("sigma_e_m", "sigma_n_m", "cov_en_m2"))
     flat = np.stack([np.stack([sigma_e**2, cov], -1), np.stack([cov, sigma_n**2], -1)], -2)
     flat = turn @ flat @ turn.transpose(0, 2, 1)
@@ -245,7 +245,7 @@ def _turned(columns: dict[str, pa.Array], turn: Floats) -> dict[str, pa.Array]:
 
 @contextmanager
 def open_source(conn: Connection, request: ExportRequest, order: Order = Order.BY_ID) -> Iterator[list[ExportSource]]:
-    """The rows of a request by type of geometry: points, then lines where the map has any; of one class, its own.
+    """The rows of a request by type of geometry: points, then lines if the map has any; for one class, that of the class.
 
     Raises InputError for a request that contradicts itself, and for an unknown map or class.
     """

@@ -24,7 +24,7 @@ LINES_LAYER = "lane_markings"
 _MILLISECONDS = pa.timestamp("ms", tz="UTC")
 _SIDES = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 _BBOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES])
-#: Columns of few different values. Parquet would also try a dictionary for the others, and drop it each time.
+#: Columns of few different values. Parquet would also try a dictionary for the others, and discard it each time.
 _REPEATED = (
     "version", "category", "height_m", "object_height_m", "height_system", "observation_count", "valid_from", "valid_to",
     "changeset_id", "seen_count", "missed_count", "height_sigma_m", "change", "present", "suppressed", "system_from", "system_to",
@@ -35,8 +35,8 @@ _REPEATED = (
 def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
     """Write GeoParquet 1.1 (https://geoparquet.org/releases/v1.1.0/), one row group per batch.
 
-    Rows follow a Hilbert curve and carry their box in the column `bbox`, so that a reader finds a street by the statistics of the
-    row groups.
+    Rows follow a Hilbert curve and carry their box in the column `bbox`, so that a reader finds a street through the statistics
+    of the row groups.
     """
     [source] = sources
     schema = _property_schema(source).append(pa.field("bbox", _BBOX)).append(pa.field(GEOMETRY, pa.binary()))
@@ -78,7 +78,7 @@ def _write_by_gdal(source: ExportSource, path: Path, driver: str) -> None:
     Points are in a layer named like the map, lines in `lane_markings` (of a map with this name, `lane_markings_lines`).
 
     GDAL stores times in milliseconds. Each time is therefore written twice: as date and time, for QGIS's temporal controller,
-    and exactly in a column with the suffix `_us`, as microseconds since 1970 (UTC). Raises InputError where the file cannot be
+    and exactly in a column with the suffix `_us`, as microseconds since 1970 (UTC). Raises InputError if the file cannot be
     written.
     """
     failure: list[BaseException] = []
@@ -101,7 +101,7 @@ def _write_by_gdal(source: ExportSource, path: Path, driver: str) -> None:
                         columns.append(column)
                 yield pa.record_batch(columns, schema=schema)
         except BaseException as error:
-            failure.append(error)  # GDAL would hide it behind an error of its own
+            failure.append(error)  # GDAL would replace it by an error of its own
             raise
 
     layer = source.request.map_name

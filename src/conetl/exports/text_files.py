@@ -53,7 +53,7 @@ Object = dict[str, Any]
 class ExportRow:
     """One feature: WGS 84 longitude and latitude (degrees), coordinates in the map's CRS, ellipsoidal height (m), properties.
 
-    Of a lane marking these are of its middle vertex.
+    For a lane marking, these are of its middle vertex.
     """
 
     lon_deg: float
@@ -179,8 +179,8 @@ def export_geojson(conn: Connection, path: Path, *, map_name: str = "default") -
 def write_features(sources: Sequence[ExportSource], path: Path) -> None:
     """Write one Feature per row and line of the file. The same map gives the same bytes.
 
-    Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). A feature's id is that of the cone, except in
-    a history, where a cone has several rows. Lane markings are lines.
+    Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). The id of a Feature is that of the cone,
+    except in a history, because there a cone has several rows. Lane markings are lines.
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write('{"type": "FeatureCollection", "features": [')
@@ -203,7 +203,7 @@ def write_features(sources: Sequence[ExportSource], path: Path) -> None:
 def export_diff_geojson(
     changes: Sequence[FeatureChange], path: Path, *, srid: int, origins: Mapping[UUID, Mapping[str, Any]] | None = None
 ) -> int:
-    """Write the difference of two maps: a point per changed feature, a line where it moved; the number of features.
+    """Write the difference of two maps: a point per changed feature, a line if it moved; the number of features.
 
     origins: by feature id, the row of `history.feature_log` of its last change; without one the time and the drive are null.
     """

@@ -1,7 +1,7 @@
 """Work zones as WZDx 4.2 feeds (USDOT): WorkZoneFeed, and DeviceFeed with a location marker per cone.
 
 docs/how-to/work_zones.md describes the source of every field. A document is checked against the published schemas, which are
-shipped, before its file appears.
+shipped, before its file is written.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Object = dict[str, Any]
 
 
 class FeedInfo(Record):
-    """Publisher and road of a feed, which the map does not contain."""
+    """Publisher and road of a feed; the map contains neither."""
 
     publisher: str = Field(min_length=1)
     road_names: tuple[str, ...] = Field(min_length=1)
@@ -89,7 +89,7 @@ class FeedContext:
     made_at: datetime
     params: WorkZoneParams
     surveyed_at: datetime | None = None
-    """When the last cone was seen, of all on the map; None: not known."""
+    """When the last cone of the whole map was seen; None: unknown."""
 
     @property
     def data_source_id(self) -> str:
@@ -215,7 +215,7 @@ def _evidence(zone: WorkZone) -> Object:
 
 
 def _description(zone: WorkZone, surveyed: datetime, max_age_days: float | None) -> str:
-    """max_age_days: of a zone that was surveyed longer ago; else None."""
+    """max_age_days if the zone was surveyed longer ago; else None."""
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
     devices = "cones" if all(cone.category == CONE for cone in zone.layout.cones) else "devices"
@@ -260,7 +260,7 @@ def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedConte
 
 
 def _direction(zone: WorkZone, context: FeedContext) -> str:
-    """That of the publisher; else the quarter of the true bearing from the first to the last device."""
+    """The direction given by the publisher; else the compass quarter of the true bearing from the first to the last device."""
     if context.info.direction is not None:
         return context.info.direction
     if not zone.layout.direction_known:

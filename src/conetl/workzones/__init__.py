@@ -1,4 +1,4 @@
-"""Cones of the map to work zones with rows, tapers and closed lanes, and the check of their layout. Pure functions.
+"""From the cones of the map to work zones with rows, tapers and closed lanes, and the check of their layout. Pure functions.
 
 It imports `geometry` and `model`. Start with `work_zones.py`.
 """

@@ -1,4 +1,4 @@
-"""Cones of one work zone as rows of tapers and tangents; the others are strays.
+"""The cones of one work zone as rows of tapers and tangents; cones in no row are strays.
 
 A row is the straightest chain of cones by station: dynamic programming over pairs of cones, where each cone gains
 `row_skip_cost` and each bend costs its squared deviation in tolerances. A row is split into straight pieces by optimal
@@ -54,7 +54,7 @@ def find_rows(
 ) -> list[ConeRow]:
     """The rows of cones (C,), longest first; stations_m must not decrease.
 
-    axis_sigma_m: lateral sigma of the axis; smaller shifts are not tapers. traffic_sign: +1 where traffic passes to the left of
+    axis_sigma_m: lateral sigma of the axis; smaller shifts are not tapers. traffic_sign: +1 if traffic passes to the left of
     the row, -1 to the right, 0 unknown (then converging means to the left).
     """
     left = np.arange(len(stations_m))
@@ -108,14 +108,14 @@ def _tapers(
     traffic_sign: float,
     axis_sigma_m: float,
 ) -> list[Taper]:
-    """Tapers of one row of cones (C,); variances: of the offsets, as assumed before the row's own scatter is known."""
+    """Tapers of one row of cones (C,); variances: of the offsets, as assumed before the scatter of the row is known."""
     pieces = _pieces(s, o, 1.0 / variances, params.segment_penalty)
     scale = _variance_factor(pieces, o, s, variances)
     variances = scale * variances
     pieces = [replace(piece, var_b=piece.var_b * scale) for piece in pieces]
     least_shift_m = max(params.min_taper_shift_m, 2.0 * axis_sigma_m)
     if axis_sigma_m <= params.lane_axis_sigma_m:
-        # Tangents are parallel to lane lines; free slopes would only blur the ends of tapers.
+        # Tangents are parallel to lane lines; free slopes would only make the ends of tapers less certain.
         flat = [abs(piece.b) * (s[piece.last] - s[piece.first]) < params.min_taper_shift_m for piece in pieces]
         pieces = [
             replace(p, b=0.0, var_b=0.0, level=True) if level else p for p, level in zip(pieces, flat, strict=True)
@@ -176,7 +176,7 @@ def _chi2(moments: Floats) -> Floats:
 
 
 def _variance_factor(pieces: list[_Piece], o: Floats, s: Floats, variances: Floats) -> float:
-    """Factor on the assumed variances by the scatter of the row; the assumption counts as `_PRIOR_FREEDOM` cones."""
+    """Factor on the assumed variances by the scatter of the row; the assumption has the weight of `_PRIOR_FREEDOM` cones."""
     chi2 = sum(
         (o[k] - piece.at(float(s[k]))) ** 2 / variances[k]
         for piece in pieces
@@ -202,11 +202,10 @@ def _end(s: Floats, sigmas_s: Floats, at: int) -> Knot:
 
 
 def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -> Knot:
-    """Where two pieces meet.
-
-    The sigmas are thirds of the distances at which the best two lines that meet there fit worse by nine in chi-square (profile
-    likelihood, Venzon & Moolgavkar 1988): near the end of a taper they are asymmetric, and error propagation would overestimate
-    one. The cones are those at which the lines may meet within nine of the best cone.
+    """The station at which two pieces meet. Its sigmas are a third of the distances at which chi-square of the best two lines
+    that meet there is larger by nine (profile likelihood, Venzon & Moolgavkar 1988): near the end of a taper they are
+    asymmetric, and error propagation would overestimate one. The cones are those at which the lines may meet with a chi-square
+    within nine of the best.
     """
     low = float(s[max(one.last - _KNOT_CONES, one.first)])
     high = float(s[min(other.first + _KNOT_CONES, other.last)])
@@ -228,7 +227,7 @@ def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -
 
 
 def _crossing(stations: Floats, rise: Floats, best: int, step: int) -> float:
-    """Station at which `rise` becomes positive, starting from the best one; the outermost if it does not."""
+    """Station at which `rise` becomes positive, starting from the best one; the outermost if it never does."""
     at = best
     while 0 <= at + step < len(stations):
         if rise[at + step] > 0:
@@ -239,7 +238,7 @@ def _crossing(stations: Floats, rise: Floats, best: int, step: int) -> float:
 
 
 def _chi2_of_knot(at_m: float, s: Floats, o: Floats, variances: Floats, first_level: bool, other_level: bool) -> float:
-    """Chi-square of the best two lines that meet at a station; level ones are parallel to the axis."""
+    """Chi-square of the best two lines that meet at a station; those marked level are parallel to the axis."""
     columns = [np.ones(len(s))]
     columns += [] if first_level else [np.minimum(s - at_m, 0.0)]
     columns += [] if other_level else [np.maximum(s - at_m, 0.0)]

@@ -1,8 +1,8 @@
 """Check of a work zone's layout against rules, with uncertainty: spacing, missing cones, taper lengths, cones in the open lane.
 
 The rules of published standards, with the source of each number, are in `rules/*.yaml`. Stations and offsets are those of the
-zone's axis, in the direction of travel. A gap across the end of a taper is measured by both limits: the used shares of the
-allowed spacing in taper and tangent add up.
+zone's axis, in the direction of travel. A gap across the end of a taper is measured by both limits: the shares of the allowed
+spacing that it uses in taper and tangent are added.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, flo
 
 
 def _sure(norm: str | None) -> Level:
-    """Level of a finding that certainly exceeds a limit; norm: the rule that states it, if any."""
+    """Level of a finding that certainly exceeds a limit; norm: the rule that states the limit, if any."""
     return Level.VIOLATION if norm else Level.DEVIATION
 
 
@@ -93,7 +93,7 @@ def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
     s, sigma = layout.stations_m[members], layout.sigmas_s_m[members]
     gaps = np.hypot(*np.diff([layout.cones[k].xyz_m[:2] for k in members], axis=0).T)
     shares = np.array([_taper_share(row.tapers, a, b) for a, b in pairwise(s)]).reshape(-1, 2)
-    # Crews set a cone at the end of a taper: a gap measured from there is worth a notice if lane lines locate it.
+    # Crews set a cone at the end of a taper: a gap measured from there deserves a notice if lane lines locate it.
     at_cones = np.array([[_share_at_cones(row.tapers, a, b), 0.0] for a, b in pairwise(s)]).reshape(-1, 2)
     limits = allowed_spacing_m(speed_kmh, rules)
     on_lanes = layout.axis_source == "lanes"
@@ -113,7 +113,7 @@ def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
         where, limit_m = "taper" if read.inside > 0.5 else "tangent", read.limit_m
         norm = rules.sources.get(f"{where}_spacing_ft_per_mph")
         level = _sure(norm) if sure else Level.NOTICE if noted else Level.CANNOT_TELL
-        if not math.isfinite(limit_m):  # no rule but the row's own spacing
+        if not math.isfinite(limit_m):  # the only rule is the row's own spacing
             limit_m = gap / read.own * rules.missing_cone_ratio
         words = f"{gap:.1f} m from cone to cone in the {where}, at most {limit_m:.1f} m at {speed_kmh:g} km/h{doubt}"
         if lacks:
@@ -137,20 +137,20 @@ def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
 
 
 class _Gap(NamedTuple):
-    """A gap for one assumption about the ends of tapers."""
+    """A gap under one assumption about the ends of tapers."""
 
     inside: float
     """Share of it inside tapers."""
     used: float
-    """Used share of the allowed spacing."""
+    """Share of the allowed spacing that it uses."""
     sigma: float
     limit_m: float
     """Length that would use all of it."""
     own: float
-    """Used share of the row's own spacing; 0 if the row is too short to have one."""
+    """Share of the row's own spacing that it uses; 0 if the row is too short to have one."""
     exceeds: bool
     lacks: bool
-    """By more than the uncertainty explains: longer than the rule allows; a cone is missing."""
+    """By more than the uncertainty explains: whether it is longer than the rule allows; whether a cone is missing."""
 
 
 def _read_gap(
@@ -163,7 +163,7 @@ def _read_gap(
     *,
     vague: bool,
 ) -> _Gap:
-    """One gap of a row against the rule and against the row; vague: the ends of tapers are hardly known."""
+    """One gap of a row against the rule and against the row; vague: the ends of tapers are poorly known."""
     gap, (inside, blur_m) = float(gaps[index]), shares[index]
     used, sigma, limit_m = _used(gap, inside, blur_m, sigmas_m, limits)
     regular = _regular(gaps, shares[:, 0], index)
@@ -182,7 +182,7 @@ def _share_at_cones(tapers: Sequence[Taper], from_m: float, to_m: float) -> floa
 
 
 def _taper_share(tapers: Sequence[Taper], from_m: float, to_m: float) -> tuple[float, float]:
-    """Share of a gap inside tapers, and by how many metres less it may be (one sigma), which would excuse a wide gap."""
+    """Share of a gap inside tapers, and by how many metres it may be less (one sigma): a wide gap is allowed then."""
     inside_m, blur_m = 0.0, 0.0
     for taper in tapers:
         inside_m += max(min(to_m, taper.end.station_m) - max(from_m, taper.start.station_m), 0.0)
@@ -196,7 +196,7 @@ def _taper_share(tapers: Sequence[Taper], from_m: float, to_m: float) -> tuple[f
 def _used(
     gap_m: float, inside: float, blur_m: float, sigmas_m: Floats, spacing_m: tuple[float, float]
 ) -> tuple[float, float, float]:
-    """Used share of the spacing by a gap, its sigma, and the length that would use all of it."""
+    """Share of the spacing that a gap uses, its sigma, and the length that would use all of it."""
     taper_m, tangent_m = spacing_m
     rate = inside / taper_m + (1 - inside) / tangent_m
     sigma = float(np.hypot(np.hypot(*sigmas_m) * rate, blur_m * abs(1 / taper_m - 1 / tangent_m)))
@@ -275,7 +275,7 @@ def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZ
 
 
 def _in_lane(check: _Check) -> Iterator[Finding]:
-    """Strays towards traffic from their row."""
+    """Strays on the traffic side of their row."""
     layout, rules = check.layout, check.rules
     in_rows = {k for row in layout.rows for k in row.members}
     for k in range(len(layout.cones)):
@@ -336,7 +336,7 @@ def read_standard(name: str) -> Standard:
 
 
 def layout_rules(name: str = DEFAULT, own: LayoutParams | None = None) -> LayoutParams:
-    """The rules of a standard, with the values of `own` that were set; those have no source but what `own.sources` states."""
+    """The rules of a standard, with the values of `own` that were set; their only source is what `own.sources` states."""
     standard = read_standard(name)
     values: dict[str, object] = {key: rule.value for key, rule in standard.rules.items()}
     sources = {key: f"{standard.standard}, {rule.source}" for key, rule in standard.rules.items()}

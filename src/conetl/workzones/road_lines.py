@@ -1,5 +1,5 @@
-"""Lines along the road: axes along which the stations of cones are counted, from the paths of drives, else through the cones
-themselves; lane lines beside an axis as offsets by station, and the lanes that a row of cones closes.
+"""Lines along the road: axes for the stations of cones, from the paths of drives, else through the cones themselves; lane lines
+beside an axis as offsets by station, and the lanes that a row of cones closes.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class RoadAxis:
 
 
 def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneParams) -> list[DrivePath]:
-    """The stretches of the paths beside cones (C, 2), smooth, by time; a drive that passes twice gives two."""
+    """The parts of the paths beside cones (C, 2), smoothed, by time; a drive that passes twice gives two."""
     tree = KDTree(cones_m)
     reach_m = params.max_path_offset_m + params.max_beyond_path_m
     found = []
@@ -62,7 +62,7 @@ def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneP
 
 
 def axes_of(cones_m: Floats, passes: Sequence[DrivePath], params: WorkZoneParams) -> list[RoadAxis]:
-    """Axes such that every cone (C, 2) is beside exactly one of them, those of drives first.
+    """Axes such that every cone (C, 2) is beside exactly one of them; those from drives come first.
 
     The pass beside the most cones is the first axis, extended by others of the same road. Cones beside no pass get a straight
     line through themselves.
@@ -244,8 +244,8 @@ def closed_lanes(
     """How many lanes a row closes, and how many it narrows or may close: the maximum over its cones.
 
     stations_m, offsets_m, sigmas_o_m: (C,) of the row's cones; traffic_sign as in `find_rows`. A cone closes a lane if it
-    leaves less of it than `min_open_lane_m`, by more than two sigmas. A lane wholly behind the row counts as closed only where
-    the row has crossed it: otherwise its direction is unknown.
+    leaves less of it than `min_open_lane_m`, by more than two sigmas. A lane wholly behind the row counts as closed only if the
+    row has crossed it: otherwise its direction is unknown.
     """
     toward = offsets_m * traffic_sign
     swept_from = float(toward.min()) - _ON_LINE_M

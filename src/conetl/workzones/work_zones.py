@@ -85,7 +85,7 @@ def clusters(features: Sequence[MapFeature], passes: Sequence[DrivePath], params
 
 
 def _both_sides(group: Ints, offsets_m: Floats) -> list[Ints]:
-    """The group, or its two halves if the driven path has cones on both sides and a car fits between them."""
+    """The group, or two groups if the driven path has cones on both sides and a car fits between them."""
     right, left = group[offsets_m[group] < 0], group[offsets_m[group] >= 0]
     if not len(right) or not len(left) or offsets_m[left].min() - offsets_m[right].max() < _CAR_WIDTH_M:
         return [group]
@@ -93,7 +93,7 @@ def _both_sides(group: Ints, offsets_m: Floats) -> list[Ints]:
 
 
 def _neighbourhoods(versions: Sequence[FeatureVersion], params: WorkZoneParams) -> list[list[FeatureVersion]]:
-    """Versions in groups too far apart to be in one zone at any time; by cells, because a location has many versions."""
+    """Versions in groups too far apart to be in one zone at any time; by cells, because one location has many versions."""
     cells: dict[tuple[int, int], int] = {}
     of_version = []
     for version in versions:

@@ -1,4 +1,4 @@
-"""A work zone along its road: direction of travel, rows, tapers, closed side and lanes, line and ends."""
+"""The layout of a work zone along its road: direction of travel, rows, tapers, closed side and lanes, line and ends."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def layout_of(
 
 
 def describe(history: ZoneHistory, layout: ZoneLayout, params: WorkZoneParams) -> WorkZone:
-    """The zone as published, as far as the evidence goes."""
+    """The zone as published, as far as the evidence allows."""
     first, last = layout.cones[0], layout.cones[-1]
     row = list(layout.rows[0].members) if layout.rows else list(range(len(layout.cones)))
     through = sorted({0, *row, len(layout.cones) - 1})
@@ -138,7 +138,7 @@ def _heading(line: Floats, one: DrivePath) -> int:
 def _direction(
     line: Floats, cones_m: Floats, cones: Sequence[MapFeature], passes: Sequence[DrivePath], params: WorkZoneParams
 ) -> int:
-    """+1 where traffic follows the line, -1 against it."""
+    """+1 if traffic follows the line, -1 against it."""
     kerb_sign = -1.0 if params.kerb_side == "right" else 1.0
     scores: dict[int, tuple[bool, bool, float]] = {}
     for heading in (1, -1):
@@ -154,7 +154,7 @@ def _direction(
 
 
 def _traffic_sign(line: Floats, passes: Sequence[DrivePath], s: Floats, o: Floats, row: Sequence[int]) -> float:
-    """+1 where traffic passed to the left of the row, -1 to the right, 0 unknown."""
+    """+1 if traffic passed to the left of the row, -1 to the right, 0 unknown."""
     if not passes or not row:
         return 0.0
     sides = []
