@@ -150,7 +150,7 @@ def test_classes_have_a_legend_a_filter_and_words(page, address, conn, features)
 
     open_view(page, address, "#list=cones")
     wait_for_rows(page, 4)
-    assert page.locator("#list-cones [role=columnheader]").all_inner_texts()[:2] == ["Cone", "Kind"]
+    assert page.locator("#list-cones [role=columnheader]").all_inner_texts()[:2] == ["Id", "Kind"]
     assert page.locator(".classes").is_hidden() and page.locator("#list-tab-cones").inner_text() == "Cones4"
     set_category("work_zone_sign")
     try:

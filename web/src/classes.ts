@@ -28,7 +28,7 @@ const OTHER = { width: 0.55, glyph: "M2.5 2.5h11v11h-11z" };
 const NAMES = [...CLASSES.keys()];
 export const GLYPHS = [...CLASSES.values(), OTHER].map((c) => c.glyph);
 
-export const classOf = (category: string): ObjectClass => CLASSES.get(category) ?? { ...OTHER, label: category.replaceAll("_", " ") };
+export const classOf = (category: string): ObjectClass => CLASSES.get(category) ?? { ...OTHER, label: category.charAt(0).toUpperCase() + category.slice(1).replaceAll("_", " ") };
 /** Position in `CLASSES`, and in `GLYPHS`. */
 export const classOrder = (category: string): number => (NAMES.indexOf(category) + GLYPHS.length) % GLYPHS.length;
 /** "cone", "drum", as in a sentence. */

@@ -24,7 +24,7 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
   const basemap = range("basemap-opacity", 0, 1, 0.05, (v) => actions.change({ basemap: v }));
   const grid = select<Grid>("grid", [["lines", "lines"], ["labels", "lines with coordinates (plan only)"], ["none", "none"]], (g) => actions.change({ grid: g }));
   const row = (text: string, control: HTMLElement) => el("label", { htmlFor: control.id }, el("span", { textContent: text }), control);
-  const points = el("div", { class: "group" }, row("Colour points by", colouring), row("Point size", size), row("Point opacity", opacity));
+  const points = el("div", { class: "group" }, row("Point colour", colouring), row("Point size", size), row("Point opacity", opacity));
   const tiles = row("Base map opacity", basemap);
   const reset = el("button", { type: "button", class: "link", textContent: "Reset", onclick: () => {
     const { colouring: c, size: s, opacity: o, basemap: b, grid: g } = SCENE;

@@ -37,7 +37,7 @@ export function createLists(pane: ListPane, actions: ListActions) {
   let scrollToChosen = true;
 
   const columns: Column<Cone>[] = [
-    { id: "id", title: "Cone", hint: "First 8 characters of the id", width: "80px", value: (c) => c.id, text: (c) => shortId(c.id) },
+    { id: "id", title: "Id", hint: "First 8 characters of the id", width: "80px", value: (c) => c.id, text: (c) => shortId(c.id) },
     { id: "class", title: "Class", width: "minmax(136px, 1fr)", value: (c) => classOrder(c.category), text: (c) => classOf(c.category).label, icon: (c) => classIcon(c.category) },
     { id: "kind", title: "Kind", width: "minmax(116px, 1fr)", value: (c) => KIND_ORDER.indexOf(c.kind), text: (c) => (state ? kindLabel(c.kind, state) : ""), icon: (c) => icon(c.kind) },
     { id: "existence", title: "Existence", hint: "Existence probability", width: "96px", number: true, value: (c) => c.probability, text: (c) => c.probability.toFixed(3) },

@@ -101,7 +101,10 @@ def feature_history(map_name: MapName, feature_id: UUID, conn: Reader, known_at:
     rows = store.read_feature_history(conn, map_name, feature_id, known_at)
     history = to.history(rows, reasons_of(conn, map_name, feature_id, rows), origin)
     if not history:
-        raise HTTPException(404, f"The map {map_name} has no feature {feature_id}.")
+        raise HTTPException(
+            404,
+            f"The map {map_name} has no feature {feature_id}, or no longer: the drive that added it may be reverted.",
+        )
     return m.FeatureHistory(feature_id=feature_id, origin_m=origin, history=history)
 
 
