@@ -106,6 +106,17 @@ def test_a_cone_is_suppressed_and_comes_back(page, conn):
     assert list_decisions(conn) == [] and one in {str(f.feature_id) for f in read_current_features(conn)}
 
 
+def test_a_refusal_leaves_the_buttons_of_the_drive_form_free_and_goes_with_it(page):
+    fill_form(page, "Revert drive", "wrong calibration", token="not-the-writers-token", within=".drive-decide")
+    status = page.locator(".drive-decide .decide-status.bad")
+    status.wait_for()
+    submit, said = page.locator("form.decide [type=submit]").bounding_box(), status.bounding_box()
+    assert submit["y"] + submit["height"] <= said["y"]
+    page.keyboard.press("Escape")
+    page.wait_for_selector("form.decide", state="detached")
+    assert status.is_hidden()
+
+
 def test_a_stated_class_shows_on_drives_that_were_committed_before(page, conn):
     assert page.locator(".classes").is_hidden()  # cones alone
     decided = decide_place(conn, "classify", the_one(conn, 4), map_name="default", category="drum")
