@@ -125,8 +125,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(True, "No cone was found on this drive.")
     if len(facts.residual_px) and (middle := float(np.median(facts.residual_px))) > _RESIDUAL_PX:
         yield Alert(
-            True,
-            f"The median residual is {middle:.2f} px: check the calibration and the synchronisation of the cameras.",
+            True, f"The median residual is {middle:.2f} px: check the calibration and the camera synchronisation."
         )
     if vague := [c for c in facts.changes if c["sigma_m"] > _SIGMA_M and not c["kind"].ends]:
         yield Alert(False, f"{_cones(vague)} with a horizontal sigma above {_SIGMA_M} m: {_numbers(vague)}.")

@@ -48,9 +48,7 @@ def draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
         axes.imshow(cv2.cvtColor(images[row], cv2.COLOR_BGR2RGB), interpolation="antialiased")
         for v in np.linspace(0, len(images[row]) - 1, _ROWS + 2)[1:-1]:
             axes.axhline(v, color="#ffe000", linewidth=0.6, alpha=0.8)
-        axes.set_title(
-            f"{side}, frame pair {frame_index}: each line crosses the same objects in both images", fontsize=9
-        )
+        axes.set_title(f"{side}, frame pair {frame_index}: lines cross the same objects in both images", fontsize=9)
     lost = summary.expected_pairs - summary.usable_pairs
     rate = f"{summary.rate_hz:.1f} Hz" if summary.rate_hz else "one pair"
     figure.suptitle(

@@ -23,9 +23,7 @@ _LOG_IN = (
     "Log in: open the address with the token that `conetl status` or `conetl view` prints, or give the token (the file "
     "view_token in CONETL_HOME) as the password, with any user name."
 )
-_WRONG_TOKEN = (
-    "The writer token is missing or wrong. `conetl view --decisions` names the file that contains it when it starts."
-)
+_WRONG_TOKEN = "The writer token is missing or wrong: `conetl view` prints the path of its file when it starts."
 _REALM = "conetl view, token as password"
 _LOGIN_S = 30 * 86_400
 #: Only this server's own files run or load, and no other page may embed or read them.
