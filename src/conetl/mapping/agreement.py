@@ -82,7 +82,7 @@ def contradiction(
         key=lambda track: track.xyz_m,
     )
     displaced = _displaced(sure, features, kinds, params) if sure and features else None
-    displaced = displaced or _standing_elsewhere(sure, features, params)
+    displaced = displaced or _standing_elsewhere(sure, features, params) or _of_other_classes(sure, features, params)
     return displaced or _scattered(kinds, "cones", "the zone was set up again") or _blind(kinds, params)
 
 
@@ -186,6 +186,26 @@ def _standing_elsewhere(
         return None
     found = len(_same_positions(_places(tracks), _places(features), np.zeros(3), params))
     return _arranged_alike(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
+
+
+def _of_other_classes(
+    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
+) -> HealthCheck | None:
+    """Whether most of the objects that stand where the map has one are of another class than there."""
+    t, f = _places(tracks), _places(features)
+    same = _same_positions(t, f, np.zeros(3), params)
+    others = np.setdiff1d(np.arange(len(t[0])), list(same)), np.setdiff1d(np.arange(len(f[0])), list(same.values()))
+    rows, columns = near_pairs(t[0][others[0], :2], f[0][others[1], :2], params.min_gate_m)
+    pairs = assign(rows, columns, np.hypot(*(t[0][others[0][rows]] - f[0][others[1][columns]])[:, :2].T))
+    if len(pairs) < _LEAST_PAIRS or len(pairs) <= len(same):
+        return None
+    changes = Counter((f[1][others[1][j]], t[1][others[0][i]]) for i, j in pairs.items())
+    (was, now), _ = max(changes.items(), key=lambda item: (item[1], item[0]))
+    detail = (
+        f"Of {len(pairs) + len(same)} objects that stand where the map has one, {len(pairs)} are of another class, such as {now} "
+        f"instead of {was}: the class names in the sidecar of the detector's model are in another order, or all were replaced."
+    )
+    return _held("classes", len(pairs), detail, limit=max(len(same), _LEAST_PAIRS - 1), unit="objects")
 
 
 def _with_neighbours(t: Floats, f: Floats) -> Ints:

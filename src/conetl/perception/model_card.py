@@ -98,21 +98,19 @@ class ModelCard(BaseModel):
 
     @property
     def detections_sha256(self) -> str:
-        """Hash of everything that detections depend on: the weights and the passes, not the evidence."""
-        used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
-        if self.enlarged_look is not None:  # keeps the hash of models without this pass
-            used.add("enlarged_look")
-        if not isinstance(self.head, SideDistributionHead):
-            used.add("class_names")
-        of_one_class = isinstance(self.head, SideDistributionHead) and self.head.class_count == 1
-        unused = {"head": {"class_count"}} if of_one_class else None  # keeps the hash of models of one class
-        return hashlib.sha256(self.model_dump_json(include=used, exclude=unused).encode()).hexdigest()
+        """Hash of everything that detections depend on: the weights, the passes and the classes, not the evidence."""
+        used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look", "enlarged_look", "class_names"}
+        return hashlib.sha256(self.model_dump_json(include=used).encode()).hexdigest()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         if len(self.class_names) != self.head.class_count:
             raise ValueError(
                 f"head.class_count is {self.head.class_count}, class_names has {len(self.class_names)} names"
+            )
+        if isinstance(self.head, SideDistributionHead) and self.pad_multiple_px % max(self.head.strides_px):
+            raise ValueError(
+                f"pad_multiple_px must be a multiple of the largest of head.strides_px, {max(self.head.strides_px)}"
             )
         if self.closer_look is not None and self.closer_look.window_px % self.pad_multiple_px:
             raise ValueError(f"closer_look.window_px must be a multiple of pad_multiple_px, {self.pad_multiple_px}")

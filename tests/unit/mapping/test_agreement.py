@@ -186,6 +186,16 @@ def test_a_blind_drive_is_found_on_maps_of_any_size() -> None:
         assert found is not None and f"remove {removed} of the {removed + confirmed}" in found.detail
 
 
+@pytest.mark.parametrize(("renamed", "found"), [(9, True), (5, True), (4, False), (2, False)])
+def test_a_drive_whose_classes_are_others_is_one_finding(renamed: int, found: bool) -> None:
+    tracks = tracks_at(ZONE)
+    tracks = [one.model_copy(update={"category": "drum"}) for one in tracks[:renamed]] + tracks[renamed:]
+    for drive in (tracks, tracks[::-1]):
+        check = contradiction(drive, features_at(ZONE), [], PARAMS)
+        said = f"{renamed} are of another class, such as drum instead of traffic_cone"
+        assert (check is not None and said in check.detail) == found
+
+
 def test_a_sign_above_a_cone_is_no_cone_of_a_higher_drive() -> None:
     cones = features_at(ZONE[:1])
     above = tracks_at(ZONE[:1] + np.array([0.0, 0.1, 2.0]))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,8 +18,7 @@ from pydantic import ValidationError
 
 from conetl.perception.decoding import NetworkBoxes
 from conetl.perception.detector import Detector, detect_image, load_detector
-from conetl.perception.heads import SideDistributionHead
-from conetl.perception.model_card import SmallObjectPass, read_model_card
+from conetl.perception.model_card import ModelCard, SmallObjectPass, read_model_card
 from conetl.perception.second_passes import (
     CELL_PX,
     MIN_SCORE,
@@ -201,14 +199,16 @@ def test_another_look_is_another_detector_and_other_evidence_is_not() -> None:
     assert plain.detections_sha256 != card.detections_sha256
     assert card.model_copy(update={"closer_look": None}).detections_sha256 != card.detections_sha256
     assert card.model_copy(update={"evidence": None, "licence": "?"}).detections_sha256 == card.detections_sha256
-    used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
-    # Models of one class, and without this pass, keep the hash that they had.
-    assert isinstance(card.head, SideDistributionHead)
-    plain = plain.model_copy(update={"head": card.head.model_copy(update={"class_count": 1})})
-    before = plain.model_dump(include=used)
-    del before["head"]["class_count"]
-    as_text = json.dumps(before, separators=(",", ":"), ensure_ascii=False)
-    assert plain.detections_sha256 == hashlib.sha256(as_text.encode()).hexdigest()
+    renamed = (*card.class_names[1:], card.class_names[0])
+    assert card.model_copy(update={"class_names": renamed}).detections_sha256 != card.detections_sha256
+
+
+@pytest.mark.parametrize("change", [{"pad_multiple_px": 16}, {"head": {"strides_px": (8, 16, 32, 64)}}])
+def test_images_are_padded_to_whole_cells_of_the_largest_stride(change: dict[str, Any]) -> None:
+    values = read_model_card(None).model_dump(exclude_none=True, exclude={"closer_look"})
+    head = {**values["head"], **change.get("head", {})}
+    with pytest.raises(ValidationError, match=r"multiple of the largest of head\.strides_px"):
+        ModelCard.model_validate({**values, **change, "head": head})
 
 
 def far_street() -> Image:
