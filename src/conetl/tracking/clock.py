@@ -28,6 +28,8 @@ _TRIED_S = np.arange(-0.4, 0.41, 0.04)
 #: Both signals are smoothed by this many intervals, so that interpolation smooths the noise of the log no further: it would draw
 #: the offset towards the middle between two records.
 _SMOOTHED, _MOST_CORRELATED = 1.5, 10.0
+#: ... which leaves this share of the sigma of independent values.
+_NOISE_SHARE = (4 * np.pi * _SMOOTHED**2) ** -0.25
 #: Sigmas of a boresight error (rad) and of the scale beside the offset, and of the changes of the scale within the drive, half a
 #: wave and a whole one.
 _BORESIGHT_RAD, _SCALE, _SCALE_CHANGES = 0.03, 0.02, (0.003, 0.003)
@@ -111,15 +113,18 @@ def estimate_clock(
     told = slice(3 if by_speeds else 0, 6)
     signal, at_s, target = CubicSpline(middle_s, logged), centre_s[used], measured[used]
     by = _derivatives(target, CubicSpline(centre_s[there], measured[there])(at_s, 1))[:, told]
+    # Of few intervals, the residuals of one column may all be small by chance: it would outweigh the others.
+    stated = np.sqrt(np.median(np.diagonal(motions.cov, axis1=1, axis2=2), axis=0)) / np.median(steps_s)
+    least = (_NOISE_SHARE * stated)[told]
     prior = np.diag([0.0, *[_BORESIGHT_RAD**-2] * 3, *(sigma**-2 for sigma in (_SCALE, *_SCALE_CHANGES))])
 
     def misfit(offset_s: float) -> Floats:
         return np.asarray((target - signal(at_s - offset_s))[:, told])
 
-    fits = {float(tried): robust_fit(misfit(tried), by, prior, 3, held=True) for tried in _TRIED_S}
+    fits = {float(tried): robust_fit(misfit(tried), by, prior, 3, held=True, least_sigma=least) for tried in _TRIED_S}
     offset_s = min(fits, key=lambda tried: float(np.log(fits[tried].sigma).sum()))
     for _ in range(_ITERATIONS):
-        fit = robust_fit(misfit(offset_s), by, prior, 5)
+        fit = robust_fit(misfit(offset_s), by, prior, 5, least_sigma=least)
         offset_s = float(np.clip(offset_s + fit.solution[0], _TRIED_S[0], _TRIED_S[-1]))
         if abs(fit.solution[0]) < 1e-5:
             break
@@ -161,10 +166,20 @@ class Fit(NamedTuple):
     """(N, C)"""
 
 
-def robust_fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: bool = False, lags: int = _LAGS) -> Fit:
+def robust_fit(
+    misfit: Floats,
+    by: Floats,
+    prior: Floats,
+    rounds: int,
+    *,
+    held: bool = False,
+    lags: int = _LAGS,
+    least_sigma: float | Floats = 1e-9,
+) -> Fit:
     """Robust least squares of misfits (N, C) with the derivatives by (N, C, P); prior (P, P): information on the unknowns.
 
-    held: without a change of the first unknown, the offset. lags: so many successive values may be correlated.
+    held: without a change of the first unknown, the offset. lags: so many successive values may be correlated. least_sigma: (C,)
+    of what remains, whatever the residuals.
     """
     unknowns = len(prior)
     free = slice(1 if held else 0, unknowns)
@@ -172,7 +187,7 @@ def robust_fit(misfit: Floats, by: Floats, prior: Floats, rounds: int, *, held: 
     # Oscillating turns suffer from noise of the same frequency.
     alike = _autocorrelations(by[..., 0], lags)
     for _ in range(rounds):
-        sigma = np.maximum(_spread(left_over), 1e-9)
+        sigma = np.maximum(_spread(left_over), least_sigma)
         repeats = _autocorrelations(np.clip(left_over / sigma, -_CUT, _CUT), lags)
         freedom = np.maximum(_MEDIAN_SHARE * len(misfit) / (1 + 2 * (repeats**2).sum(axis=0)), _LEAST_FREEDOM)
         sigma *= np.sqrt(freedom / (freedom - 2))
