@@ -32,6 +32,7 @@ _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     analysis.locate: ("locate", None),
     analysis.fuse: ("fuse", None),
     analysis.weigh: ("weigh", None),
+    analysis.compare: ("compare observations", None),
     analysis.keep_standing: ("reject moving objects", None),
     markings.marking_points: ("find markings", "find markings {chunk.value.frame_pairs[0].frame_index} {part}"),
     markings.mark: ("mark", None),

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Position, StereoMatch, Track
+from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Pose, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
@@ -36,7 +36,7 @@ from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self
 from conetl.tracking.standing import without_moving
 from conetl.tracking.tracks import fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory
-from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
+from conetl.tracking.variance_components import estimate_variance_factors, with_contradictions, with_variance_factors
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,7 +85,8 @@ def analyse(
 ) -> AnalysedDrive:
     """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse. Needs no database and no server.
 
-    Where the trajectory was refined, locate and fuse run once more with sigmas as the tracks show them.
+    Where the trajectory was refined, locate and fuse run twice more, with sigmas as the tracks show them: of all observations of
+    a class, and then of single ones.
 
     drive, rejections: as `read_drive` returns them. settings: the model, the number of threads, and the folder where results of
     finished chunks are kept; CONETL_* of the environment unless given. executor: runs the steps; `settings.workers` threads
@@ -124,12 +125,16 @@ def analyse(
             fuse, drive, detections, matches, positions, params, card.evidence, trajectory
         )
         if trajectory.covariance is not None:
-            # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
-            matches, positions, refused_positions = executor.run(weigh, drive, matches, tracks, params, trajectory)
+            # What sightings state by themselves made these tracks; what the tracks say of that makes the next ones, and what
+            # these say of single sightings the last.
+            weighed, positions, _ = executor.run(weigh, drive, matches, tracks, params, trajectory)
+            tracks, _ = executor.run(fuse, drive, detections, weighed, positions, params, card.evidence, trajectory)
+            matches, positions, refused_positions = executor.run(compare, drive, weighed, tracks, params, trajectory)
             tracks, refused_tracks = executor.run(
                 fuse, drive, detections, matches, positions, params, card.evidence, trajectory
             )
-            tracks, moving = executor.run(keep_standing, drive, matches, tracks, params, trajectory)
+            # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
+            tracks, moving = executor.run(keep_standing, drive, weighed, tracks, params, trajectory)
             refused_tracks = [*refused_tracks, *moving]
         points = found.marking_points
         markings = executor.run(mark, drive, points, params, trajectory) if points else []
@@ -299,11 +304,31 @@ def weigh(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `estimate_variance_factors`."""
-    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
-    poses = {index: pair.pose for index, pair in pairs.items()}
-    errors = pose_cov(trajectory, params.trajectory)
+    poses, errors = _poses_of(drive), pose_cov(trajectory, params.trajectory)
     weighed = with_variance_factors(matches, estimate_variance_factors(tracks, matches, drive.rig, poses, errors))
-    return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)
+    return weighed, *_located_again(drive, weighed, params)
+
+
+def compare(
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
+) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
+    """Matches of the whole drive with larger sigmas where they contradict their tracks, and their positions; see
+    `with_contradictions`."""
+    errors = pose_cov(trajectory, params.trajectory)
+    compared = with_contradictions(matches, tracks, drive.rig, _poses_of(drive), errors)
+    return compared, *_located_again(drive, compared, params)
+
+
+def _poses_of(drive: Drive) -> dict[int, Pose]:
+    """By frame index."""
+    return {pair.frame_index: pair.pose for pair in drive.frame_pairs}
+
+
+def _located_again(
+    drive: Drive, matches: list[StereoMatch], params: IngestParams
+) -> tuple[list[Position], list[Rejection]]:
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
+    return locate_positions(matches, pairs, drive.rig, params.position)
 
 
 def keep_standing(

@@ -8,6 +8,9 @@ likelihood: each cone's position costs degrees of freedom, and errors that all o
 
 Pose errors are unknowns of each frame, with their joint covariance from the adjustment of the trajectory as prior: they drift,
 whereas image errors are independent from frame to frame.
+
+The same adjustment shows single observations that contradict all others of their track: the box of a part of an object, or of
+two objects (`with_contradictions`).
 """
 
 from __future__ import annotations
@@ -35,6 +38,9 @@ _SIGMA_BOUNDS = (0.5, 2.0)
 #: Larger residuals count as this many sigmas (Huber 1964); of normal errors that removes 0.5 % of the squares.
 _HUBER_SIGMAS, _ROBUST_ROUNDS = 3.0, 4
 _MAX_ITERATIONS, _CONVERGED = 50, 1e-3
+#: A residual of more of its own sigmas is a gross error (one in a thousand normal ones: Baarda 1968). With a smaller share of
+#: redundancy it says nothing, and of two observations nobody knows which is wrong.
+_LARGEST_RATIO, _LEAST_REDUNDANCY, _LEAST_COMPARED = 3.3, 0.05, 3
 #: Frame pairs of one track that are used: the time grows with their third power, and a vehicle may wait beside a cone.
 _MOST_PAIRS = 120
 #: Pose errors below this share of the observations' variance need no unknown.
@@ -132,6 +138,64 @@ def _weighed(match: StereoMatch, variances: VarianceFactors) -> StereoMatch:
     )
 
 
+def with_contradictions(
+    matches: Sequence[StereoMatch],
+    tracks: Sequence[Track],
+    rig: Rig,
+    poses: Mapping[int, Pose],
+    pose_cov: PoseCov | None = None,
+) -> list[StereoMatch]:
+    """The matches of one drive, with larger sigmas where they contradict their tracks; never with smaller ones.
+
+    matches: with the factors applied. tracks: of these matches; all their members are compared, also those that
+    `estimate_variance_factors` does not use. The other arguments are as there.
+    """
+    match_of = {(m.frame_index, m.match_index): m for m in matches}
+    for track in tracks:
+        members = [match_of[member] for member in track.members]
+        parts = -(-len(members) // _MOST_PAIRS)
+        for pairs in (members[part::parts] for part in range(parts)):
+            if len(pairs) < _LEAST_COMPARED:
+                continue
+            doubts = _doubts_px2(observed_cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov))
+            for match, own_px2 in zip(pairs, doubts.tolist(), strict=True):
+                if any(own_px2):
+                    match_of[match.frame_index, match.match_index] = _doubted(match, *own_px2)
+    return [match_of[m.frame_index, m.match_index] for m in matches]
+
+
+def _doubts_px2(cone: ObservedCone) -> Floats:
+    """(F, 3) variances that the observations of a track lack, 0 for those that fit.
+
+    Data snooping (Baarda 1968; iterated as in Kok 1984): the worst observation is compared with what all others predict, and that
+    difference becomes its sigma, until none is a gross error.
+    """
+    stated = cone.stated_px2 + cone.fixed_px2
+    own = stated.copy()
+    for _ in range(own.size):
+        unknown, inverse, weighted = _solved(cone, 1 / own)
+        redundancy = _redundancy(cone, inverse, weighted)
+        known = np.maximum(redundancy, _LEAST_REDUNDANCY)
+        residual = np.where(redundancy < _LEAST_REDUNDANCY, 0.0, cone.residual_px - cone.design @ unknown)
+        ratio = np.abs(residual) / (own * known) ** 0.5
+        worst = np.unravel_index(int(ratio.argmax()), ratio.shape)
+        if ratio[worst] <= _LARGEST_RATIO:
+            break
+        own[worst] = (residual[worst] / known[worst]) ** 2
+    return np.asarray(own - stated)
+
+
+def _doubted(match: StereoMatch, columns_px2: float, rows_px2: float, disparity_px2: float) -> StereoMatch:
+    """The match with these variances added to the means of its columns and rows, and to its disparity."""
+    return match.model_copy(
+        update={
+            "sigma_pointing_px": (match.sigma_pointing_px**2 + columns_px2) ** 0.5,
+            "sigma_v_px": (match.sigma_v_px**2 + 2 * rows_px2) ** 0.5,
+            "sigma_u_px": (match.sigma_u_px**2 + disparity_px2 / 2) ** 0.5,
+        }
+    )
+
+
 def _is_usable(match: StereoMatch) -> bool:
     return match.refined and match.sigma_outline_px > 0
 
@@ -189,7 +253,7 @@ def _squares_and_freedom(cone: ObservedCone, factors: Floats) -> tuple[Floats, F
     """
     own = factors * cone.stated_px2 + cone.fixed_px2
     _, inverse, weighted, ratio = adjusted(cone, own)
-    freedom = 1 - np.einsum("fik,kl,fil->fi", weighted, inverse, cone.design, optimize=True)
+    freedom = _redundancy(cone, inverse, weighted)
     share = factors * cone.stated_px2 / own
     return (share * np.minimum(ratio, _HUBER_SIGMAS) ** 2).sum(axis=0), (share * freedom).sum(axis=0)
 
@@ -200,13 +264,23 @@ def adjusted(cone: ObservedCone, own_px2: Floats) -> tuple[Floats, Floats, Float
     Unknowns (K,), their covariance (K, K), the weighted design (F, 3, K), and residuals (F, 3) in sigmas, without their signs.
     """
     huber = np.ones_like(own_px2)
-    prior = np.arange(3, cone.design.shape[2])
     for _ in range(_ROBUST_ROUNDS):
-        weighted = cone.design * (huber / own_px2)[:, :, None]
-        normal = np.tensordot(cone.design, weighted, axes=((0, 1), (0, 1)))
-        normal[prior, prior] += 1.0  # shared and pose errors have a prior of one sigma
-        inverse = np.linalg.inv(normal)
-        unknown = inverse @ np.einsum("fik,fi->k", weighted, cone.residual_px)
+        unknown, inverse, weighted = _solved(cone, huber / own_px2)
         ratio = np.abs(cone.residual_px - cone.design @ unknown) / own_px2**0.5
         huber = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(ratio, 1e-9))
-    return unknown, np.asarray(inverse), weighted, np.asarray(ratio)
+    return unknown, inverse, weighted, np.asarray(ratio)
+
+
+def _solved(cone: ObservedCone, weights: Floats) -> tuple[Floats, Floats, Floats]:
+    """Unknowns (K,), their covariance (K, K) and the weighted design (F, 3, K), by weights (F, 3) of the observations."""
+    weighted = cone.design * weights[:, :, None]
+    normal = np.tensordot(cone.design, weighted, axes=((0, 1), (0, 1)))
+    prior = np.arange(3, len(normal))
+    normal[prior, prior] += 1.0  # shared and pose errors have a prior of one sigma
+    inverse = np.asarray(np.linalg.inv(normal))
+    return inverse @ np.einsum("fik,fi->k", weighted, cone.residual_px), inverse, weighted
+
+
+def _redundancy(cone: ObservedCone, inverse: Floats, weighted: Floats) -> Floats:
+    """(F, 3): share of the error of each observation that its residual shows, the others being right."""
+    return np.asarray(1 - np.einsum("fik,kl,fil->fi", weighted, inverse, cone.design, optimize=True))

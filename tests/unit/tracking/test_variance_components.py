@@ -1,4 +1,4 @@
-"""Variance factors of observations: drawn errors are estimated, whatever the stated ones."""
+"""Variance factors of observations: drawn errors are estimated, whatever the stated ones; gross errors are found one by one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,12 @@ from conetl.model.rig import Side
 from conetl.tracking.error_propagation import PoseCov, pose_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, with_shared_part
 from conetl.tracking.trajectory import refine_trajectory
-from conetl.tracking.variance_components import VarianceFactors, estimate_variance_factors, with_variance_factors
+from conetl.tracking.variance_components import (
+    VarianceFactors,
+    estimate_variance_factors,
+    with_contradictions,
+    with_variance_factors,
+)
 from tests import records
 from tests.synthetic.odometry import log_of, motions_of
 from tests.synthetic.world import ORIGIN_M, camera_pose, make_path, make_rig
@@ -193,3 +198,66 @@ def test_only_observations_that_were_used_change() -> None:
     # Unused ones do not affect the factors.
     moved = rough.model_copy(update={"foot_left_uv_px": (0.0, 0.0)})
     assert found([moved, *matches[1:]], tracks) == found(matches, tracks)
+
+
+def compared(matches: list[StereoMatch], tracks: list[Track]) -> list[StereoMatch]:
+    return with_contradictions(matches, tracks, RIG, {pair.frame_index: pair.pose for pair in PATH})
+
+
+def _moved(match: StereoMatch, columns_px: float, rows_px: float, disparity_px: float) -> StereoMatch:
+    """The match of a box with these errors."""
+    feet = {"left": match.foot_left_uv_px, "right": match.foot_right_uv_px}
+    apart = {"left": disparity_px / 2, "right": -disparity_px / 2}
+    return match.model_copy(
+        update={f"foot_{side}_uv_px": (u + columns_px + apart[side], v + rows_px) for side, (u, v) in feet.items()}
+    )
+
+
+@pytest.mark.parametrize("at", [0, 7, -1])
+@pytest.mark.parametrize("refined", [True, False])
+def test_the_sigma_of_a_gross_error_becomes_its_size(at: int, refined: bool) -> None:
+    """Also that of the nearest observation, which alone weighs more than most others, and of one from boxes alone."""
+    matches, tracks = drawn(np.random.default_rng(21), (1.0, 1.0, 1.0), cones=1)
+    assert compared(matches, tracks) == matches
+    number = range(len(matches))[at]
+    wrong = matches[number].model_copy(update={"refined": refined})
+    spoiled = [*matches[:number], _moved(wrong, 9.0, -12.0, 2.5), *matches[number + 1 :]]
+    found = compared(spoiled, tracks)
+    assert [m for k, m in enumerate(found) if k != number] == [m for k, m in enumerate(matches) if k != number]
+    assert found[number].sigma_pointing_px == pytest.approx(9.0, rel=0.3)
+    assert found[number].sigma_v_px == pytest.approx(2**0.5 * 12.0, rel=0.3)
+    assert 2**0.5 * found[number].sigma_u_px == pytest.approx(2.5, rel=0.3)
+    assert found[number].model_copy(update=_sigmas(wrong)) == spoiled[number]
+
+
+def _sigmas(match: StereoMatch) -> dict[str, float]:
+    return {name: getattr(match, name) for name in ("sigma_pointing_px", "sigma_v_px", "sigma_u_px")}
+
+
+def test_several_gross_errors_do_not_hide_each_other() -> None:
+    matches, tracks = drawn(np.random.default_rng(22), (1.0, 1.0, 1.0), cones=1)
+    wrong = {0: 6.0, 1: 7.0, 2: 8.0, 3: 9.0}
+    spoiled = [_moved(m, 0.0, wrong.get(k, 0.0), 0.0) for k, m in enumerate(matches)]
+    found = compared(spoiled, tracks)
+    assert [k for k, (a, b) in enumerate(zip(found, spoiled, strict=True)) if a != b] == list(wrong)
+    assert [found[k].sigma_v_px / 2**0.5 for k in wrong] == pytest.approx(list(wrong.values()), rel=0.3)
+
+
+def test_normal_errors_are_rarely_gross_ones_and_no_sigma_shrinks() -> None:
+    rng = np.random.default_rng(23)
+    before, after = [], []
+    for _ in range(6):
+        matches, tracks = drawn(rng, (1.0, 1.0, 1.0))
+        before += matches
+        after += compared(matches, tracks)
+    assert sum(a != b for a, b in zip(after, before, strict=True)) <= 0.01 * len(before)
+    for name in ("sigma_pointing_px", "sigma_v_px", "sigma_u_px"):
+        assert all(getattr(a, name) >= getattr(b, name) for a, b in zip(after, before, strict=True))
+
+
+def test_two_observations_that_contradict_each_other_remain_as_they_are() -> None:
+    """Nobody knows which of them is wrong."""
+    matches, tracks = drawn(np.random.default_rng(24), (1.0, 1.0, 1.0), cones=1)
+    two = tracks[0].model_copy(update={"members": tracks[0].members[:2]})
+    spoiled = [_moved(matches[0], 0.0, 20.0, 0.0), *matches[1:]]
+    assert compared(spoiled, [two]) == spoiled
