@@ -38,9 +38,10 @@ _SIGMA_BOUNDS = (0.5, 2.0)
 #: Larger residuals count as this many sigmas (Huber 1964); of normal errors that removes 0.5 % of the squares.
 _HUBER_SIGMAS, _ROBUST_ROUNDS = 3.0, 4
 _MAX_ITERATIONS, _CONVERGED = 50, 1e-3
-#: A residual of more of its own sigmas is a gross error (one in a thousand normal ones: Baarda 1968). With a smaller share of
-#: redundancy it says nothing, and of two observations nobody knows which is wrong.
-_LARGEST_RATIO, _LEAST_REDUNDANCY, _LEAST_COMPARED = 3.3, 0.05, 3
+#: A residual of more of its own sigmas is a gross error: with 3.3 (Baarda 1968) those of good boxes count too, and the sigmas of
+#: single positions get too large (docs/explanation/decisions/geometry.md). With a smaller share of redundancy it says nothing,
+#: and of two observations nobody knows which is wrong.
+_LARGEST_RATIO, _LEAST_REDUNDANCY, _LEAST_COMPARED = 5.0, 0.05, 3
 #: Frame pairs of one track that are used: the time grows with their third power, and a vehicle may wait beside a cone.
 _MOST_PAIRS = 120
 #: Pose errors below this share of the observations' variance need no unknown.
