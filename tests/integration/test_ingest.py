@@ -550,5 +550,5 @@ def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
     for told in ("detect", "merge", "intervals measured", report["content_sha256"], report["model_sha256"]):
         assert told in page, told
     assert page.count("<figure>") == report["counts"]["added"]
-    made = re.compile(r"Generated [0-9: -]+ UTC")
+    made = re.compile(r"at [0-9: -]+ UTC\. To write")
     assert made.sub("", again) == made.sub("", page)
