@@ -52,7 +52,7 @@ def test_inspect_shows_what_is_lost(
     page = tmp_path / "page.html"
     code, text, _ = run(["inspect", str(write_kitti(tmp_path / "kitti", damaged, rig)), "--page", str(page)], capsys)
     shown = page.read_text()
-    assert "3 of 10 frame pairs are lost" in shown and "there is no right image" in shown
+    assert "3 of 10 frame pairs cannot be used" in shown and "there is no right image" in shown
     assert "rows of the right images" in shown and "data:image/png" in shown
     assert code == 1  # 3 of 10 are more than a tenth
     assert "KITTI raw layout" in text
