@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,25 +14,20 @@ import numpy as np
 from conetl.files.documents import named, shown, validated
 from conetl.geometry import rig as rigs
 from conetl.model.base import utc_from_ns
-from conetl.model.errors import CalibrationError, DriveFolderError, InputError
-from conetl.model.rig import Camera, Rig, Side
+from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.rig import Rig, Side
 from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
-from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, read_rig_and_format
+from conetl.readers.rigs import RIG_YAML
+from conetl.readers.rigs.found import RIG_SUFFIXES, FoundRigs, find_rigs, read_given_rig
 from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.times import parse_timestamp
 
-_RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})
 _TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
-_LARGEST_RIG_BYTES = 4_000_000
-#: How far a principal point is from the centre of its image, at most, in parts of the image's size.
-_OFF_CENTRE = 0.2
-#: Baselines that a file without a unit may mean in millimetres (m).
-_MILLIMETRES_M = (0.1, 2.0)
 #: Assumptions about a table that does not state its time scale or heights.
 _TAKEN = {
     "time": "times taken as UTC; if they are local or of GPS, state --time, like Europe/Berlin",
@@ -191,8 +185,8 @@ def _layout_of(root: Path, answers: Mapping[str, str]) -> str | None:
 
     def fits(size: tuple[int, int]) -> bool:
         if "rig" not in answers:
-            return bool(_fitting_rigs(root, size, Proposal([], [], {}, None))[0])
-        camera = _read_rig(root / answers["rig"], size)[0].left
+            return bool(_rigs_in(root, size).fitting)
+        camera = read_given_rig(root / answers["rig"], size)[0].left
         return (camera.width_px, camera.height_px) == size
 
     facts = video_facts(root / names_in(root, VIDEO_SUFFIXES)[0])
@@ -294,9 +288,8 @@ def suggested(root: Path, settings: Mapping[str, Any], key: str) -> tuple[str, s
     if left.is_dir():
         if key != "timestamps" or len(times_ns) != len(image_files(left)) or recorded.bad:
             return None
-        return log[
-            "file"
-        ], f"{log['file']} has one record per image; if each states the time of its image, name this file"
+        reason = f"{log['file']} has one record per image; if each states the time of its image, name this file"
+        return log["file"], reason
     facts, span_s = video_facts(left), float(times_ns[-1] - times_ns[0]) * 1e-9
     count = len(times_ns)
     if key != "start" or count != facts.frames or abs(span_s - facts.duration_s) > 2 * span_s / max(count - 1, 1):
@@ -340,9 +333,10 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
     """The rig that has to be written; None where it is there, or is not known yet."""
     if "rig" in answers:
         path = root / answers["rig"]
-        rig, kind = _read_rig(path, size)
+        rig, kind = read_given_rig(path, size)
     else:
-        found, unread = _fitting_rigs(root, size, proposal)
+        found, of_other_size, unread = _rigs_in(root, size)
+        proposal.found.extend(of_other_size)
         if unread and not found and size is None and proposal.questions:
             return None  # one may fit once the size of the images is known
         if not found:
@@ -371,6 +365,10 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
     return None if path == root / RIG_YAML else rig
 
 
+def _rigs_in(root: Path, size: tuple[int, int] | None) -> FoundRigs:
+    return find_rigs([root / name for name in names_in(root, RIG_SUFFIXES) if name != DRIVE_YAML], size)
+
+
 def _mounted(values: Sequence[float]) -> str:
     """A mount in words: a sign the wrong way round is seen there."""
     forward, left, up, pitch, yaw, roll = (*values, 0.0, 0.0, 0.0)[:6]
@@ -380,64 +378,6 @@ def _mounted(values: Sequence[float]) -> str:
     turned = f", yaw {yaw:g}, roll {roll:g} degrees" if yaw or roll else ""
     unstated = ", as no pitch is stated" if len(values) == 3 else ""
     return f"left camera: {place}, looks {abs(pitch):g} degrees {'down' if pitch >= 0 else 'up'}{turned}{unstated}"
-
-
-def _fitting_rigs(
-    root: Path, size: tuple[int, int] | None, proposal: Proposal
-) -> tuple[list[tuple[Path, Rig, str]], list[str]]:
-    """The calibrations for images of this size: rig.yaml, or where it is missing or of another size, those of other tools.
-
-    With them: which files cannot be read as one, and why.
-    """
-    unread: list[str] = []
-    names = sorted(set(names_in(root, _RIG_SUFFIXES)) - {DRIVE_YAML}, key=lambda name: (name != RIG_YAML, name))
-    found: list[tuple[Path, Rig, str]] = []
-    for path in (root / name for name in names):
-        if (found and found[0][0].name == RIG_YAML) or path.stat().st_size > _LARGEST_RIG_BYTES:
-            continue
-        try:
-            rig, kind = _read_rig(path, size)
-        except CalibrationError as error:
-            if path.name == RIG_YAML:
-                raise
-            unread.append(f"{path.name} is not used as a calibration: {str(error).removeprefix(f'{path}: ')}")
-            continue
-        width_px, height_px = rig.left.width_px, rig.left.height_px
-        if size is None or size == (width_px, height_px):
-            found.append((path, rig, kind))
-        else:
-            proposal.found.append(
-                f"calibration {path.name}: for images of {width_px} x {height_px}, these have {size[0]} x {size[1]}; 'conetl rig "
-                "convert --scale-to' fits one to images that were scaled"
-            )
-    return found, unread
-
-
-def _read_rig(path: Path, size: tuple[int, int] | None) -> tuple[Rig, str]:
-    """A calibration, and its format in words. Raises CalibrationError.
-
-    A file without an image size is one of images of this size, one without a unit whose baseline in metres is too long is in mm.
-    """
-    try:
-        rig, kind = read_rig_and_format(path)
-        return rig, FORMAT_NAMES[kind]
-    except CalibrationError:
-        shortest_m, longest_m = _MILLIMETRES_M
-        for image_size, unit in ((size, None), (None, "mm"), (size, "mm")):
-            with suppress(CalibrationError):
-                rig, kind = read_rig_and_format(path, image_size=image_size, length_unit=unit)
-                # With another size the principal point would not be near the centre.
-                if _is_centred(rig.left) and _is_centred(rig.right):
-                    if unit is None:
-                        return rig, FORMAT_NAMES[kind]
-                    if shortest_m <= rig.baseline_m <= longest_m:
-                        return rig, f"{FORMAT_NAMES[kind]}, lengths taken as mm"
-        raise
-
-
-def _is_centred(camera: Camera) -> bool:
-    x, y = camera.cx_px / camera.width_px, camera.cy_px / camera.height_px
-    return max(abs(x - 0.5), abs(y - 0.5)) <= _OFF_CENTRE
 
 
 def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
