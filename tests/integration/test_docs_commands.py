@@ -44,6 +44,7 @@ ELSEWHERE = {
     "up": ("integration/test_operations.py", '"up"'),
     "down": ("integration/test_operations.py", '"down"'),
     "status": ("integration/test_operations.py", '"status"'),
+    "drive": ("integration/test_reports.py", '"drive", "accept"'),
     "calibrate": ("integration/test_tools.py", "calibrate("),
     "evaluate": ("integration/test_tools.py", '"evaluate"'),
     "demo": ("integration/test_ingest.py", '"demo"'),
