@@ -89,13 +89,6 @@ def test_points_arrays_and_times(conn):
     ]
 
 
-def test_rows_of_different_lengths(table):
-    texts = [None if i % 3 == 0 else "x" * (i % 5) for i in range(50)]
-    copy_columns(table, "t", {"i": copy_binary.integers(range(50)), "s": copy_binary.texts(texts)})
-    found = execute(table, "select i, s from t order by i")
-    assert [tuple(row.values()) for row in found] == list(enumerate(texts))
-
-
 @pytest.mark.parametrize("most", [0, 10, 10**9])
 def test_csv_may_be_left_early(conn, most):
     before = threading.active_count()

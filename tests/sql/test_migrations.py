@@ -64,14 +64,13 @@ def test_migrations_at_the_same_time_wait_for_each_other(empty_url):
     assert max(map(len, results)) >= 1
 
 
-def test_a_changed_old_migration_is_an_error(empty, tmp_path):
-    folder = tmp_path / "migrations"
-    shutil.copytree(sql_directory() / "migrations", folder)
-    migrate(empty, directory=folder)
+def test_a_changed_old_migration_is_an_error(conn, tmp_path):
+    folder = shutil.copytree(sql_directory() / "migrations", tmp_path / "migrations")
+    assert migrate(conn, directory=folder) == []
     file = folder / "0001_baseline.sql"
     file.write_text(file.read_text() + "-- changed\n")
     with pytest.raises(DatabaseError, match=r"0001_baseline\.sql was changed"):
-        migrate(empty, directory=folder)
+        migrate(conn, directory=folder)
 
 
 def test_a_failing_migration_leaves_the_database_as_it_was(empty, tmp_path):
@@ -140,10 +139,12 @@ def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty):
     assert database_status(empty)["applied_migrations"] == ("0001_schema",)
 
 
-def test_one_process_checks_a_database_once(empty, monkeypatch):
-    migrate_once(empty)
-    monkeypatch.setattr(schema, "migrate", pytest.fail)
-    migrate_once(empty)
+def test_one_process_checks_a_database_once(conn, monkeypatch):
+    checked = []
+    monkeypatch.setattr(schema, "migrate", checked.append)
+    for _ in range(2):
+        migrate_once(conn)
+    assert checked == [conn]
 
 
 def test_a_database_of_a_newer_conetl_is_refused(conn):
@@ -193,19 +194,18 @@ def test_an_ordinary_database_user_is_told_what_is_missing(empty):
     empty.commit()
 
 
-def test_missing_roles_are_made_by_whoever_may(empty):
-    migrate(empty)
-    execute(empty, "revoke usage on schema conetl from conetl_reader")
-    empty.commit()
-    assert database_status(empty)["missing_roles"] == ("conetl_reader",)
-    execute(empty, "set session authorization conetl_writer")
-    empty.commit()
-    assert migrate(empty) == []
-    assert database_status(empty)["missing_roles"] == ("conetl_reader",)
-    execute(empty, "reset session authorization")
-    empty.commit()
-    migrate(empty)
-    assert database_status(empty)["missing_roles"] == ()
+def test_missing_roles_are_made_by_whoever_may(conn):
+    execute(conn, "revoke usage on schema conetl from conetl_reader")
+    conn.commit()
+    assert database_status(conn)["missing_roles"] == ("conetl_reader",)
+    execute(conn, "set session authorization conetl_writer")
+    conn.commit()
+    assert migrate(conn) == []
+    assert database_status(conn)["missing_roles"] == ("conetl_reader",)
+    execute(conn, "reset session authorization")
+    conn.commit()
+    migrate(conn)
+    assert database_status(conn)["missing_roles"] == ()
 
 
 def test_the_reader_may_only_read(conn, samples):

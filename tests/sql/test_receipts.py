@@ -205,13 +205,6 @@ def test_a_lock_says_who_lives(conn: Any, database_url: str, plan: Any, receipt:
     assert held_locks(conn, names) == set()
 
 
-def test_receipts_are_files_too(receipt: Any, tmp_path: Path) -> None:
-    receipt(headers(1)[0], "failed", reason="no usable pose", may_pass=False)
-    (path,) = (tmp_path / "default").glob("d0000-*.json")
-    kept = json.loads(path.read_text())
-    assert (kept["state"], kept["reason"], kept["attempts"]) == ("failed", "no usable pose", 1)
-
-
 def test_the_writer_may_add_receipts_and_not_change_them(database_url: str, receipt: Any) -> None:
     receipt(headers(1)[0], "started")
     writer = connect(database_url)
@@ -260,15 +253,9 @@ def test_any_id_has_a_receipt(drive_id: str, receipt: Any, conn: Any, tmp_path: 
     kept = latest(conn, drive)
     assert kept.reason.startswith("M\\xfcnchen" if "M" in drive_id else drive_id)
     (path,) = (tmp_path / "default").glob("*.json")
-    assert json.loads(path.read_text())["drive_id"] == kept.drive_id
-
-
-def test_what_cannot_be_read_is_a_line_of_the_plan(conn: Any, tmp_path: Path) -> None:
-    shutil.copytree(next(SAMPLES.iterdir()), tmp_path / os.fsdecode(b"M\xfcnchen"))
-    shutil.copytree(next(SAMPLES.iterdir()), tmp_path / "good")
-    made = plan_drives(conn, tmp_path, settings=Settings(), params=IngestParams())
-    assert sorted(actions(made)) == [("M\\xfcnchen", "refuse"), ("good", "ingest")]
-    json.dumps(plan_as_dict(made, 1), ensure_ascii=False).encode()
+    copy = json.loads(path.read_text())
+    assert (copy["drive_id"], copy["state"], copy["attempts"]) == (kept.drive_id, "failed", 1)
+    assert copy["reason"] == kept.reason
 
 
 def test_a_full_disk_costs_the_copy_of_a_receipt_and_nothing_else(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
@@ -15,6 +14,7 @@ from conetl.db import receipt_store
 from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql
 from conetl.db.receipt_store import held_if_free, held_locks, holding
 from conetl.model.errors import DatabaseError
+from tests.command import until
 
 NAMES = ("conetl.drive/a", "conetl.flow_run/b")
 
@@ -46,19 +46,11 @@ def end_sessions(asking: Connection, pids: set[int]) -> None:
         execute(asking, "select pg_terminate_backend(%(pid)s, 10000)", {"pid": pid})
 
 
-def until(done: Callable[[], bool]) -> None:
-    for _ in range(600):
-        if done():
-            return
-        time.sleep(0.05)
-    raise AssertionError("it never came")
-
-
 def test_a_lost_session_is_replaced_and_ends_nothing(database_url: str, asking: Connection) -> None:
     with holding(database_url, *NAMES):
         before = owners(asking)
         end_sessions(asking, before)
-        until(lambda: held_locks(asking, NAMES) == set(NAMES))
+        until(lambda: held_locks(asking, NAMES) == set(NAMES), "the lock")
         assert not owners(asking) & before
     assert held_locks(asking, NAMES) == set()
 
@@ -77,14 +69,17 @@ def test_who_took_a_lost_lock_keeps_it(database_url: str, asking: Connection, fr
         with holding(database_url, *NAMES):
             mine = owners(asking)
             waits.start()
-            until(lambda: bool(execute(asking, "select pid from pg_locks where locktype = 'advisory' and not granted")))
+            until(
+                lambda: execute(asking, "select pid from pg_locks where locktype = 'advisory' and not granted"),
+                "who waits",
+            )
             end_sessions(asking, mine)
             waits.join()
-            until(lambda: held_locks(asking, NAMES) == set(NAMES))
+            until(lambda: held_locks(asking, NAMES) == set(NAMES), "the lock")
             assert other.info.backend_pid in owners(asking)
             if freed_first:
                 execute(other, load_sql("locks.free_lock"), {"name": NAMES[0]})
-                until(lambda: held_locks(asking, NAMES) == set(NAMES))
+                until(lambda: held_locks(asking, NAMES) == set(NAMES), "the lock")
                 assert other.info.backend_pid not in owners(asking)
         assert held_locks(asking, NAMES) == (set() if freed_first else {NAMES[0]}), "nobody frees another's lock"
 
