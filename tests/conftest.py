@@ -138,6 +138,19 @@ def cloned_database(cluster_url: str, template: str) -> Iterator[str]:
     conn.close()
 
 
+@contextmanager
+def filled_template(cluster_url: str, template: str, fill: Callable[[Any], object]) -> Iterator[str]:
+    """Name of a database that `fill` wrote a map into. Tests clone it, which takes a tenth of the time of making the map."""
+    from conetl.db.connection import connect
+
+    with cloned_database(cluster_url, template) as url:
+        with closing(connect(url)) as conn:
+            fill(conn)
+            conn.commit()
+            name = str(conn.info.dbname)
+        yield name
+
+
 @pytest.fixture(scope="session")
 def another_database(cluster_url: str, template_database: str) -> Callable[[], AbstractContextManager[Any]]:
     """`with another_database() as conn`: an open connection to one more migrated, empty database."""

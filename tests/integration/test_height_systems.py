@@ -20,17 +20,27 @@ from conetl.exports.fields import FIELDS, as_markdown
 from conetl.geometry import geodesy
 from conetl.readers.surveyed_points import read_surveyed_points
 from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS
+from tests.conftest import filled_template
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
 EGM96 = "EPSG:32632+5773"
 
 
+@pytest.fixture(scope="module")
+def template_database(cluster_url, template_database):
+    """Each test has a database with a map of two drives."""
+    with filled_template(
+        cluster_url, template_database, lambda conn: [merge(conn, survey(day)) for day in (0, 1)]
+    ) as name:
+        yield name
+
+
 @pytest.fixture
 def mapped(conn):
-    for day in (0, 1):
-        merge(conn, survey(day))
-    conn.commit()
-    return read_current_features(conn)
+    """What stands on the map."""
+    found = read_current_features(conn)
+    conn.rollback()
+    return found
 
 
 @pytest.fixture
@@ -95,7 +105,7 @@ def test_heights_are_those_of_proj_in_every_format(conetl, conn, mapped, tmp_pat
 
 def test_a_map_has_a_height_system(conetl, conn, tmp_path, grid):
     conetl("map", "create", "city", "--crs", EGM96)
-    [city] = json.loads(conetl("map", "list", "--json"))
+    [city] = (one for one in json.loads(conetl("map", "list", "--json")) if one["map_name"] == "city")
     assert (city["srid"], city["vertical_srid"]) == (32632, 5773)
     merge(conn, survey(0), map_name="city")
     conn.commit()

@@ -13,13 +13,20 @@ from conetl.db.connection import connect, execute, load_sql
 from conetl.db.receipt_store import Receipt, held_if_free, write_receipt
 from conetl.pipeline.maps.decisions import decide_place, revert
 from conetl.pipeline.settings import Settings
+from tests.conftest import filled_template
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
 #: Tables of the schema that a dump does not have: bookkeeping, the map itself, and what is shown while a drive is recorded.
 NOT_DUMPED = {"schema_migration", "map", "watched_drive", "provisional_feature"}
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
+def template_database(cluster_url, template_database):
+    """Each test has a database with two maps."""
+    with filled_template(cluster_url, template_database, two_maps) as name:
+        yield name
+
+
 def two_maps(conn):
     """`north` with three drives and decisions, one of them withdrawn, and `south` with two drives."""
     for day in (0, 2, 1):
@@ -31,7 +38,6 @@ def two_maps(conn):
     decide_place(conn, "pin", feature, map_name="north", radius_m=1.0, note="bollard", decided_by="ann")
     reverted = revert(conn, "2", map_name="north", note="", decided_by="ann")
     revert(conn, str(reverted.decision_id), map_name="north", note="", decided_by="bob")
-    conn.commit()
 
 
 def features_of(conn, name):
@@ -54,7 +60,7 @@ def everything_of(conn, name):
     return rows
 
 
-def test_changesets_are_numbered_per_map_and_every_command_has_the_option(conetl, two_maps):
+def test_changesets_are_numbered_per_map_and_every_command_has_the_option(conetl):
     for name, count in (("north", 3), ("south", 2)):
         log = json.loads(conetl("map", "log", "--map", name, "--json"))
         assert [c["changeset_no"] for c in log] == list(range(count, 0, -1))
@@ -71,14 +77,14 @@ READING = (
 )  # fmt: skip
 
 
-def test_a_misspelt_map_is_named_with_its_neighbours(conetl, two_maps):
+def test_a_misspelt_map_is_named_with_its_neighbours(conetl):
     for command in READING:
         said = conetl(*command.split(), "--map", "nroth", code=2)
         assert "no map named nroth; did you mean north" in said, command
     assert "it has north, south" in conetl("map", "show", "--map", "zzz", code=2)
 
 
-def test_maps_are_created_listed_and_renamed(conetl, conn, two_maps):
+def test_maps_are_created_listed_and_renamed(conetl, conn):
     assert "no map named default, and no other" not in conetl("map", "show", code=2)
     conetl("map", "create", "east", "--crs", "EPSG:25832")
     assert "invalid map name" in conetl("map", "create", "Weſt", "--crs", "EPSG:25832", code=2)
@@ -90,7 +96,7 @@ def test_maps_are_created_listed_and_renamed(conetl, conn, two_maps):
     assert everything_of(conn, "old_north") == before
 
 
-def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, two_maps, database_url, tmp_path):
+def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, database_url, tmp_path):
     """The next drive of the backfill would make a new map of the old name."""
     started = Receipt(
         attempt_id=uuid4(), map_name="north", drive_path="/drives/d9", drive_id="d9", header_sha256="0" * 64,
@@ -108,7 +114,7 @@ def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, two_ma
     conetl("map", "rename", "north", "old")  # the process of the drive is gone
 
 
-def test_a_renamed_map_goes_on_and_its_name_is_free_again(conetl, conn, two_maps):
+def test_a_renamed_map_goes_on_and_its_name_is_free_again(conetl, conn):
     """Ids are those that the map would have without the other name, and a new map of the old name may have the same drives."""
     conetl("map", "rename", "south", "valley")
     merge(conn, survey(2), map_name="valley")
@@ -128,7 +134,7 @@ def test_a_renamed_map_goes_on_and_its_name_is_free_again(conetl, conn, two_maps
     assert failed_audits(conn) == []
 
 
-def test_a_deleted_map_is_restored_as_it_was(conetl, conn, two_maps, tmp_path):
+def test_a_deleted_map_is_restored_as_it_was(conetl, conn, tmp_path):
     dump = tmp_path / "north.zip"
     before, other = everything_of(conn, "north"), everything_of(conn, "south")
     assert "add --yes" in conetl("map", "delete", "north", "--dump", dump, code=2)
@@ -156,7 +162,7 @@ DAMAGES = (
 )  # fmt: skip
 
 
-def test_a_damaged_dump_changes_nothing(conetl, conn, two_maps, tmp_path):
+def test_a_damaged_dump_changes_nothing(conetl, conn, tmp_path):
     dump, bad = tmp_path / "north.zip", tmp_path / "bad.zip"
     conetl("map", "delete", "north", "--dump", dump, "--yes")
     assert dump.stat().st_mode & 0o777 == 0o600
