@@ -273,17 +273,6 @@ def plain_csv(folder):
     return cones_csv(folder / "plain.csv", DAYS[0])
 
 
-def test_a_file_whose_founded_ids_stand_elsewhere_says_what_helps(conn, tmp_path):
-    path = plain_csv(tmp_path)
-    take(conn, path, crs="EPSG:32633", **SURVEYED)
-    better = ImportParams(sigma_m=0.4)
-    with pytest.raises(InputError, match=r"row 1: .* km away .*conetl map revert"):
-        take(conn, path, crs="EPSG:32632", params=better, **SURVEYED)
-    revert(conn, "1", map_name="default")
-    assert take(conn, path, crs="EPSG:32632", params=better, **SURVEYED).committed
-    assert failed_audits(conn) == []
-
-
 def test_heights_of_another_system_are_refused_where_the_map_has_the_same_cones(conn, tmp_path):
     """Heights above the geoid put a second cone below each one of the map."""
     merge(conn, survey(0))
@@ -351,6 +340,8 @@ def test_the_same_file_by_its_right_crs_is_another_import(conn, tmp_path):
     """A slip in --crs is corrected by reverting and importing again, with no other option changed."""
     path = plain_csv(tmp_path)
     take(conn, path, crs="EPSG:32633", **SURVEYED)
+    with pytest.raises(InputError, match=r"row 1: .* km away .*conetl map revert"):
+        take(conn, path, **IN_UTM)
     revert(conn, "1", map_name="default")
     assert not take(conn, path, crs="EPSG:32633", **SURVEYED).committed
     assert take(conn, path, **IN_UTM).committed
