@@ -33,6 +33,7 @@ from conetl.pipeline.nightly_publication import write_publication
 from conetl.pipeline.settings import Settings
 from conetl.readers.maps.imported_rows import read_map_file
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
+from tests.integration.test_reports import assert_loads_nothing
 
 NOON = [datetime.fromtimestamp((START_NS + day * DAY_NS) / 1e9 + 7200, UTC) for day in range(4)]
 TO_MAP = Transformer.from_crs(4326, 32632, always_xy=True)
@@ -311,6 +312,8 @@ def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
     assert latest.resolve() == published
     maps = {f"default.{suffix}{more}" for suffix in ("geojson", "parquet") for more in ("", ".manifest.json")}
     assert {p.name for p in latest.iterdir()} == maps | {"publication.json", "report.html"}
+    assert json.loads((latest / "publication.json").read_text())["report"] == "report.html"
+    assert_loads_nothing((latest / "report.html").read_text())
     assert [m["rows"] for m in manifests] == [manifests[0]["rows"]] * 2
     monkeypatch.setattr(text_files, "write_features", lambda source, path: 1 / 0)
     with pytest.raises(ZeroDivisionError):

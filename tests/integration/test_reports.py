@@ -23,8 +23,6 @@ from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
-from conetl.pipeline.nightly_publication import write_publication
-from conetl.pipeline.settings import Settings
 from conetl.reports.drive_facts import read_drive_facts
 from conetl.reports.drive_page import alerts, drive_page, images_of, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
@@ -206,13 +204,6 @@ def test_an_empty_and_an_invalid_night(shown: Any) -> None:
         read_night(shown, map_name="default", since=begin, until=begin)
     with pytest.raises(InputError, match="no map named nowhere"):
         read_night(shown, map_name="nowhere", since=begin, until=begin + timedelta(days=1))
-
-
-def test_the_nightly_publication_holds_its_report(shown: Any, tmp_path: Path) -> None:
-    settings = Settings(database_url=shown.dsn, home=tmp_path, map_name="default")  # type: ignore[arg-type]
-    folder, _ = write_publication(settings, ["geojson"], tmp_path / "exports")
-    assert_loads_nothing((folder / "report.html").read_text())
-    assert '"report": "report.html"' in (folder / "publication.json").read_text()
 
 
 def test_the_web_view_serves_the_report(shown: Any) -> None:
