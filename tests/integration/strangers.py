@@ -38,10 +38,14 @@ def prefect_refuses_strangers(api: str) -> None:
         for variables in ({"command": "id"}, {"env": {"PATH": "."}}, {"working_dir": "/tmp"}):
             body = {"job_variables": variables}
             assert client.post(f"/deployments/{deployment}/create_flow_run", json=body).status_code == 422
-        drive = client.get("/deployments/name/ingest-drive/ingest-drive").json()["id"]
-        for parameters in ({"drive": 3}, {"drive": "/", "map_name": "../x"}, {"drive": "/", "params": {"model": "x"}}):
+        drive = client.get("/deployments/name/ingest-drive/ingest-drive").json()
+        assert drive["enforce_parameter_schema"] and "params" in drive["parameter_openapi_schema"]["properties"]
+        for parameters in (
+            {"drive": 3}, {"map_name": "a"}, {"drive": "/", "map_name": "../x"}, {"drive": "/", "map_srid": -1},
+            {"drive": "/", "params": {"model": "x"}},
+        ):  # fmt: skip
             body = {"parameters": parameters}
-            assert client.post(f"/deployments/{drive}/create_flow_run", json=body).status_code in (409, 422)
+            assert client.post(f"/deployments/{drive['id']}/create_flow_run", json=body).status_code in (409, 422)
 
 
 def answers(client: httpx.Client, method: str, path: str) -> bool:
