@@ -60,45 +60,8 @@ def _plan(root: Path, home: Path, database_url: str, *options: str) -> dict[str,
 def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts(
     tmp_path: Path, database_url: str
 ) -> None:
-    """One drive has no usable pose, another one a name that is not UTF-8: that stops no drive beside them."""
-    root = tmp_path / "drives"
-    cut_drive(SAMPLES[1], root / "2026-05-01_poisoned", "2026-05-01", poisoned=True)
-    cut_drive(SAMPLES[1], root / "2026-05-02_good", "2026-05-02")
-    cut_drive(SAMPLES[1], root / os.fsdecode(b"M\xfcnchen"), "2026-05-01")
-    where = root, tmp_path / "home", database_url
-    assert _plan(*where)["M\\xfcnchen"]["action"] == "refuse"
-    code, drives = _backfill(*where, "--max-parallel", "2")
-    assert {name: drive["state"] for name, drive in drives.items()} == {
-        "2026-05-01_poisoned": "failed", "2026-05-02_good": "committed", "M\\xfcnchen": "failed",
-    }  # fmt: skip
-    assert "no usable pose" in str(drives["2026-05-01_poisoned"]["reason"])
-    assert "not UTF-8" in str(drives["M\\xfcnchen"]["reason"])
-    assert code == 2
-    with closing(connect(database_url)) as conn:
-        changesets = execute(
-            conn, "select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1"
-        )
-        cones = execute(conn, "select count(*) as cones from conetl.feature_version")[0]["cones"]
-        states = {r["drive_id"]: r["state"] for r in execute(conn, "select * from conetl.latest_receipt")}
-    assert [row["drive_id"] for row in changesets] == ["2026-05-02_good"]
-    assert cones > 0
-    assert states == {name: drive["state"] for name, drive in drives.items()}
-    # The temporary server takes a moment to end.
-    until(lambda: not processes_with("CONETL_HOME", tmp_path / "home"), "the end of all processes", 30, 0.2)
-
-    shift_poses(root / "2026-05-02_good", lat_deg=4.5e-6)  # corrected, as post-processing does
-    drives = _plan(*where)
-    assert {name: drive["action"] for name, drive in drives.items()} == {
-        "2026-05-01_poisoned": "ingest", "2026-05-02_good": "ingest", "M\\xfcnchen": "refuse",
-    }  # fmt: skip
-    assert "changed since" in str(drives["2026-05-02_good"]["why"])
-
-
-def test_a_folder_of_links_to_drives_is_ingested_once(
-    tmp_path: Path, database_url: str, prefect: dict[str, str]
-) -> None:
-    """Links by other names; one drive has an id of more bytes than a file name may have and a first stamp before all times, one
-    a calibration beside its link only, and heights of another datum."""
+    """Links by other names. One drive has an id of more bytes than a file name may have and a first stamp before all times, one
+    a calibration beside its link only, and heights of another datum; a name that is not UTF-8 stops no drive beside it."""
     odd, beside = (
         cut_drive(
             SAMPLES[n], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}", frames=range(12, 17)
@@ -110,23 +73,41 @@ def test_a_folder_of_links_to_drives_is_ingested_once(
     stamps.write_text("0001-01-01 00:00:00\n" + stamps.read_text().partition("\n")[2])
     shift_poses(beside, height_m=-48.0)
     links = tmp_path / "links"
-    links.mkdir()
+    cut_drive(SAMPLES[1], links / os.fsdecode(b"M\xfcnchen"), "2026-05-01", frames=range(1))
     for calibration in beside.glob("calib*.txt"):
         calibration.rename(links / calibration.name)
     for name, drive in (("monday", odd), ("monday-again", odd), ("tuesday", beside)):
         (links / name).symlink_to(drive)
     where = links, tmp_path / "home", database_url
-    code, drives = _backfill(*where, **prefect)
-    assert {name: drive["state"] for name, drive in drives.items()} == {LONG_ID: "committed", "2026-05-02_run": "held"}
+    planned = _plan(*where)
+    assert planned["M\\xfcnchen"]["action"] == "refuse"
+    code, drives = _backfill(*where)
+    states = {LONG_ID: "committed", "2026-05-02_run": "held", "M\\xfcnchen": "failed"}
+    assert {name: drive["state"] for name, drive in drives.items()} == states
     assert "48.0 m lower" in str(drives["2026-05-02_run"]["reason"])
-    assert code == 1
+    assert "not UTF-8" in str(drives["M\\xfcnchen"]["reason"])
+    assert code == 2
+    with closing(connect(database_url)) as conn:
+        changesets = execute(
+            conn, "select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1"
+        )
+        cones = execute(conn, "select count(*) as cones from conetl.feature_version")[0]["cones"]
+        receipts = {r["drive_id"]: r["state"] for r in execute(conn, "select * from conetl.latest_receipt")}
+    assert {row["drive_id"] for row in changesets} == {LONG_ID, "2026-05-02_run"} and len(changesets) == 2
+    assert cones > 0
+    assert receipts == states
+    # The temporary server takes a moment to end.
+    until(lambda: not processes_with("CONETL_HOME", tmp_path / "home"), "the end of all processes", 30, 0.2)
+
     drives = _plan(*where)
     assert "on hold since" in str(drives["2026-05-02_run"]["why"])
-    assert {name: drive["action"] for name, drive in drives.items()} == {LONG_ID: "skip", "2026-05-02_run": "skip"}
+    assert {name: drive["action"] for name, drive in drives.items()} == {
+        LONG_ID: "skip", "2026-05-02_run": "skip", "M\\xfcnchen": "refuse",
+    }  # fmt: skip
     drives = _plan(*where, "--recheck", "--since", "2026-05-02")
-    assert {name: drive["action"] for name, drive in drives.items()} == {"2026-05-02_run": "ingest"}
-    with closing(connect(database_url)) as conn:
-        assert execute(conn, "select count(*) as n from conetl.changeset")[0]["n"] == 2
+    assert {name: drive["action"] for name, drive in drives.items()} == {
+        "2026-05-02_run": "ingest", "M\\xfcnchen": "refuse",
+    }  # fmt: skip
 
 
 def report(**changes: Any) -> IngestReport:
@@ -294,15 +275,17 @@ def test_what_was_is_pending_is_published_without_the_drive(
 def test_what_could_not_be_published_is_said_and_told_by_a_later_run(
     tmp_path: Path, conn: Any, database_url: str, prefect: dict[str, str]
 ) -> None:
+    """Of two drives at the same time."""
     home = tmp_path / "home"
-    folder = cut_drive(SAMPLES[0], tmp_path / "drives" / "2026-05-01_run", "2026-05-01")
+    for number in (1, 2):
+        folder = cut_drive(SAMPLES[0], tmp_path / "drives" / f"2026-05-0{number}_run", f"2026-05-0{number}")
     in_the_way = home / "exports" / "default.geojson"
     in_the_way.mkdir(parents=True)
     run = partial(conetl_process, home, database_url, **prefect)
-    done = run("backfill", folder.parent, "--here")
-    (drive,) = json.loads(done.stdout)["drives"]
-    assert drive["state"] == "committed", done.stderr
-    assert "default.geojson" in drive["reason"]
+    done = run("backfill", folder.parent, "--here", "--max-parallel", 2)
+    drives = json.loads(done.stdout)["drives"]
+    assert [drive["state"] for drive in drives] == ["committed"] * 2, done.stderr
+    assert all("default.geojson" in drive["reason"] for drive in drives)
     assert done.returncode == 1
     done = run("ingest", folder)
     assert done.returncode == 1, "it is still in the way"
@@ -310,14 +293,14 @@ def test_what_could_not_be_published_is_said_and_told_by_a_later_run(
     assert said["status"] == "no changes"
     assert "default.geojson" in said["unpublished"] and "run the same command again" in said["unpublished"]
     assert said["unpublished"] in " ".join(done.stderr.split())
-    (changeset,) = list_changesets(conn)
-    assert not is_published(conn, changeset.changeset_id)
+    changesets = [changeset.changeset_id for changeset in list_changesets(conn)]
+    assert [is_published(conn, one) for one in changesets] == [False] * 2
     in_the_way.rmdir()
     execute(conn, "update conetl.changeset set committed_at = committed_at - interval '1 hour'")
     conn.commit()
     done = run("backfill", folder.parent, "--here")
     assert done.returncode == 0, done.stderr
-    assert is_published(conn, changeset.changeset_id)
+    assert [is_published(conn, one) for one in changesets] == [True] * 2
     assert in_the_way.is_file()
     assert list((home / "exports" / "reports").rglob("*.html"))
 
