@@ -124,7 +124,7 @@ def test_what_is_found_along_with_detections_is_what_its_own_step_finds(chunks: 
     assert at == list(pairwise(pairs)), "the last motion is that to the next chunk"
 
 
-@pytest.mark.parametrize(("chunk_pairs", "steps"), [(256, 1), (8, 5), (6, 14)])
+@pytest.mark.parametrize(("chunk_pairs", "steps"), [(8, 5), (6, 14)])
 def test_self_calibration_follows_a_part_of_a_drive_or_all_where_that_shows_too_little(
     chunk_pairs: int, steps: int, tmp_path: Path
 ) -> None:
