@@ -20,11 +20,8 @@ from conetl.cli.tools.calibrate import calibrate
 from conetl.evaluation.markings import TRUTH_FILE
 from conetl.model.errors import CalibrationError, InputError
 from conetl.readers.rigs import read_rig
-from tests.command import ROOT
 from tests.integration.conftest import command_line
 from tests.integration.small_drives import SAMPLES, cut_drive
-
-IMAGE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
 
 
 @pytest.fixture
@@ -43,11 +40,14 @@ def small_image(tmp_path: Path) -> Path:
 
 
 def test_boxes_and_annotated_copies_are_written_into_new_folders(detect: Callable[..., str], tmp_path: Path) -> None:
-    detect(IMAGE, "--out", tmp_path / "new" / "found.json", "--draw", tmp_path / "drawn" / "deep")
+    pair = [SAMPLE / side / "data" / "0000000010.jpg" for side in ("image_02", "image_03")]
+    detect(*pair, "--out", tmp_path / "new" / "found.json", "--draw", tmp_path / "drawn" / "deep")
     found = json.loads((tmp_path / "new" / "found.json").read_text())
-    assert found
-    assert {"file_name", "category", "bbox", "score", "foot", "tip"} <= set(found[0])
-    assert cv2.imread(str(tmp_path / "drawn" / "deep" / f"{IMAGE.stem}.jpg")).shape == cv2.imread(str(IMAGE)).shape
+    assert set(found[0]) == {"file_name", "category", "bbox", "score", "probability", "foot", "tip"}
+    drawn = list((tmp_path / "drawn" / "deep").glob("*.jpg"))
+    assert len(drawn) == 2, "of equal name, from two folders"
+    assert [cv2.imread(str(path)).shape for path in drawn] == [cv2.imread(str(path)).shape for path in pair]
+    detect(tmp_path / "nothing", code=2)
 
 
 @pytest.mark.parametrize("option", ["--out", "--draw"])
