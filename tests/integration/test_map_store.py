@@ -11,7 +11,7 @@ from uuid import UUID, uuid4
 import numpy as np
 import pytest
 
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.map import map_store as store
 from conetl.db.map import replay_store
 from conetl.db.map.commit import commit_changeset, path_wkt
@@ -21,7 +21,7 @@ from conetl.db.map.replay_store import read_open_version, read_versions
 from conetl.db.map.results import RunInfo
 from conetl.model.base import SharedErrorJacobian, utc_from_ns
 from conetl.model.drive import DriveRecords
-from conetl.model.errors import DatabaseError, MapMismatchError
+from conetl.model.errors import MapMismatchError
 from conetl.model.rejections import Rejection, RejectionReason
 from tests.synthetic.world import make_path
 
@@ -313,16 +313,6 @@ def test_the_run_is_kept_with_its_parameters(conn, samples):
     [kept] = execute(conn, "select r.* from run r join changeset using (run_id)")
     assert (kept["run_id"], kept["params"], kept["flow_run_id"]) == (run.run_id, dict(run.params), "brave-newt")
     assert kept["started_at"] <= kept["finished_at"]
-
-
-def test_a_map_that_stays_locked_is_reported(conn, database_url):
-    second = connect(database_url)
-    with store.map_transaction(conn):
-        with pytest.raises(DatabaseError, match="not free in time"), store.map_transaction(second, lock_timeout_s=0.2):
-            pass
-        with store.map_transaction(second, "another_map", lock_timeout_s=0.2):
-            pass
-    second.close()
 
 
 def test_an_instant_without_a_zone_is_refused(conn):
