@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import duckdb
 import pyarrow.parquet as pq
@@ -163,51 +164,47 @@ def test_the_map_does_not_depend_on_what_was_archived(conn, another_database, tm
     assert late_and_reverted(conn, archived=True) == expected
 
 
-def test_a_missing_file_of_the_archive_is_named_and_nothing_is_written(conn, tmp_path):
+def without_column(column):
+    return lambda path: write_table(read_table(path).drop_columns([column]), path)
+
+
+def of_another_drive(path):
+    [other] = (folder for folder in path.parents[1].iterdir() if folder != path.parent)
+    path.write_bytes((other / path.name).read_bytes())
+
+
+def a_third(path):
+    records = pq.read_table(path)
+    pq.write_table(records.slice(0, len(records) // 3), path)
+
+
+DAMAGES = (
+    ("position", Path.unlink, "put the file back"),
+    ("position", without_column("easting_m"), "easting_m.*[Nn]othing was written.*put the file back"),
+    ("detection", without_column("drive_uuid"), "drive_uuid.*[Nn]othing was written.*put the file back"),
+    ("stereo_match", without_column("match_index"), "match_index.*[Nn]othing was written.*put the file back"),
+    ("position", of_another_drive, r"it has .*expected \d+ of drive"),
+    ("position", a_third, r"it has .*expected \d+ of drive"),
+)
+
+
+def test_a_damaged_file_of_the_archive_is_named_and_nothing_is_written(conn, tmp_path):
     for day in (0, 2):
         merge(conn, survey(day))
+    later = prunable_drives(conn, LATER)[-1]
     archive(conn, tmp_path)
     before = valid_time_map(conn)
-    for path in tmp_path.glob("*/position.parquet"):
-        path.rename(path.with_suffix(".gone"))
-    with pytest.raises(InputError, match=r"position\.parquet.*put the file back"):
-        merge(conn, survey(1))
-    assert valid_time_map(conn) == before
-    assert raw_rows(conn) == [0, 0, 0]
-
-
-@pytest.mark.parametrize(
-    ("file", "column"), [("position", "easting_m"), ("detection", "drive_uuid"), ("stereo_match", "match_index")]
-)
-def test_a_file_of_the_archive_without_a_column_is_named(conn, tmp_path, file, column):
-    for day in (0, 2):
-        merge(conn, survey(day))
-    archive(conn, tmp_path)
-    for path in tmp_path.glob(f"*/{file}.parquet"):
-        write_table(read_table(path).drop_columns([column]), path)
-    with pytest.raises(InputError, match=rf"{file}\.parquet.* {column}.*[Nn]othing was written.*put the file back"):
-        merge(conn, survey(1))
-    assert raw_rows(conn) == [0, 0, 0]
-
-
-def test_an_archive_that_is_not_that_of_the_drive_is_refused(conn, tmp_path):
-    for day in (0, 2):
-        merge(conn, survey(day))
-    archive(conn, tmp_path)
-    first, second = sorted(tmp_path.iterdir())
-    for path, content in ((second, (first / "position.parquet").read_bytes()), (first, None)):
-        file = path / "position.parquet"
-        whole = file.read_bytes()
-        if content is None:
-            records = pq.read_table(file)
-            pq.write_table(records.slice(0, len(records) // 3), file)
-        else:
-            file.write_bytes(content)
-        with pytest.raises(InputError, match=rf"position\.parquet: it has .*expected \d+ of drive {path.name}"):
-            restore_drives(conn, "default")
-        assert raw_rows(conn) == [0, 0, 0]
-        conn.rollback()
-        file.write_bytes(whole)
+    for file, damage, said in DAMAGES:
+        path = tmp_path / str(later.drive_uuid) / f"{file}.parquet"
+        whole = path.read_bytes()
+        damage(path)
+        for restore in (lambda: merge(conn, survey(1)), lambda: restore_drives(conn, "default")):
+            with pytest.raises(InputError, match=rf"{path.parent.name}.*{file}\.parquet.*{said}"):
+                restore()
+            conn.rollback()
+            assert raw_rows(conn) == [0, 0, 0]
+            assert valid_time_map(conn) == before
+        path.write_bytes(whole)
     assert len(restore_drives(conn, "default")) == 2
     assert failed_audits(conn) == []
 
