@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
@@ -17,11 +18,12 @@ from typer.testing import CliRunner
 from conetl.cli.app import app
 from conetl.db.connection import Connection
 from conetl.model.errors import ConetlError
+from conetl.model.map_records import MapFeature
 from conetl.pipeline.settings import prefect_environment, prefect_login
 from tests import command
 from tests.conftest import run_home
 from tests.integration.drives_of_days import failed_audits
-from tests.view_map import view_of
+from tests.view_map import two_drives, view_of
 
 #: Prefect tells nobody that it runs.
 QUIET = {"PREFECT_SERVER_ANALYTICS_ENABLED": "false", "DO_NOT_TRACK": "1"}
@@ -99,6 +101,25 @@ def prefect_here(tmp_path_factory: pytest.TempPathFactory, prefect: dict[str, st
         refresh_global_settings_context()
         yield folder
     refresh_global_settings_context()
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the images of `features`."""
+    return tmp_path_factory.mktemp("images")
+
+
+@pytest.fixture(scope="module")
+def features(module_conn: Connection, samples: Any, images: Path) -> dict[str, MapFeature]:
+    """Those of the map of two drives in the file's own database."""
+    return two_drives(module_conn, samples, images)
+
+
+@pytest.fixture(scope="module")
+def client(module_database_url: str, features: dict[str, MapFeature]) -> Iterator[TestClient]:
+    """The web view on that map."""
+    with view_of(module_database_url) as test_client:
+        yield test_client
 
 
 @pytest.fixture

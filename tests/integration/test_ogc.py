@@ -28,24 +28,13 @@ from conetl.web.ogc.collections import Instants, collection_of, warm
 from tests import ogc_schemas as standard
 from tests.integration.drives_of_days import merge, survey
 from tests.integration.test_exports import OFFSCREEN, PYTHON, has_qgis
-from tests.view_map import OWN, commit, cone, missed, serving, two_drives, view_of
+from tests.view_map import OWN, commit, cone, missed, serving, view_of
 
 OGC = "/ogc"
 FEATURES = f"{OGC}/collections/default.features"
 CHANGES = f"{OGC}/collections/default.changes"
 DAY = timedelta(days=1)
 TICK = timedelta(microseconds=1)
-
-
-@pytest.fixture(scope="module")
-def features(module_conn, samples, tmp_path_factory):
-    return two_drives(module_conn, samples, tmp_path_factory.mktemp("images"))
-
-
-@pytest.fixture(scope="module")
-def client(module_database_url, features):
-    with view_of(module_database_url) as test_client:
-        yield test_client
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import asyncio
 import shutil
 from contextlib import closing
 from datetime import timedelta
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -23,27 +22,11 @@ from conetl.model.map_records import DeltaKind
 from conetl.readers.maps.gazetteer import read_gazetteer
 from conetl.web.app import create_app
 from conetl.web.live import MAX_STREAMS, HeadWatcher
-from tests.view_map import commit, cone, missed, two_drives, view_of
+from tests.view_map import commit, cone, missed, view_of
 
 DAY = timedelta(days=1)
 MAP = "/api/maps/default"
 NOBODY = "00000000-0000-4000-8000-00000000dead"
-
-
-@pytest.fixture(scope="module")
-def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("images")
-
-
-@pytest.fixture(scope="module")
-def features(module_conn, samples, images):
-    return two_drives(module_conn, samples, images)
-
-
-@pytest.fixture(scope="module")
-def client(module_database_url, features):
-    with view_of(module_database_url) as test_client:
-        yield test_client
 
 
 def get(client, path, status=200, **parameters):
