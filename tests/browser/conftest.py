@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +41,8 @@ def browser() -> Iterator[Any]:
         yield found
 
 
-@pytest.fixture
-def page(browser: Any, address: str) -> Iterator[Any]:
+@contextmanager
+def page_without_problems(browser: Any, address: str) -> Iterator[Any]:
     """A page that must log no error and contact no other server."""
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     problems: list[str] = []
@@ -52,3 +53,9 @@ def page(browser: Any, address: str) -> Iterator[Any]:
     yield tab
     tab.close()
     assert problems == []
+
+
+@pytest.fixture
+def page(browser: Any, address: str) -> Iterator[Any]:
+    with page_without_problems(browser, address) as tab:
+        yield tab

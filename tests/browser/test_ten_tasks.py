@@ -17,6 +17,7 @@ from pydantic import SecretStr
 from conetl.db.map.map_store import list_changesets
 from conetl.pipeline.settings import Settings
 from conetl.web.decisions import Writer
+from tests.browser.conftest import page_without_problems
 from tests.browser.test_judge_view import TOKEN, merge_days
 from tests.view_map import serving
 
@@ -36,6 +37,13 @@ def address(module_database_url: str, conn: Any, images: Path, tmp_path_factory:
     writer = Writer(SecretStr(TOKEN), module_database_url, Settings(home=tmp_path_factory.mktemp("home")))
     with serving(module_database_url, size, writer=writer) as port:
         yield f"http://127.0.0.1:{port}/"
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, address: str) -> Iterator[Any]:
+    """One tab for all tasks; each loads the page."""
+    with page_without_problems(browser, address) as tab:
+        yield tab
 
 
 class Hand:
