@@ -2,6 +2,7 @@
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 PYTHON ?= python3
+TEST_WORKERS ?= 2
 BIN := .venv/bin
 export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
@@ -28,7 +29,7 @@ down:           ## stop what `make up` started; data are kept
 
 # A file's tests stay on one worker: they share servers, and some build on the one before. tests/conftest.py orders the files.
 test: setup     ## run all tests
-	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=15
+	@$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder --durations=15
 
 lint: setup     ## check style, types, import contracts, wording and documentation
 	$(BIN)/ruff check .
