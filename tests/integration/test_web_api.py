@@ -218,12 +218,19 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
         "changes?moved_from_m=nan", "changes?moved_from_m=-1", "changes/0", "changes/99999999999999999999999",
         "features/not-an-id", "search?text=", "downloads/exe", "downloads/csv?box=1,2,3",
         "downloads/csv?box=3,2,1,4", "downloads/csv?valid_at=0001-01-01T00:00:00Z", "x';drop table conetl.map--/features",
+        "features?valid_at=0001-01-01T00:00:00%2B21:55",
         f"drives/{NOBODY}/pictures/-1/0/left.jpg", f"drives/{NOBODY}/pictures/0/0/left.jpg?context=1e9",
         f"drives/{NOBODY}/pictures/0/0/both.jpg",
     ],
 )  # fmt: skip
 def test_invalid_parameters_are_refused(client, path):
     assert client.get(f"{'/api/maps' if path.startswith('x') else MAP}/{path}").status_code == 422
+
+
+def test_an_instant_of_any_zone_is_read(client):
+    """PostgreSQL itself accepts zones up to 15:59:59."""
+    url = "changes?from_known_at=2026-03-02T05:47:54"
+    assert get(client, f"{MAP}/{url}%2B21:55") == get(client, f"{MAP}/{url.replace('02T05:47', '01T07:52')}Z")
 
 
 @pytest.mark.parametrize(

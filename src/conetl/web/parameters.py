@@ -32,8 +32,12 @@ def cut(rows: list[T], most: int) -> tuple[list[T], bool]:
     return rows[:most], len(rows) > most
 
 
-def _utc(time: datetime | None) -> datetime | None:
-    return time.replace(tzinfo=UTC) if time is not None and time.tzinfo is None else time
+def _utc(time: datetime) -> datetime:
+    """The same instant in UTC: PostgreSQL refuses zones of more than 15:59:59, which Python accepts."""
+    try:
+        return time.astimezone(UTC) if time.tzinfo else time.replace(tzinfo=UTC)
+    except OverflowError as error:
+        raise ValueError("the instant is not between the years 1 and 9999 in UTC") from error
 
 
 def dated(text: str | None) -> str | None:
@@ -46,8 +50,9 @@ def dated(text: str | None) -> str | None:
 
 
 MapName = Annotated[str, Path(pattern=r"^[a-z0-9_-]{1,40}$", description="Name of the map.")]
+_Utc = Annotated[datetime, AfterValidator(_utc)]
 Instant = Annotated[
-    datetime | None, BeforeValidator(dated), AfterValidator(_utc),
+    _Utc | None, BeforeValidator(dated),
     Query(description="ISO 8601; UTC if it names no zone. By default the latest."),
 ]  # fmt: skip
 ChangesetNo = Annotated[int, Path(ge=1, le=2**62)]
@@ -76,7 +81,7 @@ class BadParameterError(Exception):
     """An invalid parameter; answered 400, as the standard requires."""
 
 
-_DATETIME: TypeAdapter[datetime] = TypeAdapter(Annotated[datetime, BeforeValidator(dated)])
+_DATETIME: TypeAdapter[datetime] = TypeAdapter(Annotated[_Utc, BeforeValidator(dated)])
 
 
 def parse_instant(text: str) -> datetime:
@@ -87,7 +92,7 @@ def parse_instant(text: str) -> datetime:
         raise BadParameterError(f"{text!r} is not an instant such as 2026-03-02T12:00:00Z.") from error
     if time.year < 2:
         raise BadParameterError(f"{text!r} is earlier than the year 2.")
-    return time if time.tzinfo else time.replace(tzinfo=UTC)
+    return time
 
 
 def parse_interval(text: str) -> Interval:
