@@ -92,12 +92,12 @@ def draw_drive(
     drawn = draw_positions(rng, rig, cones, errors, **options)
     found = [detection for match in drawn.matches for detection in (match.left, match.right)]
     pairs = drawn.drive.frame_pairs
-    tracks, _ = fuse_logged(pairs, rig, found, drawn.matches, drawn.positions, motion=_EXACT_MOTION)
+    tracks, _ = fuse_logged(pairs, rig, found, drawn.matches, drawn.positions, motion=EXACT_MOTION)
     return replace(drawn, tracks=tracks)
 
 
 #: Of a trajectory whose errors are all common.
-_EXACT_MOTION = MotionError(lambda _start, _end, _point_m: np.zeros((3, 3)), most_m2=lambda _range_m: 0.0)
+EXACT_MOTION = MotionError(lambda _start, _end, _point_m: np.zeros((3, 3)), most_m2=lambda _range_m: 0.0)
 
 
 def _truth(number: int, cone: Cone) -> TruthCone:

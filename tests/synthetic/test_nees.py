@@ -14,15 +14,16 @@ from conetl.evaluation.accuracy import drive_consistency, position_errors, track
 from conetl.evaluation.truth import TruthCone, compare_with_truth
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Consistency, Nees
+from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.drive import Track
 from conetl.model.params import PositionParams, TrajectoryParams
-from conetl.tracking.error_propagation import pose_cov
+from conetl.tracking.error_propagation import outline_errors, pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
-from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, draw_drive, draw_positions
+from tests.synthetic.noisy_drive import EXACT_MOTION, NoisyDrive, PoseErrors, draw_drive, draw_positions
 from tests.synthetic.odometry import log_of, motions_of
-from tests.synthetic.world import Cone, make_path, make_rig
+from tests.synthetic.world import Cone, fuse_logged, make_path, make_rig
 
 RIG = make_rig()
 CONES = [Cone((14.0 + 4.0 * k, 3.6 - 0.5 * k, 0.0)) for k in range(5)]
@@ -101,3 +102,27 @@ def test_what_all_sightings_of_a_cone_share_is_common_to_them(noise: float, hold
         assert part.holds(0.999) is holds
     shares = {p.sigma_outline_m / p.camera_xyz_m[2] for drive in some for p in drive.positions}
     assert np.ptp(list(shares)) < 1e-9
+
+
+@pytest.mark.parametrize("count", [4, 16])
+def test_what_sightings_share_counts_once_in_a_track(count: int) -> None:
+    """A vehicle that waits beside a cone: the disparities' own error averages out over the frames, what they share does not."""
+    drawn = draw_positions(np.random.default_rng(1), RIG, CONES[:1], RTK, frames=1, noise=0.0, outline_px=0.6)
+    [pair], [match], [position] = drawn.drive.frame_pairs, drawn.matches, drawn.positions
+    pairs = [pair.model_copy(update={"frame_index": k, "captured_at_ns": k * 10**8}) for k in range(count)]
+    boxes = [{side: getattr(match, side).model_copy(update={"frame_index": k}) for side in ("left", "right")}
+             for k in range(count)]  # fmt: skip
+    [track], _ = fuse_logged(
+        pairs,
+        RIG,
+        [box for both in boxes for box in both.values()],
+        [match.model_copy(update={"frame_index": k, **both}) for k, both in enumerate(boxes)],
+        [position.model_copy(update={"frame_index": k}) for k in range(count)],
+        motion=EXACT_MOTION,
+    )
+    turn = map_SE3_left(pair.pose, RIG)[:3, :3]
+    away = turn @ np.array([0.0, 0.0, 1.0])
+    shared = away @ turn @ outline_errors(position, RIG)
+    alone = away @ turn @ cov_matrix(position.camera_cov_m2) @ turn.T @ away
+    expected = shared @ shared + (alone - shared @ shared) / count
+    assert away @ cov_matrix(track.relative_cov_m2) @ away == pytest.approx(expected, rel=5e-3)

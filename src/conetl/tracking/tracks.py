@@ -28,6 +28,7 @@ from conetl.tracking.error_propagation import (
     track_shares,
 )
 from conetl.tracking.existence import existence_probability
+from conetl.tracking.matching.covariance import own_disparity_px
 
 #: Frame, side and number of a detection.
 BoxKey = tuple[int, Side, int]
@@ -126,6 +127,10 @@ def fuse_group(
     right = np.stack([data.map_SE3_right[p.frame_index] for p in group])
     nearest = min(group, key=lambda p: p.range_m)
     sigma_motion_m = _motion_sigmas(group, nearest, left, data)
+    sigma_u_px = np.array([m.sigma_u_px for m in pairs])
+    # What all observations share `outline_jacobian` adds once: they do not average it out.
+    sharing = np.array([m.sigma_outline_px > 0 for m in pairs])
+    sigma_u_px[sharing] = [own_disparity_px(px) / 2**0.5 for px in 2**0.5 * sigma_u_px[sharing]]
     foot, centre, tip = (
         fit_point(
             np.array([(*getattr(m, f"{point}_left_uv_px"), *getattr(m, f"{point}_right_uv_px")) for m in pairs]),
@@ -133,7 +138,7 @@ def fuse_group(
             left,
             right,
             rig,
-            sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
+            sigma_u_px=sigma_u_px,
             sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
             sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),
             sigma_motion_m=sigma_motion_m,

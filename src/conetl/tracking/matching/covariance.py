@@ -39,6 +39,11 @@ def shared_disparity_px(sigma_px: float) -> float:
     return float(np.hypot(SHARED_DISPARITY_PX, share * matching_sigma_px(sigma_px)))
 
 
+def own_disparity_px(sigma_px: float) -> float:
+    """The rest of it, which every observation has for itself."""
+    return matching_sigma_px(sigma_px) / float(np.hypot(1, _SHARED_SHARE))
+
+
 def matching_sigma_px(sigma_px: float) -> float:
     """Of a disparity with this sigma, the part without the constant for the object's shape."""
     return float(np.sqrt(max(sigma_px**2 - SHARED_DISPARITY_PX**2, 1e-6)))
