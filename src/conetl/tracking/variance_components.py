@@ -83,8 +83,8 @@ def estimate_variance_factors(
 ) -> dict[str, VarianceFactors]:
     """Factors for the observations of one drive, from all its tracks, by their classes.
 
-    Detectors show the edges of some classes better than those of others: each class has its own factors of columns and rows; that
-    of disparities is one. poses: by frame index, of a refined trajectory; pose_cov: of their errors, None without any. Only
+    Detectors show the edges of some classes better than those of others, and the shape assumed in matching fits some better: each
+    class has its own factors. poses: by frame index, of a refined trajectory; pose_cov: of their errors, None without any. Only
     matches refined in the images, whose shared errors are known, count; with few of them the factors stay near 1.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
@@ -102,7 +102,6 @@ def estimate_variance_factors(
             of_cone = _squares_and_freedom(cone, factors[number])
             squares[number] += of_cone[0]
             freedom[number] += of_cone[1]
-        squares[:, 2], freedom[:, 2] = squares[:, 2].sum(), freedom[:, 2].sum()
         # The stated variances count as this many residuals of the stated size.
         step = (squares + _STATED_DOF / factors) / (freedom + _STATED_DOF)
         factors = factors * step
