@@ -99,12 +99,22 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1, providers
             f"{path}: the network takes a {inputs[0].type}, but the sidecar's input_layout is {card.input_layout!r}: "
             "correct that key"
         )
+    channels_last = "NHWC" in card.input_layout
+    shape = inputs[0].shape
+    stated, other = (shape[3], shape[1]) if channels_last else (shape[1], shape[3])
+    if stated != 3 and (isinstance(stated, int) or other == 3):
+        found = f"the input is {'NCHW' if channels_last else 'NHWC'}: correct that key"
+        hint = found if other == 3 else "a network for images of 3 channels is required"
+        raise ModelFileError(
+            f"{path}: the network's input is {' x '.join(map(str, shape))}, the sidecar's input_layout {card.input_layout!r}: "
+            f"{hint}"
+        )
     shapes = [output.shape for output in outputs]
     try:
         check_outputs(card.head, shapes)
     except ModelFileError as error:
         raise ModelFileError(f"{path}: {error}") from error
-    size = inputs[0].shape[1:3] if "NHWC" in card.input_layout else inputs[0].shape[2:4]
+    size = shape[1:3] if channels_last else shape[2:4]
     fixed = (size[0], size[1]) if all(isinstance(side, int) for side in size) else None
     any_size = not any(isinstance(side, int) for side in size)
     for key in ("closer_look", "enlarged_look"):

@@ -356,6 +356,11 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(
         (tmp_path / "tiny.onnx.json").write_text(json.dumps(card | {"closer_look": window}))
         with pytest.raises(ModelFileError, match=r"takes images of 320x160 only.*closer_look"):
             load_detector(tmp_path / "tiny.onnx")
+    (tmp_path / "tiny.onnx.json").write_text(json.dumps(card | {"input_layout": "BGR float32 NCHW 0..255"}))
+    shape = " x ".join(map(str, (1, *size, 3)))
+    words = f"the network's input is {shape}, the sidecar's input_layout 'BGR float32 NCHW 0..255': the input is NHWC"
+    with pytest.raises(ModelFileError, match=words):
+        load_detector(tmp_path / "tiny.onnx")
 
 
 def test_images_of_another_kind_are_refused(detector: Detector) -> None:
