@@ -16,7 +16,7 @@ from typer.exceptions import TyperException
 
 from conetl.cli.app import app
 from conetl.cli.console import complain, err
-from conetl.model.errors import EXIT_BAD_INPUT, EXIT_BUG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_NEEDS_ATTENTION, ConetlError
+from conetl.model.errors import EXIT_BAD_INPUT, EXIT_BUG, EXIT_DONE, EXIT_INTERRUPTED, ConetlError
 
 __all__ = ["app", "main"]
 
@@ -43,9 +43,9 @@ def main() -> None:
     except ConetlError as error:
         complain(error)
         sys.exit(error.exit_code)
-    except typer.Abort:
-        err.print("conetl: aborted")
-        sys.exit(EXIT_NEEDS_ATTENTION)
+    except typer.Abort:  # at a question
+        err.print("\nconetl: interrupted")
+        sys.exit(EXIT_INTERRUPTED)
     except TyperException as error:
         from conetl.cli.usage import usage_text  # pydantic takes time to load
 

@@ -6,6 +6,7 @@ import json
 import logging
 import math
 import re
+import signal
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -218,6 +219,16 @@ def progress_bar(description: str, unit: str) -> Iterator[Callable[..., None]]:
             bars.update(task, completed=done, total=total, visible=True, counts=f"{counts} {unit}", **changed)
 
         yield update
+
+
+@contextmanager
+def at_a_question() -> Iterator[None]:
+    """Ctrl-C ends the program at once while a question waits for its answer: no step is running."""
+    earlier = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, earlier)
 
 
 @contextmanager

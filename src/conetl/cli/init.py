@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, answer, complain, say, spinner
+from conetl.cli.console import JsonOption, answer, at_a_question, complain, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import validated
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
@@ -319,7 +319,8 @@ def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
 
 
 def _answer(question: Question) -> str:
-    return str(typer.prompt(question.text, default=question.default))
+    with at_a_question():
+        return str(typer.prompt(question.text, default=question.default))
 
 
 def _add_timing(settings: dict[str, Any], timing: Timing) -> None:

@@ -19,6 +19,23 @@ def environment(home):
     return {**os.environ, "PYTHONPATH": paths, "CONETL_HOME": str(home)}
 
 
+def test_ctrl_c_at_a_question_ends_at_once(tmp_path):
+    code = (
+        "import sys, typer\nfrom conetl.cli import app, main\nfrom conetl.cli.console import at_a_question\n@app.command()\n"
+        "def wait():\n    with at_a_question(): typer.prompt('Which one')\nsys.argv = ['conetl', 'wait']; main()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], env=environment(tmp_path), cwd=ROOT,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout.read(9) == "Which one"
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert complaint.strip() == "conetl: interrupted"
+
+
 @pytest.mark.parametrize("presses", [1, 2])
 def test_ctrl_c_is_one_sentence_and_an_exit_code_of_its_own(tmp_path, presses):
     """A second Ctrl-C ends what does not listen to the first."""

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, answer, counted, print_json, print_records, say
+from conetl.cli.console import Columns, JsonOption, answer, at_a_question, counted, print_json, print_records, say
 from conetl.cli.database import open_map, open_maps
 from conetl.db.connection import transaction
 from conetl.db.map.archive import delete_map, list_maps, rename_map, restore_map
@@ -108,7 +108,9 @@ def delete(
         if not yes:
             if as_json or not sys.stdin.isatty():
                 raise InputError(f"nothing was deleted: add --yes to delete the {text} (a dump is written first)")
-            if not typer.confirm(f"Delete the {text}? A dump will be written to {path}."):
+            with at_a_question():
+                agreed = typer.confirm(f"Delete the {text}? A dump will be written to {path}.")
+            if not agreed:
                 say("Nothing was deleted.")
                 return
         rows = delete_map(conn, name, path)
