@@ -226,6 +226,9 @@ def test_weeks_that_rolled_over_are_refused(write: Any, settings: dict[str, Any]
         ("time", "2024-02-07T09:15:18", {"time": "gps"}, 0),
         ("time", "2024-02-07T04:15:00", {"time": "America/New_York"}, 0),
         ("time", "33300.0", {"time": "utc", "date": date(2024, 2, 7)}, 0),
+        ("local_time", "2024-02-07 10:15:00+01:00", {}, 0),
+        ("Ortszeit", "07.02.2024 10:15:00", {"time": "Europe/Berlin"}, 0),
+        ("local_timestamp", "1707297300", {}, 0),
         ("tow", f"{files.TOW}", {"week": files.WEEK}, 0),
     ],
 )  # fmt: skip
@@ -239,6 +242,9 @@ def test_times_of_tables(column: str, first: str, settings: dict[str, Any], shif
     ("lines", "settings", "expected"),
     [
         (["gps_time,lat,lon,alt", "2024-02-07 09:15:18,49,8,110"], {}, "GPS time, which is some seconds ahead"),
+        (["local_time,lat,lon,alt", "2024-02-07 10:15:00,49,8,110"], {}, "local time of which zone"),
+        (["Messzeit (lokal),lat,lon,alt", "2024-02-07 10:15:00,49,8,110"], {"columns": {"time": "Messzeit (lokal)"}},
+         "local time of which zone"),
         (["time,lat,lon,alt", "33300,49,8,110"], {}, "does not say of which"),
         (["time,lat,lon,alt", "33300,49,8,110"], {"date": date(2024, 2, 7)}, "GPS time, which"),
         (["time,lat,lon,alt", "07/02/2024 09:15:00,49,8,110"], {}, "two ways"),

@@ -396,8 +396,13 @@ def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path
     made = init(copy)
     assert made.exit_code != 0
     assert all(f"--{option}: " in str(made.exception) for option in ("left", "trajectory", "rig"))
-    for header, option in (("time,easting,northing,h", "crs"), ("time,lat,lon,h_msl", "heights")):
-        (copy / "log.csv").write_text(f"{header}\n1707297300,49,8,110\n1707297301,49.0001,8,110\n")
+    for header, option in (
+        ("time,easting,northing,h", "crs"),
+        ("time,lat,lon,h_msl", "heights"),
+        ("Ortszeit,lat,lon,h", "time"),
+    ):
+        lines = (f"2024-02-07 10:15:0{second},49.000{second},8,110\n" for second in range(2))
+        (copy / "log.csv").write_text("".join((header, "\n", *lines)))
         made = init(copy)
         assert f"--{option}: In which" in str(made.exception), made.exception
     assert not (copy / "drive.yaml").exists()

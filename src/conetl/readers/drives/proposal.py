@@ -39,6 +39,7 @@ _LEADING_ZERO = re.compile(r"-0|-?0\d+")
 _UNSTATED = {
     "columns": "Which column is what, by name or number, like time=Zeit,lat=B,lon=L,height=H,roll=R,pitch=P,heading=K?",
     "date": "On which day was it recorded, like 2026-03-02?",
+    "time": "In which time system are its times: utc, gps, or a time zone like Europe/Berlin?",
     "crs": "In which coordinate reference system are its positions, like EPSG:25832?",
     "heights": "In which system are its heights, like EPSG:5773?",
 }

@@ -26,7 +26,7 @@ from conetl.readers.trajectories.text import head_lines, split_line
 _ALIASES = {
     "time": "time timestamp timestamps stamp t utc utctime timeutc datetime utcdatetime capturedat unixtime unix "
         "epoch posixtime zeit zeitstempel uhrzeit gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow "
-        "gpssow secondsofweek timeofweek gpsseconds gpssecs",
+        "gpssow secondsofweek timeofweek gpsseconds gpssecs localtime timelocal localdatetime localtimestamp ortszeit",
     "date": "date utcdate datumzeit tag gpsdate day",
     "week": "week gpsweek weekno weeknumber gpswk wn",
     "lat": "lat latitude breite breitengrad geobreite latitud phi",
@@ -265,7 +265,7 @@ def _scale_of(name: str) -> str:
     plain = re.sub(r"[^a-z0-9]", "", _plain(name))
     if "utc" in plain or "unix" in plain or "posix" in plain:
         return "UTC"
-    return "?" if "gps" in plain else ""
+    return "local" if re.search("lo[ck]al|ortszeit", plain) else "?" if "gps" in plain else ""
 
 
 def _time_words(time: Column, data: list[list[str]], delimiter: str | None, columns: Mapping[str, Column]) -> int:

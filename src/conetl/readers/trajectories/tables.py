@@ -19,7 +19,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.recorded import Axes, Heights, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, line_blocks, split_line
-from conetl.readers.trajectories.times import TimeFormat, TimeReader, common_clock, time_reader
+from conetl.readers.trajectories.times import OFFSET, TimeFormat, TimeReader, common_clock, time_reader
 
 TIMES = ("time", "date", "week")
 POSITIONS: dict[Axes, tuple[str, str, str]] = {
@@ -67,7 +67,8 @@ class TableLayout(NamedTuple):
     """Decimals are after a comma."""
     scale: str = "UTC"
     """Time scale, unless the settings name another: `gps` or a time zone; `""`: gps for times of a week, else UTC; `?`: the same,
-    but dates and times since 1970 need the settings, as the column's name speaks of GPS."""
+    but dates and times since 1970 need the settings, as the column's name speaks of GPS; `local`: the same for dates without an
+    offset, as it speaks of local time."""
     time_words: int = 1
     """Values that make up a time: 2 for `2024/02/07 12:00:00.000` where any white space is a delimiter."""
     clock: TimeFormat | None = None
@@ -130,7 +131,7 @@ def _clock(
     words: Sequence[str], short: Container[int], layout: TableLayout, settings: TrajectoryFile, path: Path
 ) -> TimeFormat:
     column = layout.columns["time"]
-    by_kind = layout.scale in {"", "?"}
+    by_kind = layout.scale in {"", "?", "local"}
     clock = common_clock(
         (word for i, word in enumerate(words) if i not in short and word), column.name, path, settings,
         scale="UTC" if by_kind else layout.scale, unit=column.unit, has_week="week" in layout.columns,
@@ -138,6 +139,13 @@ def _clock(
     if by_kind and settings.time is None:
         if clock.kind == "week":
             clock = clock._replace(scale="gps")
+        elif layout.scale == "local" and not (
+            clock.kind == "unix" or all(OFFSET.search(word) for word in words if word)
+        ):
+            raise DriveFolderError(
+                f"{path}: column {column.name!r}: local time of which zone? Put for example "
+                "trajectory: {time: Europe/Berlin} into drive.yaml"
+            )
         elif layout.scale == "?" or clock.kind == "day":
             raise DriveFolderError(
                 f"{path}: column {column.name!r}: GPS time, which is some seconds ahead of UTC, or UTC? Put "

@@ -53,7 +53,8 @@ _LEAPS_GPS_NS = _LEAPS_UTC_NS + SECOND_NS * np.arange(1, len(_LEAPS_UTC_NS) + 1)
 #: More digits than any time has in ns.
 _TRUNCATED = Context(prec=40, rounding=ROUND_DOWN)
 _VOTES = 9
-_OFFSET = re.compile(r"(?:Z|UTC|:\d\d(?:\.\d*)?[+-]\d\d(?::?\d\d)?)\s*$")
+#: Ends a time of the day that states its offset from UTC.
+OFFSET = re.compile(r"(?:Z|UTC|:\d\d(?:\.\d*)?[+-]\d\d(?::?\d\d)?)\s*$")
 _STAMP = re.compile(
     r"\s*(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?:T|[ ,]\s*)(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?\s*",
     re.ASCII,
@@ -296,7 +297,7 @@ def time_reader(clock: TimeFormat) -> TimeReader:
     def one(word: str, week: str | None) -> int:
         nonlocal turns
         if clock.kind == "stamp":
-            if clock.scale == "gps" and _OFFSET.search(word):
+            if clock.scale == "gps" and OFFSET.search(word):
                 raise ValueError(f"{word.strip()[:60]!r} has an offset from UTC, but is said to be GPS time")
             return parse_timestamp(word, unix_zone, clock.order)
         ns = decimal_ns(word.strip(), clock.digits)
