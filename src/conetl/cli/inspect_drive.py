@@ -11,7 +11,7 @@ import typer
 
 from conetl.cli import console as ui
 from conetl.files.names import minutes
-from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
+from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
 from conetl.perception.stereo_check import check_stereo
@@ -28,15 +28,11 @@ _MAX_LINES = 12
 
 def inspect(
     drive: Annotated[Path, typer.Argument(help="Drive folder, bag folder, .mcap or .bag file.")],
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            "--picture", "--image", help="PNG to write: the drive path with gaps and pose quality, and one image pair."
-        ),
-    ] = None,
     page: Annotated[
-        Path | None, typer.Option(help="HTML page to write: all results, with the image and the health checks.")
+        Path | None,
+        typer.Option(help="HTML page to write: all results, and an image of the drive path with one image pair."),
     ] = None,
+    image: Annotated[Path | None, typer.Option("--image", "--picture", hidden=True)] = None,
     map_srid: ui.MapSridOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
@@ -45,6 +41,8 @@ def inspect(
     Reads only the headers and ends of the images and compares five frame pairs; writes nothing to the map. Exit code 2: the
     drive cannot be ingested. Exit code 1: it can, but too many frame pairs are lost, poses jump, or a health check did not pass.
     """
+    if image is not None:
+        raise InputError("--image was replaced by --page FILE.html, which contains the image")
     settings = read_settings()
     found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
     kind = str(drive_format(drive))
@@ -52,18 +50,14 @@ def inspect(
     seconds = estimated_seconds(summary, settings.workers)
     checks = [] if kind == "bag" else check_stereo(found)[1]  # nothing of a bag is unpacked
     facts = _facts(kind, summary, seconds, settings.workers)
-    if picture is not None or page is not None:
-        from conetl.reports import figures, inspection_images  # matplotlib takes half a second to load
+    if page is not None:
+        from conetl.reports.inspection_images import write_inspection_page  # matplotlib takes half a second to load
 
-        figure = inspection_images.draw_drive(found, summary)
-        if picture is not None:
-            figures.save_figure(figure, picture)
-        if page is not None:
-            inspection_images.write_inspection_page(page, facts, summary, checks, figure)
+        write_inspection_page(page, facts, summary, checks, found)
     if as_json:
         values = {"format": kind, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
         values["health"] = [check.model_dump(mode="json") for check in checks]
-        ui.print_json({**values, "picture": picture and str(picture), "page": page and str(page)})
+        ui.print_json({**values, "page": page and str(page)})
     else:
         _print(drive, facts, summary)
         ui.print_all_checks(checks)
@@ -71,8 +65,6 @@ def inspect(
             ui.say(
                 "Health checks: not run, because `inspect` does not unpack the images of a bag; `conetl ingest` runs them."
             )
-        if picture is not None:
-            ui.say(f"Image: {picture}")
         if page is not None:
             ui.say(f"Page: {page}")
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs

@@ -33,7 +33,7 @@ from conetl.reports.html import render, write_page
 _ROWS = 12
 
 
-def draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
+def _draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
     """A drive as it was read: its path, coloured by the sigma of its poses, and one pair of images with rows drawn across."""
     figure = new_figure(14, 7.5, dpi=110)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.25))
@@ -63,7 +63,7 @@ def write_inspection_page(
     facts: Sequence[tuple[str, object]],
     summary: DriveSummary,
     checks: Sequence[HealthCheck],
-    figure: Figure,
+    drive: Drive,
 ) -> Path:
     """Write what `conetl inspect` shows as one page, and return its path. Raises InputError where it cannot be written.
 
@@ -75,7 +75,7 @@ def write_inspection_page(
         facts=facts,
         summary=summary,
         checks=checks,
-        figure=png(figure),
+        figure=png(_draw_drive(drive, summary)),
     )
     return write_page(path, page)
 

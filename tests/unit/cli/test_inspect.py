@@ -40,14 +40,16 @@ def test_inspect_shows_what_is_lost(
     monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
     damaged = changed(frames, 4, left=(frames[4].left or b"")[:-500])
     path = WRITERS["mcap file"](tmp_path / "run", damaged, rig)
-    image = tmp_path / "shown" / "drive.png"
-    code, text, _ = run(["inspect", str(path), "--json", "--picture", str(image)], capsys)
+    page = tmp_path / "shown" / "drive.html"
+    code, text, _ = run(["inspect", str(path), "--json", "--page", str(page)], capsys)
     found = json.loads(text)
     assert code == 0
     assert (found["format"], found["usable_pairs"], found["expected_pairs"]) == ("bag", 9, 10)
     assert found["lost_by_reason"] == {"image_truncated": 1}
     assert found["estimated_seconds"] > 0
-    assert image.read_bytes().startswith(b"\x89PNG")
+    assert found["page"] == str(page) and "data:image/png" in page.read_text()
+    code, _, said = run(["inspect", str(path), "--image", str(tmp_path / "drive.png")], capsys)
+    assert code == 2 and "--page" in said
     damaged = changed(changed(damaged, 2, right=None), 3, right=None)
     page = tmp_path / "page.html"
     code, text, _ = run(["inspect", str(write_kitti(tmp_path / "kitti", damaged, rig)), "--page", str(page)], capsys)
