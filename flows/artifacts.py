@@ -15,6 +15,7 @@ from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
 from conetl.db.receipt_store import RemovedCone, StepTime
+from conetl.exports.kind_marks import kind_label
 from conetl.files.names import as_markdown
 from conetl.model.arrays import Image
 from conetl.model.drive import DriveRecords
@@ -189,7 +190,7 @@ def _change_row(line: ChangeLine) -> dict[str, Any]:
     """One change, rounded to what is meant."""
     east_m, north_m, height_m = line.xyz_m
     return {
-        "change": str(line.kind),
+        "change": kind_label(line.kind),
         "feature": str(line.feature_id),
         "category": line.category,
         "easting_m": round(east_m, 3),
@@ -210,6 +211,8 @@ def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
         {"what": name.replace("_", " "), "count": getattr(report, name)}
         for name in ("frame_pairs", "frame_pairs_rejected", "detections", "matches", "positions", "tracks")
     ]
-    rows += [{"what": f"lane markings: stretches {kind}", "count": count} for kind, count in report.line_counts.items()]
+    rows += [
+        {"what": f"lane markings: stretches {kind_label(kind)}", "count": n} for kind, n in report.line_counts.items()
+    ]
     rows += [{"what": f"rejected: {reason}", "count": count} for reason, count in report.rejections.items()]
     return rows

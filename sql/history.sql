@@ -5,8 +5,8 @@
 -- Parameters: map_name; idempotency_key (null: all). Columns: as CommittedChangeset.
 -- A drive that was committed on hold changed the map when it was released: its counts and effective_at are those of then.
 select
-    c.changeset_no, c.changeset_id, d.drive_id, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256, c.code_version,
-    c.committed_at, coalesce(e.at, c.committed_at) as effective_at,
+    c.changeset_no, c.changeset_id, d.drive_id, d.kind, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256,
+    c.code_version, c.committed_at, coalesce(e.at, c.committed_at) as effective_at,
     (c.added_count + e.added)::integer as added_count,
     (c.confirmed_count + e.confirmed)::integer as confirmed_count,
     (c.moved_count + e.moved)::integer as moved_count,

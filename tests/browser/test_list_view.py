@@ -344,7 +344,7 @@ def test_a_lane_marking_is_a_line_that_can_be_clicked_and_hidden(page, address, 
     commit(conn, samples, images, "4", 3, samples.added(line, track_index=None))
     open_view(page, address, "#view=plan&cam=5,7,15,0,0.01,20", cones=6)
     assert page.locator(".classes label").all_inner_texts() == ["Traffic cone\n5", "Lane marking\n1"]
-    assert page.locator(".drive-text .chip").all_inner_texts() == ["1 lane marking added"]
+    assert page.locator(".drive-text .chip").all_inner_texts() == ["1 stretch of lane markings added"]
     shown = pixels_of(screenshot(page), ADDED)
     click_cone(page, str(line.feature_id))
     page.wait_for_selector(".panel dd span:text-is('yellow, dashed, 3.0 m with gaps of 1.0 m')")

@@ -647,7 +647,7 @@ def test_the_browser_shows_a_map_that_began_with_an_import(conn, own_view, surve
     [changeset] = list_changesets(conn)
     conn.rollback()
     timeline = own_view.get("/api/maps/default/timeline").json()
-    assert [item["drive_id"] for item in timeline["changesets"]] == ["map.parquet"]
+    assert [(item["drive_id"], item["kind"]) for item in timeline["changesets"]] == [("map.parquet", "import")]
     way = own_view.get(f"/api/maps/default/drives/{changeset.drive_uuid}/trajectory").json()
     assert way["frame_index"] == []
     answer = own_view.get("/api/maps/default/features", params={"valid_at": "infinity"})

@@ -190,7 +190,7 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     assert facts.size_at(since) == 0
     assert [row["warnings"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
     for told in (
-        "2 drives failed", "no usable pose", "1 cone was removed", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
+        "2 drives failed", "no usable pose", "1 object was removed", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
     ):  # fmt: skip
         assert told in page
 
@@ -200,6 +200,8 @@ def test_an_empty_and_an_invalid_night(shown: Any) -> None:
     quiet = read_night(shown, map_name="default", since=begin, until=begin + timedelta(days=1))
     assert (quiet.drives, quiet.failures, quiet.vanished) == ([], [], [])
     assert "No drive was added to the map" in night_page(quiet)
+    page = night_page(replace(quiet, markings=[{"kind": "missed", "count": 2, "length_m": 12.0}]))
+    assert ">not observed</td><td>2</td>" in page and ">missed<" not in page
     with pytest.raises(InputError, match="before it begins"):
         read_night(shown, map_name="default", since=begin, until=begin)
     with pytest.raises(InputError, match="no map named nowhere"):

@@ -35,7 +35,9 @@ export interface Projection {
 export interface TimelineItem {
   changeset_no: number;
   changeset_id: string;
+  /** Of an import, the name of the map. */
   drive_id: string;
+  kind: "drive" | "import";
   drive_uuid: string;
   captured_from: string;
   captured_to: string;
@@ -61,6 +63,9 @@ export interface TimelineItem {
   /** Why it is on hold; null unless it is. */
   hold: string | null;
 }
+
+/** As lists of drives and imported maps name it. */
+export const changesetName = (t: Pick<TimelineItem, "drive_id" | "kind">): string => (t.kind === "drive" ? t.drive_id : `${t.drive_id} (imported map)`);
 
 export interface Timeline {
   map_name: string;
@@ -206,7 +211,7 @@ export interface FoundPosition {
 /** What a searched text may mean. */
 export interface Found {
   feature_ids: string[];
-  drives: { changeset_no: number; drive_id: string; captured_from: string }[];
+  drives: Pick<TimelineItem, "changeset_no" | "drive_id" | "kind" | "captured_from">[];
   positions: FoundPosition[];
   places: FoundPosition[];
   truncated: boolean;

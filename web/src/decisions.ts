@@ -1,6 +1,6 @@
 // Decisions of people: suppress, pin, revert, and taking them back. Only for holders of the writer token, which the page keeps for this
 // tab once a person typed it, and sends in a header only.
-import { api, ApiError, type Decision, type Decisions, type HistoryItem, type DecisionRequest } from "./api";
+import { api, ApiError, type Decision, type Decisions, type HistoryItem, type DecisionRequest, type TimelineItem } from "./api";
 import { el, fill, plural, utc } from "./dom";
 import { STYLES } from "./kinds";
 
@@ -69,11 +69,11 @@ export const withdrawChoice = (d: Decision): Choice => ({
   done: d.kind === "hold" ? "Accepted." : "Withdrawn.",
 });
 
-export const revertChoice = (changesetId: string, driveId: string): Choice => ({
-  text: "Revert drive …",
-  explain: `Takes ${driveId} out of the map. Observations of other drives stay, and you can withdraw the decision.`,
-  submit: "Revert this drive",
-  request: ({ decided_by, reason }) => ({ kind: "revert", changeset_id: changesetId, decided_by, reason }),
+export const revertChoice = ({ changeset_id, drive_id, kind }: TimelineItem): Choice => ({
+  text: `Revert ${kind} …`,
+  explain: `Takes ${drive_id} out of the map. Observations of other drives stay, and you can withdraw the decision.`,
+  submit: `Revert this ${kind}`,
+  request: ({ decided_by, reason }) => ({ kind: "revert", changeset_id, decided_by, reason }),
   done: "Reverted.",
 });
 

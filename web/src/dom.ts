@@ -41,6 +41,9 @@ export function plural(count: number, one: string, many = `${one}s`): string {
   return `${count.toLocaleString("en")} ${count === 1 ? one : many}`;
 }
 
+/** Three decimals that never read as certainty; the same in src/conetl/mapping/reasons.py. */
+export const probabilityText = (p: number): string => (p < 0.0005 ? "<0.001" : p >= 0.9995 ? ">0.999" : p.toFixed(3));
+
 export const messageOf = (error: unknown) => (error instanceof Error ? error.message : String(error));
 
 export const shortId = (id: string) => id.slice(0, 8);

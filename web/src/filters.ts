@@ -1,5 +1,5 @@
 // Which cones are shown, on the map and in the lists: the filter in the address, what it accepts, and its controls.
-import type { TimelineItem } from "./api";
+import { changesetName, type TimelineItem } from "./api";
 import { countOf } from "./classes";
 import { el, fill, utc } from "./dom";
 import { icon, KIND_ORDER, STYLES, type Cone, type Kind } from "./kinds";
@@ -159,7 +159,7 @@ export function createFilterBar(actions: FilterActions) {
       if (items !== drives) {
         drives = items;
         fill(drive, el("option", { value: "", textContent: "any" }),
-          ...[...items].reverse().map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.captured_from, false).slice(0, 10)} · ${t.drive_id}` }))); // prettier-ignore
+          ...[...items].reverse().map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.captured_from, false).slice(0, 10)} · ${changesetName(t)}` }))); // prettier-ignore
       }
       drive.value = String(next.filter.drive ?? "");
       for (const field of [minP, maxP, sigma, low, high, from, to]) field.show();

@@ -1,6 +1,6 @@
 // The frame of the page: header, side panels, cards for empty maps, loading and errors.
 import { classOf, onlyCones } from "./classes";
-import { el, fill, plural, shortId } from "./dom";
+import { el, fill, plural, probabilityText, shortId } from "./dom";
 import { icon, STYLES, type Cone } from "./kinds";
 import { createListPane } from "./list_pane";
 import type { LiveStatus } from "./live";
@@ -104,7 +104,7 @@ export function createLayout(app: HTMLElement) {
       if (!cone) return;
       const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
       fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), !onlyCones() && classOf(cone.category).label, cone.marking && el("span", { textContent: wordsOf(cone.marking) }), el("span", { class: "mono", textContent: shortId(cone.id) }),
-        el("span", { textContent: `existence probability ${cone.probability.toFixed(3)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
+        el("span", { textContent: `existence probability ${probabilityText(cone.probability)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
       const left = x + 14 + tip.offsetWidth > view.clientWidth ? x - 14 - tip.offsetWidth : x + 14;
       tip.style.transform = `translate(${left}px, ${Math.max(4, y - tip.offsetHeight / 2)}px)`;
     },

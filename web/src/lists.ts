@@ -1,7 +1,7 @@
 // The tabs “Cones” and “Changes”: what the map shows, as tables.
-import type { TimelineItem, Vec3 } from "./api";
+import { changesetName, type TimelineItem, type Vec3 } from "./api";
 import { classCounts, classIcon, classOf, classOrder, onlyCones } from "./classes";
-import { el, shortId, utc } from "./dom";
+import { el, probabilityText, shortId, utc } from "./dom";
 import { acceptedBy, createFilterBar, kindLabel, type FilterActions } from "./filters";
 import { icon, KIND_ORDER, type Cone, type Kind } from "./kinds";
 import type { ListPane } from "./list_pane";
@@ -40,10 +40,10 @@ export function createLists(pane: ListPane, actions: ListActions) {
     { id: "id", title: "Id", hint: "First 8 characters of the id", width: "80px", value: (c) => c.id, text: (c) => shortId(c.id) },
     { id: "class", title: "Class", width: "minmax(136px, 1fr)", value: (c) => classOrder(c.category), text: (c) => classOf(c.category).label, icon: (c) => classIcon(c.category) },
     { id: "kind", title: "Kind", width: "minmax(116px, 1fr)", value: (c) => KIND_ORDER.indexOf(c.kind), text: (c) => (state ? kindLabel(c.kind, state) : ""), icon: (c) => icon(c.kind) },
-    { id: "existence", title: "Existence", hint: "Existence probability", width: "96px", number: true, value: (c) => c.probability, text: (c) => c.probability.toFixed(3) },
+    { id: "existence", title: "Existence", hint: "Existence probability", width: "96px", number: true, value: (c) => c.probability, text: (c) => probabilityText(c.probability) },
     { id: "sigma", title: "Sigma cm", hint: "Horizontal sigma, along the major axis of the error ellipse", width: "92px", number: true, descending: true, value: (c) => c.sigma_m, text: (c) => (c.sigma_m * 100).toFixed(1) },
     { id: "height", title: "Height m", hint: "Height of the cone", width: "88px", number: true, value: (c) => c.height_m, text: (c) => c.height_m.toFixed(2) },
-    { id: "shift", title: "Shift cm", hint: "Horizontal shift. Sorted: moved, then added and removed, then confirmed", width: "84px", number: true, descending: true, value: shiftOrder, text: (c) => (c.shift_m === null ? "" : (c.shift_m * 100).toFixed(1)) },
+    { id: "shift", title: "Shift m", hint: "Horizontal shift. Sorted: moved, then added and removed, then confirmed", width: "84px", number: true, descending: true, value: shiftOrder, text: (c) => (c.shift_m === null ? "" : c.shift_m.toFixed(3)) },
     { id: "drive", title: "Drive", hint: "Last drive that observed or changed it", width: "minmax(184px, 1.6fr)", value: (c) => c.changeset, text: (c) => drives.get(c.changeset) ?? "" },
     { id: "seen", title: "Last seen (UTC)", width: "128px", descending: true, value: (c) => c.seenAt, text: (c) => utc(new Date(c.seenAt).toISOString(), false) },
     { id: "observations", title: "Obs.", hint: "Observations in total", width: "58px", number: true, descending: true, value: (c) => c.observations, text: (c) => c.observations.toLocaleString("en") },
@@ -104,7 +104,7 @@ export function createLists(pane: ListPane, actions: ListActions) {
       origin = timeline?.origin_m ?? [0, 0, 0];
       if (timeline && items !== timeline.changesets) {
         items = timeline.changesets;
-        drives = new Map(items.map((t) => [t.changeset_no, t.drive_id]));
+        drives = new Map(items.map((t) => [t.changeset_no, changesetName(t)]));
       }
       const accepts = acceptedBy(next);
       let [coneCount, changeCount] = [0, 0];

@@ -348,7 +348,7 @@ async function refresh(): Promise<void> {
     const unknown = there.length > 0 && !maps.some((m) => m.map_name === state.map);
     const title = unknown ? `There is no map “${state.map}”` : `The map “${state.map}” is empty`;
     const hint = unknown ? `Select one of the maps of this database: ${there.join(", ")}. To create a new map, ingest a drive:` : "Ingest a drive; it appears here at once:";
-    layout.card(title, hint, { code: `${state.map === "default" ? "" : `CONETL_MAP_NAME=${state.map} `}conetl ingest path/to/drive` });
+    layout.card(title, hint, { code: `conetl ingest ${state.map === "default" ? "" : `--map ${state.map} `}path/to/drive` });
     layout.empty(true);
     show([], []);
     return;

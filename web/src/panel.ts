@@ -2,7 +2,7 @@
 import { api, ApiError, type Decisions, type HistoryItem, type Marking, type Sighting } from "./api";
 import { classOf, nounOf } from "./classes";
 import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
-import { el, fill, messageOf, plural, shortId, utc } from "./dom";
+import { el, fill, messageOf, plural, probabilityText, shortId, utc } from "./dom";
 import { createEmptyPosition, sentenceOf } from "./explain";
 import { icon, isGone, STYLES, type Kind } from "./kinds";
 import { lengthOf, wordsOf } from "./markings";
@@ -125,12 +125,12 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
       el(
         "dl", {},
         ...row("Class", classOf(now.category).label),
-        ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, ${line ? "middle of this piece" : "foot centre"}` })),
+        ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, ${line ? "middle of this stretch" : "foot centre"}` })),
         ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
         ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${cm(now.cov_m2[0])}, ${cm(now.cov_m2[3])}, ${cm(now.cov_m2[5])}` })),
         ...(line ? lineRows(line) : row("95 % semi-axes", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm` }),
           el("small", {}, "ellipse drawn at ", factor))),
-        ...row("Existence probability", meter, el("span", { class: "mono", textContent: now.existence_probability.toFixed(4) })),
+        ...row("Existence probability", meter, el("span", { class: "mono", textContent: probabilityText(now.existence_probability) })),
         ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} in total` })),
         ...(line ? [] : row("Object height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` }))),
         ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
@@ -165,7 +165,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
             icon(h.kind),
             el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.kind === "moved" && h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, other(h), h.kind === "missed" ? frames(h) : ` · version ${h.version}`,
               el("small", {}, `${utc(h.changed_at)} UTC · `, el("span", { class: "together", textContent: h.drive_id })),
-              el("small", { textContent: `existence ${h.existence_probability.toFixed(4)} · ${plural(h.observation_count, "observation")} · σ ${cm((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
+              el("small", { textContent: `existence ${probabilityText(h.existence_probability)} · ${plural(h.observation_count, "observation")} · σ ${cm((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
       ),
     ); // prettier-ignore
   }
@@ -262,12 +262,13 @@ const lineRows = (line: Marking): Node[] => [
   ...row("Sigma across", el("span", { class: "mono", textContent: `${(line.sigma_lateral_m * 100).toFixed(1)} cm` }), el("small", { textContent: "largest along the line" })),
   ...row("Paint", el("span", { textContent: wordsOf(line) })),
   ...row("Width", el("span", { class: "mono", textContent: `${line.width_m.toFixed(3)} ± ${line.width_sigma_m.toFixed(3)} m` })),
-  ...row("Length", el("span", { class: "mono", textContent: `${lengthOf(line.line_m).toFixed(2)} m` }), el("small", { textContent: "of this piece" })),
+  ...row("Length", el("span", { class: "mono", textContent: `${lengthOf(line.line_m).toFixed(2)} m` }), el("small", { textContent: "of this stretch" })),
 ]; // prettier-ignore
 
 /** "observed by 3 drives, not observed by 1 drive", broken only at the comma. */
 function evidence(h: HistoryItem): string {
-  return [`observed by ${plural(h.seen_count, "drive")},`, `not observed by ${plural(h.missed_count, "drive")}`].map((part) => part.replaceAll(" ", "\u00a0")).join(" ");
+  const missed = h.missed_count ? [`not observed by ${plural(h.missed_count, "drive")}`] : [];
+  return [`observed by ${h.seen_count ? plural(h.seen_count, "drive") : "no drive"}`, ...missed].map((part) => part.replaceAll(" ", "\u00a0")).join(", ");
 }
 
 const frames = (h: HistoryItem): string => (h.frames_empty ? ` in ${plural(h.frames_empty, "frame pair")}` : "");

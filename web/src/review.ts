@@ -1,7 +1,7 @@
 // The review queue: drives on hold and uncertain changes. Decisions go to the server; this browser remembers what was skipped, or
 // accepted without a decision.
 import { createDecider, type Choice, type DecideContext } from "./decisions";
-import { el, fill, messageOf, plural, shortId, utc } from "./dom";
+import { el, fill, messageOf, plural, probabilityText, shortId, utc } from "./dom";
 import { judging, type ReviewItem, type ReviewKind } from "./judging";
 import type { Tab } from "./list_pane";
 
@@ -95,7 +95,7 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
     const rows = open.flatMap((item, i) => {
       const row = el("li", {}, el("button", { type: "button", onclick: () => choose(item) },
         el("b", { class: item.feature_id ? "mono" : "", textContent: item.feature_id ? shortId(item.feature_id) : item.drive_id }),
-        el("span", { textContent: item.existence_probability === null ? (item.checks[0]?.figures ?? "") : `existence ${item.existence_probability.toFixed(2)}` }),
+        el("span", { textContent: item.existence_probability === null ? (item.checks[0]?.figures ?? "") : `existence ${probabilityText(item.existence_probability)}` }),
         el("small", { textContent: item.checks[0]?.name ?? `${item.drive_id} · ${utc(item.at, false)} UTC` }))); // prettier-ignore
       row.setAttribute("aria-current", String(keyOf(item) === current));
       return open[i - 1]?.kind === item.kind ? [row] : [el("li", {}, el("h4", { textContent: HEADINGS[item.kind] })), row];

@@ -129,7 +129,7 @@ export function createSearch(host: HTMLElement, actions: SearchActions) {
 
   const optionsOf = (found: Found): Option[] => [
     ...found.feature_ids.map((id) => ({ group: "Cones", text: shortId(id), detail: id, run: () => actions.select(id) })),
-    ...found.drives.map((d) => ({ group: "Drives", text: d.drive_id, detail: `${utc(d.captured_from)} UTC`, run: () => actions.showChangeset(d.changeset_no) })),
+    ...found.drives.map((d) => ({ group: d.kind === "drive" ? "Drives" : "Imported maps", text: d.drive_id, detail: `${utc(d.captured_from)} UTC`, run: () => actions.showChangeset(d.changeset_no) })),
     ...found.positions.map((p) => ({ group: "Coordinates", text: coordinates(p), detail: p.label, run: () => actions.flyTo(p) })),
     ...found.places.map((p) => ({ group: "Places", text: p.label, detail: coordinates(p), run: () => actions.flyTo(p) })),
   ]; // prettier-ignore

@@ -66,8 +66,8 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
     /** For the list of sites. */
     sites,
     showMaps(items: MapItem[], chosen: string): void {
-      fill(maps, ...items.map((m) => el("option", { value: m.map_name, textContent: `${m.map_name} (${m.feature_count})` })),
-        !items.some((m) => m.map_name === chosen) && el("option", { value: chosen, textContent: `${chosen} (empty)` })); // prettier-ignore
+      fill(maps, ...items.map((m) => el("option", { value: m.map_name, textContent: `${m.map_name} (${plural(m.feature_count, "feature")})` })),
+        !items.some((m) => m.map_name === chosen) && el("option", { value: chosen, textContent: `${chosen} (no drives yet)` })); // prettier-ignore
       maps.value = chosen;
     },
     showBase(layers: BaseLayer[]): void {

@@ -1,5 +1,5 @@
 // Below: one drive before and after, two drives compared, or any point in time.
-import type { ChangeKind, Decision, TimelineItem } from "./api";
+import { changesetName, type ChangeKind, type Decision, type TimelineItem } from "./api";
 import { createDecider, revertChoice, withdrawChoice, type Choice } from "./decisions";
 import { el, fill, plural, utc } from "./dom";
 import { STYLES, type Kind } from "./kinds";
@@ -38,7 +38,7 @@ function changes(items: TimelineItem[], count: (t: TimelineItem, kind: Changed) 
 }
 
 /** Of lane markings, by kind. */
-export const lineChanges = (items: TimelineItem[]) => changes(items, linesOf, (sum) => plural(sum, "lane marking"));
+export const lineChanges = (items: TimelineItem[]) => changes(items, linesOf, (sum) => plural(sum, "stretch of lane markings", "stretches of lane markings"));
 /** Of objects, then of lane markings. */
 const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, String), ...lineChanges(items)];
 
@@ -78,7 +78,7 @@ function barsOf(items: TimelineItem[], most: number): { bars: Node[]; title: str
   if (held.length) bars.push(el("i", { class: "held" }));
   const counts = changesOf(items).map((change) => change.text).join(", ");
   const [only] = items;
-  if (items.length === 1 && only) return { bars, title: `${only.drive_id}, ${utc(only.captured_from)} UTC: ${only.hold === null ? counts : `on hold. ${only.hold}`}` };
+  if (items.length === 1 && only) return { bars, title: `${changesetName(only)}, ${utc(only.captured_from)} UTC: ${only.hold === null ? counts : `on hold. ${only.hold}`}` };
   return { bars, title: `${counts || "no changes"}${held.length ? `, ${held.length} on hold` : ""}` };
 }
 
@@ -136,13 +136,15 @@ function driveView(actions: TimelineActions) {
       const about = actions.decisions().filter((d) => d.changeset_id === t.changeset_id);
       const reverted = about.some((d) => d.kind === "revert");
       const mayRevert = !reverted && (t.counts || t.hold !== null);
-      const choices: Choice[] = map === null ? [] : [...about.map(withdrawChoice), ...(mayRevert ? [revertChoice(t.changeset_id, t.drive_id)] : [])];
+      const choices: Choice[] = map === null ? [] : [...about.map(withdrawChoice), ...(mayRevert ? [revertChoice(t)] : [])];
       decider.show(`${t.changeset_id} ${about.map((d) => d.decision_id).join(" ")} ${String(t.counts)} ${String(map)}`, choices, { map: map ?? "", changed: () => actions.decided() });
-      slider.setAttribute("aria-valuetext", `${t.drive_id}, drive ${index + 1} of ${items.length}`);
+      const drives = items.filter((one) => one.kind === "drive");
+      const position = t.kind === "drive" ? `drive ${drives.indexOf(t) + 1} of ${drives.length}` : "imported map";
+      slider.setAttribute("aria-valuetext", `${t.drive_id}, ${position}`);
       fill(
         text,
         el("strong", { textContent: t.drive_id }),
-        el("span", { textContent: `drive ${index + 1} of ${items.length} · recorded ${utc(t.captured_from)} UTC · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
+        el("span", { textContent: [position, ...(t.kind === "drive" ? [`recorded ${utc(t.captured_from)} UTC`, plural(t.frame_pair_count, "frame pair")] : [`state of the road on ${utc(t.captured_from)} UTC`]), `committed ${utc(t.committed_at)} UTC`].join(" · ") }),
         el("span", { class: "chips" }, ...changesOf([t]).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(kind))),
           !t.counts && notCounted(about, t.hold),
           t.hold !== null && el("span", { class: "hold-reason", title: t.hold, textContent: t.hold })),
@@ -166,7 +168,7 @@ function knownSelect(actions: TimelineActions) {
       if (filled !== items) {
         filled = items;
         fill(select, el("option", { value: "now", textContent: "now" }),
-          ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after ${t.drive_id}` }))); // prettier-ignore
+          ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after ${changesetName(t)}` }))); // prettier-ignore
       }
       select.value = state.known === null ? "now" : String(state.known);
     },
@@ -206,7 +208,7 @@ function compareView(actions: TimelineActions) {
   function fillChoices(items: TimelineItem[]): void {
     filled = items;
     const drives = () => items.map((t, i) =>
-      el("option", { value: i === items.length - 1 ? "latest" : String(t.changeset_no), textContent: `${utc(t.captured_from, false)} · after ${t.drive_id}` })); // prettier-ignore
+      el("option", { value: i === items.length - 1 ? "latest" : String(t.changeset_no), textContent: `${utc(t.captured_from, false)} · after ${changesetName(t)}` })); // prettier-ignore
     fill(from, el("option", { value: "0", textContent: "empty map, before the first drive" }), ...drives());
     fill(to, ...drives());
   }

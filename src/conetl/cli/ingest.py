@@ -15,10 +15,12 @@ import typer
 from pydantic import ValidationError
 
 from conetl.cli import console as ui
+from conetl.exports.kind_marks import kind_label
 from conetl.files.atomic import sweep
 from conetl.files.documents import first_message, read_yaml_model
 from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
+from conetl.mapping.reasons import probability_text
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
 from conetl.model.feature_classes import CONE, LANE_MARKING, LINE_CLASSES, known_of
 from conetl.model.health import Verdict, holding
@@ -197,7 +199,7 @@ _USUAL = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOV
 #: Kinds of which each is one of the drive's objects.
 _OBSERVED = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.HEIGHT_CHANGED, DeltaKind.SPLIT)
 _CHANGES: ui.Columns = {
-    "change": "kind",
+    "change": lambda line: kind_label(line.kind),
     "feature": "feature_id",
     "class": "category",
     "easting m": lambda line: line.xyz_m[0],
@@ -206,7 +208,9 @@ _CHANGES: ui.Columns = {
     "object m": lambda line: f"{line.cone_height_m:.2f}",
     "sigma horiz. m": "sigma_horizontal_m",
     "sigma height m": "sigma_height_m",
-    "probability": lambda line: None if line.kind is DeltaKind.REMOVED else line.existence_probability,
+    "probability": lambda line: (
+        None if line.kind is DeltaKind.REMOVED else probability_text(line.existence_probability)
+    ),
     "observations": "observation_count",
     "shift m": "shift_m",
 }
@@ -215,8 +219,8 @@ _CHANGES: ui.Columns = {
 def print_report(report: IngestReport) -> None:
     """What one drive changed. Why it, or another drive, went on hold is left to the complaints, which come last."""
     kinds = [kind for kind in DeltaKind if kind in _USUAL or report.counts[kind]]
-    counts = ", ".join(f"{report.counts[kind]} {kind.replace('_', ' ')}" for kind in kinds)
-    lines = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in report.line_counts.items())
+    counts = ", ".join(f"{report.counts[kind]} {kind_label(kind)}" for kind in kinds)
+    lines = ", ".join(f"{count} {kind_label(kind)}" for kind, count in report.line_counts.items())
     drive = f"[bold]{report.drive_id}[/] ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
     if report.is_known:
         known = f"already on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"

@@ -61,7 +61,9 @@ def night(
     if not as_json:
         ui.print_held(facts.held)
         ui.print_hold_events(facts.hold_events)
-        drives = ui.counted(len(facts.drives), "drive") if facts.drives else "No drives"
+        maps = sum(row["kind"] == "import" for row in facts.drives)
+        drives = ui.counted(len(facts.drives) - maps, "drive") if facts.drives else "No drives"
+        drives += f" and {ui.counted(maps, 'imported map')}" if maps else ""
         failed = f", {len(facts.failures)} failed" if facts.failures else ""
         hint = "" if facts.drives or failed else " Drives are listed by the time of processing, not of recording."
         ui.say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")

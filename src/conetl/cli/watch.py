@@ -15,6 +15,7 @@ from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
 from conetl.db.live_store import read_provisional
 from conetl.geometry.packing import horizontal_sigma_m
+from conetl.mapping.reasons import probability_text
 from conetl.model.errors import DriveFolderError
 from conetl.pipeline.settings import Settings, read_settings
 
@@ -98,7 +99,7 @@ _PROVISIONAL: ui.Columns = {
     "height m": "height_m",
     "object m": lambda row: f"{row['cone_height_m']:.2f}",
     "sigma m": lambda row: horizontal_sigma_m((row["cov_xx"], row["cov_xy"], 0.0, row["cov_yy"], 0.0, 0.0)),
-    "probability": "existence_probability",
+    "probability": lambda row: probability_text(row["existence_probability"]),
     "observations": "observation_count",
     "on the map as": lambda row: str(row["near_feature_id"] or "")[:8],
     "updated (UTC)": "updated_at",

@@ -35,6 +35,13 @@ KIND_MARKS = {
     DeltaKind.SPLIT: KindMark("^", "#002e9a", "split off"),
     DeltaKind.ADDED: KindMark("P", "#002e9a", "added"),
 }
+
+
+def kind_label(kind: str) -> str:
+    """A kind of change as it is shown to people: `not observed` for `missed`."""
+    return KIND_MARKS[DeltaKind(kind)].label
+
+
 STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")
 #: Muted, so that cones come first: LiDAR points of low and of high intensity, lane boundaries, drive paths.
 DARK_POINT, BRIGHT_POINT, LANE, DRIVE_PATH = "#a9a294", "#dcd7cc", "#8a7443", "#4a5560"

@@ -59,7 +59,7 @@ def why(facts: ChangeFacts) -> str:
         observed = (
             f"drive {facts.drive_id} observed it{_frames(facts.frames_seen)}{_range(facts)}{_what_changed(facts)}"
         )
-    end = f"existence {_probability(facts.existence_probability)}"
+    end = f"existence {probability_text(facts.existence_probability)}"
     if facts.sigma_m is not None and not (facts.kind.ends or facts.kind is DeltaKind.MISSED):
         end += f", largest horizontal sigma {facts.sigma_m:.3f} m"
     if facts.kind is DeltaKind.MISSED:
@@ -106,6 +106,6 @@ def _article(noun: str) -> str:
     return "an" if noun[0] in "aeiou" else "a"
 
 
-def _probability(value: float) -> str:
-    """Two decimals, more where these would say certainty."""
-    return f"{value:.2f}" if 0.005 <= value < 0.995 else f"{value:.4f}"
+def probability_text(value: float) -> str:
+    """Three decimals that never read as certainty; the same in web/src/dom.ts."""
+    return "<0.001" if value < 0.0005 else ">0.999" if value >= 0.9995 else f"{value:.3f}"

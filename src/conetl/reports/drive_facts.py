@@ -17,6 +17,7 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair, Track
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import CONE
 from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
 from conetl.model.map_records import DeltaKind, MapFeature
 from conetl.model.rig import Rig
@@ -66,6 +67,11 @@ class DriveFacts:
     """Point objects around the path without a change, in the database state after the commit."""
     markings: tuple[MarkingChange, ...]
     """Lane markings that the drive evaluated, and those around the path that it did not."""
+
+    @property
+    def noun(self) -> str:
+        """`cone`, or `object` where the drive evaluated other classes, too."""
+        return "object" if {one["category"] for one in self.changes} - {CONE} else "cone"
 
     @property
     def lost_pairs(self) -> int:

@@ -100,8 +100,7 @@ def alerts(facts: DriveFacts) -> list[Alert]:
     return sorted(_alerts(facts), key=lambda alert: not alert.serious)
 
 
-def _alerts(facts: DriveFacts) -> Iterator[Alert]:
-    kinds = Counter(c["kind"] for c in facts.changes)
+def _hold_alerts(facts: DriveFacts) -> Iterator[Alert]:
     if not facts.changeset.counts:
         hold = facts.changeset.hold
         reason = "it was reverted, or replaced by a later analysis or delivery of the same recording."
@@ -110,6 +109,11 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(True, f"This changeset is not in effect: {reason}")
     elif facts.hold_events and facts.hold_events[-1].what == "accepted":
         yield Alert(False, f"The drive was on hold, and was {facts.hold_events[-1].sentence}")
+
+
+def _alerts(facts: DriveFacts) -> Iterator[Alert]:
+    kinds = Counter(c["kind"] for c in facts.changes)
+    yield from _hold_alerts(facts)
     yield from (Alert(False, check.detail) for check in facts.checks if check.verdict is Verdict.WARN)
     if facts.lost_pairs:
         expected = int(facts.header["expected_frame_count"])
@@ -119,22 +123,27 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
     gone = kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED]
     found = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.MOVED]
     if gone > max(found, 3):
-        yield Alert(True, f"{gone} cones of the map were not observed although visible, and only {found} were found again. "
-                          "Possible causes: a closed road, another road, or a wrong trajectory.")  # fmt: skip
+        yield Alert(True, f"{gone} {facts.noun}s of the map were not observed although visible, and only {found} were found "
+                          "again. Possible causes: a closed road, another road, or a wrong trajectory.")  # fmt: skip
+    elif missed := [c for c in facts.changes if c["kind"] is DeltaKind.MISSED]:
+        yield Alert(
+            False, f"{_counted(missed, facts)} not observed although visible, still on the map: {_numbers(missed)}."
+        )
     if not facts.tracks:
-        yield Alert(True, "No cone was found on this drive.")
+        yield Alert(True, f"No {facts.noun} was found on this drive.")
     if len(facts.residual_px) and (middle := float(np.median(facts.residual_px))) > _RESIDUAL_PX:
         yield Alert(
             True, f"The median residual is {middle:.2f} px: check the calibration and the camera synchronisation."
         )
     if vague := [c for c in facts.changes if c["sigma_m"] > _SIGMA_M and not c["kind"].ends]:
-        yield Alert(False, f"{_cones(vague)} with a horizontal sigma above {_SIGMA_M} m: {_numbers(vague)}.")
+        yield Alert(False, f"{_counted(vague, facts)} with a horizontal sigma above {_SIGMA_M} m: {_numbers(vague)}.")
     if doubtful := [c for c in facts.changes if c["kind"].founds and c["existence_probability"] < _DOUBTFUL]:
         yield Alert(
-            False, f"{_cones(doubtful)} added with an existence probability below {_DOUBTFUL:g}: {_numbers(doubtful)}."
+            False,
+            f"{_counted(doubtful, facts)} added with an existence probability below {_DOUBTFUL:g}: {_numbers(doubtful)}.",
         )
     if removed := [c for c in facts.changes if c["kind"] is DeltaKind.REMOVED]:
-        yield Alert(False, f"{_cones(removed)} removed from the map: {_numbers(removed)}. Check the images.")
+        yield Alert(False, f"{_counted(removed, facts)} removed from the map: {_numbers(removed)}. Check the images.")
     run = facts.header["facts"]
     if str(run.get("trajectory_outcome", "refined")) not in _NORMAL_TRAJECTORIES:
         yield Alert(False, f"The trajectory is the logged one: {run.get('trajectory', '')}.")
@@ -142,8 +151,8 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(False, f"Calibration: {run.get('calibration', '')}.")
 
 
-def _cones(changes: Sequence[Row]) -> str:
-    return "1 cone" if len(changes) == 1 else f"{len(changes)} cones"
+def _counted(changes: Sequence[Row], facts: DriveFacts) -> str:
+    return f"{len(changes)} {facts.noun}{'' if len(changes) == 1 else 's'}"
 
 
 def _numbers(changes: Sequence[Row]) -> str:
@@ -155,7 +164,7 @@ def _counts(facts: DriveFacts) -> list[tuple[str, int]]:
     c = facts.changeset
     return [
         ("frame pairs", c.frame_pair_count), ("lost pairs", facts.lost_pairs), ("detections", c.detection_count),
-        ("stereo matches", c.match_count), ("positions", c.position_count), ("cones", c.track_count),
+        ("stereo matches", c.match_count), ("positions", c.position_count), (f"{facts.noun}s", c.track_count),
         ("rejected records", c.rejection_count), *([("lane markings", c.marking_count)] if c.marking_count else []),
     ]  # fmt: skip
 
@@ -168,7 +177,7 @@ def _residual_rows(facts: DriveFacts) -> list[tuple[str, str, str, str, str]]:
         ("positions, 0 to 10 m", residual_px[range_m < 10.0]),
         ("positions, 10 to 20 m", residual_px[(range_m >= 10.0) & (range_m < 20.0)]),
         ("positions beyond 20 m", residual_px[range_m >= 20.0]),
-        ("cones (joint adjustment)", np.array([t.residual_rms_px for t in facts.tracks])),
+        (f"{facts.noun}s (joint adjustment)", np.array([t.residual_rms_px for t in facts.tracks])),
     ]
     return [
         (name, str(len(v)), f"{np.median(v):.2f}", f"{np.percentile(v, 95):.2f}", f"{v.max():.2f}")

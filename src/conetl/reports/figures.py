@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 from numpy.typing import ArrayLike
 
@@ -184,8 +185,8 @@ def residuals(range_m: Floats, residual_px: Floats, tracks: Sequence[tuple[float
     over.plot(range_m, residual_px, ".", color=BLUE, markersize=4, alpha=0.6, label=f"positions ({len(range_m)})")
     if tracks:
         near, rms = np.array(tracks).T
-        over.plot(near, rms, "^", color=ORANGE, markeredgecolor="white", markersize=7, label=f"cones ({len(near)})")
-    over.set_xlabel("range (m); of cones the nearest")
+        over.plot(near, rms, "^", color=ORANGE, markeredgecolor="white", markersize=7, label=f"objects ({len(near)})")
+    over.set_xlabel("range (m); of objects the nearest")
     over.set_ylabel("residual (px, RMS)")
     over.set_ylim(bottom=0)
     over.legend(fontsize=8)
@@ -201,7 +202,7 @@ def residuals(range_m: Floats, residual_px: Floats, tracks: Sequence[tuple[float
 
 
 def existence(probabilities: Floats, least: float | None) -> bytes:
-    """Existence probabilities of a drive's cones; least: the threshold for a new cone."""
+    """Existence probabilities of a drive's objects; least: the threshold for a new one."""
     figure = new_figure(10, 2.5)
     axes = figure.add_subplot()
     axes.hist(probabilities, bins=np.linspace(0, 1, 41).tolist(), color=BLUE)
@@ -210,7 +211,7 @@ def existence(probabilities: Floats, least: float | None) -> bytes:
         axes.legend(fontsize=8, loc="upper left")
     axes.set_xlim(0, 1)
     axes.set_xlabel("existence probability from this drive alone")
-    axes.set_ylabel("cones")
+    axes.set_ylabel("objects")
     add_grid(axes, open_sides=True)
     return png(figure)
 
@@ -228,7 +229,7 @@ def timeline(steps: Sequence[tuple[str, float, float]]) -> bytes:
 
 
 def map_size(times: Sequence[datetime], counts: Sequence[int], since: datetime, until: datetime) -> bytes:
-    """Number of cones on the map over system time, with a step at each changeset."""
+    """Number of point objects on the map over system time, with a step at each changeset."""
     figure = new_figure(10, 2.8)
     axes = figure.add_subplot()
     begin, end, *shown = dates.date2num([since, until, *times, until])  # type: ignore[no-untyped-call]
@@ -238,7 +239,8 @@ def map_size(times: Sequence[datetime], counts: Sequence[int], since: datetime, 
     locator = dates.AutoDateLocator()  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
-    axes.set_ylabel("cones on the map")
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_ylabel("objects on the map")
     axes.legend(fontsize=8, loc="lower right")
     add_grid(axes, open_sides=True)
     return png(figure)

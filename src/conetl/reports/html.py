@@ -14,6 +14,7 @@ from markupsafe import Markup
 
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.files.atomic import atomic_text_file
+from conetl.mapping.reasons import probability_text
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ def _environment() -> Environment:
         "time": lambda value: f"{value:%Y-%m-%d %H:%M:%S}",
         "minute": lambda value: f"{value:%Y-%m-%d %H:%M}",
         "decimals": _decimals,
+        "probability": lambda value: "" if value is None else probability_text(value),
         "number": lambda value: f"{value:,}".replace(",", "\u202f"),
         "percent": lambda value: f"{value:.1%}",
         "short_id": lambda value: str(value)[:8],

@@ -46,7 +46,7 @@ class NightFacts:
     markings: list[Row]
     """Stretches of lane markings by kind of change: kind, count, length_m."""
     sizes: list[tuple[datetime, int]]
-    """Number of cones on the map after each change of it; the whole history."""
+    """Number of point objects on the map after each change of it; the whole history."""
 
     def size_at(self, instant: datetime) -> int:
         """Cones on the map just before an instant."""
@@ -103,6 +103,7 @@ def night_page(facts: NightFacts) -> str:
         title=f"Map {facts.map_name}, {facts.since:%Y-%m-%d %H:%M} to {facts.until:%Y-%m-%d %H:%M} UTC",
         made_at=datetime.now(UTC),
         facts=facts,
+        recorded=len(recorded),
         what_to_do=what_to_do,
         totals=[(kind, sum(row[name] for row in facts.drives)) for kind, name in _COUNTS.items()],
         frame_pairs=sum(row["frame_pair_count"] for row in recorded),

@@ -78,7 +78,7 @@ class MapProjection(Answer):
 
 
 class TimelineItem(ChangesetFacts):
-    """One changeset: one drive."""
+    """One changeset: one drive, or one imported map."""
 
     captured_from: datetime
     captured_to: datetime
@@ -115,7 +115,7 @@ class Feature(FeatureState):
 
 
 class MarkingShape(Answer):
-    """Shape of a lane marking, or of a piece of one."""
+    """Shape of a lane marking, or of a stretch of one."""
 
     line_m: list[Vec3]
     """Vertices of its centre line, in the direction of travel of the drive that first observed it."""
@@ -130,7 +130,7 @@ class MarkingShape(Answer):
 
 
 class Stretch(Feature):
-    """A piece of a lane marking; its position is that of the middle vertex."""
+    """A stretch of a lane marking; its position is that of the middle vertex."""
 
     marking: MarkingShape
 
@@ -278,6 +278,7 @@ class Decided(Answer):
 class FoundDrive(Answer):
     changeset_no: int
     drive_id: str
+    kind: Literal["drive", "import"]
     captured_from: datetime
 
 

@@ -54,7 +54,9 @@ def search(
     if re.fullmatch(r"[0-9a-fA-F-]{1,36}", wanted):
         ids = find_features(conn, wanted, map_name=map_name, max_rows=_MAX_FOUND + 1)
     drives = [
-        m.FoundDrive(changeset_no=c.changeset_no, drive_id=c.drive_id, captured_from=utc_from_ns(c.captured_from_ns))
+        m.FoundDrive(
+            changeset_no=c.changeset_no, drive_id=c.drive_id, kind=c.kind, captured_from=utc_from_ns(c.captured_from_ns)
+        )
         for c in list_changesets(conn, map_name=map_name)
         if wanted and wanted.casefold() in f"{c.drive_id}\n{utc_from_ns(c.captured_from_ns):%Y-%m-%d}".casefold()
     ]

@@ -6,7 +6,7 @@ from uuid import UUID
 
 import pytest
 
-from conetl.mapping.reasons import ChangeFacts, why
+from conetl.mapping.reasons import ChangeFacts, probability_text, why
 from conetl.model.map_records import DeltaKind
 
 OTHER = UUID("0123abcd-0000-0000-0000-000000000000")
@@ -17,31 +17,39 @@ SEEN_TEXT = "drive x observed it in 12 frame pairs at 6–30 m"
 @pytest.mark.parametrize(
     ("kind", "existence", "facts", "sentence"),
     [
-        ("added", 0.98, SEEN, f"Added: {SEEN_TEXT}; existence 0.98, largest horizontal sigma 0.021 m."),
-        ("added", 0.5, {}, "Added: drive x observed it; existence 0.50."),
+        ("added", 0.98, SEEN, f"Added: {SEEN_TEXT}; existence 0.980, largest horizontal sigma 0.021 m."),
+        ("added", 0.5, {}, "Added: drive x observed it; existence 0.500."),
         ("confirmed", 0.9991, {**SEEN, "frames_seen": 1, "range_m": (9.1, 9.4)},
-         "Confirmed: drive x observed it in 1 frame pair at 9 m; existence 0.9991, largest horizontal sigma 0.021 m."),
+         "Confirmed: drive x observed it in 1 frame pair at 9 m; existence 0.999, largest horizontal sigma 0.021 m."),
         ("moved", 0.9, {**SEEN, "shift_m": 1.5},
-         f"Moved: {SEEN_TEXT}, 1.50 m from its earlier position; existence 0.90, largest horizontal sigma 0.021 m."),
+         f"Moved: {SEEN_TEXT}, 1.50 m from its earlier position; existence 0.900, largest horizontal sigma 0.021 m."),
         ("removed", 0.02, {"frames_seen": 0, "frames_empty": 14, "range_m": (6, 30), "sigma_m": 0.02},
-         "Removed: drive x passed at 6–30 m, the position was visible in 14 frame pairs, none showed a cone; existence 0.02."),
+         "Removed: drive x passed at 6–30 m, the position was visible in 14 frame pairs, none showed a cone; existence 0.020."),
         ("missed", 0.71, {"frames_seen": 1, "frames_empty": 3},
-         "Not observed: drive x passed, the position was visible in 4 frame pairs, 1 of them showed a cone; existence 0.71, "
+         "Not observed: drive x passed, the position was visible in 4 frame pairs, 1 of them showed a cone; existence 0.710, "
          "it stays on the map."),
-        ("missed", 0.71, {}, "Not observed: drive x passed, the position was visible, no cone was observed; existence 0.71, "
+        ("missed", 0.71, {}, "Not observed: drive x passed, the position was visible, no cone was observed; existence 0.710, "
          "it stays on the map."),
         ("height_changed", 0.9, {**SEEN, "cone_height_m": 0.51, "sigma_m": None},
-         f"Height changed: {SEEN_TEXT}, as a cone 0.51 m high; existence 0.90."),
+         f"Height changed: {SEEN_TEXT}, as a cone 0.51 m high; existence 0.900."),
         ("split", 0.9, {**SEEN, "sigma_m": None, "other_feature_id": OTHER},
-         f"Split: {SEEN_TEXT}, as a second cone beside 0123abcd; existence 0.90."),
+         f"Split: {SEEN_TEXT}, as a second cone beside 0123abcd; existence 0.900."),
         ("merged", 0.001, {"other_feature_id": OTHER},
-         "Merged: drive x observed one cone where the map had two; 0123abcd remains; existence 0.0010."),
+         "Merged: drive x observed one cone where the map had two; 0123abcd remains; existence 0.001."),
         ("added", 0.9, {"is_import": True, "sigma_m": 0.1},
-         "Added: the imported map x states it; existence 0.90, largest horizontal sigma 0.100 m."),
+         "Added: the imported map x states it; existence 0.900, largest horizontal sigma 0.100 m."),
     ],
 )  # fmt: skip
 def test_a_sentence_with_numbers_for_each_kind(kind, existence, facts, sentence):
     assert why(ChangeFacts(DeltaKind(kind), "x", existence, **facts)) == sentence
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "<0.001"), (0.0004, "<0.001"), (0.0006, "0.001"), (0.97, "0.970"), (0.9994, "0.999"), (0.9995, ">0.999")],
+)
+def test_a_probability_never_reads_as_certain(value, text):
+    assert probability_text(value) == text
 
 
 def test_every_kind_has_a_sentence_without_any_number_stored():

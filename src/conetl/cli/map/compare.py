@@ -18,6 +18,7 @@ from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import Bbox, feature_log, list_changesets, read_features_as_of
+from conetl.exports.kind_marks import kind_label
 from conetl.exports.text_files import export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
@@ -104,11 +105,11 @@ def _origins(
 def _counts(changes: Sequence[FeatureChange]) -> str:
     """`2 added, 1 moved`."""
     counts = Counter(change.kind for change in changes)
-    return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
+    return ", ".join(f"{count} {kind_label(kind)}" for kind, count in sorted(counts.items()))
 
 
 _COLUMNS: ui.Columns = {
-    "change": lambda change: str(change.kind),
+    "change": lambda change: kind_label(change.kind),
     "feature": "feature_id",
     "class": "state_after.category",
     "easting m": lambda change: change.state_after.xyz_m[0],

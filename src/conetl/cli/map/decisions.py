@@ -14,6 +14,7 @@ from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import held_drives, list_decisions
 from conetl.db.map.map_store import list_changesets
+from conetl.exports.kind_marks import kind_label
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.map_records import FeatureVersion
 from conetl.pipeline.settings import read_settings
@@ -91,7 +92,7 @@ def _print_conflicts(decided: DecisionOutcome, numbers: Mapping[UUID, int]) -> N
     ui.say("Other drives changed these features too; their changes are kept:")
     columns: ui.Columns = {
         "feature": "feature_id",
-        "change undone": lambda conflict: str(conflict.kind),
+        "change undone": lambda conflict: kind_label(conflict.kind),
         "before": lambda conflict: _state_text(conflict.was, "absent"),
         "after": lambda conflict: _state_text(conflict.changed_to, "?"),
         "now": lambda conflict: _state_text(conflict.is_now, "absent"),

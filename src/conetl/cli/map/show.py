@@ -16,7 +16,9 @@ from conetl.cli.database import open_map
 from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
+from conetl.exports.kind_marks import kind_label
 from conetl.geometry.packing import horizontal_sigma_m
+from conetl.mapping.reasons import probability_text
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import noun_of, require_classes
@@ -35,18 +37,18 @@ _FEATURES: ui.Columns = {
     "object m": lambda v: f"{v.feature.cone_height_m:.2f}",
     "sigma horiz. m": lambda v: horizontal_sigma_m(v.feature.cov_m2),
     "sigma height m": lambda v: sqrt(v.feature.cov_m2[5]),
-    "probability": lambda v: v.feature.existence_probability,
+    "probability": lambda v: probability_text(v.feature.existence_probability),
     "observations": lambda v: v.feature.observation_count,
     "drives": "seen_count",
-    "missed": lambda v: v.missed_count or "",
+    "not observed": lambda v: v.missed_count or "",
     "first seen (UTC)": lambda v: f"{utc_from_ns(v.feature.first_seen_ns):%Y-%m-%d %H:%M}",
 }
 _LINES: ui.Columns = {
-    **{heading: read for heading, read in _FEATURES.items() if heading not in ("class", "object m", "missed")},
+    **{heading: read for heading, read in _FEATURES.items() if heading not in ("class", "object m", "not observed")},
     "length m": lambda v: f"{_length_m(v.feature.marking):.1f}",
     "width m": lambda v: f"{v.feature.marking.width_m:.2f}",
     "paint": lambda v: f"{v.feature.marking.colour}, {v.feature.marking.pattern}",
-    "missed": _FEATURES["missed"],
+    "not observed": _FEATURES["not observed"],
 }
 
 
@@ -158,7 +160,7 @@ def _is_about(decision: Classification, entry: Mapping[str, Any]) -> bool:
 def _others(changeset: CommittedChangeset) -> str:
     """The rare kinds of changes, if any."""
     counts = {kind: getattr(changeset, f"{kind}_count") for kind in ("height_changed", "split", "merged")}
-    return ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in counts.items() if count)
+    return ", ".join(f"{count} {kind_label(kind)}" for kind, count in counts.items() if count)
 
 
 def _state_of(changeset: CommittedChangeset) -> str:
@@ -176,9 +178,11 @@ _COUNTS: ui.Columns = {
     "confirmed": "confirmed_count",
     "moved": "moved_count",
     "removed": "removed_count",
-    "missed": "missed_count",
+    "not observed": "missed_count",
     "other": _others,
-    "lane markings": lambda c: ", ".join(f"{count} {kind}" for kind, count in sorted(c.line_counts.items())),
+    "lane markings": lambda c: ", ".join(
+        f"{count} {kind_label(kind)}" for kind, count in sorted(c.line_counts.items())
+    ),
     "quarantined": "rejection_count",
 }
 
@@ -197,7 +201,7 @@ _LOG: ui.Columns = {
     "": lambda row: row.sentence if isinstance(row, HoldEvent) else _state_of(row),
 }
 _HISTORY: ui.Columns = {
-    "change": "kind",
+    "change": lambda e: kind_label(e["kind"]),
     "class": "category",
     "drive": "drive_id",
     "on the road since (UTC)": "changed_at",
@@ -206,7 +210,7 @@ _HISTORY: ui.Columns = {
     "easting m": "easting_m",
     "northing m": "northing_m",
     "height m": "height_m",
-    "probability": "existence_probability",
+    "probability": lambda e: probability_text(e["existence_probability"]),
     "observations": "observation_count",
     "shift m": "shift_m",
     "with": lambda e: "suppressed" if e["suppressed"] else ui.cell(e["other_feature_id"]),

@@ -47,6 +47,8 @@ class ChangesetFacts(Record):
     changeset_no: int
     changeset_id: UUID
     drive_id: str
+    """Of an import, the name of the map."""
+    kind: Literal["drive", "import"]
     drive_uuid: UUID
     code_version: str
     committed_at: datetime
