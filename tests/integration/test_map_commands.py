@@ -52,7 +52,10 @@ def test_a_miss_is_reported_as_one(conetl, surveyed, conn, samples, tmp_path):
     commit(conn, samples, tmp_path, "a", 10, samples.added(there, changed_at_ns=START_NS + 10 * DAY_NS))
     commit(conn, samples, tmp_path, "b", 11, missed(there, START_NS + 11 * DAY_NS, 0.6))
     written = tmp_path / "diff.geojson"
-    assert "1 missed" in conetl("map", "diff", 4, 5, "--out", written, "--picture", tmp_path / "diff.png").splitlines()
+    assert (
+        "1 not observed"
+        in conetl("map", "diff", 4, 5, "--out", written, "--picture", tmp_path / "diff.png").splitlines()
+    )
     assert [f["properties"]["change"] for f in json.loads(written.read_text())["features"]] == ["missed"]
     [change] = json.loads(conetl("map", "diff", "4", "5", "--json"))
     assert (change["kind"], change["new"]["existence_probability"]) == ("missed", 0.6)
@@ -146,7 +149,7 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
 
     out = tmp_path / "changes.geojson"
     said = conetl("map", "diff", "1", "2", "--out", out, "--picture", tmp_path / "diff.png")
-    assert said.splitlines()[:2] == ["1 added", "Lane markings: 1 confirmed"]
+    assert said.splitlines()[:2] == ["1 added", "Stretches of lane markings: 1 confirmed"]
     assert "This file does not contain lane markings" in said and len(json.loads(out.read_text())["features"]) == 1
     for words in ((), ("--changes", "1", "2")):
         facts = json.loads(conetl("map", "picture", tmp_path / "map.png", "--json", *words))

@@ -45,6 +45,8 @@ MapOption = Annotated[
 #: Heading of a column -> attribute of the record (of a row of the database: column), or function of the record.
 Columns = Mapping[str, str | Callable[[Any], object]]
 _ANY_WIDTH = 100_000
+#: Columns of text, wherever they are.
+_TEXT_COLUMNS = frozenset({"class", "paint"})
 _DATE = re.compile(r"\d{4}-?\d{2}-?\d{2}")
 out = Console(highlight=False, soft_wrap=True)
 #: Progress and messages go to standard error: standard output is for results.
@@ -110,14 +112,18 @@ def note_unmeasured(card: Any) -> None:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], *, numbers_from: int = 1) -> None:
-    """A table on standard output; columns from `numbers_from` on are aligned right. Nothing without rows; no empty columns."""
+    """A table on standard output: nothing without rows, no empty columns.
+
+    Columns from `numbers_from` on are aligned right, but for `_TEXT_COLUMNS`.
+    """
     cells = [[cell(value) for value in row] for row in rows]
     if not cells:
         return
     table = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
     filled = [index for index in range(len(columns)) if any(row[index] for row in cells)]
     for index in filled:
-        table.add_column(columns[index], justify="right" if index >= numbers_from else "left", no_wrap=True)
+        is_text = index < numbers_from or columns[index] in _TEXT_COLUMNS
+        table.add_column(columns[index], justify="left" if is_text else "right", no_wrap=True)
     for row in cells:
         table.add_row(*(escape(row[index]) for index in filled))
     # As wide as necessary: a line may wrap in a terminal, but no number is ever cut off.

@@ -23,7 +23,7 @@ from conetl.exports.text_files import export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
-from conetl.model.map_records import FeatureChange, MapFeature
+from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 
 if TYPE_CHECKING:  # what draws and checks takes half a second to load
     from conetl.evaluation.truth import CheckedMap
@@ -36,7 +36,7 @@ def diff(
     after: Annotated[str, typer.Argument(help="The later state, in the same form.")],
     output: Annotated[Path | None, typer.Option("--out", help="GeoJSON file to write.")] = None,
     picture: Annotated[
-        Path | None, typer.Option("--picture", "--image", help="PNG to write: both states, changes in colour.")
+        Path | None, typer.Option("--image", "--picture", help="PNG to write: both states, changes in colour.")
     ] = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
@@ -69,9 +69,10 @@ def diff(
     lines = [change for change in changes if change.is_of_line]
     ui.say(_counts(points) or ("No differences." if not lines else "No differences of cones."))
     if lines:
-        ui.say(f"Lane markings: {_counts(lines)}")
+        ui.say(f"Stretches of lane markings: {_counts(lines)}")
     columns = ui.class_if_mixed(_COLUMNS, {change.state_after.category for change in changes})
-    ui.print_records("", columns, changes, numbers_from=2)
+    ordered = sorted(changes, key=lambda change: change.kind is DeltaKind.CONFIRMED)
+    ui.print_records("", columns, ordered, numbers_from=2)
     if output is not None:
         ui.say(f"{len(points)} changes -> {output}")
         if lines:

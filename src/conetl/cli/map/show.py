@@ -136,7 +136,9 @@ def log(
         rows: list[CommittedChangeset | HoldEvent] = [*reversed(changesets), *events]
         rows.sort(key=lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at)
         markings = any(one.line_counts for one in changesets)
-        columns = {heading: read for heading, read in _LOG.items() if markings or heading != "lane markings"}
+        columns = {
+            heading: read for heading, read in _LOG.items() if markings or heading != "stretches of lane markings"
+        }
         ui.print_records("", columns, rows[::-1], numbers_from=3)
     else:
         ui.print_records(
@@ -180,7 +182,7 @@ _COUNTS: ui.Columns = {
     "removed": "removed_count",
     "not observed": "missed_count",
     "other": _others,
-    "lane markings": lambda c: ", ".join(
+    "stretches of lane markings": lambda c: ", ".join(
         f"{count} {kind_label(kind)}" for kind, count in sorted(c.line_counts.items())
     ),
     "quarantined": "rejection_count",
@@ -195,7 +197,7 @@ def _of_changeset(read: str | Callable[[Any], object]) -> Callable[[Any], object
 
 _LOG: ui.Columns = {
     "no": "changeset_no",
-    "drive": "drive_id",
+    "drive": lambda row: f"{row.drive_id} (imported map)" if getattr(row, "kind", "") == "import" else row.drive_id,
     "committed (UTC)": lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at,
     **{heading: _of_changeset(read) for heading, read in _COUNTS.items()},
     "": lambda row: row.sentence if isinstance(row, HoldEvent) else _state_of(row),

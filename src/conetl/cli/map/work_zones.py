@@ -66,7 +66,7 @@ def check_layout_command(
         Path | None, typer.Option("--out", help="GeoJSON file to write, one feature per finding.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option("--picture", "--image", help="PNG to write: the work zones along their road.")
+        Path | None, typer.Option("--image", "--picture", help="PNG to write: the work zones along their road.")
     ] = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
