@@ -61,7 +61,7 @@ FIELDS = {
     "last_seen_at": Field("Last seen", "UTC", "Last frame pair of this version."),
     "observation_count": Field("Observations", "", "Frame pairs in which it was observed."),
     "seen_count": Field("Drives that observed it", "", "Until the instant of the file; imported maps do not count."),
-    "missed_count": Field("Drives that missed it", "", "To which it was visible and that did not observe it."),
+    "missed_count": Field("Drives that did not observe it", "", "To which it was visible."),
     "valid_from": Field("Valid from", "UTC", "Start of the period in which this version is true on the road."),
     "valid_to": Field("Valid to", "UTC", "End of that period; null while it lasts."),
     "system_from": Field(

@@ -49,12 +49,6 @@ def _draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
         for v in np.linspace(0, len(images[row]) - 1, _ROWS + 2)[1:-1]:
             axes.axhline(v, color="#ffe000", linewidth=0.6, alpha=0.8)
         axes.set_title(f"{side}, frame pair {frame_index}: lines cross the same objects in both images", fontsize=9)
-    lost = summary.expected_pairs - summary.usable_pairs
-    rate = f"{summary.rate_hz:.1f} Hz" if summary.rate_hz else "one pair"
-    figure.suptitle(
-        f"{summary.drive_id}: {summary.usable_pairs} of {summary.expected_pairs} pairs usable ({lost} lost), {rate}, "
-        f"{summary.length_m:.0f} m, baseline {summary.rig.baseline_m:.3f} m, EPSG:{summary.map_srid}"
-    )
     return figure
 
 
