@@ -61,7 +61,7 @@ def test_the_list_of_changes_has_the_largest_move_first_and_selects_with_the_map
     page.click("#list-tab-changes")
     wait_for_rows(page, 4, "changes")
     assert rows(page, "changes") == ids(features, "wanders", "comes", "goes", "stays")
-    assert rows(page, "changes", 5) == ["150.0", "", "", "0.0"]
+    assert rows(page, "changes", 5) == ["1.500", "", "", "0.000"]
     page.click("#list-changes .row[data-index='0']")
     page.wait_for_selector(".panel >> text=moved by 1.500 m")
     settle(page)

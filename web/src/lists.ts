@@ -39,10 +39,10 @@ export function createLists(pane: ListPane, actions: ListActions) {
   const columns: Column<Cone>[] = [
     { id: "id", title: "Id", hint: "First 8 characters of the id", width: "80px", value: (c) => c.id, text: (c) => shortId(c.id) },
     { id: "class", title: "Class", width: "minmax(136px, 1fr)", value: (c) => classOrder(c.category), text: (c) => classOf(c.category).label, icon: (c) => classIcon(c.category) },
-    { id: "kind", title: "Kind", width: "minmax(116px, 1fr)", value: (c) => KIND_ORDER.indexOf(c.kind), text: (c) => (state ? kindLabel(c.kind, state) : ""), icon: (c) => icon(c.kind) },
+    { id: "kind", title: "Kind", width: "minmax(140px, 1fr)", value: (c) => KIND_ORDER.indexOf(c.kind), text: (c) => (state ? kindLabel(c.kind, state) : ""), icon: (c) => icon(c.kind) },
     { id: "existence", title: "Existence", hint: "Existence probability", width: "96px", number: true, value: (c) => c.probability, text: (c) => probabilityText(c.probability) },
     { id: "sigma", title: "Sigma cm", hint: "Horizontal sigma, along the major axis of the error ellipse", width: "92px", number: true, descending: true, value: (c) => c.sigma_m, text: (c) => (c.sigma_m * 100).toFixed(1) },
-    { id: "height", title: "Height m", hint: "Height of the cone", width: "88px", number: true, value: (c) => c.height_m, text: (c) => c.height_m.toFixed(2) },
+    { id: "height", title: "Height m", hint: "Height of the cone", width: "88px", number: true, value: (c) => c.height_m, text: (c) => (c.marking ? "" : c.height_m.toFixed(2)) },
     { id: "shift", title: "Shift m", hint: "Horizontal shift. Sorted: moved, then added and removed, then confirmed", width: "84px", number: true, descending: true, value: shiftOrder, text: (c) => (c.shift_m === null ? "" : c.shift_m.toFixed(3)) },
     { id: "drive", title: "Drive", hint: "Last drive that observed or changed it", width: "minmax(184px, 1.6fr)", value: (c) => c.changeset, text: (c) => drives.get(c.changeset) ?? "" },
     { id: "seen", title: "Last seen (UTC)", width: "128px", descending: true, value: (c) => c.seenAt, text: (c) => utc(new Date(c.seenAt).toISOString(), false) },
