@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -97,6 +98,8 @@ def view(
         address = login_address(address, token)
         facts = {"url": address, "map": settings.map_name, "decisions": writer is not None}
         answer(as_json, facts, f"Map: {address} (this machine only; press Ctrl-C to stop)")
+        # uvicorn stops at Ctrl-C and then raises the signal again; here it is how the command ends, not an interruption.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         server.run(sockets=[listener])
 
 

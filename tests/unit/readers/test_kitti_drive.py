@@ -335,7 +335,7 @@ def test_paths_that_are_not_drives(tmp_path: Path, drive: Path) -> None:
         (drive / "oxts" / "timestamps.txt", "this is a file"),
         (tmp_path / "empty", "the folder is empty"),
         (tmp_path / "photos", "not a drive in KITTI's raw layout"),
-        (drive.parent, "holds one drive (drive_0001)"),
+        (drive.parent, f"holds one drive (drive_0001): conetl ingest {drive}"),
     ):
         with pytest.raises(DriveFolderError) as raised:
             read_drive(path)

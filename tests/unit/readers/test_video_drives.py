@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from functools import lru_cache
@@ -392,10 +393,16 @@ def test_zed_recordings_of_other_layouts_name_the_tool_that_exports_them(tmp_pat
 
 def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path) -> None:
     copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
-    (copy / "left.mp4").rename(copy / "front.mp4")
+    for side in ("left", "right"):
+        (copy / f"{side}.mp4").rename(copy / f"GX01_{len(side)}.mp4")
     made = init(copy)
     assert made.exit_code != 0
     assert all(f"--{option}: " in str(made.exception) for option in ("left", "trajectory", "rig"))
+    assert "--right" not in str(made.exception), "of two videos, the other one"
+    made = init(copy, "--left", "GX02.mp4")
+    assert f"--left GX02.mp4: there is no such file or folder in {copy}" in str(made.exception)
+    (copy / "GX01_5.mp4").rename(copy / "right.mp4")
+    assert "--left" not in str(init(copy).exception)
     for header, option in (
         ("time,easting,northing,h", "crs"),
         ("time,lat,lon,h_msl", "heights"),
@@ -405,7 +412,13 @@ def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path
         (copy / "log.csv").write_text("".join((header, "\n", *lines)))
         made = init(copy)
         assert f"--{option}: In which" in str(made.exception), made.exception
+        assert "drive.yaml" not in str(made.exception), "which conetl init writes"
     assert not (copy / "drive.yaml").exists()
+
+
+def test_init_names_the_drive_inside_a_folder(folder: Path, tmp_path: Path) -> None:
+    drive = shutil.copytree(folder, tmp_path / "day/run")
+    assert f"run is a drive already: conetl ingest {drive}" in str(init(tmp_path / "day").exception)
 
 
 def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path, sample: Drive) -> None:
@@ -422,6 +435,7 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
     known += ["--trajectory", "Fahrt.csv"]
     said = str(init(copy, *known).exception)
     assert "--columns: Which column is what" in said and "found Messzeit, geogr. Breite, " in said, said
+    assert "drive.yaml" not in said, said
     made = init(copy, *known, "--columns", "Messzeit,2")
     assert "--columns 'Messzeit,2': expected names as in time=Zeit" in str(made.exception)
     columns = ["--columns", "time=Messzeit, lat=2,lon=3,height=4,roll=5,pitch=6,heading=Kurs"]

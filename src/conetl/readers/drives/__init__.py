@@ -118,10 +118,11 @@ def _not_a_drive(path: Path) -> DriveFolderError:
     if recordings := [child for child in children if child.suffix.lower() in (".svo2", ".svo")]:
         return _of_zed(recordings[0], path)
     drives = [child.name for child in children if drive_format(child)]
+    if len(drives) == 1:
+        return DriveFolderError(f"{path}: this folder holds one drive ({drives[0]}): conetl ingest {path / drives[0]}")
     if drives:
-        count = "one drive" if len(drives) == 1 else f"{len(drives)} drives"
         return DriveFolderError(
-            f"{path}: this folder holds {count} ({', '.join(drives[:3])}{', ...' if len(drives) > 3 else ''}); "
+            f"{path}: this folder holds {len(drives)} drives ({', '.join(drives[:3])}{', ...' if len(drives) > 3 else ''}); "
             f"name one of them, or all: conetl ingest {path}/*"
         )
     if sum(child.is_dir() and bool(image_files(child)) for child in children) > 1:

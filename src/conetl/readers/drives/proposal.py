@@ -15,8 +15,9 @@ from conetl.files.documents import named, shown, validated
 from conetl.geometry import rig as rigs
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import DriveFolderError, InputError
-from conetl.model.rig import Rig, Side
+from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, video_facts
+from conetl.readers.drives import drive_format
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
@@ -43,6 +44,8 @@ _UNSTATED = {
     "crs": "In which coordinate reference system are its positions, like EPSG:25832?",
     "heights": "In which system are its heights, like EPSG:5773?",
 }
+#: What those errors advise; `conetl init` asks instead.
+_REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNORECASE)
 
 
 #: Section and key of drive.yaml of what an option of `conetl init` answers; those of the mount are one answer.
@@ -143,8 +146,10 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     proposal.settings["images"] = images
     sources = videos or folders
     if not sources:
+        inside = [child for child in sorted(root.iterdir()) if drive_format(child)]
+        hint = f"; {inside[0].name} is a drive already: conetl ingest {inside[0]}" if inside else ""
         raise DriveFolderError(
-            f"{root}: there are no videos ({', '.join(sorted(VIDEO_SUFFIXES))}) and no folders of images here"
+            f"{root}: there are no videos ({', '.join(sorted(VIDEO_SUFFIXES))}) and no folders of images here{hint}"
         )
     alike: dict[str, list[str]] = {}
     for source in videos:
@@ -164,13 +169,19 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
             text = "Where are left and right in each frame: left-right, right-left, top-bottom or bottom-top?"
             proposal.questions.append(Question("layout", text, "left-right"))
     else:
-        for side in ("left", "right"):
-            candidates = _of_side([source.name for source in sources], side)
+        names = [source.name for source in sources]
+        for side in SIDES:
+            candidates = _of_side(names, side)
             if side not in images and len(candidates) == 1:
                 images[side] = candidates[0]
-            elif side not in images:
-                names = ", ".join(source.name for source in sources)
-                proposal.questions.append(Question(side, f"Which is the {side} camera ({names})?"))
+        unused = [name for name in names if name not in (images.get("left"), images.get("right"))]
+        for side in SIDES:
+            if side in images:
+                continue
+            if len(names) == 2 and len(unused) == 1:
+                images[side] = unused[0]
+            elif len(names) > 2 or side == "left":  # of two, the other one is the right camera
+                proposal.questions.append(Question(side, f"Which is the {side} camera ({', '.join(names)})?"))
     if "left" not in images or (len(sources) == 1 and "layout" not in images):
         return None
     if not videos:
@@ -219,6 +230,9 @@ def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
     for option in ("timestamps", "right-timestamps"):
         if option in answers and not (root / answers[option]).is_file():
             raise InputError(f"--{option} {answers[option]}: there is no such file in {root}")
+    for side in SIDES:
+        if side in answers and not (root / answers[side]).exists():
+            raise InputError(f"--{side} {answers[side]}: there is no such file or folder in {root}")
     return images
 
 
@@ -246,7 +260,8 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
         asked = next((key for key in _UNSTATED if key not in answers and f"{{{key}: " in str(error)), None)
         if asked is None:
             raise
-        proposal.questions.append(Question(asked, _UNSTATED[asked], cause=str(error)))
+        cause = _REMEDY.split(str(error))[0]
+        proposal.questions.append(Question(asked, _UNSTATED[asked], cause=cause))
         return
     kind = trajectory_format(path) or "table"
     proposal.found.append(_described(recorded, kind))
