@@ -169,19 +169,7 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
             text = "Where are left and right in each frame: left-right, right-left, top-bottom or bottom-top?"
             proposal.questions.append(Question("layout", text, "left-right"))
     else:
-        names = [source.name for source in sources]
-        for side in SIDES:
-            candidates = _of_side(names, side)
-            if side not in images and len(candidates) == 1:
-                images[side] = candidates[0]
-        unused = [name for name in names if name not in (images.get("left"), images.get("right"))]
-        for side in SIDES:
-            if side in images:
-                continue
-            if len(names) == 2 and len(unused) == 1:
-                images[side] = unused[0]
-            elif len(names) > 2 or side == "left":  # of two, the other one is the right camera
-                proposal.questions.append(Question(side, f"Which is the {side} camera ({', '.join(names)})?"))
+        _add_sides([source.name for source in sources], proposal)
     if "left" not in images or (len(sources) == 1 and "layout" not in images):
         return None
     if not videos:
@@ -190,6 +178,22 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     facts, layout = video_facts(root / images["left"]), images.get("layout", "")
     across, down = 2 if "left" in layout else 1, 2 if "top" in layout else 1
     return facts.width_px // across, facts.height_px // down
+
+
+def _add_sides(names: Sequence[str], proposal: Proposal) -> None:
+    """Which file or folder is of which camera: by their names; of two, the other one is known with the first."""
+    images = proposal.settings["images"]
+    for side in SIDES:
+        candidates = _of_side(names, side)
+        if side not in images and len(candidates) == 1:
+            images[side] = candidates[0]
+    unknown = [side for side in SIDES if side not in images]
+    unused = [name for name in names if name not in images.values()]
+    if len(names) == 2 and len(unknown) == len(unused) == 1:
+        images[unknown[0]] = unused[0]
+    else:
+        for side in unknown[:1] if len(names) == 2 else unknown:
+            proposal.questions.append(Question(side, f"Which is the {side} camera ({', '.join(names)})?"))
 
 
 def _layout_of(root: Path, answers: Mapping[str, str]) -> str | None:
