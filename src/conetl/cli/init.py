@@ -35,6 +35,7 @@ from conetl.readers.drives.video import NAME, Preview, preview
 from conetl.readers.drives.video_timing import Timing, UnknownTimeError
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
 from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
+from conetl.readers.trajectories.times import parse_timestamp
 
 _TIME_QUESTIONS = {
     "timestamps": "File with the time of each left image, one per line (UTC, or nanoseconds since 1970), or the trajectory if it "
@@ -42,6 +43,8 @@ _TIME_QUESTIONS = {
     "start": "Time of the first left frame, in UTC or with a UTC offset, like 2026-03-02 11:00:00.250+01:00",
     "right-offset": "Seconds by which the right file begins after the left one (0 if both start at the same trigger)",
 }
+#: Of a time without a fraction, like that of creation in a video's container: of a uniform distribution.
+_SIGMA_OF_A_SECOND_S = 0.29
 #: Answers with which the questions that come after these can be found, too.
 _STAND_INS = {"layout": "left-right", "sigma": "1", "mount": "0,0,0", "right-offset": "0"}
 _FILE_OPTIONS = frozenset({"left", "right", "timestamps", "right-timestamps", "trajectory", "rig"})
@@ -50,7 +53,7 @@ _COMMENTS = {
     "trajectory": "the GNSS/INS log",
     "mount": "left camera relative to the antenna or IMU; if its angles may be off by 1 degree: sigmas: {pitch_deg: 1}",
     "sigmas": "of the trajectory, whose file contains none",
-    "clock": "of the images relative to the trajectory; estimated from turns and changes of speed",
+    "clock": "of the images relative to the trajectory",
 }
 
 
@@ -144,8 +147,14 @@ def init(
     asks = sys.stdin.isatty() and not yes and not as_json
     settings, found, new_rig = _settled(root, answers, kept, asks=asks, as_json=as_json)
     _add_timing(settings, found.timing)
-    _write(root, settings, new_rig)
     text = f"{folder / DRIVE_YAML}: {_counted(found)}"
+    if "clock" not in settings and _to_the_second(answers.get("start")):
+        settings["clock"] = {"offset_s": 0.0, "sigma_s": _SIGMA_OF_A_SECOND_S}
+        text += (
+            f"\nThe time of the first left frame is stated to the second: its sigma is taken as {_SIGMA_OF_A_SECOND_S} s, which "
+            "increases that of the positions. If it is exact, state milliseconds, like 11:00:00.000."
+        )
+    _write(root, settings, new_rig)
     start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s
     if start_ns is not None and found.timing.right_offset_s and not answers.keys() & {"right-offset", "layout"}:
         text += (
@@ -157,6 +166,11 @@ def init(
             "If you know the exact time, set --start."
         )
     _finish(folder, text, settings, as_json)
+
+
+def _to_the_second(start: str | None) -> bool:
+    """Whether a time is stated without a fraction of a second."""
+    return start is not None and not {".", ","} & set(start) and parse_timestamp(start) % 10**9 == 0
 
 
 def _of_folder(root: Path, key: str, value: str) -> str:

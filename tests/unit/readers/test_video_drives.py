@@ -575,6 +575,16 @@ def test_init_names_all_that_is_missing_at_once(folder: Path, tmp_path: Path, sa
     assert missing == ["  --sigma", "  --mount", "  --start"], made.exception
 
 
+def test_a_start_without_a_fraction_of_a_second_is_uncertain(folder: Path, tmp_path: Path) -> None:
+    """As people copy the time of creation from a video's container: half a second is metres on the road."""
+    for start, sigma_s in (("2026-03-02 09:41:07Z", 0.29), ("2026-03-02 09:41:07.000Z", None)):
+        copy = copied(folder, tmp_path / str(sigma_s))
+        made = init(copy, "--start", start, "--right-offset", "0")
+        assert made.exit_code == 0, made.exception
+        assert ("sigma is taken as 0.29 s" in made.output) is (sigma_s is not None)
+        assert read_drive(copy)[0].clock_sigma_s == sigma_s
+
+
 def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(
     folder: Path, tmp_path: Path
 ) -> None:
