@@ -3,6 +3,8 @@
 -- state: what feature_version, and the stages from which it is filled, hold of the state of a feature.
 -- feature: what is read of a version as MapFeature (metres, m^2, UTC nanoseconds), without existence_probability.
 -- change: what a delta and its stages hold besides versions and changeset.
+-- sigma: standard deviation (m) of a version or track along the major axis of its horizontal error ellipse.
+-- marking: shape of a lane marking for the web view (conetl.marking_json); null of point objects.
 -- receipt: what is read as Receipt.
 -- frame_pair: what is read as FramePair and its Pose.
 
@@ -23,6 +25,12 @@ ST_AsBinary(x.line, 'NDR') as line, x.line_cov, x.width_m, x.width_sigma_m, x.co
 -- name: change
 x.kind, x.track_index, x.changed_at_ns, x.changed_at, x.shift_m,
 x.other_feature_id, x.log_likelihood_ratio, x.existence_after, x.frames_seen, x.frames_empty
+
+-- name: sigma
+sqrt((x.cov_xx + x.cov_yy) / 2 + sqrt(((x.cov_xx - x.cov_yy) / 2) ^ 2 + x.cov_xy ^ 2))
+
+-- name: marking
+conetl.marking_json(x.line, x.line_cov, x.width_m, x.width_sigma_m, x.colour, x.pattern, x.dash_m, x.gap_m)
 
 -- name: receipt
 x.attempt_id, x.map_name, x.drive_path, x.drive_id, x.header_sha256, x.analysis_sha256, x.content_sha256, x.state, x.reason,

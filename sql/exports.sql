@@ -218,7 +218,7 @@ select
     v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category,
     coalesce(e.existence_after, v.existence_probability) as existence_probability, e.seen_count, e.missed_count,
     v.cone_height_m as object_height_m, ST_Z(v.geom) as ellipsoidal_height_m,
-    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
+    {{sigma columns of v}} as sigma_m,
     v.observation_count, to_timestamp(v.first_seen_ns / 1e9) as first_seen_at, to_timestamp(v.last_seen_ns / 1e9) as last_seen_at,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.geom
 from conetl.feature_version v
@@ -251,7 +251,7 @@ and v.line is not null;
 select
     v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category, v.existence_probability,
     v.cone_height_m as object_height_m, ST_Z(v.geom) as ellipsoidal_height_m,
-    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
+    {{sigma columns of v}} as sigma_m,
     v.observation_count,
     to_timestamp(v.first_seen_ns / 1e9) as first_seen_at, to_timestamp(v.last_seen_ns / 1e9) as last_seen_at,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.geom

@@ -59,11 +59,11 @@ select
     x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id, n.category,
     ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
     ST_X(n.geom) as easting_m, ST_Y(n.geom) as northing_m, ST_Z(n.geom) as height_m,
-    sqrt((n.cov_xx + n.cov_yy) / 2 + sqrt(((n.cov_xx - n.cov_yy) / 2) ^ 2 + n.cov_xy ^ 2)) as sigma_m, sqrt(n.cov_zz) as sigma_height_m,
+    {{sigma columns of n}} as sigma_m, sqrt(n.cov_zz) as sigma_height_m,
     n.cone_height_m, coalesce(x.existence_after, n.existence_probability) as existence_probability, n.observation_count, n.version,
     n.last_seen_ns, c.changeset_no,
-    conetl.marking_json(n.line, n.line_cov, n.width_m, n.width_sigma_m, n.colour, n.pattern, n.dash_m, n.gap_m) as marking,
-    conetl.marking_json(o.line, o.line_cov, o.width_m, o.width_sigma_m, o.colour, o.pattern, o.dash_m, o.gap_m) as old_marking
+    {{marking columns of n}} as marking,
+    {{marking columns of o}} as old_marking
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.map m using (map_id)
@@ -102,7 +102,7 @@ select
     x.track_index, x.shift_m, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
     v.cone_height_m, coalesce(x.existence_after, v.existence_probability) as existence_probability, v.observation_count, v.suppressed,
     x.other_feature_id, x.log_likelihood_ratio, x.frames_seen, x.frames_empty, d.drive_uuid, d.kind as drive_kind,
-    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m
+    {{sigma columns of v}} as sigma_m
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.drive d using (drive_uuid)

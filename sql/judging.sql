@@ -153,7 +153,7 @@ cross join lateral (
         c.changeset_no, d.drive_id, d.drive_uuid, d.kind as drive_kind, d.captured_from_ns, x.kind, x.changed_at,
         x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty, v.category,
         ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m, v.cone_height_m,
-        sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
+        {{sigma columns of v}} as sigma_m,
         coalesce(x.existence_after, v.existence_probability) as existence_probability
     from conetl.delta x
     join conetl.changeset c using (changeset_id)

@@ -124,7 +124,7 @@ cross join lateral (
     select
         percentile_cont(0.5) within group (order by k.residual_rms_px) as residual_px,
         percentile_cont(0.5) within group (
-            order by sqrt((k.cov_xx + k.cov_yy) / 2 + sqrt(((k.cov_xx - k.cov_yy) / 2) ^ 2 + k.cov_xy ^ 2))
+            order by {{sigma columns of k}}
         ) as sigma_m
     from conetl.track k
     where k.drive_uuid = c.drive_uuid

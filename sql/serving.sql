@@ -51,10 +51,10 @@ with doubts as (
 )
 select
     v.feature_id, v.version, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
-    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
+    {{sigma columns of v}} as sigma_m,
     v.cone_height_m, coalesce(b.existence_after, v.existence_probability) as existence_probability,
     v.observation_count, v.last_seen_ns, c.changeset_no,
-    conetl.marking_json(v.line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m) as marking
+    {{marking columns of v}} as marking
 from conetl.map_as_of(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) v
 join conetl.changeset c using (changeset_id)
 left join doubts b using (feature_id, version)
@@ -89,13 +89,13 @@ select
     ST_X(b.geom) as old_easting_m, ST_Y(b.geom) as old_northing_m, ST_Z(b.geom) as old_height_m,
     ST_X(coalesce(a.geom, b.geom)) as easting_m, ST_Y(coalesce(a.geom, b.geom)) as northing_m,
     ST_Z(coalesce(a.geom, b.geom)) as height_m,
-    sqrt((s.cov_xx + s.cov_yy) / 2 + sqrt(((s.cov_xx - s.cov_yy) / 2) ^ 2 + s.cov_xy ^ 2)) as sigma_m,
+    {{sigma columns of s}} as sigma_m,
     s.category, s.cone_height_m, s.existence_probability, s.observation_count, s.version, s.last_seen_ns, c.changeset_no,
     coalesce(
-        conetl.marking_json(a.line, a.line_cov, a.width_m, a.width_sigma_m, a.colour, a.pattern, a.dash_m, a.gap_m),
-        conetl.marking_json(b.line, b.line_cov, b.width_m, b.width_sigma_m, b.colour, b.pattern, b.dash_m, b.gap_m)
+        {{marking columns of a}},
+        {{marking columns of b}}
     ) as marking,
-    conetl.marking_json(b.line, b.line_cov, b.width_m, b.width_sigma_m, b.colour, b.pattern, b.dash_m, b.gap_m) as old_marking
+    {{marking columns of b}} as old_marking
 from before b
 full outer join after a using (feature_id)
 cross join lateral (
@@ -123,11 +123,11 @@ select
     x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty, v.category,
     ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    sqrt((v.cov_xx + v.cov_yy) / 2 + sqrt(((v.cov_xx - v.cov_yy) / 2) ^ 2 + v.cov_xy ^ 2)) as sigma_m,
+    {{sigma columns of v}} as sigma_m,
     v.cone_height_m, v.cone_height_sigma_m,
     coalesce(x.existence_after, v.existence_probability) as existence_probability,
     v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    conetl.marking_json(v.line, v.line_cov, v.width_m, v.width_sigma_m, v.colour, v.pattern, v.dash_m, v.gap_m) as marking,
+    {{marking columns of v}} as marking,
     (
         select count(*) from conetl.track_member t
         where t.drive_uuid = d.drive_uuid and t.track_index = x.track_index and v.line is null
