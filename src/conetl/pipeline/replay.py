@@ -94,20 +94,17 @@ def merge_drive(
     recording must not count; it is stored and changes nothing until a person accepts it. A drive that is already on the map is
     not merged again (`result.committed`).
     """
-    drive = records.drive
-    searched = params.detection
+    drive, reach_m = records.drive, influence_m(params)
     figures = AbsenceFigures(
         evidence=evidence or UNMEASURED,
-        score_threshold=searched.score_threshold,
-        categories=searched.categories,
+        score_threshold=params.detection.score_threshold,
+        categories=params.detection.categories,
         unclear=drive.unclear,
     )
-    reach_m = influence_m(params)
     place = partial(
         place_drive, conn, drive, changeset.idempotency_key, map_name=map_name, reconcile=params.reconcile, influence_m=reach_m,
         figures=figures,
     )  # fmt: skip
-    path = None if hold else path_wkt(drive)
 
     def is_in_doubt(found: store.Neighbourhood) -> bool:
         """Whether adjoining drives contradict some of those that are compared; drives far away may have to be, too, then."""
@@ -116,72 +113,65 @@ def merge_drive(
         return any(doubt.contested or not doubt.is_settled for doubt in doubts)
 
     near = store.lock_neighbourhood(
-        conn,
-        map_name,
-        drive,
-        changeset.idempotency_key,
-        place,
-        path_wkt=path,
-        influence_m=reach_m,
-        adjoining_ns=WITHIN_NS,
-        reaches_far=is_in_doubt,
-    )
+        conn, map_name, drive, changeset.idempotency_key, place, path_wkt=None if hold else path_wkt(drive), influence_m=reach_m,
+        adjoining_ns=WITHIN_NS, reaches_far=is_in_doubt,
+    )  # fmt: skip
+    extension, replay = MapUpdate([], [], [], []), None
     if isinstance(near, CommittedChangeset):  # another ingest of the same drive was faster
-        return Merged(changeset, MapUpdate([], [], [], []), 0, CommitResult(False, near, 0), ())
+        return Merged(changeset, extension, 0, CommitResult(False, near, 0), ())
     changeset = with_free_id(conn, changeset, near.drive_uuid)
     affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
-    if hold:
-        result = commit_changeset(
-            conn, records, changeset, map_name=map_name, run=run, hold=hold, placed=near.drive_uuid
+    by_map = not hold
+    if by_map:
+        key = founding_key(require_map(conn, map_name).id_name, drive.content_sha256)
+        extension, replay = _compared(
+            conn, near, _own_evidence(records, changeset, key, params, figures), drive, map_name
         )
+        affected = affected if replay is None else [*replay.holds]
+        hold = () if extension.hold is None else (extension.hold,)
+    changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
+    result = commit_changeset(
+        conn, records, changeset, map_name=map_name, run=run, suppressed=extension.suppressed, replay=replay, hold=hold,
+        held_by_map=by_map, placed=near.drive_uuid,
+    )  # fmt: skip
+    others: tuple[HoldChange, ...] = ()
+    if held_before or affected:  # else there is no drive whose hold could begin or end
         others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-        return Merged(changeset, MapUpdate([], [], [], []), 0, result, others)
-    spots = [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
+    return Merged(changeset, extension, 0 if replay is None else len(replay.holds), result, others)
+
+
+def _own_evidence(
+    records: DriveRecords, changeset: Changeset, founding_key: str, params: IngestParams, figures: AbsenceFigures
+) -> DriveEvidence:
+    """What a drive contributes that is compared for the first time."""
+    drive, spots = records.drive, [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
     view = visibility.observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
     visible, in_view = _checks_of(lambda: view, records.markings, params.reconcile)
-    own = DriveEvidence(
+    return DriveEvidence(
         key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
         changeset_id=changeset.changeset_id,
-        founding_key=founding_key(require_map(conn, map_name).id_name, drive.content_sha256),
+        founding_key=founding_key,
         tracks=records.tracks,
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
-        influence_m=reach_m,
+        influence_m=influence_m(params),
         check_visibility=visible,
         markings=records.markings,
         check_view=in_view,
         params=params.reconcile,
     )
-    decisions = read_decisions(conn, map_name=map_name)
-    aside, later = near.aside, near.later
-    replay = None
-    if later or len(aside) > 1 or near.reaches_far:
-        again = [*aside, *(ref.drive_uuid for ref in later)]
+
+
+def _compared(
+    conn: Connection, near: store.Neighbourhood, own: DriveEvidence, drive: Drive, map_name: str
+) -> tuple[MapUpdate, Replay | None]:
+    """What a drive changes; and the new state of its neighbourhood, if others have to be compared again because of it."""
+    decisions, later = read_decisions(conn, map_name=map_name), near.later
+    if later or len(near.aside) > 1 or near.reaches_far:
+        again = [*near.aside, *(ref.drive_uuid for ref in later)]
         folded, replay = replay_of(conn, again, later, decisions, own=[own], newcomer=_newcomer(near, drive))
-        extension = folded.updates[changeset.changeset_id]
-        affected = [*replay.holds]
-    else:
-        standing, summaries = (
-            store.read_standing_around(conn, near.drive_uuid),
-            store.read_doubts_around(conn, near.drive_uuid),
-        )
-        extension = apply_drive(standing, own, decisions, summaries)
-    changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
-    result = commit_changeset(
-        conn,
-        records,
-        changeset,
-        map_name=map_name,
-        run=run,
-        suppressed=extension.suppressed,
-        replay=replay,
-        hold=() if extension.hold is None else (extension.hold,),
-        held_by_map=True,
-        placed=near.drive_uuid,
-    )
-    others = ()
-    if held_before or affected:  # else there is no drive whose hold could begin or end
-        others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-    return Merged(changeset, extension, 0 if replay is None else len(replay.holds), result, others)
+        return folded.updates[own.changeset_id], replay
+    standing = store.read_standing_around(conn, near.drive_uuid)
+    return apply_drive(standing, own, decisions, store.read_doubts_around(conn, near.drive_uuid)), None
 
 
 def _newcomer(near: store.Neighbourhood, drive: Drive) -> Newcomer:
