@@ -30,7 +30,6 @@ from conetl.readers.drives.velodyne import (
     read_scan,
     scan_period_s,
 )
-from conetl.readers.rigs import IMU_TO_VELO
 from conetl.tracking.matching.cone_outline import find_outline
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
@@ -68,12 +67,9 @@ def lidar_residuals(
     scans = list_scans(drive_folder)
     if not scans:
         raise InputError(f"{drive_folder}: no LiDAR scans; expected velodyne_points/data/0000000000.bin and so on")
-    folders = [f for f in (drive_folder, drive_folder.resolve().parent) if (f / IMU_TO_VELO).is_file()]
-    if not folders:
-        raise InputError(f"{drive_folder}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
     calibration = calibrate(drive, params.trajectory) if calibrate else SWITCHED_OFF
     rig = self_calibrated_rig(drive.rig, calibration, params.trajectory)
-    velo, period_s = left_SE3_velo(rig, folders[0]), scan_period_s(drive_folder)
+    velo, period_s = left_SE3_velo(rig, drive_folder), scan_period_s(drive_folder)
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     detector = load_detector(model_path)
     residuals: list[steps.LidarResidual] = []

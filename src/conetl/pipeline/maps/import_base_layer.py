@@ -26,7 +26,6 @@ from conetl.readers.base_layers.line_files import LINE_READERS
 from conetl.readers.base_layers.lines import Line, LineFile
 from conetl.readers.base_layers.point_tiles import Cloud, Spilled, read_cells, spill, tiles_of, top_level
 from conetl.readers.drives import read_drive, velodyne
-from conetl.readers.rigs import IMU_TO_VELO
 
 POINT_SUFFIXES = (".las", ".laz")
 #: Points of the sample whose heights are checked.
@@ -122,10 +121,8 @@ def _import_drive(job: FileImport) -> ImportedFile:
         raise InputError(
             f"{path}: no LiDAR in this folder; expected a drive with velodyne_points/data/0000000000.bin and so on"
         )
-    folders = [f for f in (path, path.resolve().parent) if (f / IMU_TO_VELO).is_file()]
-    if not folders:
-        raise InputError(f"{path}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
     drive, _ = read_drive(path, map_srid=job.ground.srid)
+    velo = velodyne.left_SE3_velo(drive.rig, path)
     poses = store.read_ingested_poses(job.conn, job.map_name, drive.content_sha256)
     content = hashlib.sha256(drive.content_sha256.encode())
     for pose in poses.values():
@@ -140,7 +137,7 @@ def _import_drive(job: FileImport) -> ImportedFile:
     refusals: list[str] = []
     read = [0]
     pairs = {pair.frame_index: _with_pose(pair, poses.get(pair.frame_index)) for pair in drive.frame_pairs}
-    clouds = _drive_clouds(job, drive, pairs, scans, velodyne.left_SE3_velo(drive.rig, folders[0]), refusals, read)
+    clouds = _drive_clouds(job, drive, pairs, scans, velo, refusals, read)
     done = _write_cloud(job, file, clouds, warnings, read)
     done.refusals += refusals
     return done
