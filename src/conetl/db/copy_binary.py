@@ -67,14 +67,14 @@ def timestamps_from_ns(nanoseconds: Any) -> CopyColumn:
 
 def uuids(values: Sequence[UUID | None]) -> CopyColumn:
     """uuid; None becomes NULL."""
-    column = _blocks([bytes(16) if value is None else value.bytes for value in values], 16)
+    column = _uuids([bytes(16) if value is None else value.bytes for value in values])
     column.lengths[[value is None for value in values]] = NULL_LENGTH
     return column
 
 
 def constant_uuid(value: UUID, count: int) -> CopyColumn:
     """The same uuid in every row."""
-    return _blocks([value.bytes] * count, 16)
+    return _uuids([value.bytes] * count)
 
 
 def points(xyz_m: Sequence[Vec3], srid: int) -> CopyColumn:
@@ -156,8 +156,8 @@ def _encoded_blocks(columns: Mapping[str, CopyColumn]) -> Iterator[bytes]:
         yield block.tobytes()
 
 
-def _blocks(items: list[bytes], length: int) -> CopyColumn:
-    return CopyColumn(np.frombuffer(b"".join(items), f"V{length}"), np.full(len(items), length, np.int32))
+def _uuids(items: list[bytes]) -> CopyColumn:
+    return CopyColumn(np.frombuffer(b"".join(items), "V16"), np.full(len(items), 16, np.int32))
 
 
 def _array(values: NDArray[Any]) -> bytes:

@@ -16,12 +16,12 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 import shapely
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from conetl.files.documents import first_message
 from conetl.geometry.consistency import point_nees
 from conetl.geometry.packing import cov_matrices
+from conetl.mapping.association import assign, near_pairs
 from conetl.model.arrays import Floats
 from conetl.model.base import Positive, Record, Vec3
 from conetl.model.drive import SurveyedPoint, Track
@@ -31,7 +31,6 @@ from conetl.model.map_records import MapFeature
 
 #: Features of the map, or tracks of one drive.
 Found = TypeVar("Found", bound=MapFeature | Track)
-_FORBIDDEN = 1e6
 _GATE_M = 0.75
 #: Around the surveyed area: less than the distance to the next cone of a row.
 _AROUND_M = 2.0
@@ -136,10 +135,8 @@ class TruthLine(Generic[Found]):
 
 def paired(truth_m: Floats, found_m: Floats, gate_m: float) -> dict[int, int]:
     """Positions (M, 3) by index, each with at most one of others (N, 3), at the least total distance and at most gate_m apart."""
-    distances = np.linalg.norm(truth_m[:, None] - found_m[None], axis=2)
-    costs = np.where(distances <= gate_m, distances, _FORBIDDEN)
-    rows, columns = linear_sum_assignment(costs)
-    return {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if costs[i, j] < _FORBIDDEN}
+    rows, columns = near_pairs(truth_m, found_m, gate_m)
+    return dict(sorted(assign(rows, columns, np.linalg.norm(truth_m[rows] - found_m[columns], axis=1)).items()))
 
 
 def compare_with_truth(

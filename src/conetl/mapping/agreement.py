@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
-from math import exp, hypot, lgamma, log, sqrt
+from math import exp, hypot, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from scipy.special import betaln
 
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, classes_of, common_offset, near_pairs, xyz_of
@@ -386,8 +387,8 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | 
     if removed < _LEAST_REMOVED:
         return None
     v = params.vanished_probability
-    gone = log(1 - _BLIND_PRIOR) + _log_beta(v + removed, 1 - v + stayed) - _log_beta(v, 1 - v)
-    blind = log(_BLIND_PRIOR) + _log_beta(1 + removed, 1 + seen)
+    gone = log(1 - _BLIND_PRIOR) + betaln(v + removed, 1 - v + stayed) - betaln(v, 1 - v)
+    blind = log(_BLIND_PRIOR) + betaln(1 + removed, 1 + seen)
     if blind - gone <= log(_MAX_BLIND / (1 - _MAX_BLIND)):
         return None
     detail = (
@@ -396,10 +397,6 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | 
     )
     probability = 1.0 / (1.0 + exp(gone - blind))
     return _held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
-
-
-def _log_beta(a: float, b: float) -> float:
-    return lgamma(a) + lgamma(b) - lgamma(a + b)
 
 
 def _displaced_markings(

@@ -203,7 +203,7 @@ def _horizontal(covariances: Sequence[Cov3]) -> Floats:
 
 
 def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Ints, Ints]:
-    """Indices into a_m (N, 2) and b_m (M, 2), metres, of all pairs at most `reach_m` apart, by rising index of `a`, then
+    """Indices into a_m (N, D) and b_m (M, D), metres, of all pairs at most `reach_m` apart, by rising index of `a`, then
     `b`."""
     if not len(a_m) or not len(b_m):
         return np.empty(0, np.int64), np.empty(0, np.int64)

@@ -97,11 +97,6 @@ def independent_parts(cov: Sequence[Cov3], shared_jacobian: Sequence[SharedError
     return own
 
 
-def with_jacobian(own: Floats, shared_jacobian: Floats) -> Floats:
-    """Covariances (N, 3, 3) of independent parts and shared-error Jacobians (N, C, 3, K)."""
-    return own + _squared(_flat(shared_jacobian))
-
-
 def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
     """Gain, covariance (N, 3, 3) and shared-error Jacobian (N, C, 3, K) of pairs with Jacobians a and b, of the same
     calibrations."""
@@ -225,7 +220,7 @@ def in_map_frame(
         for calibration, moved_m in offset.jacobians.items():
             after[:, ids.index(calibration), :, : moved_m.shape[1]] -= moved_m
         after = after.astype(np.float32).astype(np.float64)  # as stored
-        own[rows] = with_jacobian(own[rows], after)
+        own[rows] += _squared(_flat(after))
         for k, packed in zip(rows, pack_all(ids, after, most=MOST_CALIBRATIONS), strict=True):
             jacobians[k] = packed
     return list(map(cov3, (own + np.swapaxes(own, 1, 2)) / 2)), jacobians

@@ -154,7 +154,7 @@ def _ground(world: scenario.World) -> list[Part]:
     ground.append(Part(_flat(-900.0, 900.0, -900.0, 900.0, -0.05, 25.0), grass))  # up to the horizon
     edge, left = road.pavement_edge_m, road.left_m + scenario.KERB_WIDTH_M
     if road.pavement_width_m > 0:
-        slabs = textures.slabs(seed + 4, (0.60, 0.59, 0.56))
+        slabs = textures.slabs(seed + 4)
         ground.append(
             Part(_flat(x0, x1, edge, road.right_m - scenario.KERB_WIDTH_M, scenario.PAVEMENT_HEIGHT_M, 1.8), slabs)
         )

@@ -46,12 +46,12 @@ def _to_bytes(srgb: Floats) -> Image:
     return np.asarray(np.clip(srgb, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
-def asphalt(seed: int, mean: float, size: int = 1536) -> Image:
+def asphalt(seed: int, mean: float) -> Image:
     """Grains, stains, patches and cracks-like streaks; one tile is meant for about 12 m."""
-    rng = np.random.default_rng([seed, 1])
-    grey = mean + 0.055 * _noise(rng, (size, size), 0.7) + 0.035 * _noise(rng, (size, size), 4.0)
-    grey += 0.022 * _noise(rng, (size, size), 30.0) + 0.012 * _noise(rng, (size, size), 120.0)
-    spots = _noise(rng, (size, size), 2.5) > 3.0
+    rng, shape = np.random.default_rng([seed, 1]), (1536, 1536)
+    grey = mean + 0.055 * _noise(rng, shape, 0.7) + 0.035 * _noise(rng, shape, 4.0)
+    grey += 0.022 * _noise(rng, shape, 30.0) + 0.012 * _noise(rng, shape, 120.0)
+    spots = _noise(rng, shape, 2.5) > 3.0
     grey[spots] -= 0.12
     tint = np.array([1.0, 0.99, 0.96])
     return _to_bytes(grey[..., None] * tint)
@@ -83,9 +83,10 @@ def paint(seed: int, marking: RoadMarking, asphalt_grey: float) -> Image:
     return image
 
 
-def slabs(seed: int, colour: Colour, size: int = 512, count: int = 6) -> Image:
+def slabs(seed: int) -> Image:
     """Paving slabs with joints."""
-    image = mottled(seed, colour, 0.10, size=size).astype(np.float64) / 255.0
+    size, count = 512, 6
+    image = mottled(seed, (0.60, 0.59, 0.56), 0.10, size=size).astype(np.float64) / 255.0
     step = size // count
     rng = np.random.default_rng([seed, 3])
     for row in range(count):
@@ -97,10 +98,10 @@ def slabs(seed: int, colour: Colour, size: int = 512, count: int = 6) -> Image:
     return _to_bytes(image)
 
 
-def facade(seed: int, wall: Colour, columns: int, rows: int = 2) -> Image:
+def facade(seed: int, wall: Colour, columns: int) -> Image:
     """A house front with windows; image rows run from the roof down."""
     rng = np.random.default_rng([seed, 4])
-    cell = 96
+    rows, cell = 2, 96
     image = mottled(seed, wall, 0.07, size=1024)[: rows * cell, :].astype(np.float64) / 255.0
     repeats = -(-columns * cell // image.shape[1])
     image = np.tile(image, (1, repeats, 1))[:, : columns * cell].copy()
@@ -132,9 +133,9 @@ def cone_skin(cone: Cone, seed: int) -> Image:
     return _to_bytes(skin * (1.0 - cover) + np.array([0.20, 0.17, 0.13]) * cover)
 
 
-def striped(colours: tuple[Colour, ...], seed: int, rows: int = 120) -> Image:
+def striped(colours: tuple[Colour, ...], seed: int) -> Image:
     """Rings of colour from top to bottom, for bollards and barriers."""
-    rng = np.random.default_rng([seed, 6])
+    rng, rows = np.random.default_rng([seed, 6]), 120
     image = np.zeros((rows, 32, 3))
     edges = np.linspace(0, rows, len(colours) + 1).astype(int)
     for colour, top, bottom in zip(colours, edges, edges[1:], strict=False):

@@ -248,7 +248,7 @@ def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportPar
     """Positions of another datum, or heights of another system, would put a second cone beside or below each one of the map."""
     stated = [statement.feature for statement in imported.statements]
     standing = read_current_features(conn, map_name=map_name)
-    found = imported_displacement(stated, [one for one in standing if one.marking is None], params.reconcile)
+    found = imported_displacement(stated, standing, params.reconcile)
     if found is None or found.value is None:
         return
     where, sigma = f"{imported.source_path}: its cones lie {abs(found.value):.1f} m", f"at a stated {found.sigma:.2f} m"
