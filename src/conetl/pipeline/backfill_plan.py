@@ -116,7 +116,7 @@ def plan_drives(
     """
     if since is not None and until is not None and until <= since:
         raise InputError(
-            f"nothing is recorded from {since:%Y-%m-%d %H:%M} UTC on (--since) and before {until:%Y-%m-%d %H:%M} UTC (--until)"
+            f"--until ({until:%Y-%m-%d %H:%M} UTC) must be later than --since ({since:%Y-%m-%d %H:%M} UTC)"
         )
     started = time.monotonic()
     headers = [read_header(folder) for folder in (find_drives(root) if folders is None else folders)]

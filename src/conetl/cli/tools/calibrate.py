@@ -193,7 +193,9 @@ def _print(content: dict[str, Any]) -> None:
         f"{content['lens']}, board {content['board_shape']}."
     )
     say(f"RMS left {rms['left']:.3f} px, right {rms['right']:.3f} px, stereo {rms['stereo']:.3f} px")
-    say(f"rows after rectification: RMS {epipolar['rms']:.3f} px, 95 % within {epipolar['percentile_95']:.3f} px")
+    say(
+        f"row difference after rectification: RMS {epipolar['rms']:.3f} px, 95 % within {epipolar['percentile_95']:.3f} px"
+    )
     for key, unit in (("interior_mm", "millimetres"), ("interior_px", "pixels")):
         if key in content:
             rows = [_two(a, b) for a, b in zip(content[key]["left"], content[key]["right"], strict=True)]

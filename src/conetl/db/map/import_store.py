@@ -50,9 +50,9 @@ def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, Known
     }
 
 
-def far_from_all(conn: Connection, info: MapInfo, xy_m: Floats, far_m: float) -> Bools:
-    """Which of the positions (N, 2) are farther than this from every drive and imported map that counts; none if nothing does."""
-    cells, of = np.unique(np.floor(xy_m / (far_m / 10)), axis=0, return_inverse=True)
+def far_from_all(conn: Connection, info: MapInfo, places_m: Floats, far_m: float) -> Bools:
+    """Which positions (N, 2 or 3) are farther than this from every drive and imported map that counts; none if nothing does."""
+    cells, of = np.unique(np.floor(places_m[:, :2] / (far_m / 10)), axis=0, return_inverse=True)
     east, north = ((cells + 0.5) * (far_m / 10)).T.tolist()
     what, where = f"The map {info.map_name} cannot be read", {"eastings_m": east, "northings_m": north, "far_m": far_m}
     far = [row["is_far"] for row in db.read(conn, what, "map.far_from_all", map_id=info.map_id, **where)]

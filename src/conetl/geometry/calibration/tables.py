@@ -33,7 +33,7 @@ class Value(NamedTuple):
 
 
 def interior_in_pixels(rig: Rig, side: Side) -> list[Value]:
-    """fx, fy, cx, cy and the lens's coefficients of one camera. The rig must have its covariance."""
+    """fx, fy, cx, cy and the lens's coefficients of one camera. The rig must have a covariance."""
     camera, sigmas = rigs.camera_of(rig, side), _sigmas(rig)
     rows = [Value(name.removesuffix("_px"), getattr(camera, name), sigmas[f"{side}.{name}"], "px") for name in INTERIOR]
     names = {"fisheye": ("k1", "k2", "k3", "k4")}.get(

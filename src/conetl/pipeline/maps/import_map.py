@@ -23,7 +23,7 @@ from conetl.files.parquet_store import result_key
 from conetl.geometry.geodesy import to_crs
 from conetl.mapping.agreement import imported_displacement
 from conetl.mapping.history import DriveEvidence
-from conetl.model.arrays import Bools, Floats
+from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap
 from conetl.model.params import ImportParams, params_sha256
@@ -93,7 +93,7 @@ def import_map(
         if not accept:
             _refuse_other_crs(conn, imported, info)
             _refuse_displaced(conn, imported, params, map_name)
-        far = int(_far_from(conn, info, _places_m(imported.statements)).sum())
+        far = int(store.far_from_all(conn, info, _places_m(imported.statements), FAR_M).sum())
         drive_uuid = store.place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = DriveEvidence(
             key=(imported.stated_at_ns, imported.content_sha256, key),
@@ -222,13 +222,9 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
                 )
 
 
-def _far_from(conn: Connection, info: MapInfo, places_m: Floats) -> Bools:
-    return store.far_from_all(conn, info, places_m[:, :2], FAR_M)
-
-
 def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) -> None:
     """Coordinates that are far from everything by their stated CRS, but not by that of the map or of a zone beside it."""
-    if not (imported.as_written and _far_from(conn, info, _places_m(imported.statements)).all()):
+    if not (imported.as_written and store.far_from_all(conn, info, _places_m(imported.statements), FAR_M).all()):
         return
     written = np.column_stack((imported.as_written, np.zeros(len(imported.as_written))))
     for srid in (info.srid, info.srid - 1, info.srid + 1):  # zones follow each other in EPSG's numbers
@@ -236,7 +232,7 @@ def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) ->
             places_m = to_crs(written, srid, info.srid, None)
         except InputError:  # no such CRS, or no such place in it
             continue
-        if not _far_from(conn, info, places_m).all():
+        if not store.far_from_all(conn, info, places_m, FAR_M).all():
             raise InputError(
                 f"{imported.source_path}: its coordinates lie more than {FAR_M / 1000:g} km from everything on the map "
                 f"{info.map_name}; in EPSG:{srid} they would lie near: state that (--crs EPSG:{srid}), or import them as they "

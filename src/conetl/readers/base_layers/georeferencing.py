@@ -181,7 +181,7 @@ def check_coordinates(path: Path, layer: LayerCrs, xy: Floats, ground: MapGround
         x, y = np.median(finite, axis=0)
         raise InputError(
             f"{path}: {first} and {second} are swapped: expected {first} first, the file has about {x:.6g}, {y:.6g}. "
-            "Write it in that order"
+            "Write them in that order"
         )
     if layer.horizontal.is_geographic and np.abs(finite[:, 1]).max() > 90.0:
         raise InputError(

@@ -134,7 +134,7 @@ def _rows(path: Path, root: Path, content: pairs.ContentHash) -> Iterator[tuple[
 
 
 def _stamp(text: str, where: str) -> int | str:
-    """UTC nanoseconds, or what is wrong."""
+    """UTC nanoseconds, or a text that says what is wrong."""
     word = text.strip()
     if word.isascii() and word.isdigit() and len(word) < 20 and 0 < int(word) < 2**63:
         return int(word)

@@ -64,7 +64,7 @@ def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
             if not other.is_file():
                 raise CalibrationError(f"{path}: this is one camera of two; {other.name} is missing beside it")
             return (path, other) if ours == "left" else (other, path)
-    raise CalibrationError(f"{path}: this is one camera of two; name the files left.yaml and right.yaml, side by side")
+    raise CalibrationError(f"{path}: this is one camera of two; name the files left.yaml and right.yaml, in one folder")
 
 
 def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
