@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 from uuid import UUID, uuid5
@@ -149,6 +149,37 @@ def confirmed(
     if not pairs:
         return []
     old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
+    return [
+        sound(
+            Delta,
+            kind=DeltaKind.CONFIRMED,
+            feature_id=feature.feature_id,
+            old=feature,
+            new=sound(
+                MapFeature,
+                **vars(feature)
+                | fused
+                | {
+                    "version": feature.version + 1,
+                    "existence_probability": own_evidence.existence_probability,
+                    "observation_count": feature.observation_count + track.observation_count,
+                    "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
+                },
+            ),
+            track_index=track.track_index,
+            changed_at_ns=track.first_seen_ns,
+            shift_m=shift_m,
+            other_feature_id=None,
+            evidence=own_evidence,
+        )
+        for feature, track, own_evidence, (fused, shift_m) in zip(
+            old, new, [evidence[j] for j in pairs], _fused(old, new), strict=True
+        )
+    ]
+
+
+def _fused(old: Sequence[MapFeature], new: Sequence[Track]) -> Iterator[tuple[dict[str, object], float]]:
+    """Position and height of each feature with those of its track, as fields of `MapFeature`, and the horizontal shift (m)."""
     gain, cov, shared_jacobian = fuse(
         [f.cov_m2 for f in old],
         [f.shared_jacobian for f in old],
@@ -172,49 +203,12 @@ def confirmed(
     if unsound.any():
         first = old[int(np.flatnonzero(unsound)[0])]
         raise ValueError(f"feature {first.feature_id} and its track have covariances that cannot be fused")
-    columns = zip(
-        old,
-        new,
-        fused.tolist(),
-        cov.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist(),
-        fused_centres.tolist(),
-        height.tolist(),
-        (weights.sum(axis=1) ** -0.5).tolist(),
-        [evidence[j] for j in pairs],
-        shifts_m.tolist(),
-        shared_jacobian,
-        strict=True,
-    )
-    return [
-        sound(
-            Delta,
-            kind=DeltaKind.CONFIRMED,
-            feature_id=feature.feature_id,
-            old=feature,
-            new=sound(
-                MapFeature,
-                **vars(feature)
-                | {
-                    "version": feature.version + 1,
-                    "xyz_m": tuple(xyz_m),
-                    "cov_m2": tuple(cov_m2),
-                    "centre_xyz_m": tuple(centre_xyz_m),
-                    "cone_height_m": height_m,
-                    "cone_height_sigma_m": height_sigma_m,
-                    "existence_probability": own_evidence.existence_probability,
-                    "observation_count": feature.observation_count + track.observation_count,
-                    "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
-                    "shared_jacobian": own_jacobian,
-                },
-            ),
-            track_index=track.track_index,
-            changed_at_ns=track.first_seen_ns,
-            shift_m=shift_m,
-            other_feature_id=None,
-            evidence=own_evidence,
-        )
-        for feature, track, xyz_m, cov_m2, centre_xyz_m, height_m, height_sigma_m, own_evidence, shift_m, own_jacobian in columns
-    ]
+    vectors = (fused, cov.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]], fused_centres)
+    numbers = height.tolist(), (weights.sum(axis=1) ** -0.5).tolist()
+    names = ("xyz_m", "cov_m2", "centre_xyz_m", "cone_height_m", "cone_height_sigma_m", "shared_jacobian")
+    columns = [*(map(tuple, values.tolist()) for values in vectors), *numbers, shared_jacobian]
+    for values, shift_m in zip(zip(*columns, strict=True), shifts_m.tolist(), strict=True):
+        yield dict(zip(names, values, strict=True)), shift_m
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:

@@ -45,15 +45,18 @@ _fields_of = cache(lambda record_type: set(record_type.model_fields))
 
 
 def sound(record_type: type[R], **values: Any) -> R:
-    """A record of values that are known to be valid, without checking them again; every field must be given.
+    """A record of values that are known to be valid, without checking them again. Raises TypeError unless every field is given.
 
     For rows read from the database and values computed from such: checks would dominate the comparison of a drive with 100,000
     features. Like `model_construct`, in a third of its time.
     """
+    fields = _fields_of(record_type)
+    if len(values) != len(fields):
+        raise TypeError(f"{record_type.__name__}: expected every field, found {', '.join(values)}")
     record = record_type.__new__(record_type)
     put = object.__setattr__
     put(record, "__dict__", values)
-    put(record, "__pydantic_fields_set__", _fields_of(record_type))
+    put(record, "__pydantic_fields_set__", fields)
     put(record, "__pydantic_extra__", None)
     put(record, "__pydantic_private__", None)
     return record
