@@ -11,7 +11,6 @@ the map's lock and the check under it, not by these locks.
 
 from __future__ import annotations
 
-import json
 import logging
 import threading
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,7 +22,7 @@ from typing import Literal, NamedTuple
 from uuid import UUID
 
 from conetl.db.connection import Connection, connect, database_errors, query, transaction
-from conetl.files.atomic import atomic_text_file
+from conetl.files.atomic import write_json
 from conetl.files.names import file_name_part, printable
 from conetl.model.base import Vec3
 from conetl.model.errors import DatabaseError, InputError, StorageError
@@ -108,9 +107,8 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
         written = _latest(conn, receipt.map_name, [receipt.header_sha256])
     name = f"{file_name_part(receipt.drive_id)}-{receipt.header_sha256[:12]}.json"
     try:
-        with atomic_text_file(folder / receipt.map_name / name) as file:
-            json.dump(asdict(written[receipt.header_sha256]) if written else parameters, file, indent=1, default=str)
-            file.write("\n")
+        content = asdict(written[receipt.header_sha256]) if written else parameters
+        write_json(folder / receipt.map_name / name, content, default=str)
     except (InputError, StorageError) as error:
         _log.warning("The receipt of drive %s is in the database, its copy is not: %s", receipt.drive_id, error)
 

@@ -15,7 +15,7 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import shapely
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 from scipy.stats import chi2
 
 from conetl.files.documents import first_message
@@ -48,10 +48,8 @@ class TruthCone(Record):
     cone_height_m: Positive
 
 
-class TruthRow(BaseModel):
+class TruthRow(Record):
     """One line of truth.csv, with the centre of the foot on the ground."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     cone_id: str = Field(min_length=1)
     category: Literal[tuple(FEATURE_CLASSES)] = CONE  # type: ignore[valid-type]

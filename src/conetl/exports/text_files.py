@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from conetl.db.connection import Connection
 from conetl.exports.source import POSITION_NAMES, ExportRequest, ExportSource, What, open_source
-from conetl.files.atomic import atomic_files, atomic_text_file
+from conetl.files.atomic import atomic_files, write_json
 from conetl.geometry.geodesy import ELLIPSOIDAL, to_geodetic
 from conetl.model.map_records import DeltaKind, FeatureChange
 from conetl.model.work_zone_records import Finding
@@ -285,7 +285,5 @@ def _line_or_point(points: list[list[float]]) -> Object:
 
 
 def _write_collection(features: list[Object], path: Path, *, indent: int | None = None) -> int:
-    with atomic_text_file(path) as file:
-        json.dump({"type": "FeatureCollection", "features": features}, file, allow_nan=False, indent=indent)
-        file.write("\n")
+    write_json(path, {"type": "FeatureCollection", "features": features}, indent=indent, allow_nan=False)
     return len(features)

@@ -23,7 +23,7 @@ from referencing import Registry
 from referencing.jsonschema import DRAFT7
 
 from conetl.exports.text_files import coordinates, iso_utc
-from conetl.files.atomic import atomic_text_file
+from conetl.files.atomic import write_json
 from conetl.files.documents import read_yaml_mapping, validated
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.base import Record, ns_from_utc, utc_from_ns
@@ -119,9 +119,7 @@ def _write(features: list[Object], path: Path, context: FeedContext, schema: str
     faults = schema_faults(document, schema)
     if faults:
         raise ValueError(f"the {schema} would not be valid WZDx 4.2, nothing was written: {'; '.join(faults[:5])}")
-    with atomic_text_file(path) as file:
-        json.dump(document, file, indent=1, allow_nan=False)
-        file.write("\n")
+    write_json(path, document, allow_nan=False)
     return len(features)
 
 

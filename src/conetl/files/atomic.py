@@ -6,6 +6,7 @@ files of a killed process, which `sweep` removes, from those that another proces
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -14,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 from uuid import uuid4
 
 from conetl.files.names import cut_to_bytes
@@ -34,6 +35,13 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
     """
     with atomic_files(path) as (unfinished,), unfinished.open("w", encoding="utf-8", newline="") as file:
         yield file
+
+
+def write_json(path: Path, content: object, *, indent: int | None = 1, **options: Any) -> None:
+    """Write a JSON file by `atomic_text_file`; options: of `json.dump`."""
+    with atomic_text_file(path) as file:
+        json.dump(content, file, indent=indent, **options)
+        file.write("\n")
 
 
 @contextmanager

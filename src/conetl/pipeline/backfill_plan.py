@@ -6,7 +6,6 @@ the drive is ingested, and one that is on the map after all changes nothing.
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +17,7 @@ from typing import Any, Literal
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import held_drives
 from conetl.db.receipt_store import DriveOnMap, Receipt, drives_on_map, held_locks, latest_receipts, pairs_per_second
-from conetl.files.atomic import atomic_text_file
+from conetl.files.atomic import write_json
 from conetl.files.names import printable
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import evidence_sha256
@@ -260,9 +259,7 @@ def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
 def write_plan(plan: Plan, parallel: int, folder: Path) -> Path:
     """Keep the plan as a file; returns its path."""
     path = folder / f"{plan.made_at:%Y%m%dT%H%M%S}-{plan.map_name}.json"
-    with atomic_text_file(path) as file:
-        json.dump(plan_as_dict(plan, parallel), file, indent=1)
-        file.write("\n")
+    write_json(path, plan_as_dict(plan, parallel))
     return path
 
 

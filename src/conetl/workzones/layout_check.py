@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from conetl.files.documents import read_yaml_model
 from conetl.geometry.linear_reference import locate, spacing_beside
 from conetl.model.arrays import Floats
+from conetl.model.base import Record
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
 from conetl.workzones.road_lines import lanes_at
@@ -307,10 +307,8 @@ def _in_lane(check: _Check) -> Iterator[Finding]:
         )
 
 
-class CitedRule(BaseModel):
+class CitedRule(Record):
     """One number of a standard."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     value: float
     source: str
@@ -318,10 +316,8 @@ class CitedRule(BaseModel):
     text: str
 
 
-class Standard(BaseModel):
+class Standard(Record):
     """One standard: its numbers by the names of `LayoutParams`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     standard: str
     """Name and edition."""
