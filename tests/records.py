@@ -14,7 +14,7 @@ from conetl.model.drive import Detection, Drive, DriveRecords, FramePair, Pose, 
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Side
 
 SRID = 32632
 DAY_NS = 86_400_000_000_000
@@ -61,12 +61,23 @@ def drive(
     )
 
 
+def box(
+    x_px: float,
+    y_px: float,
+    w_px: float,
+    h_px: float,
+    *,
+    frame: int = 0,
+    side: Side = "left",
+    index: int = 0,
+    **more: Any,
+) -> Detection:
+    values: dict[str, Any] = {"frame_index": frame, "side": side, "detection_index": index, "score": 0.9}
+    return Detection(x_px=x_px, y_px=y_px, w_px=w_px, h_px=h_px, **values | more)
+
+
 def detections(frames: int = 3) -> list[Detection]:
-    return [
-        Detection(frame_index=i, side=side, detection_index=0, x_px=600.5, y_px=180, w_px=20, h_px=30, score=0.9)
-        for i in range(frames)
-        for side in ("left", "right")
-    ]
+    return [box(600.5, 180, 20, 30, frame=i, side=side) for i in range(frames) for side in ("left", "right")]
 
 
 def matches(frames: int = 3) -> list[StereoMatch]:

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.drive import Detection, FramePair, Pose, Position, StereoMatch, Track
+from conetl.geometry.calibration.covariance import as_rows, with_covariance
+from conetl.mapping.history import DriveEvidence
+from conetl.model.drive import Detection, Drive, FramePair, Pose, Position, StereoMatch, Track
+from conetl.model.params import IngestParams, MatchParams, PositionParams, ReconcileParams
 from conetl.model.rejections import Rejection
-from conetl.model.rig import Camera, Rig, Side
+from conetl.model.rig import CalibrationCovariance, Camera, Rig, Side
+from conetl.tracking.matching.matches import match_pair
+from conetl.tracking.positions import locate_positions
+from conetl.tracking.tracks import fuse_tracks
+from tests import records
 
 Floats = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 1242, 375, 721.5
@@ -36,15 +45,31 @@ def make_rig() -> Rig:
         # Camera x right, y down, z forward on a body with x forward, y left, z up.
         return ((0.0, 0.0, 1.0, 0.8), (-1.0, 0.0, 0.0, y_m), (0.0, -1.0, 0.0, CAMERA_HEIGHT_M), (0.0, 0.0, 0.0, 1.0))
 
-    return Rig.model_validate(
-        {
-            "rig_id": "synthetic",
-            "left": camera,
-            "right": camera,
-            "body_SE3_left": mount(BASELINE_M / 2),
-            "body_SE3_right": mount(-BASELINE_M / 2),
-        }
-    )
+    poses = {"body_SE3_left": mount(BASELINE_M / 2), "body_SE3_right": mount(-BASELINE_M / 2)}
+    return Rig(rig_id="synthetic", left=camera, right=camera, **poses)
+
+
+def calibrated(rig: Rig, sigmas: Mapping[str, float]) -> Rig:
+    """The rig with a calibration of these independent sigmas."""
+    matrix = as_rows(np.diag(np.square(list(sigmas.values()))))
+    return with_covariance(rig, CalibrationCovariance(names=tuple(sigmas), matrix=matrix))
+
+
+def drive_of(pairs: Sequence[FramePair], rig: Rig, name: str = "made") -> Drive:
+    return Drive(
+        drive_id=name, source_path=name, rig=rig, map_srid=32632, content_sha256="0" * 64, frame_pairs=tuple(pairs),
+        expected_frame_count=len(pairs),
+    )  # fmt: skip
+
+
+def evidence_of(name: str, start_ns: int, tracks: Sequence[Track], path_m: Floats, **more: Any) -> DriveEvidence:
+    """What a drive contributes to the map; `more`: at least what it had in view of cones."""
+    content = hashlib.sha256(name.encode()).hexdigest()
+    values = {"influence_m": 80.0, "params": ReconcileParams()} | more
+    return DriveEvidence(
+        key=(start_ns, content, content), changeset_id=uuid5(NAMESPACE_URL, content), founding_key=f"default/{content}",
+        tracks=tracks, path_m=path_m, **values,
+    )  # fmt: skip
 
 
 def make_path(
@@ -131,17 +156,9 @@ def detect(
             detections = []
             for index, (x, y, w, h) in enumerate(boxes):
                 left, top, right, bottom = np.array([x, y, x + w, y + h]) + rng.normal(0, noise_px, 4)
+                size = right - left, bottom - top
                 detections.append(
-                    Detection(
-                        frame_index=pair.frame_index,
-                        side=side,
-                        detection_index=index,
-                        x_px=left,
-                        y_px=top,
-                        w_px=right - left,
-                        h_px=bottom - top,
-                        score=score,
-                    )
+                    records.box(left, top, *size, frame=pair.frame_index, side=side, index=index, score=score)
                 )
             found[pair.frame_index, side] = detections
     return found
@@ -161,10 +178,6 @@ def locate(
     detections: dict[tuple[int, Side], list[Detection]], pairs: Sequence[FramePair], rig: Rig
 ) -> tuple[list[Detection], list[StereoMatch], list[Position]]:
     """Match and intersect given detections with the poses of `pairs` (which may be wrong on purpose)."""
-    from conetl.model.params import MatchParams, PositionParams
-    from conetl.tracking.matching.matches import match_pair
-    from conetl.tracking.positions import locate_positions
-
     matches: list[StereoMatch] = []
     for pair in pairs:
         left, right = detections[pair.frame_index, "left"], detections[pair.frame_index, "right"]
@@ -183,7 +196,4 @@ def fuse_logged(
     **more: Any,
 ) -> tuple[list[Track], list[Rejection]]:
     """Tracks by the poses of `logged`; `more` goes to `fuse_tracks` (params, evidence, motion)."""
-    from conetl.model.params import IngestParams
-    from conetl.tracking.tracks import fuse_tracks
-
     return fuse_tracks(positions, matches, found, logged, rig, **{"params": IngestParams(), **more})
