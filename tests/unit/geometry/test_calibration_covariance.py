@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.geometry.calibration.covariance import calibration_cov, calibration_jacobian, shared_cov
+from conetl.geometry.calibration.covariance import calibration_cov, calibration_jacobian
 from conetl.geometry.intersection import intersect
 from conetl.geometry.rectification import rectify
 from conetl.model.rig import CalibrationCovariance, Camera, Lens, Rig
@@ -115,16 +115,6 @@ def test_a_rectified_rig_inherits_the_errors_of_the_rig_that_took_the_images() -
     expected = raw_R_rect.T @ calibration_cov(POINTS @ raw_R_rect.T, raw) @ raw_R_rect
     np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-15)
     assert (np.linalg.eigvalsh(own) > 0).all()
-
-
-def test_sightings_share_the_error() -> None:
-    """The mean over sightings of one cone keeps the calibration's error; of cones on both sides some of it cancels."""
-    rig = a_rig()
-    jacobian = calibration_jacobian(POINTS, rig)
-    same = shared_cov(np.repeat(jacobian[:1], 50, axis=0).mean(axis=0), rig)
-    np.testing.assert_allclose(same, calibration_cov(POINTS, rig)[0], rtol=1e-9)
-    both = shared_cov(jacobian.mean(axis=0), rig)
-    assert np.trace(both) < max(np.trace(c) for c in calibration_cov(POINTS, rig))
 
 
 def test_without_a_covariance_there_is_none_to_add() -> None:

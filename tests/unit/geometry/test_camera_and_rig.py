@@ -34,26 +34,16 @@ def make_pose(yaw_rad: float = 0.0) -> Pose:
     )  # fmt: skip
 
 
-@given(st.floats(-20, 20), st.floats(-5, 5), st.floats(0.1, 100))
-def test_the_ray_through_an_image_point_passes_through_its_point(x: float, y: float, z: float) -> None:
-    ray = cam.rays(CAMERA, cam.project(CAMERA, np.array([x, y, z])))
-    np.testing.assert_allclose(ray * z, [x, y, z], rtol=1e-9, atol=1e-9)
-
-
 @given(st.floats(-0.7, 0.7), st.floats(-0.4, 0.4), st.floats(0.1, 100))
-def test_rays_and_projection_honour_the_lens(x: float, y: float, z: float) -> None:
+def test_the_ray_through_an_image_point_passes_through_its_point(x: float, y: float, z: float) -> None:
+    plain = cam.rays(CAMERA, cam.project(CAMERA, np.array([x, y, 1.0]) * z))
+    np.testing.assert_allclose(plain, [x, y, 1.0], atol=1e-9)
     barrel = Lens(model="brown", coefficients=(-0.35, 0.15, 1e-3, -8e-4, -0.03))
     camera = CAMERA.model_copy(update={"lens": barrel})
     uv = cam.project(camera, np.array([x, y, 1.0]) * z)
     np.testing.assert_allclose(cam.rays(camera, uv), [x, y, 1.0], atol=1e-9)
     if math.hypot(x, y) > 0.2:
         assert np.linalg.norm(uv - cam.project(CAMERA, np.array([x, y, 1.0]))) > 1.0, "a lens that does nothing"
-
-
-def test_an_image_point_that_the_lens_cannot_make_has_no_ray() -> None:
-    camera = CAMERA.model_copy(update={"lens": Lens(model="radial", coefficients=(-0.3, 0.0))})
-    inside, outside = cam.rays(camera, [[610.0, 173.0], [610.0 + 0.8 * 721.5, 173.0]])
-    assert np.isfinite(inside).all() and np.isnan(outside[:2]).all()
 
 
 def test_projection_is_that_of_the_calibration_matrix() -> None:
@@ -75,11 +65,6 @@ def test_far_points_at_camera_height_lie_on_the_horizon_row() -> None:
     u, v = cam.project(CAMERA, se3.apply(se3.invert(map_SE3_left), far))
     assert abs(cam.horizon_row_px(CAMERA, map_SE3_left[:3, :3], float(u)) - v) < 1e-6
     assert v < CAMERA.cy_px - 30, "a camera that looks down sees the horizon above its principal point"
-
-
-def test_a_camera_that_looks_straight_down_has_no_horizon() -> None:
-    with pytest.raises(ValueError, match="straight"):
-        cam.horizon_row_px(CAMERA, np.diag([1.0, -1.0, -1.0]))
 
 
 def test_camera_centres_follow_the_body() -> None:

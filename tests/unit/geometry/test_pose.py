@@ -46,14 +46,6 @@ def test_roll_pitch_yaw_are_scipys(roll: float, pitch: float, yaw: float) -> Non
     np.testing.assert_allclose(rotation, Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), atol=1e-12)
 
 
-def test_signs_are_those_of_kittis_data_format() -> None:
-    forward, left, up = np.eye(3)
-    assert se3.rotation_from_rpy(0, 0.1, 0)[2] @ forward < 0, "positive pitch puts the front down"
-    assert se3.rotation_from_rpy(0.1, 0, 0)[2] @ left > 0, "positive roll puts the left side up"
-    np.testing.assert_allclose(se3.rotation_from_rpy(0, 0, math.pi / 2) @ forward, [0, 1, 0], atol=1e-12)
-    np.testing.assert_allclose(se3.rotation_from_rpy(0, 0, 1.0) @ up, up, atol=1e-12)
-
-
 def test_stacks_broadcast() -> None:
     rng = np.random.default_rng(1)
     stack = se3.se3(se3.rotation_from_rpy(*rng.uniform(-1, 1, (3, 5))), rng.normal(size=(5, 3)))
