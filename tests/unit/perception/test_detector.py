@@ -28,11 +28,10 @@ from conetl.perception.detector import (
     run_network,
     shipped_model_path,
 )
+from tests.folders import KITTI, SHARED, needs_kitti
 from tests.unit.perception.networks import constant_network
 
-REPOSITORY = Path(__file__).resolve().parents[3]
-SHARED_DATA = Path(os.environ.get("CONETL_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
-KITTI_LEFT = SHARED_DATA / "kitti_2011_09_26_drive_0005_sync" / "image_02" / "data"
+KITTI_LEFT = KITTI / "image_02" / "data"
 
 
 @pytest.fixture(scope="module")
@@ -52,66 +51,44 @@ def test_onnxruntime_sends_no_telemetry(tmp_path: Path) -> None:
     assert list(tmp_path.rglob("*")) == []
 
 
-def test_decode_reads_one_cell_exactly() -> None:
-    values = np.zeros((1, 4 * 4 + 1), np.float32)
-    values[0, -1] = np.log(0.8 / 0.2)
-    for side, distance in enumerate((1, 2, 3, 0)):  # left, top, right, bottom in strides
-        values[0, side * 4 + distance] = 60.0
-    second_row_third_of_five = np.array([1 * 5 + 2])
-    found, *_ = decoding.decode_cells([values, second_row_third_of_five], (1, 24, 40), (8,), 4, 0.5)
-    # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
-    np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
-    assert np.isnan(found[:, 5:9]).all() and (found[:, 9] == 0).all()
-
-
-def test_decode_reads_foot_and_tip() -> None:
-    values = np.zeros((1, 4 * 4 + 5), np.float32)
-    values[0, -1] = 1.0
-    for side in range(4):
-        values[0, side * 4 + 2] = 60.0  # two strides to each side: the box is 16 px wide around (6, 2) at stride 4
-    values[0, 16:20] = (0.25, 0.125, -0.25, 0.0625)
-    ((found,), *_) = decoding.decode_cells([values, np.array([1])], (1, 8, 8), (4,), 4, 0.5, foot_and_tip=True)
-    # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
-    np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
-    np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
-    np.testing.assert_allclose(found[5:9], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
-    assert len(decoding.decode_cells([values, np.array([1])], (1, 8, 8), (4,), 4, 0.74, foot_and_tip=True)[0]) == 0
-
-
-def test_decode_gives_a_cell_the_class_of_its_best_score() -> None:
-    values = np.zeros((2, 4 * 4 + 3), np.float32)
-    values[:, -3:] = ((-2.0, 1.0, 0.5), (2.0, -1.0, 0.0))
-    found, _, omitted = decoding.decode_cells([values, np.array([0, 3])], (1, 8, 8), (4,), 4, 0.5, class_count=3)
-    np.testing.assert_allclose(found[:, 4], 1 / (1 + np.exp([-1.0, -2.0])), atol=1e-6)
-    np.testing.assert_array_equal(found[:, 9], [1, 0])
-    assert omitted == pytest.approx(1 / (1 + np.exp(-1.0)))
-
-
-def test_decode_takes_the_mean_between_two_bins() -> None:
-    values = np.full((1, 17), -60.0, np.float32)
-    values[0, -1] = 3.0
-    values[0, [1, 2, 4 + 1, 8 + 1, 12 + 1]] = 0.0  # left: halfway between 1 and 2 strides; other sides: 1
-    found, *_ = decoding.decode_cells([values, np.array([0])], (1, 4, 4), (4,), 4, 0.5)
-    np.testing.assert_allclose(found[0, :4], [2 - 6, 2 - 4, 2 + 4, 2 + 4], atol=1e-6)
-
-
-def test_decode_drops_scores_below_the_threshold_and_keeps_the_order_of_cells() -> None:
-    values = np.zeros((3, 17), np.float32)
-    values[:, -1] = (2.0, -1.0, 1.0)
-    found, *_ = decoding.decode_cells([values, np.array([0, 15, 5])], (1, 16, 16), (4,), 4, 0.5)
-    np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
-    np.testing.assert_allclose(found[:, :2].mean(axis=0), [4 - 6, 4 - 6], atol=1e-6)  # sides of 1.5 strides each
-    assert decoding.decode_cells([values, np.array([0, 15, 5])], (1, 16, 16), (4,), 4, 1.0)[0].shape == (0, 10)
-
-
-def test_decode_tells_images_and_strides_apart() -> None:
-    values = np.zeros((2, 17), np.float32)
-    values[:, -1] = (2.0, 1.0)
-    fine, coarse = [values, np.array([9, 3])], [values[:1], np.array([2])]  # images of 2 x 4 and of 1 x 2 cells
-    found, images, _ = decoding.decode_cells([*fine, *coarse], (2, 8, 16), (4, 8), 4, 0.5)
-    np.testing.assert_array_equal(images, [1, 0, 1])
-    np.testing.assert_allclose((found[:, :2] + found[:, 2:4]) / 2, [[6, 2], [14, 2], [4, 4]], atol=1e-6)
-    np.testing.assert_allclose(found[:, 2] - found[:, 0], [12, 12, 24], atol=1e-6)  # 1.5 strides to each side
+@pytest.mark.parametrize("foot_and_tip", [False, True])
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 0.9))
+def test_decoding_undoes_the_encoding_of_any_cells(foot_and_tip: bool, seed: int, threshold: float) -> None:
+    """Of three images of 24 x 40 px, at two strides: sides between two bins, feet and tips, and the best of three classes."""
+    rng, bins, count = np.random.default_rng(seed), 5, 4
+    outputs: list[np.ndarray] = []
+    expected, images, scores = [], [], []
+    for stride in (4, 8):
+        rows, columns = 24 // stride, 40 // stride
+        at = rng.choice(3 * rows * columns, count, replace=False)
+        sides, shares = rng.uniform(0, bins - 1, (count, 4)), rng.uniform(-0.5, 0.5, (count, 4))
+        logits = rng.permuted(np.linspace(-3, 3, 3 * count)).reshape(count, 3)
+        share = np.maximum(1 - np.abs(sides[:, :, None] - np.arange(bins)), 1e-30)  # of each bin in the expectation
+        ends = [shares] if foot_and_tip else []
+        outputs += [np.hstack([np.log(share).reshape(count, -1), *ends, logits]), at]
+        image, cell = np.divmod(at, rows * columns)
+        x, y = (cell % columns + 0.5) * stride, (cell // columns + 0.5) * stride
+        x0, y0, x1, y1 = (
+            x - stride * sides[:, 0],
+            y - stride * sides[:, 1],
+            x + stride * sides[:, 2],
+            y + stride * sides[:, 3],
+        )
+        width, height, middle = x1 - x0, y1 - y0, (x0 + x1) / 2
+        foot = middle + shares[:, 0] * width, y1 - shares[:, 1] * height
+        tip = middle + shares[:, 2] * width, y0 + shares[:, 3] * height
+        score = 1 / (1 + np.exp(-logits.max(axis=1)))
+        both = (*foot, *tip) if foot_and_tip else [np.full(count, np.nan)] * 4
+        expected.append(np.column_stack([x0, y0, x1, y1, score, *both, logits.argmax(axis=1)]))
+        images.append(image)
+        scores.append(score)
+    found, of_image, omitted = decoding.decode_cells(
+        outputs, (3, 24, 40), (4, 8), bins, threshold, foot_and_tip=foot_and_tip, class_count=3
+    )
+    kept = np.concatenate(scores) >= threshold
+    np.testing.assert_allclose(found, np.concatenate(expected)[kept], atol=1e-9)
+    np.testing.assert_array_equal(of_image, np.concatenate(images)[kept])
+    assert omitted == pytest.approx(max(some.min() for some in scores)), "cells that the network left out had no more"
 
 
 @pytest.mark.parametrize(("values", "cells"), [((6, 2), 6), ((3, 17), 2)])
@@ -395,21 +372,6 @@ def test_a_faint_cone_keeps_its_box_among_many_clear_ones(detector: Detector) ->
     np.testing.assert_array_equal(seen, expected)
 
 
-def test_an_empty_road_holds_no_cone(detector: Detector) -> None:
-    assert detect_image(detector, street(240, 400, 100), score_threshold=0.3).shape == (0, 10)
-
-
-def test_padding_and_scale_do_not_move_a_cone(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
-    image = street(256, 384, 100, (150.0, 180.0, 60.0))
-    whole = detect_image(detector, image, score_threshold=0.3)[0]
-    cut = detect_image(detector, image[:243, :371], score_threshold=0.3)[0]  # needs padding
-    np.testing.assert_allclose(cut[:4], whole[:4], atol=1.0)
-    double = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-    monkeypatch.setattr("conetl.perception.detector.MAX_SIDE_PX", 384)
-    shrunk = detect_image(detector, double, score_threshold=0.3)[0]
-    np.testing.assert_allclose(shrunk[:4], 2 * whole[:4], atol=3.0)
-
-
 @pytest.mark.parametrize("height_px", [60.0, 220.0, 300.0, 360.0])
 def test_a_drawn_cone_is_found_once_where_it_stands(detector: Detector, height_px: float) -> None:
     image = street(640, 640, 200, (320.0, 600.0, height_px))
@@ -421,7 +383,7 @@ def test_a_drawn_cone_is_found_once_where_it_stands(detector: Detector, height_p
     assert h == pytest.approx(height_px, rel=0.15)
 
 
-@pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
+@needs_kitti
 @pytest.mark.parametrize("frame", [75, 80, 85])
 def test_real_cones_are_found(detector: Detector, frame: int) -> None:
     image = cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg"))
@@ -431,7 +393,7 @@ def test_real_cones_are_found(detector: Detector, frame: int) -> None:
     assert np.all(found[:, :2] >= 0) and np.all(found[:, 0] + found[:, 2] <= image.shape[1])
 
 
-@pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
+@needs_kitti
 def test_cone_free_real_frames_are_nearly_empty(detector: Detector) -> None:
     frames = range(0, 40, 8)
     images = [cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg")) for frame in frames]
@@ -440,7 +402,7 @@ def test_cone_free_real_frames_are_nearly_empty(detector: Detector) -> None:
 
 
 def test_drums_are_told_from_cones(detector: Detector) -> None:
-    path = SHARED_DATA / "cones_more" / "roadwork_clips_us" / "images" / "houston_0187.jpg"
+    path = SHARED / "cones_more" / "roadwork_clips_us" / "images" / "houston_0187.jpg"
     image = cv2.imread(str(path)) if path.exists() else None
     if image is None:
         pytest.skip(f"{path} is not there")

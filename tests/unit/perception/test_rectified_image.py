@@ -14,7 +14,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import rectify
 from conetl.model.rig import Camera, Lens, Rig
-from conetl.perception.images import ImageFileError, read_image
+from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.readers.rigs.common import rig_of
 
@@ -54,15 +54,6 @@ def test_every_pixel_shows_its_own_direction(side: str, tmp_path: Path) -> None:
     expected = pattern(cam.rays(camera, np.stack([u, v], axis=-1)) @ turn.T).astype(float)
     error = image[..., 0] - expected
     assert np.abs(error).max() <= 3 and error.std() < 0.7, "grey levels; 1 px off would be 10"
-
-
-def test_a_rectified_rig_reads_the_file_as_it_is(tmp_path: Path) -> None:
-    plain = RAW.model_copy(update={"lens": Lens()})
-    rig = rig_of("flat", plain, plain, se3.se3(np.eye(3), [0.3, 0, 0]))
-    path = tmp_path / "0.png"
-    image = np.random.default_rng(1).integers(0, 255, (400, 640, 3), dtype=np.uint8)
-    cv2.imwrite(str(path), image)
-    np.testing.assert_array_equal(read_rig_image(path, rectify(rig), "left"), read_image(path))
 
 
 def test_the_size_asked_for_is_that_of_the_stored_image(tmp_path: Path) -> None:

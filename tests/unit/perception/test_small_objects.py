@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -27,10 +26,10 @@ from conetl.perception.second_passes import (
     parts_around,
     pooled_score,
 )
+from tests.folders import ROOT
 from tests.unit.perception.test_rescoring import candidate
 
 SETTINGS = SmallObjectPass(below_px=40, from_score=0.25, around_px=24, scale=2.0, share=0.65)
-DRIVES = Path(__file__).resolve().parents[3] / "data" / "drives"
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
@@ -213,7 +212,7 @@ def test_images_are_padded_to_whole_cells_of_the_largest_stride(change: dict[str
 
 def far_street() -> Image:
     """An image of a sample drive at a third of its size, as from three times as far, in the lower middle of a grey one."""
-    images = sorted(DRIVES.glob("*/image_02/data/*"))
+    images = sorted((ROOT / "data" / "drives").glob("*/image_02/data/*"))
     image = cv2.imread(str(images[len(images) // 8]))
     assert image is not None
     return np.asarray(cv2.resize(image, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA), np.uint8)

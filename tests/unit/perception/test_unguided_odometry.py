@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,14 +17,14 @@ from conetl.readers.drives.drive_yaml import Clock
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.video_timing import image_clock
 from conetl.tracking.clock_search import ImageClock, rates_of
+from tests.folders import SAMPLE
 
-DRIVE = Path(__file__).parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
 IMAGES = 8
 
 
 @pytest.fixture(scope="module")
 def drive() -> Drive:
-    return read_drive(DRIVE)[0]
+    return read_drive(SAMPLE)[0]
 
 
 def test_speed_and_turn_rate_without_a_guess(drive: Drive) -> None:

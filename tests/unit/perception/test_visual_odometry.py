@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -19,13 +18,11 @@ from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Camera, Lens, Rig, Side
-from conetl.perception.images import ImageFileError, read_image
+from conetl.perception.images import ImageFileError
 from conetl.perception.visual_odometry import follow_drive
-from conetl.readers.drives import read_drive
 from tests.synthetic.world import make_path, make_rig
 
 Image = NDArray[np.uint8]
-SAMPLE = Path(__file__).resolve().parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
 PARAMS = TrajectoryParams()
 RIG = make_rig()
 PAIRS = make_path(3, step_m=0.4)
@@ -90,12 +87,8 @@ def assert_moved_before_the_wall(rig: Rig, params: TrajectoryParams = PARAMS) ->
 @pytest.mark.parametrize(
     "rig",
     [
-        rig_with(right={"dcx": 30.0}),
-        rig_with(right={"dcx": 52.5}),
-        rig_with(right={"dcx": -60.0}),
-        rig_with(right={"dcy": -4.0}),
+        rig_with(right={"dcx": -60.0, "dcy": -4.0}),
         rig_with(right={"dcx": 52.5, "dcy": 15.0}),
-        rig_with(left={"width_px": 1100}),
         rig_with(right={"width_px": 1100, "height_px": 370}),
         rig_with(left={"width_px": 1101, "dcx": -40.0, "dcy": 6.0}),
     ],
@@ -225,20 +218,6 @@ def test_a_standing_car_measures_that_it_stands() -> None:
     for motion in measure_motions(standing, RIG, read, PARAMS):
         assert motion.reason == "ok"
         assert np.abs(np.array(motion.second_SE3_first) - np.eye(4)).max() < 0.01
-
-
-def test_the_sample_drive_moves_as_its_log_says() -> None:
-    """Rendered images, poses of RTK grade: 1.4 m a frame, agreed within 2 cm."""
-    found, _ = read_drive(SAMPLE)
-    pairs = found.frame_pairs[10:14]
-
-    def read(pair: FramePair, side: Side) -> Image:
-        return read_image(Path(pair.left_path if side == "left" else pair.right_path))
-
-    for motion, first, second in zip(measure_motions(pairs, found.rig, read, PARAMS), pairs, pairs[1:], strict=False):
-        logged = se3.compose(se3.invert(map_SE3_left(second.pose, found.rig)), map_SE3_left(first.pose, found.rig))
-        assert motion.reason == "ok"
-        assert np.linalg.norm(np.array(motion.second_SE3_first)[:3, 3] - logged[:3, 3]) < 0.03
 
 
 def test_a_rig_with_a_lens_is_refused() -> None:
