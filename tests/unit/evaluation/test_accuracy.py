@@ -22,18 +22,14 @@ from conetl.evaluation.nees_table import parts_of
 from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
 from conetl.geometry.calibration.covariance import calibration_jacobian
 from conetl.geometry.consistency import left_out_nees
-from conetl.model.drive import Drive, Position, Track
-from conetl.model.rig import CalibrationCovariance
+from conetl.model.drive import Position, Track
 from conetl.tracking.association import MotionError
 from tests import records
-from tests.synthetic.world import ORIGIN_M, make_path, make_rig
+from tests.synthetic.world import ORIGIN_M, calibrated, drive_of, make_path, make_rig
 
 RIG = make_rig()
 PAIRS = make_path(12, sigma_m=0.02)
-DRIVE = Drive(
-    drive_id="made", source_path="made", rig=RIG, map_srid=32632, content_sha256="0" * 64, frame_pairs=tuple(PAIRS),
-    expected_frame_count=len(PAIRS),
-)  # fmt: skip
+DRIVE = drive_of(PAIRS, RIG)
 PATH = np.add([pair.pose.map_t_body_m for pair in PAIRS], (0.8, 0.27, 1.65))
 
 
@@ -119,8 +115,7 @@ def test_a_shift_of_the_whole_drive_is_common_and_one_cone_off_is_relative() -> 
 
 def test_an_error_of_the_calibration_is_common_to_all_positions() -> None:
     """A right camera that is turned by one stated sigma shifts every range, the far ones most: no relative error at all."""
-    covariance = CalibrationCovariance(names=("relative.ry_rad",), matrix=((1e-6,),))
-    rig = RIG.model_copy(update={"calibration_covariance": covariance})
+    rig = calibrated(RIG, {"relative.ry_rad": 1e-3})
     cones = truth_cones(5)
     cone_of, positions = {}, []
     for k, cone in enumerate(cones):
@@ -133,14 +128,14 @@ def test_an_error_of_the_calibration_is_common_to_all_positions() -> None:
             place = make_position(f, k, np.add(cone.xyz_m, shift))
             positions.append(place.model_copy(update={"camera_xyz_m": (x, y, z)}))
             cone_of[f, k] = cone
-    calibrated = drive_consistency(position_errors(cone_of, positions, DRIVE.model_copy(update={"rig": rig})))
-    uncalibrated = drive_consistency(position_errors(cone_of, positions, DRIVE))
-    assert calibrated is not None
-    assert uncalibrated is not None
-    assert calibrated.common.dof == 7
-    assert calibrated.relative.value < 0.05 * calibrated.relative.dof
-    assert 0.5 < calibrated.common.value < 1.5
-    assert uncalibrated.relative.value > 20 * max(calibrated.relative.value, 1e-3)
+    stated = drive_consistency(position_errors(cone_of, positions, DRIVE.model_copy(update={"rig": rig})))
+    not_stated = drive_consistency(position_errors(cone_of, positions, DRIVE))
+    assert stated is not None
+    assert not_stated is not None
+    assert stated.common.dof == 7
+    assert stated.relative.value < 0.05 * stated.relative.dof
+    assert 0.5 < stated.common.value < 1.5
+    assert not_stated.relative.value > 20 * max(stated.relative.value, 1e-3)
 
 
 def test_a_class_is_judged_given_what_the_others_show_of_the_common_errors() -> None:

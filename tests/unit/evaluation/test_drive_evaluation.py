@@ -11,14 +11,14 @@ from conetl.evaluation.accuracy import PointErrors, position_errors
 from conetl.evaluation.drive_evaluation import DriveEvaluation, figures_of, pooled_tables
 from conetl.evaluation.truth import TruthCone, TruthLine
 from conetl.model.feature_classes import CONE
-from tests.synthetic.noisy_drive import PoseErrors, draw_positions
+from tests.synthetic.noisy_drive import draw_positions
 from tests.synthetic.world import Cone, make_rig
 
 CONES = [Cone((14.0 + 4.0 * k, 3.6 - 0.5 * k, 0.0)) for k in range(4)]
 
 
 def drawn(seed: int) -> PointErrors:
-    drive = draw_positions(np.random.default_rng(seed), make_rig(), CONES, PoseErrors(), frames=8)
+    drive = draw_positions(np.random.default_rng(seed), make_rig(), CONES, frames=8)
     cone_of = {(p.frame_index, p.match_index): drive.truth[p.match_index] for p in drive.positions}
     return position_errors(cone_of, drive.positions, drive.drive)
 

@@ -8,8 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.evaluation.lidar_check import fit_scene_bias, scene_samples
-from conetl.model.drive import Detection
+from conetl.geometry import pose as se3
 from conetl.model.rig import Camera, Rig
+from conetl.readers.rigs.common import rig_of
+from tests import records
 
 SIZE = (200, 600)
 CAMERA = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=400.0, fy_px=400.0, cx_px=300.0, cy_px=100.0)
@@ -17,9 +19,7 @@ BASE_M = 0.5
 
 
 def make_rig() -> Rig:
-    left = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    right = ((1.0, 0.0, 0.0, BASE_M), *left[1:])
-    return Rig(rig_id="test", left=CAMERA, right=CAMERA, body_SE3_left=left, body_SE3_right=right)
+    return rig_of("test", CAMERA, CAMERA, se3.se3(np.eye(3), [BASE_M, 0.0, 0.0]))
 
 
 class Wall(NamedTuple):
@@ -75,9 +75,7 @@ def test_without_errors_nothing_is_found() -> None:
 
 def test_cones_are_left_out() -> None:
     left, right, points = wall(8.0, 0, 0, 0)
-    box = Detection(
-        frame_index=0, side="left", detection_index=0, x_px=0.0, y_px=0.0, w_px=400.0, h_px=200.0, score=0.5
-    )
+    box = records.box(0.0, 0.0, 400.0, 200.0)
     samples = scene_samples(points, left, right, make_rig(), [box])
     assert len(samples) > 0
     assert (samples[:, 0] > (400 - 300) / 400).all()

@@ -22,8 +22,7 @@ from conetl.model.errors import InputError
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.markings import Marking, MarkingTrack
 from conetl.readers.drives import read_drive
-
-SAMPLE = Path(__file__).resolve().parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
+from tests.folders import SAMPLE
 
 
 def line(y_m: float, start_m: float = 0.0, end_m: float = 40.0, step_m: float = 2.5) -> np.ndarray:

@@ -11,12 +11,11 @@ from pydantic import ValidationError
 from conetl.files.parquet_store import file_sha256, has_result, load_result, load_results, result_key, save_result
 from conetl.model.drive import Detection, Position
 from conetl.model.rejections import Rejection, RejectionReason
+from tests import records
 
 
 def detection(index: int) -> Detection:
-    return Detection(
-        frame_index=3, side="left", detection_index=index, x_px=10.1, y_px=20.2, w_px=7.0 / 3, h_px=12.0, score=0.9
-    )
+    return records.box(10.1, 20.2, 7.0 / 3, 12.0, frame=3, index=index)
 
 
 REJECTION = Rejection(

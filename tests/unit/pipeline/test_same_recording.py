@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conetl.model.drive import Drive, FramePair
+from conetl.model.drive import FramePair
 from conetl.model.rig import Rig
 from conetl.pipeline.same_recording import has_the_same_log, is_redated, is_same_camera
-from tests.synthetic.world import make_path, make_rig, shifted
+from tests.synthetic.world import drive_of, make_path, make_rig, shifted
 
 RIG = make_rig()
 PAIRS = tuple(make_path(20))
-DRIVE = Drive(
-    drive_id="a", source_path="a", rig=RIG, map_srid=32632, content_sha256="ab" * 32, frame_pairs=PAIRS,
-    expected_frame_count=len(PAIRS),
-)  # fmt: skip
+DRIVE = drive_of(PAIRS, RIG)
 
 
 def later(pair: FramePair, seconds: float) -> FramePair:

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.model.drive import Detection
 from conetl.model.rig import Camera
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import find_outline
 from conetl.tracking.matching.plate_pixels import find_plate
+from tests import records
 from tests.synthetic.cone_images import F_PX, ConePair, cone_pair
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -65,25 +65,13 @@ def test_a_row_offset_is_found_and_does_not_matter() -> None:
     assert other.disparity_px == pytest.approx(plain.disparity_px, abs=0.02)
 
 
-def test_a_cone_half_behind_a_post_is_refused() -> None:
+def test_what_hides_differs_or_has_no_texture_gives_no_match() -> None:
     # the post stands 1.5 m in front and hides another half in the other image: any match would be off by pixels
     assert [match(cone_pair(10.0, seed, post=True)) for seed in range(6)] == [None] * 6
-
-
-def test_no_texture_gives_no_match() -> None:
     assert match(cone_pair(9.0, 1, flat=True)) is None
-
-
-def test_another_image_gives_no_match() -> None:
     pair = cone_pair(9.0, 1)
-    rng = np.random.default_rng(0)
-    other = rng.integers(0, 255, pair.right.shape).astype(np.uint8)
-    assert match(pair, right=other) is None
-
-
-def test_a_search_beyond_the_image_gives_no_match() -> None:
-    pair = cone_pair(9.0, 1)
-    assert match(pair, guess_off_px=120.0) is None
+    assert match(pair, right=np.random.default_rng(0).integers(0, 255, pair.right.shape).astype(np.uint8)) is None
+    assert match(pair, guess_off_px=120.0) is None, "beyond the image"
 
 
 def test_the_outline_lies_on_the_edges_of_the_body() -> None:
@@ -112,10 +100,7 @@ def test_disparity_of_a_flat_object_before_a_background(category: str, turn: flo
     up = np.array([0.0, -np.cos(pitch_rad), -np.sin(pitch_rad)])
     camera = Camera(width_px=400, height_px=200, fx_px=F_PX, fy_px=F_PX, cx_px=200.0, cy_px=80.0)
     box = (180.0, 60.0, 60.0, 60.0)
-    detection = Detection(
-        frame_index=0, side="left", detection_index=0, category=category, score=0.9,
-        x_px=box[0], y_px=box[1], w_px=box[2], h_px=box[3],
-    )  # fmt: skip
+    detection = records.box(*box, category=category)
     v, u = np.mgrid[0:200, 0:400].astype(np.float32)
     middle_u, middle_v = box[0] + box[2] / 2 - 0.5, box[1] + box[3] / 2 - 0.5
     down, foot_down = (v - camera.cy_px) / F_PX, (box[1] + box[3] - 0.5 - camera.cy_px) / F_PX
@@ -149,14 +134,11 @@ def test_disparity_of_a_flat_object_before_a_background(category: str, turn: flo
 def test_a_sign_behind_a_barricade_does_not_have_its_disparity() -> None:
     camera = Camera(width_px=400, height_px=200, fx_px=F_PX, fy_px=F_PX, cx_px=200.0, cy_px=80.0)
     sign, barricade = (
-        Detection(
-            frame_index=0, side="left", detection_index=k, category=category, score=0.9,
-            x_px=x, y_px=y, w_px=w, h_px=h,
+        records.box(*box, index=k, category=category)
+        for k, (category, box) in enumerate(
+            {"work_zone_sign": (180, 60, 60, 60), "barricade": (150, 80, 120, 76)}.items()
         )
-        for k, (category, x, y, w, h) in enumerate(
-            [("work_zone_sign", 180.0, 60.0, 60.0, 60.0), ("barricade", 150.0, 80.0, 120.0, 76.0)]
-        )
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(7)
     plate, boards = (cv2.GaussianBlur(rng.uniform(0, 255, (200, 400, 3)), (0, 0), 1.5) for _ in range(2))
     before = np.zeros((200, 400, 1), dtype=bool)

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.model.drive import Detection
 from conetl.tracking.matching.ends import board_edges
+from tests import records
 
 
 def test_a_board_ends_at_its_edges_not_at_those_of_its_box() -> None:
@@ -13,9 +13,7 @@ def test_a_board_ends_at_its_edges_not_at_those_of_its_box() -> None:
     image = cv2.GaussianBlur(rng.uniform(90, 220, (220, 400, 3)), (0, 0), 2.0)
     image[60:110, 150:240] = rng.normal(20, 3, (50, 90, 3))
     image = cv2.GaussianBlur(image, (0, 0), 0.7).clip(0, 255).astype(np.uint8)
-    box = Detection(
-        frame_index=0, side="left", detection_index=0, category="arrow_board", score=0.9, x_px=153, y_px=58, w_px=90, h_px=55
-    )  # fmt: skip
+    box = records.box(153, 58, 90, 55, category="arrow_board")
     found = board_edges(image, box)
     ends = (found.x_px, found.x_px + found.w_px, found.y_px, found.y_px + found.h_px)
     assert ends == pytest.approx((150, 240, 60, 110), abs=0.3)

@@ -12,6 +12,7 @@ from conetl.model.params import DetectionParams, IngestParams, ReconcileParams
 from conetl.model.rig import Rig, Side
 from conetl.tracking.matching.epipolar_search import blocks_of, has_right_only_cone, is_within, right_region
 from conetl.tracking.matching.matches import match_pair
+from tests import records
 from tests.synthetic.world import Cone, detect, make_path, make_rig
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -21,7 +22,7 @@ RIG = make_rig()
 
 
 def box(side: Side, x: float, y: float, w: float, h: float) -> Detection:
-    return Detection(frame_index=0, side=side, detection_index=0, x_px=x, y_px=y, w_px=w, h_px=h, score=0.8)
+    return records.box(x, y, w, h, side=side)
 
 
 @st.composite

@@ -18,6 +18,7 @@ from conetl.model.params import MarkingParams
 from conetl.model.rig import Camera, Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
 from conetl.tracking.markings.tracks import fuse_markings
+from tests.synthetic.world import drive_of
 
 Floats = NDArray[np.float64]
 CAMERA = Camera(width_px=1200, height_px=400, fx_px=700.0, fy_px=700.0, cx_px=600.0, cy_px=150.0)
@@ -58,10 +59,7 @@ def _drive() -> Drive:
             sigma_enu_m=(0.02, 0.02, 0.03), sigma_rpy_rad=(0.0003, 0.0003, 0.0003),
         )  # fmt: skip
         pairs.append(FramePair(frame_index=k, left_path="l", right_path="r", captured_at_ns=1 + k * 10**8, pose=pose))
-    return Drive(
-        drive_id="bend", source_path="bend", rig=RIG, map_srid=32632, content_sha256="0" * 64, frame_pairs=tuple(pairs),
-        expected_frame_count=FRAMES,
-    )  # fmt: skip
+    return drive_of(pairs, RIG)
 
 
 DRIVE = _drive()

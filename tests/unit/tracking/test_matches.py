@@ -9,6 +9,7 @@ from conetl.model.params import MatchParams
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Camera, Rig
 from conetl.tracking.matching.matches import foot_image_point, match_pair, with_measured_spread
+from tests import records
 from tests.synthetic.cone_images import BASE_M, F_PX, SIZE, cone_pair
 from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig
 
@@ -177,12 +178,7 @@ def test_the_edges_of_a_drum_give_its_axis_and_the_face_of_a_panel_its_own() -> 
         image = rng.normal(60, 2, (200, 400))
         image[100:160, middle - 20 : middle + 20] = bands
         images.append(np.repeat(np.clip(image, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2))
-        boxes.append(
-            Detection(
-                frame_index=0, side=side, detection_index=0, category="drum", x_px=middle - 26, y_px=99, w_px=56, h_px=62,
-                score=0.9,
-            )
-        )  # fmt: skip
+        boxes.append(records.box(middle - 26, 99, 56, 62, side=side, category="drum"))
     match, _ = match_pair(boxes[:1], boxes[1:], rig, MatchParams(), up_left=UP, images=(images[0], images[1]))
     assert match[0].refined
     assert match[0].foot_left_uv_px[0] == pytest.approx(239.5, abs=0.3), "the box's middle is 241.5"

@@ -14,11 +14,13 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rectification import rectify
-from conetl.model.drive import Detection, FramePair, Pose, StereoMatch
+from conetl.model.drive import FramePair, Pose, StereoMatch
 from conetl.model.params import PositionParams
 from conetl.model.rejections import RejectionReason
-from conetl.model.rig import CalibrationCovariance, Camera, Rig, Side
+from conetl.model.rig import Camera, Rig
 from conetl.tracking.positions import locate_in_camera, locate_positions
+from tests import records
+from tests.synthetic.world import calibrated
 
 Array = NDArray[np.float64]
 CAMERA = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=721.5, cx_px=609.6, cy_px=172.9)
@@ -45,8 +47,9 @@ PAIR = FramePair(
 )  # fmt: skip
 
 
-def box(side: Side, score: float) -> Detection:
-    return Detection(frame_index=7, side=side, detection_index=0, x_px=1, y_px=1, w_px=9, h_px=20, score=score)
+LEFT, RIGHT = (
+    records.box(1, 1, 9, 20, frame=7, side=side, score=score) for side, score in (("left", 0.9), ("right", 0.6))
+)
 
 
 def match_of(
@@ -60,7 +63,7 @@ def match_of(
     }
     values = {"sigma_u_px": 0.2, "sigma_v_px": 0.5, "sigma_pointing_px": 0.0} | sigmas
     return StereoMatch(
-        frame_index=frame_index, match_index=index, left=box("left", 0.9), right=box("right", 0.6), refined=True, cost=0.1,
+        frame_index=frame_index, match_index=index, left=LEFT, right=RIGHT, refined=True, cost=0.1,
         **uv, **values,
     )  # fmt: skip
 
@@ -154,11 +157,11 @@ def test_without_a_trajectory_ground_distance_and_height_are_given() -> None:
 
 
 SIGMA_PHI = math.radians(0.02)
-PHI = CalibrationCovariance(names=("relative.ry_rad",), matrix=((SIGMA_PHI**2,),))
+PHI = {"relative.ry_rad": SIGMA_PHI}
 
 
 def test_the_error_of_the_calibration_is_in_the_map_covariance_only() -> None:
-    rig = RIG.model_copy(update={"calibration_covariance": PHI})
+    rig = calibrated(RIG, PHI)
     matches = [match_of(see(ahead(10.0))), *BAD.values()]
     exact, refused = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
     positions, still_refused = locate_positions(matches, {7: PAIR}, rig, PARAMS)
@@ -175,7 +178,7 @@ def test_the_error_of_the_calibration_is_in_the_map_covariance_only() -> None:
 
 def test_the_distance_from_one_pair_includes_the_error_of_the_calibration() -> None:
     exact = locate_in_camera([match_of(see(ahead(10.0)))], RIG, PARAMS)[0][0]
-    rig = RIG.model_copy(update={"calibration_covariance": PHI})
+    rig = calibrated(RIG, PHI)
     (position,), _ = locate_in_camera([match_of(see(ahead(10.0)))], rig, PARAMS)
     added = math.sqrt(position.ground_distance_sigma_m**2 - exact.ground_distance_sigma_m**2)
     assert added == pytest.approx(exact.xyz_m[2] ** 2 / 0.53 * SIGMA_PHI, rel=0.05)

@@ -14,7 +14,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.rectification import raw_from_rectified
 from conetl.geometry.rig import infinity_shift_px, left_SE3_right
 from conetl.model.params import TrajectoryParams
-from conetl.model.rig import CalibrationCovariance, Lens, Rig
+from conetl.model.rig import Lens, Rig
 from conetl.tracking.self_calibration import (
     SWITCHED_OFF,
     SelfCalibration,
@@ -25,14 +25,14 @@ from conetl.tracking.self_calibration import (
     self_calibrated_rig,
 )
 from tests.synthetic.spans import CX_PX, FOCAL_PX, followed, make_span, motion
-from tests.synthetic.world import make_rig
+from tests.synthetic.world import calibrated, make_rig
 
 PARAMS = TrajectoryParams()
 RIG = make_rig()
 TURN = np.array([0.2, -0.6, 0.2]) / FOCAL_PX
 
 
-def calibrated(
+def found_by(
     rig: Rig = RIG,
     turn: np.ndarray = TURN,
     seed: int = 1,
@@ -49,13 +49,6 @@ def calibrated(
         chosen.append(Span(k, k + 1, made.last_SE3_first))
         tracks.append(followed(made, k))
     return self_calibrate(rig, chosen, tracks, params)
-
-
-def stated(sigma: dict[str, float]) -> Rig:
-    """The rig with a calibration of these independent sigmas."""
-    matrix = np.diag(np.square(list(sigma.values()))).tolist()
-    covariance = CalibrationCovariance(names=tuple(sigma), matrix=tuple(tuple(row) for row in matrix))
-    return RIG.model_copy(update={"calibration_covariance": covariance})
 
 
 def turns(sigma_px: float) -> dict[str, float]:
@@ -81,7 +74,7 @@ def moves(*ways_m: float | None, turn_rad: float = 0.0) -> list[RelativeMotion]:
 
 
 def test_a_turned_camera_is_found_and_applied() -> None:
-    found = calibrated()
+    found = found_by()
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     assert np.array(found.rotation_rad) * FOCAL_PX == pytest.approx(TURN * FOCAL_PX, abs=0.12)
     rig = self_calibrated_rig(RIG, found, PARAMS)
@@ -96,7 +89,7 @@ def test_a_turned_camera_is_found_and_applied() -> None:
 
 def test_a_bend_is_found_and_applied() -> None:
     """The sides of a bent image are corrected, too, and their remaining uncertainty is stated."""
-    found = calibrated(bend_px=1.6)
+    found = found_by(bend_px=1.6)
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     assert found.bend * FOCAL_PX == pytest.approx(1.6, abs=0.5)
     assert np.array(found.rotation_rad) * FOCAL_PX == pytest.approx(TURN * FOCAL_PX, abs=0.15)
@@ -109,15 +102,15 @@ def test_a_bend_is_found_and_applied() -> None:
 
 def test_a_calibration_with_exact_principal_points_is_not_bent() -> None:
     """If only the orientation is uncertain, only the turn is corrected."""
-    rig = stated(turns(0.7))
-    found = calibrated(rig)
+    rig = calibrated(RIG, turns(0.7))
+    found = found_by(rig)
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     assert found.bend == 0.0
     assert self_calibrated_rig(rig, found, PARAMS).right == RIG.right
 
 
 def test_the_remaining_uncertainty_is_an_error_of_the_calibration() -> None:
-    rig = self_calibrated_rig(RIG, calibrated(), PARAMS)
+    rig = self_calibrated_rig(RIG, found_by(), PARAMS)
     assert rig.calibration_covariance is not None
     assert rig.calibration_covariance.names == (
         "relative.rx_rad", "relative.ry_rad", "relative.rz_rad", "right.cx_px"
@@ -132,24 +125,24 @@ def test_the_remaining_uncertainty_is_an_error_of_the_calibration() -> None:
 
 
 def test_insignificant_and_small_corrections_are_not_applied() -> None:
-    found = calibrated(turn=np.zeros(3))
+    found = found_by(turn=np.zeros(3))
     assert found.outcome is SelfCalibrationOutcome.INSIGNIFICANT
     assert self_calibrated_rig(RIG, found, PARAMS) is RIG
     coarse = PARAMS.model_copy(update={"self_calibration_least_px": 1.0})
-    assert calibrated(params=coarse).outcome is SelfCalibrationOutcome.INSIGNIFICANT
+    assert found_by(params=coarse).outcome is SelfCalibrationOutcome.INSIGNIFICANT
 
 
 def test_an_implausible_correction_of_a_good_calibration_is_not_applied() -> None:
-    rig = stated(turns(0.03))
-    found = calibrated(rig)
+    rig = calibrated(RIG, turns(0.03))
+    found = found_by(rig)
     assert found.outcome is SelfCalibrationOutcome.IMPLAUSIBLE
     assert self_calibrated_rig(rig, found, PARAMS) is rig
 
 
 def test_a_known_covariance_is_reduced_and_not_replaced() -> None:
     """Principal point and turn are correlated: the estimate of their sum corrects both."""
-    rig, sigma = stated(FULL), np.array(list(FULL.values()))
-    found = calibrated(rig)
+    rig, sigma = calibrated(RIG, FULL), np.array(list(FULL.values()))
+    found = found_by(rig)
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     after = self_calibrated_rig(rig, found, PARAMS).calibration_covariance
     assert after is not None and after.names == tuple(FULL)
@@ -161,10 +154,20 @@ def test_a_known_covariance_is_reduced_and_not_replaced() -> None:
     assert np.sqrt(matrix[2, 2]) * FOCAL_PX < 0.3  # separated from the principal point by the bend
 
 
+def test_of_unknown_accuracy_a_calibration_has_one_id_in_all_drives_and_shared_errors_are_a_part() -> None:
+    rigs = [self_calibrated_rig(RIG, found_by(bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
+    one, other = (shared_errors(rig) for rig in rigs)
+    assert one is not None and other is not None and one.calibration == other.calibration
+    assert rigs[0].calibration_covariance is not None
+    part, whole = np.array(one.matrix), np.array(rigs[0].calibration_covariance.matrix)
+    scale = np.sqrt(np.diag(whole))
+    assert np.linalg.eigvalsh((whole - part @ part.T) / np.outer(scale, scale)).min() > -1e-9
+
+
 def test_shared_errors_are_part_of_the_remaining_covariance() -> None:
     """Two drives correct the same calibration: undetermined errors stay common, the scatter of spans is of one drive."""
-    given, sigma = stated(FULL), np.array(list(FULL.values()))
-    after = [self_calibrated_rig(given, calibrated(given, bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
+    given, sigma = calibrated(RIG, FULL), np.array(list(FULL.values()))
+    after = [self_calibrated_rig(given, found_by(given, bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
     both = [shared_errors(rig) for rig in after]
     assert both[0] is not None and both[1] is not None
     assert both[0].calibration == both[1].calibration == calibration_id(given)
@@ -183,18 +186,6 @@ def test_shared_errors_are_part_of_the_remaining_covariance() -> None:
     assert correlation > 0.8
 
 
-def test_a_calibration_of_unknown_accuracy_has_one_id_in_all_drives() -> None:
-    rigs = [self_calibrated_rig(RIG, calibrated(bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
-    shared = [shared_errors(rig) for rig in rigs]
-    assert shared[0] is not None and shared[1] is not None
-    assert shared[0].calibration == shared[1].calibration
-    part = np.array(shared[0].matrix)
-    assert rigs[0].calibration_covariance is not None
-    left_over = np.array(rigs[0].calibration_covariance.matrix) - part @ part.T
-    scale = np.sqrt(np.diag(rigs[0].calibration_covariance.matrix))
-    assert np.linalg.eigvalsh(left_over / np.outer(scale, scale)).min() > -1e-9
-
-
 def test_the_camera_of_raw_images_is_turned_likewise_and_images_stay() -> None:
     lens = Lens(model="radial", coefficients=(-0.1, 0.01))
     tilt = np.eye(4)
@@ -206,7 +197,7 @@ def test_the_camera_of_raw_images_is_turned_likewise_and_images_stay() -> None:
         }
     )
     rig = RIG.model_copy(update={"rectified_from": raw})
-    found = calibrated(rig)
+    found = found_by(rig)
     after = self_calibrated_rig(rig, found, PARAMS)
     points = np.array([[100.0, 50.0], [600.0, 180.0], [1200.0, 360.0]])
     assert raw_from_rectified(after, "right", points) == pytest.approx(
@@ -220,7 +211,7 @@ def test_the_camera_of_raw_images_is_turned_likewise_and_images_stay() -> None:
 
 def test_infinity_is_where_a_turned_camera_projects_it() -> None:
     assert infinity_shift_px(RIG, np.array([300.0, 200.0])) == pytest.approx([0.0, 0.0], abs=1e-9)
-    rig = self_calibrated_rig(RIG, calibrated(), PARAMS)
+    rig = self_calibrated_rig(RIG, found_by(), PARAMS)
     far_left = np.array([-4e5, 1e5, 1e6])
     far_right = se3.apply(se3.invert(left_SE3_right(rig)), far_left)
     shift = project(rig.left, far_left) - project(rig.right, far_right)

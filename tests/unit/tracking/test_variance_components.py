@@ -7,10 +7,10 @@ import pytest
 
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.drive import Detection, FramePair, StereoMatch, Track
+from conetl.model.drive import FramePair, StereoMatch, Track
 from conetl.model.feature_classes import CONE
 from conetl.model.params import TrajectoryParams
-from conetl.model.rig import Side
+from conetl.model.rig import SIDES
 from conetl.tracking.error_propagation import PoseCov, pose_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, with_shared_part
 from conetl.tracking.trajectory import refine_trajectory
@@ -63,12 +63,14 @@ def drawn(
             apart = rng.normal(0, sizes[2] * of_disparity) / 2
             uv["left"] += [both + apart, rng.normal(0, sizes[1] * across)]
             uv["right"] += [both - apart, rng.normal(0, sizes[1] * across)]
+            at = {"frame": pair.frame_index, "index": number, "foot_px": (610.0, 210.0)}
+            boxes = {side: records.box(600, 180, 20, 30, side=side, **at) for side in SIDES}
             left, right = ((float(uv[side][0]), float(uv[side][1])) for side in ("left", "right"))
             matches.append(
                 records.matches(1)[0].model_copy(
                     update={
                         "frame_index": pair.frame_index, "match_index": number,
-                        "left": _box(pair.frame_index, number, "left"), "right": _box(pair.frame_index, number, "right"),
+                        **boxes,
                         "foot_left_uv_px": left, "foot_right_uv_px": right,
                         "sigma_u_px": with_shared_part(float(np.hypot(of_disparity, SHARED_DISPARITY_PX))) / 2**0.5,
                         "sigma_v_px": float(across), "sigma_pointing_px": float(pointing), "sigma_outline_px": OUTLINE_PX,
@@ -83,13 +85,6 @@ def drawn(
             )
         )
     return matches, tracks
-
-
-def _box(frame: int, number: int, side: Side) -> Detection:
-    return Detection(
-        frame_index=frame, side=side, detection_index=number, x_px=600, y_px=180, w_px=20, h_px=30, score=0.9,
-        foot_px=(610.0, 210.0),
-    )  # fmt: skip
 
 
 def found(
