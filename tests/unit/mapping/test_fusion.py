@@ -96,34 +96,6 @@ def test_weights_and_covariances_are_those_of_the_formula(pair: tuple[Estimate, 
         assert np.linalg.eigvalsh(cov - sum(a @ a.T for a in moved)).min() > -1e-7 * scale
 
 
-def test_without_jacobians_it_is_the_plain_fusion_bit_by_bit() -> None:
-    rng = np.random.default_rng(3)
-    old, new = ([spd(rng, 0.1) for _ in range(50)] for _ in range(2))
-    result = fuse([cov3(c) for c in old], [None] * 50, [cov3(c) for c in new], [None] * 50)
-    p1, p2 = (np.stack([cov_matrix(cov3(c)) for c in p]) for p in (old, new))
-    gain = p1 @ np.linalg.inv(p1 + p2)
-    cov = (np.eye(3) - gain) @ p1
-    np.testing.assert_array_equal(result.gain, gain)
-    np.testing.assert_array_equal(result.cov_m2, (cov + np.swapaxes(cov, 1, 2)) / 2)
-    assert result.shared_jacobian == [None] * 50
-
-
-@settings(max_examples=50, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), drives=st.integers(2, 30))
-def test_drives_from_one_side_keep_the_error_of_the_calibration(seed: int, drives: int) -> None:
-    rng = np.random.default_rng(seed)
-    moved = {CALIBRATIONS[0]: rounded(rng.normal(0, 0.05, (3, 4)))}
-    floor = moved[CALIBRATIONS[0]] @ moved[CALIBRATIONS[0]].T
-    state = estimate(spd(rng, 0.02), moved)
-    for _ in range(drives):
-        _, cov, state = fused(state, estimate(spd(rng, 0.02), moved))
-        assert np.linalg.eigvalsh(cov - floor).min() > -1e-6 * float(np.trace(floor))
-    assert state[1] is not None
-    np.testing.assert_allclose(
-        unpack_all((CALIBRATIONS[0],), [state[1]])[0, 0], moved[CALIBRATIONS[0]], rtol=1e-4, atol=1e-6
-    )
-
-
 def test_jacobians_of_opposite_sides_cancel_and_independent_parts_average() -> None:
     a = np.array([[0.2], [0.0], [0.05]])
     own = 0.02**2 * np.eye(3)

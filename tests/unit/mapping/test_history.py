@@ -26,7 +26,7 @@ from conetl.model.map_records import (
 from tests.synthetic.changing_road import take
 from tests.synthetic.painted_road import random_painted_drives
 from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world
-from tests.synthetic.world import ORIGIN_M, START_NS
+from tests.synthetic.world import START_NS
 
 Chains = dict[UUID, list[FeatureVersion]]
 State = tuple[Chains, list[MissedObservation], dict[UUID, str]]
@@ -272,17 +272,3 @@ def test_a_cone_set_up_during_overlapping_drives_is_not_removed() -> None:
     chains = replay_drives([late, early]).chains
     assert chains
     assert all(chain[-1].present for chain in chains.values())
-
-
-def test_features_beyond_the_influence_of_a_drive_do_not_matter() -> None:
-    rng = np.random.default_rng(5)
-    world = random_world(rng, 100.0, DAYS)
-    near = random_drive(rng, world, 0, start_ns=START_NS, span_m=(0.0, 100.0))
-    far_world = random_world(rng, 100.0, DAYS)
-    for cone in far_world:
-        cone.states = [(t, None if p is None else (p[0] + 5000.0, p[1])) for t, p in cone.states]
-    far = random_drive(rng, far_world, 1, start_ns=START_NS - HOUR_NS // 2, span_m=(5000.0, 5100.0))
-    alone, both = replay_drives([near]).chains, replay_drives([near, far]).chains
-    assert {key: both[key] for key in alone} == alone
-    assert len(both) > len(alone)
-    assert np.isfinite(ORIGIN_M).all()

@@ -144,12 +144,6 @@ def test_the_offset_of_the_drive_is_added() -> None:
     assert empty_frames(elsewhere, (1.2, 0.0, 0.0)) == 0
 
 
-def test_the_time_is_that_of_the_first_empty_frame() -> None:
-    found = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, observed([]), PARAMS)
-    assert found is not None
-    assert found.first_ns == TIMES[in_view(CONE)[0]]
-
-
 def test_frames_before_the_last_observation_are_ignored() -> None:
     """An overlapping drive observed the cone later."""
     frames = in_view(CONE)
