@@ -25,8 +25,8 @@ from conetl.model.rig import Rig
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import write_rig_yaml
 from conetl.readers.rigs.ros import write_ros_rig
+from tests.folders import SAMPLE
 
-SAMPLE = Path(__file__).resolve().parents[3] / "data/drives/2026-03-02_taper_pass1"
 COUNT = 10
 HEADING_DEG = 30.0
 SIGMAS = "sigmas: {horizontal_m: 0.02, vertical_m: 0.03}\n"

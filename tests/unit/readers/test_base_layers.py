@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import struct
 from pathlib import Path
@@ -22,9 +21,8 @@ from conetl.readers.base_layers.line_files import read_vector_file
 from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
 from conetl.readers.base_layers.point_tiles import Cloud, read_cells, spill
+from tests.folders import SHARED
 
-ROOT = Path(__file__).resolve().parents[3]
-SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CENTRE = (458_000.0, 5_428_000.0, 115.0)
 GROUND = geo.MapGround(32632, np.array(CENTRE) + np.column_stack([np.arange(50.0), np.zeros(50), np.zeros(50)]))
 LON, LAT = 8.4262, 49.0037

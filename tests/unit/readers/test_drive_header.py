@@ -15,13 +15,12 @@ import pytest
 from conetl.model.errors import DriveFolderError
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import find_drives, quiet_since, read_header
-
-SAMPLES = Path(__file__).resolve().parents[3] / "data" / "drives"
+from tests.folders import SAMPLE
 
 
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
-    return Path(shutil.copytree(next(SAMPLES.iterdir()), tmp_path / "archive" / "drive"))
+    return Path(shutil.copytree(SAMPLE, tmp_path / "archive" / "drive"))
 
 
 def test_a_storage_error_is_not_a_property_of_the_drive(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:

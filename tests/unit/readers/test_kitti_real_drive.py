@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,19 +10,14 @@ from conetl.geometry import rig as rigs
 from conetl.model.drive import Drive
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import read_drive
+from tests.folders import KITTI, needs_kitti
 
-SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[4] / "shared" / "data"))
-FOLDER = SHARED / "kitti_2011_09_26_drive_0005_sync"
-
-pytestmark = pytest.mark.skipif(
-    not FOLDER.is_dir(),
-    reason=f"the KITTI drive is not at {FOLDER}; set CONETL_SHARED_DATA to the folder that holds it",
-)
+pytestmark = needs_kitti
 
 
 @pytest.fixture(scope="module")
 def kitti() -> tuple[Drive, list[Rejection]]:
-    return read_drive(FOLDER)
+    return read_drive(KITTI)
 
 
 @pytest.fixture(scope="module")

@@ -22,16 +22,6 @@ from conetl.readers.base_layers.opendrive import (
 )
 
 
-def test_a_line_and_an_arc():
-    pieces = [
-        Piece("curvature", 0.0, 10.0, 20.0, math.pi / 2, 5.0),
-        Piece("curvature", 5.0, 10.0, 25.0, math.pi / 2, 10 * math.pi, k0=0.1, k1=0.1),
-    ]
-    xy, heading = reference_line(pieces, np.array([0.0, 5.0, 5.0 + 5 * math.pi, 5.0 + 10 * math.pi]))
-    assert xy == pytest.approx(np.array([[10, 20], [10, 25], [0, 35], [-10, 25]]), abs=1e-9)
-    assert heading == pytest.approx([math.pi / 2, math.pi / 2, math.pi, 1.5 * math.pi])
-
-
 @given(st.floats(20.0, 300.0), st.floats(10.0, 500.0))
 def test_a_spiral_is_eulers(length_m, radius_m):
     """Clothoid from straight to radius: x = a C(t), y = a S(t) with Fresnel's integrals."""
@@ -45,6 +35,7 @@ def test_a_spiral_is_eulers(length_m, radius_m):
 
 
 def test_a_spiral_whose_curvature_hardly_changes_is_an_arc():
+    """Which is tested with its straight and its end in `test_base_layers.py`."""
     arc = Piece("curvature", 0.0, 0.0, 0.0, 0.3, 80.0, k0=0.02, k1=0.02)
     nearly = arc._replace(k1=0.02 + 1e-12)
     s = np.linspace(0, 80, 9)

@@ -16,6 +16,7 @@ from conetl.geometry.rectification import is_rectified, rectified_from_raw, rect
 from conetl.model.errors import CalibrationError
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import read_kitti_rig, read_rig_for_images
+from tests.folders import SAMPLE
 from tests.unit.readers.test_plain_drive import HEADER
 
 #: The numbers of KITTI's cameras 02 and 03, with few digits.
@@ -39,7 +40,6 @@ R_RECT_02 = (9.998817e-01, 1.511453e-02, -2.841595e-03, -1.511724e-02, 9.998853e
              9.999955e-01)  # fmt: skip
 R_RECT_03 = (9.998321e-01, -7.193136e-03, 1.685599e-02, 7.232804e-03, 9.999712e-01, -2.293585e-03, -1.683901e-02, 2.415116e-03,
              9.998553e-01)  # fmt: skip
-SAMPLE = Path(__file__).parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
 PIXELS = "width_px: 96, height_px: 32, fx_px: 70, fy_px: 70, cx_px: 47.5, cy_px: 15.5"
 BODY = "body_SE3_left: {R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}"
 BOTH = f"left: {{{PIXELS}}}\nright: {{{PIXELS}}}\n"

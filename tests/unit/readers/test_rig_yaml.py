@@ -54,19 +54,6 @@ def test_kitti_rig_has_its_cameras_where_the_files_say(folder: Path) -> None:
     )
 
 
-def test_projection_by_P_and_by_the_rig_agree(folder: Path) -> None:
-    rig = read_rig(folder)
-    rect_point = np.array([1.0, 1.5, 12.0, 1.0])
-    p3 = np.array([float(w) for w in P3.split()]).reshape(3, 4)
-    u, v, w = p3 @ rect_point
-    p2 = np.array([float(n) for n in P2.split()]).reshape(3, 4)
-    left_SE3_rect = se3.se3(np.eye(3), np.linalg.solve(p2[:, :3], p2[:, 3]))
-    in_right = se3.apply(se3.compose(se3.invert(rigs.left_SE3_right(rig)), left_SE3_rect), rect_point[:3])
-    camera = rig.right
-    assert camera.fx_px * in_right[0] / in_right[2] + camera.cx_px == pytest.approx(u / w)
-    assert camera.fy_px * in_right[1] / in_right[2] + camera.cy_px == pytest.approx(v / w)
-
-
 def test_without_the_imu_the_body_is_the_left_camera(folder: Path) -> None:
     (folder / "calib_velo_to_cam.txt").unlink()
     (folder / "calib_imu_to_velo.txt").unlink()

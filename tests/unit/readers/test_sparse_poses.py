@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.errors import DriveFolderError
 from conetl.readers.drives import read_drive
-from conetl.readers.drives.drive_yaml import Clock
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.drives.poses import Samples, at, to_pose
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.trajectories.recorded import RecordedTrajectory
+from tests.folders import KITTI, needs_kitti
 
-SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[4] / "shared" / "data"))
-KITTI = SHARED / "kitti_2011_09_26_drive_0005_sync"
 START_NS = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
 
@@ -99,17 +93,7 @@ def test_the_course_is_relative_to_true_north() -> None:
     assert with_course(found) is found
 
 
-def test_the_settings_of_the_clock() -> None:
-    assert Clock().offset_s == "estimate"
-    assert Clock(offset_s=-3.25, sigma_s=0.01).offset_s == -3.25
-    for wrong in ({"offset_s": "guess"}, {"sigma_s": 0.0}, {"search_s": 1e4}, {"offset_s": float("nan")}):
-        with pytest.raises(ValidationError):
-            Clock.model_validate(wrong)
-
-
-@pytest.mark.skipif(
-    not KITTI.is_dir(), reason=f"the KITTI drive is not at {KITTI}; set CONETL_SHARED_DATA to the folder that holds it"
-)
+@needs_kitti
 def test_a_real_street_at_1_hz_without_attitude() -> None:
     """What a 1 Hz receiver would have recorded, against the OXTS records between."""
     drive, _ = read_drive(KITTI, headers_only=True)

@@ -29,7 +29,6 @@ from conetl.readers.trajectories.times import (
     time_reader,
 )
 from tests.unit.readers import trajectory_files as files
-from tests.unit.readers.test_kitti_real_drive import FOLDER as KITTI
 
 TO_ECEF = Transformer.from_crs(4979, 4978)
 
@@ -489,30 +488,7 @@ def test_a_recorded_height_of_a_bag_stays_as_uncertain_as_it_is(
     assert found == pytest.approx((0.2, 0.2, up_m))
 
 
-def test_settings_are_read_from_drive_yaml(tmp_path: Path) -> None:
-    (tmp_path / "drive.yaml").write_text(
-        "trajectory: {file: gnss.pos, date: 2024-02-07, time: Europe/Berlin, columns: {lat: 2}}"
-    )
-    settings = read_drive_yaml(tmp_path).trajectory
-    assert (settings.file, settings.date, settings.time) == ("gnss.pos", date(2024, 2, 7), "Europe/Berlin")
+def test_an_unknown_time_system_in_drive_yaml_is_refused(tmp_path: Path) -> None:
     (tmp_path / "drive.yaml").write_text("trajectory: {time: Mars}")
     with pytest.raises(DriveFolderError, match="time system"):
         read_drive_yaml(tmp_path)
-
-
-@pytest.mark.skipif(not KITTI.is_dir(), reason=f"the KITTI drive is not at {KITTI}; set CONETL_SHARED_DATA")
-def test_the_real_kitti_trajectory() -> None:
-    assert find_trajectories(KITTI) == [KITTI / "oxts"]
-    found = read_trajectory(KITTI / "oxts")
-    assert len(found.times_ns) == 154 and found.bad == {}
-    rotations = found.rotations
-    assert rotations is not None
-    # It drives where it looks.
-    east, north = Transformer.from_crs(4326, 32632, always_xy=True).transform(
-        found.positions[:, 1], found.positions[:, 0]
-    )
-    steps = np.column_stack([np.diff(east), np.diff(north)])
-    moving = np.linalg.norm(steps, axis=1) > 0.5
-    course = np.degrees(np.arctan2(steps[:, 1], steps[:, 0]) - np.arctan2(rotations[:-1, 1, 0], rotations[:-1, 0, 0]))
-    assert abs(np.median((course[moving] + 180) % 360 - 180)) < 3.0
-    assert timedelta(seconds=15) < timedelta(microseconds=int(np.ptp(found.times_ns)) // 1000) < timedelta(seconds=17)

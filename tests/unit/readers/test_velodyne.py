@@ -10,8 +10,7 @@ from conetl.model.errors import CalibrationError
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, read_kitti_rig
 from conetl.simulation.simulate import CAM0_SE3_VELO, RECT_R_CAM0, T_RECT_M
-
-SAMPLE = Path(__file__).resolve().parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
+from tests.folders import SAMPLE
 
 
 def write_scan(folder: Path, number: int, points: np.ndarray) -> Path:

@@ -124,16 +124,13 @@ def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) ->
     assert _middle_pair(drive)[0] == COUNT // 2, "a pair that inspect shows"
 
 
-@pytest.mark.parametrize("name", ["two files", "side by side"])
-def test_cones_are_where_those_of_the_images_are(name: str, whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
-    folder = video_drives.write_video_drive(tmp_path / "run", whole, **VIDEOS[name])
-    if name == "two files":
-        # On a smooth road what passes by must not be taken for a shift of the files.
-        lag = find_video_lag(*(index_video(folder / f"{side}.mp4") for side in ("left", "right")))
-        assert lag is None or abs(lag.offset_s) < 0.025
+def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray, tmp_path: Path) -> None:
+    """Of two files; frames of one file with both images are the same ones."""
+    folder = video_drives.write_video_drive(tmp_path / "run", whole)
+    # On a smooth road what passes by must not be taken for a shift of the files.
+    lag = find_video_lag(*(index_video(folder / f"{side}.mp4") for side in ("left", "right")))
+    assert lag is None or abs(lag.offset_s) < 0.025
     assert largest_m(read_drive(folder)[0], cones, tmp_path) < 0.015, "half a column between the colours makes 0.01 m"
-    if name != "two files":
-        return  # positions alone need the same of every image, however the file holds it
     log = video_drives.LOGS["RTKLIB .pos"]
     alone = video_drives.with_log(folder, tmp_path / "positions", log, video_drives.known_of(whole))
     assert largest_m(read_drive(alone)[0], cones, tmp_path) < 0.02, "upright edges show the roll"
