@@ -16,8 +16,8 @@ import yaml
 from flows.dispatch import BACKFILL_QUEUE
 from flows.register import JOB_TEMPLATE
 from flows.runs import FLOWS
+from tests.folders import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text(encoding="utf-8"))
 PREFECT = yaml.safe_load((ROOT / "prefect.yaml").read_text(encoding="utf-8"))
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import subprocess
-from pathlib import Path
 
-DATA = Path(__file__).resolve().parents[2] / "data"
+from tests.folders import ROOT
+
+DATA = ROOT / "data"
 FOR_PEOPLE = {"README.md", "SHA256SUMS", "models/README.md", "models/conetl-road-10.reliability.png"}
 
 

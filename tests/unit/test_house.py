@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.folders import ROOT
+
 MODULES = [path for folder in ("src/conetl", "flows") for path in sorted((ROOT / folder).rglob("*.py"))]
 
 

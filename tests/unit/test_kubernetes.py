@@ -12,8 +12,8 @@ import yaml
 
 from conetl.pipeline.settings import Settings
 from flows.register import JOB_TEMPLATE
+from tests.folders import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 BASE = ROOT / "deploy" / "kubernetes"
 VERSION = "1.31"
 CLUSTER_WIDE = {"Namespace"}

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import importlib
 import sys
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
-TRAINING = Path(__file__).parents[2] / "training"
+from tests.folders import ROOT
+
+TRAINING = ROOT / "training"
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,9 @@ from conetl.exports import qgis_project
 from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, PAINT, STANDING
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import DeltaKind
+from tests.folders import ROOT
 
-WEB = Path(__file__).resolve().parents[3] / "web" / "src"
+WEB = ROOT / "web" / "src"
 KINDS_TS = WEB / "kinds.ts"
 
 

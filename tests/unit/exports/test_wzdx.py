@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,9 @@ from conetl.exports import wzdx
 from conetl.exports.wzdx import read_feed_info, schema_faults
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.line_files import read_lane_lines
+from tests.folders import SHARED
 
-ROOT = Path(__file__).resolve().parents[3]
-DATA = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
-REFERENCE = DATA.parent / "reference" / "wzdx"
+REFERENCE = SHARED.parent / "reference" / "wzdx"
 SHIPPED = Path(wzdx.__file__).with_name("wzdx_schemas")
 needs_reference = pytest.mark.skipif(not REFERENCE.is_dir(), reason=f"no WZDx schemas and examples in {REFERENCE}")
 
@@ -141,14 +139,3 @@ def test_files_without_lines_are_refused(tmp_path):
     other.write_text("nothing of the kind")
     with pytest.raises(InputError, match="GDAL can read"):
         read_lane_lines(other, srid=32632)
-
-
-@pytest.mark.skipif(not (DATA / "lanelet2").is_dir(), reason=f"no Lanelet2 map in {DATA}")
-def test_lane_boundaries_of_a_real_lanelet2_map():
-    lines = read_lane_lines(DATA / "lanelet2" / "mapping_example.osm", srid=32632)
-    kinds = {line.kind.split("/")[0] for line in lines}
-    assert {"line_thin", "line_thick", "curbstone", "road_border", "virtual"} <= kinds
-    assert "stop_line" not in kinds
-    assert len(lines) > 500
-    places = np.concatenate([line.xy_m for line in lines])
-    assert np.ptp(places, axis=0).max() < 5000
