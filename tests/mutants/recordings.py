@@ -13,10 +13,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.packing import vec3
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.model.drive import Drive, FramePair, Pose, StereoMatch, Track
+from conetl.model.drive import Drive, FramePair, Pose
 from conetl.model.rig import SIDES
 from conetl.readers.drives import read_drive
 from tests.prepared import prepared
@@ -239,27 +237,3 @@ def lenses(
             "cx_px": camera.cx_px + columns_px + own_px, "cy_px": camera.cy_px + rows_px,
         })  # fmt: skip
     return drive.model_copy(update={"rig": drive.rig.model_copy(update=sides)})
-
-
-def carried(
-    matches: Iterable[StereoMatch], track: Track, drive: Drive, east_ms: float, north_ms: float
-) -> list[StereoMatch]:
-    """Matches of a drive in which the object of one track moves: it is at its position in the middle of its observations."""
-    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
-    middle_ns = (track.first_seen_ns + track.last_seen_ns) / 2
-    found = []
-    for stated in matches:
-        match = stated
-        if (match.frame_index, match.match_index) in track.members:
-            pair = pairs[match.frame_index]
-            moved_m = np.array([east_ms, north_ms, 0.0]) * (pair.captured_at_ns - middle_ns) * 1e-9
-            left, right = map_SE3_left(pair.pose, drive.rig)[None], map_SE3_right(pair.pose, drive.rig)[None]
-            stood, there = (
-                pair_jacobian(np.array(track.xyz_m) + off, left, right, drive.rig)[0][0]
-                for off in (0.0 * moved_m, moved_m)
-            )
-            for side, change in zip(SIDES, np.split(there - stood, 2), strict=True):
-                name = f"foot_{side}_uv_px"
-                match = match.model_copy(update={name: tuple((np.array(getattr(match, name)) + change).tolist())})
-        found.append(match)
-    return found

@@ -7,12 +7,11 @@ of a day often covers a part of the road only, and every drive has a GNSS offset
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
-from uuid import NAMESPACE_URL, UUID, uuid5
+from uuid import UUID
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -26,17 +25,19 @@ from conetl.model.map_records import Decisions, Delta, DeltaKind, FeatureVersion
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.rig import Side
 from conetl.tracking.matching.apparent_boxes import hidden_share
+from tests import records
 from tests.synthetic.world import (
     ORIGIN_M,
     START_NS,
     Cone,
     apparent_box,
+    evidence_of,
     fuse_logged,
     locate,
     make_path,
     make_rig,
     shifted,
-)
+)  # fmt: skip
 
 DAY_NS, HOUR_NS = 86_400_000_000_000, 3_600_000_000_000
 RIG = make_rig()
@@ -207,9 +208,7 @@ def _detection(
 ) -> Detection:
     x, y, w, h = box
     left, top, right, bottom = np.array([x, y, x + w, y + h]) + rng.normal(0, 0.5, 4)
-    return Detection(
-        frame_index=frame, side=side, detection_index=index, x_px=left, y_px=top, w_px=right - left, h_px=bottom - top, score=0.8
-    )  # fmt: skip
+    return records.box(left, top, right - left, bottom - top, frame=frame, side=side, index=index, score=0.8)
 
 
 def survey(
@@ -225,19 +224,10 @@ def survey(
     found, matches, positions = locate(boxes, logged, RIG)
     tracks, _ = fuse_logged(logged, RIG, found, matches, positions, params=params, evidence=evidence)
     view = observations_of_drive(RIG, logged, found, [(p.frame_index, p.category, p.xyz_m) for p in positions], figures)
-    content = hashlib.sha256(f"{start_ns}".encode()).hexdigest()
-    drive = DriveEvidence(
-        key=(start_ns, content, content),
-        changeset_id=uuid5(NAMESPACE_URL, content),
-        founding_key=content,
-        tracks=tracks,
-        path_m=np.array([pair.pose.map_t_body_m[:2] for pair in logged]),
-        influence_m=80.0,
-        check_visibility=lambda feature, offset_m, others_m: check_visibility(
-            feature, offset_m, others_m, view, params.reconcile
-        ),
-        params=params.reconcile,
-    )
+    drive = evidence_of(
+        f"{start_ns}", start_ns, tracks, np.array([pair.pose.map_t_body_m[:2] for pair in logged]),
+        check_visibility=lambda f, offset_m, others_m: check_visibility(f, offset_m, others_m, view, params.reconcile),
+    )  # fmt: skip
     return drive, observations_of_drive(RIG, true, found, [], figures)
 
 

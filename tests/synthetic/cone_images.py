@@ -13,7 +13,7 @@ from conetl.model.rig import Camera
 
 F_PX, BASE_M, SIZE = 700.0, 0.54, (110, 180)
 _FINE = 3
-_CAMERA_HEIGHT_M = 1.2
+_CAMERA_HEIGHT_M, _WALL_M = 1.2, 30.0
 #: Body of a 70 cm cone: radius at the foot and at the tip.
 FOOT_RADIUS_M, TIP_RADIUS_M, HEIGHT_M, PLATE_M = 0.14, 0.035, 0.70, 0.38
 
@@ -29,9 +29,7 @@ class ConePair(NamedTuple):
     """The left one."""
 
 
-def cone_pair(
-    range_m: float, seed: int, *, noise: float = 2.0, wall_m: float = 30.0, post: bool = False, flat: bool = False
-) -> ConePair:
+def cone_pair(range_m: float, seed: int, *, noise: float = 2.0, post: bool = False, flat: bool = False) -> ConePair:
     """One cone at a depth, seen by a level stereo pair (baseline to the right). post: something else stands before it.
 
     flat: no texture, nothing but one grey.
@@ -45,7 +43,7 @@ def cone_pair(
     cy = 50.0 - F_PX * (_CAMERA_HEIGHT_M - HEIGHT_M / 2) / range_m
     images = []
     for camera_x in (0.0, BASE_M):
-        fine = _render(range_m, aside - camera_x, camera_x, cx, cy, skin, wall, wall_m, post)
+        fine = _render(range_m, aside - camera_x, camera_x, cx, cy, skin, wall, post)
         image = cv2.resize(cv2.GaussianBlur(fine, (0, 0), 0.45 * _FINE), SIZE[::-1], interpolation=cv2.INTER_AREA)
         if flat:
             image = np.full_like(image, 90.0)
@@ -65,7 +63,7 @@ def cone_pair(
 
 def _render(
     range_m: float, x0: float, camera_x: float, cx: float, cy: float,
-    skin: NDArray[np.float64], wall: NDArray[np.float64], wall_m: float, post: bool,
+    skin: NDArray[np.float64], wall: NDArray[np.float64], post: bool,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Grey values (H * fine, W * fine, 3) as one camera sees them; x0: of the cone's axis in that camera."""
     v, u = np.mgrid[0 : SIZE[0] * _FINE, 0 : SIZE[1] * _FINE]
@@ -83,8 +81,8 @@ def _render(
     shade = (0.8 + 0.2 * np.cos(angle - 0.6)) * (0.9 + 0.1 * texture)
     white = ((height * 6).astype(int) % 2)[..., None] == 1
     cone = shade[..., None] * np.where(white, [200.0, 205.0, 210.0], [40.0, 90.0, 220.0])
-    column = np.clip(((x * wall_m + camera_x) * 60 + 1200).astype(int), 0, wall.shape[1] - 1)
-    row = np.clip((y * wall_m * 60 + 100).astype(int), 0, wall.shape[0] - 1)
+    column = np.clip(((x * _WALL_M + camera_x) * 60 + 1200).astype(int), 0, wall.shape[1] - 1)
+    row = np.clip((y * _WALL_M * 60 + 100).astype(int), 0, wall.shape[0] - 1)
     image = np.where(hit[..., None], cone, (60 + 90 * wall[row, column])[..., None])
     if post:  # half a metre in front, over the right half of the cone
         near = range_m - 1.5

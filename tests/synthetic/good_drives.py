@@ -19,7 +19,6 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams
-from conetl.model.rig import CalibrationCovariance
 from conetl.tracking.checks.poses import check_calibration, check_trajectory
 from conetl.tracking.clock import ClockOffset, estimate_clock
 from conetl.tracking.drive_refinement import refine_with_cones
@@ -27,7 +26,7 @@ from conetl.tracking.self_calibration import SelfCalibration, Span, self_calibra
 from conetl.tracking.trajectory import RefinedTrajectory, measured_motions, read_log
 from tests.synthetic.odometry import STEP_S, log_of, motions_of, pose_errors
 from tests.synthetic.spans import CX_PX, FOCAL_PX, followed, make_span
-from tests.synthetic.world import ORIGIN_M, make_rig
+from tests.synthetic.world import ORIGIN_M, calibrated, make_rig
 
 Floats = NDArray[np.float64]
 PARAMS, RIG = TrajectoryParams(), make_rig()
@@ -169,10 +168,5 @@ def draw_calibration(rng: np.random.Generator) -> tuple[SelfCalibration, list[He
             seen[:, 3] += error.get("right.cy_px", 0.0)
         spans.append(Span(k, k + 1, made.last_SE3_first))
         tracks.append(followed(made, k))
-    rig = RIG
-    if not unknown:
-        matrix = np.diag(np.square(list(sigma.values()))).tolist()
-        covariance = CalibrationCovariance(names=tuple(sigma), matrix=tuple(tuple(row) for row in matrix))
-        rig = RIG.model_copy(update={"calibration_covariance": covariance})
-    found = self_calibrate(rig, spans, tracks, PARAMS)
+    found = self_calibrate(RIG if unknown else calibrated(RIG, sigma), spans, tracks, PARAMS)
     return found, check_calibration(found)

@@ -15,28 +15,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.evaluation.truth import TruthCone
-from conetl.model.base import Matrix3
+from conetl.geometry import pose as se3
+from conetl.geometry.packing import vec3
 from conetl.model.drive import Detection, Drive, FramePair, Position, StereoMatch, Track
 from conetl.model.params import PositionParams
 from conetl.model.rig import Rig, Side
 from conetl.tracking.association import MotionError
 from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.positions import locate_positions
-from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, fuse_logged, make_path
+from tests import records
+from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, drive_of, fuse_logged, make_path, shifted
 
 SIGMA_U_PX, SIGMA_V_PX, SIGMA_POINTING_PX = 0.3, 0.8, 0.5
 SIGMA_DISPARITY_PX = 2**0.5 * SIGMA_U_PX
-
-
-@dataclass(frozen=True)
-class PoseErrors:
-    """How the log of a drive differs from the truth; each is one sigma, drawn once a drive or once a frame."""
-
-    common_m: float = 0.03
-    """East and north; up is 1.5 times that."""
-    common_rad: float = 0.0005
-    per_frame_m: float = 0.0
-    per_frame_rad: float = 0.0
+#: Of the log, drawn once a drive, as large as those of RTK: east, north, up, and each angle.
+LOG_SIGMA_M, LOG_SIGMA_RAD = np.array([0.03, 0.03, 0.045]), 0.0005
 
 
 @dataclass(frozen=True)
@@ -54,21 +47,19 @@ def draw_positions(
     rng: np.random.Generator,
     rig: Rig,
     cones: Sequence[Cone],
-    errors: PoseErrors,
     *,
     frames: int = 32,
     noise: float = 1.0,
-    stated_share: float = 1.0,
     outline_px: float = 0.0,
 ) -> NoisyDrive:
     """One drive up to its single positions; match_index is the number of the cone.
 
-    noise: what the stated image sigmas are multiplied with to get the true ones. stated_share: of the pose errors.
+    noise: what the stated image sigmas are multiplied with to get the true ones.
     outline_px: sigma of what all sightings of a cone share, along and across the rows; with it they share a part of their
     disparities' errors too, as stated.
     """
     true_pairs = make_path(frames)
-    logged = _logged(rng, true_pairs, errors, stated_share)
+    logged = _logged(rng, true_pairs)
     shared_px = [outline_px, outline_px, shared_disparity_px(SIGMA_DISPARITY_PX)]
     outlines = rng.normal(0, noise * np.array(shared_px), (len(cones), 3)) if outline_px else np.zeros((len(cones), 3))
     matches = [
@@ -78,18 +69,13 @@ def draw_positions(
         if (match := _match(rng, cone, number, pair, rig, noise, outlines[number])) is not None
     ]
     positions, _ = locate_positions(matches, {pair.frame_index: pair for pair in logged}, rig, PositionParams())
-    drive = Drive(
-        drive_id="drawn", source_path="drawn", rig=rig, map_srid=32632, content_sha256="0" * 64, frame_pairs=tuple(logged),
-        expected_frame_count=frames,
-    )  # fmt: skip
+    drive = drive_of(logged, rig)
     return NoisyDrive(drive, [_truth(number, cone) for number, cone in enumerate(cones)], matches, positions, [])
 
 
-def draw_drive(
-    rng: np.random.Generator, rig: Rig, cones: Sequence[Cone], errors: PoseErrors, **options: Any
-) -> NoisyDrive:
+def draw_drive(rng: np.random.Generator, rig: Rig, cones: Sequence[Cone], **options: Any) -> NoisyDrive:
     """One drive through positions and tracks, which know that the log has no error from frame to frame but what is common."""
-    drawn = draw_positions(rng, rig, cones, errors, **options)
+    drawn = draw_positions(rng, rig, cones, **options)
     found = [detection for match in drawn.matches for detection in (match.left, match.right)]
     pairs = drawn.drive.frame_pairs
     tracks, _ = fuse_logged(pairs, rig, found, drawn.matches, drawn.positions, motion=EXACT_MOTION)
@@ -105,29 +91,17 @@ def _truth(number: int, cone: Cone) -> TruthCone:
     return TruthCone(cone_id=f"C{number}", xyz_m=(x, y, z), cone_height_m=cone.height_m)
 
 
-def _logged(
-    rng: np.random.Generator, pairs: Sequence[FramePair], errors: PoseErrors, stated_share: float
-) -> list[FramePair]:
-    """The log: common and per-frame errors of place and attitude, with the sigmas of both stated as one."""
-    up = np.array([1.0, 1.0, 1.5])
-    shift, turn = rng.normal(0, errors.common_m * up), rng.normal(0, errors.common_rad, 3)
-    sigma_m = stated_share * np.hypot(errors.common_m, errors.per_frame_m) * up
-    sigma_rad = stated_share * float(np.hypot(errors.common_rad, errors.per_frame_rad))
+def _logged(rng: np.random.Generator, pairs: Sequence[FramePair]) -> list[FramePair]:
+    """The log, with errors of place and attitude as its sigmas say."""
+    shift_m, turn = rng.normal(0, LOG_SIGMA_M), rng.normal(0, LOG_SIGMA_RAD, 3)
     logged = []
     for pair in pairs:
-        place = pair.pose.map_t_body_m + shift + rng.normal(0, errors.per_frame_m * up)
-        angles = turn + rng.normal(0, errors.per_frame_rad, 3)
         true = Rotation.from_matrix(pair.pose.map_R_body).as_euler("ZYX")
-        matrix = Rotation.from_euler("ZYX", true + angles[::-1]).as_matrix().tolist()
-        rotation: Matrix3 = tuple(tuple(row) for row in matrix)
-        x, y, z = place.tolist()
-        a, b, c = sigma_m.tolist()
-        pose = pair.pose.model_copy(
-            update={
-                "map_R_body": rotation, "map_t_body_m": (x, y, z), "sigma_enu_m": (a, b, c),
-                "sigma_rpy_rad": (sigma_rad, sigma_rad, sigma_rad),
-            }
-        )  # fmt: skip
+        stated = {
+            "map_R_body": se3.to_matrix3(Rotation.from_euler("ZYX", true + turn[::-1]).as_matrix()),
+            "sigma_enu_m": vec3(LOG_SIGMA_M), "sigma_rpy_rad": (LOG_SIGMA_RAD,) * 3,
+        }  # fmt: skip
+        pose = shifted(pair, shift_m.tolist()).pose.model_copy(update=stated)
         logged.append(pair.model_copy(update={"pose": pose}))
     return logged
 
@@ -183,7 +157,4 @@ def _match(
 
 
 def _detection(pair: FramePair, side: Side, number: int, box: tuple[float, float, float, float]) -> Detection:
-    x, y, w, h = box
-    return Detection(
-        frame_index=pair.frame_index, side=side, detection_index=number, x_px=x, y_px=y, w_px=w, h_px=h, score=0.9
-    )
+    return records.box(*box, frame=pair.frame_index, side=side, index=number)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +16,7 @@ from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 from tests import records
-from tests.synthetic.world import ORIGIN_M, START_NS, make_path, make_rig, shifted
+from tests.synthetic.world import ORIGIN_M, START_NS, evidence_of, make_path, make_rig, shifted
 
 Floats = NDArray[np.float64]
 RIG = make_rig()
@@ -51,11 +49,10 @@ def markings_of(
     seen_ns: int = START_NS,
     offset_m: Sequence[float] | Floats = (0.0, 0.0, 0.0),
     offset_sigma_m: float = 0.05,
-    sigma_m: float = SIGMA_M,
 ) -> list[MarkingTrack]:
     """The markings as a drive observes them along a part of the road: with noise, and an offset of the whole drive."""
     tracks = []
-    relative = (1e-6, 0.0, 0.0, sigma_m**2, 0.0, SIGMA_Z_M**2)
+    relative = (1e-6, 0.0, 0.0, SIGMA_M**2, 0.0, SIGMA_Z_M**2)
     whole = tuple(a + b for a, b in zip(relative, records.cov_of(offset_sigma_m), strict=True))
     for paint in paints:
         begin = max(paint.span_m[0], span_m[0]) + rng.uniform(0, 1)
@@ -64,7 +61,7 @@ def markings_of(
             continue
         x = np.linspace(begin, end, max(round((end - begin) / SPACING_M), 1) + 1)
         apart = np.exp(-np.abs(x[:, None] - x) / CORRELATION_M)
-        y, z = rng.multivariate_normal(np.zeros(len(x)), apart, size=2) * [[sigma_m], [SIGMA_Z_M]]
+        y, z = rng.multivariate_normal(np.zeros(len(x)), apart, size=2) * [[SIGMA_M], [SIGMA_Z_M]]
         vertices_m = ORIGIN_M + np.column_stack([x, paint.aside_m + y, z]) + offset_m
         shape = records.marking(vertices_m, cov_m2=whole, **paint.shape())
         tracks.append(
@@ -100,22 +97,20 @@ def painted_drive(
 ) -> DriveEvidence:
     """A drive past the markings on some day. blur_px: of its images."""
     params = ReconcileParams()
-    content = hashlib.sha256(f"painted {number} {rng.integers(1 << 60)}".encode()).hexdigest()
+    name = f"painted {number} {rng.integers(1 << 60)}"
     start_ns = START_NS + int(day * DAY_NS)
     offset_m = rng.normal(0, sigma_m, 3)
     pairs = frame_pairs_of(span_m, start_ns, offset_m)
     view = observations_of_drive(RIG, pairs, (), (), SEARCHED)
-    return DriveEvidence(
-        key=(start_ns, content, content),
-        changeset_id=uuid5(NAMESPACE_URL, content),
-        founding_key=f"default/{content}",
-        tracks=(),
+    return evidence_of(
+        name,
+        start_ns,
+        (),
+        np.array([pair.pose.map_t_body_m[:2] for pair in pairs]),
         markings=markings_of(paints, rng, span_m, seen_ns=start_ns, offset_m=offset_m, offset_sigma_m=sigma_m),
-        path_m=np.array([pair.pose.map_t_body_m[:2] for pair in pairs]),
         influence_m=60.0,
         check_visibility=_no_cones,
         check_view=lambda vertices_m: markings_in_view(vertices_m, view, blur_px, params),
-        params=params,
     )
 
 

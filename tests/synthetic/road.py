@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
@@ -13,14 +11,13 @@ from conetl.mapping.history import DriveEvidence
 from conetl.mapping.visibility import NotObserved
 from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
-from conetl.model.params import ReconcileParams
 from tests import records
 from tests.records import standing_at
-from tests.synthetic.world import ORIGIN_M, START_NS
+from tests.synthetic.world import ORIGIN_M, START_NS, evidence_of
 
 HOUR_NS = 3_600_000_000_000
 SECOND_NS = 1_000_000_000
-SPEED_M_S = 10.0
+SPEED_M_S, SIGMA_M = 10.0, 0.3
 SIDE_M = 8.0
 """Cones nearer to the path than this are visible."""
 POOR_SIDE_M = 3.2
@@ -67,14 +64,10 @@ def random_drive(
     *,
     start_ns: int,
     span_m: tuple[float, float],
-    sigma_m: float = 0.3,
-    map_name: str = "default",
-    params: ReconcileParams | None = None,
 ) -> DriveEvidence:
     """One drive along a part of the road: a common offset, noise, missed cones, and its visibility."""
-    params = params or ReconcileParams()
-    content = hashlib.sha256(f"{map_name} drive {number} {rng.integers(1 << 60)}".encode()).hexdigest()
-    offset = rng.normal(0, sigma_m, 2)
+    name = f"drive {number} {rng.integers(1 << 60)}"
+    offset = rng.normal(0, SIGMA_M, 2)
     west, east = span_m
     path = np.arange(west, east + 1, 2.0)
     tracks = []
@@ -89,7 +82,7 @@ def random_drive(
             records.track(
                 len(tracks),
                 category="drum" if i % 4 == 3 else CONE,
-                **standing_at(xyz, cone.height_m, (sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, 0.1))
+                **standing_at(xyz, cone.height_m, (SIGMA_M**2, 0.0, 0.0, SIGMA_M**2, 0.0, 0.1))
                 | {"cone_height_m": cone.height_m + float(rng.normal(0, 0.01))},
                 relative_cov_m2=(1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3),
                 existence_probability=float(rng.uniform(0.7, 0.99)),
@@ -99,17 +92,15 @@ def random_drive(
                 members=((i, 0),),
             )
         )
-    return DriveEvidence(
-        key=(start_ns, content, content),
-        changeset_id=uuid5(NAMESPACE_URL, content),
-        founding_key=f"{map_name}/{content}",
-        tracks=tracks,
-        path_m=np.column_stack([ORIGIN_M[0] + path, np.full(len(path), ORIGIN_M[1])]),
+    return evidence_of(
+        name,
+        start_ns,
+        tracks,
+        np.column_stack([ORIGIN_M[0] + path, np.full(len(path), ORIGIN_M[1])]),
         influence_m=60.0,
         check_visibility=_visibility(
             np.array([t.xyz_m for t in tracks]).reshape(-1, 3), start_ns, span_m, rng.random()
         ),
-        params=params,
     )
 
 

@@ -11,7 +11,7 @@ from conetl.geometry.motion.stereo_tracks import StereoTracks
 
 Floats = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX, CX_PX, CY_PX, BASELINE_M = 1242, 375, 721.5, 609.6, 172.9, 0.54
-SIGMA_PX = 0.2
+SIGMA_PX, NEAREST_M = 0.2, 6.0
 
 
 def see(points: Floats, turn_rad: Floats) -> Floats:
@@ -36,14 +36,13 @@ def make_span(
     *,
     points: int = 90,
     way_m: float = 2.0,
-    nearest_m: float = 6.0,
     lorry: int = 0,
 ) -> SpanPoints:
     """One span of a street: points at many depths, seen inside all four images; the first `lorry` drive ahead with the car."""
     pose = motion(way_m, rng.normal(0, 0.02))
     kept: list[Floats] = []
     while sum(map(len, kept)) < points:
-        z = nearest_m / rng.uniform(0.12, 1.0, 4 * points)
+        z = NEAREST_M / rng.uniform(0.12, 1.0, 4 * points)
         p = np.stack([rng.uniform(-0.8, 0.8, len(z)) * z, rng.uniform(-0.2, 0.22, len(z)) * z, z], axis=1)
         inside = np.ones(len(p), dtype=bool)
         for seen in (see(p, turn_rad), see(p @ pose[:3, :3].T + pose[:3, 3], turn_rad)):

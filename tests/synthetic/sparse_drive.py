@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
@@ -96,46 +95,3 @@ def record(
     )  # fmt: skip
     image_ns = [START_NS + round(t * 1e9) for t in images_s]
     return Recording(truth, image_ns, motions, samples, has_attitude)
-
-
-def offset_bound_s(drive: Recording, offset_s: float) -> float:
-    """Cramer-Rao bound of the offset of the clocks: the sigma (s) of the best unbiased estimator in the plane.
-
-    offset_s: the true one. Measured are the records while there are images, whose errors are those of `record`; beside the offset
-    a common shift, turn and scale are unknown, where there is attitude the boresight too. The drawn path and how visual odometry
-    errs along it are known.
-    """
-    image_s = np.array(drive.image_ns) * 1e-9 - START_NS * 1e-9
-    record_s = np.array(drive.track.times_ns) * 1e-9 - START_NS * 1e-9 - offset_s
-    at_s = record_s[(record_s >= image_s[0]) & (record_s <= image_s[-1])]
-    yaw = np.unwrap(np.arctan2(drive.truth[:, 1, 0], drive.truth[:, 0, 0]))
-    way = CubicSpline(image_s, np.column_stack([drive.truth[:, :2, 3], yaw]))
-    at, rate, count = way(at_s), way(at_s, 1), len(at_s)
-    apart = at[:, :2] - at[:, :2].mean(axis=0)
-    # Rows: east, north and yaw of every record; columns: offset, shift, turn, scale, boresight.
-    by = np.zeros((3, count, 6))
-    by[..., 0] = rate.T
-    by[0, :, 1] = by[1, :, 2] = by[2, :, 5] = by[2, :, 3] = 1.0
-    by[:2, :, 3], by[:2, :, 4] = np.stack([-apart[:, 1], apart[:, 0]]), apart.T
-    sigma = np.array([drive.track.sigma[0, 0], drive.track.sigma[0, 1], drive.track.sigma[0, 5]])
-    lasts_s = np.array([PARAMS.gnss_correlation_s] * 2 + [PARAMS.attitude_correlation_s])
-    white = np.array([PARAMS.gnss_white_share] * 2 + [PARAMS.attitude_white_share]) ** 2
-    cov = np.zeros((3, count, 3, count))
-    for k in range(3):
-        alike = np.exp(-np.abs(at_s[:, None] - at_s) / lasts_s[k])
-        cov[k, :, k] = sigma[k] ** 2 * ((1 - white[k]) * alike + white[k] * np.eye(count))
-    # Every interval of the odometry turns and shifts all that follows.
-    before, after = drive.truth[:-1, :2, 3], at_s[:, None] >= image_s[1:] - 1e-9
-    turn = np.hypot(5e-5, PARAMS.floor_rad)
-    steps = np.linalg.norm(np.diff(drive.truth[:, :2, 3], axis=0), axis=1)
-    shift = np.sqrt(0.002**2 + PARAMS.floor_m**2 + (PARAMS.floor_relative * steps) ** 2)
-    turned = np.stack([before[:, 1] - at[:, None, 1], at[:, None, 0] - before[:, 0], np.ones(after.shape)])
-    errors = np.zeros((3, count, 3, len(steps)))
-    errors[:, :, 2] = turn * turned * after
-    errors[0, :, 0] = errors[1, :, 1] = shift * after
-    rows = 3 if drive.has_attitude else 2
-    jacobian, noise = by[:rows].reshape(-1, 6), errors[:rows].reshape(rows * count, -1)
-    total = cov[:rows, :, :rows].reshape(rows * count, rows * count) + noise @ noise.T
-    prior = np.diag([0.0, 0.0, 0.0, 0.0, PARAMS.scale_sigma**-2, 0.03**-2])
-    information = jacobian.T @ np.linalg.solve(total, jacobian) + prior
-    return float(np.linalg.inv(information)[0, 0] ** 0.5)

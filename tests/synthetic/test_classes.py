@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
-from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 import pytest
@@ -22,7 +20,17 @@ from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Side
 from conetl.tracking.error_propagation import class_error_id
-from tests.synthetic.world import ORIGIN_M, START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig
+from tests.synthetic.world import (
+    ORIGIN_M,
+    START_NS,
+    Cone,
+    detect,
+    evidence_of,
+    fuse_logged,
+    locate,
+    make_path,
+    make_rig,
+)
 
 RIG, PARAMS = make_rig(), IngestParams()
 DAY_NS = 86_400_000_000_000
@@ -58,17 +66,10 @@ def drive(objects: Objects, day: int, categories: Sequence[str] = tuple(FEATURE_
     figures = AbsenceFigures(evidence=UNMEASURED, score_threshold=0.3, categories=tuple(categories))
     spots = [(p.frame_index, p.category, p.xyz_m) for p in positions]
     view = observations_of_drive(RIG, pairs, [d for some in boxes.values() for d in some], spots, figures)
-    content = hashlib.sha256(f"day {day}".encode()).hexdigest()
-    return DriveEvidence(
-        key=(pairs[0].captured_at_ns, content, content),
-        changeset_id=uuid5(NAMESPACE_URL, content),
-        founding_key=content,
-        tracks=tracks,
-        path_m=np.array([pair.pose.map_t_body_m[:2] for pair in pairs]),
-        influence_m=80.0,
+    return evidence_of(
+        f"day {day}", pairs[0].captured_at_ns, tracks, np.array([pair.pose.map_t_body_m[:2] for pair in pairs]),
         check_visibility=lambda f, offset_m, others_m: check_visibility(f, offset_m, others_m, view, PARAMS.reconcile),
-        params=PARAMS.reconcile,
-    )
+    )  # fmt: skip
 
 
 def standing(history: MapHistory) -> list[tuple[str, int]]:

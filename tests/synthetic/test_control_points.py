@@ -20,7 +20,7 @@ from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.trajectory import RefinedTrajectory
-from tests.synthetic.noisy_drive import PoseErrors, draw_positions
+from tests.synthetic.noisy_drive import draw_positions
 from tests.synthetic.odometry import log_of, motions_of, pose_errors
 from tests.synthetic.world import ORIGIN_M, Cone, make_path, make_rig, shifted
 from tests.unit.readers.drive_formats import SAMPLE
@@ -57,7 +57,7 @@ def refined(
 ) -> tuple[RefinedTrajectory, np.ndarray]:
     """The trajectory of a drawn drive whose log states sigma_m and is off_m away, with points on these cones; errors (K, 3)."""
     rng = np.random.default_rng(seed)
-    matches = draw_positions(rng, RIG, CONES, PoseErrors()).matches
+    matches = draw_positions(rng, RIG, CONES).matches
     log, motions = log_of(TRUTH, rng, sigma_m, 0.0009, PARAMS), motions_of(TRUTH, RIG, rng, PARAMS)
     log = moved(log, np.tile(off_m, (len(log), 1)), None)
     feet = np.add([CONES[n].foot_m for n in points], ORIGIN_M)

@@ -46,18 +46,15 @@ def test_every_cone_becomes_one_track(cones: list[Cone]) -> None:
     assert len(tracks) == len(cones)
     assert max(errors_m(tracks, cones)) < 0.25
     assert np.median(errors_m(tracks, cones)) < 0.1
+    for track in tracks:
+        foot_m = np.array(track.xyz_m) - ORIGIN_M
+        cone = min(cones, key=lambda one: float(np.linalg.norm(foot_m - one.foot_m)))
+        assert track.cone_height_m == pytest.approx(cone.height_m, abs=0.05)
 
 
 def test_missed_boxes_do_not_split_a_track() -> None:
     tracks, _ = fuse(TAPER, make_path(45), drop=0.2)
     assert len(tracks) == len(TAPER)
-
-
-def test_heights_come_out() -> None:
-    tracks, _ = fuse(TAPER, make_path(45))
-    for cone in TAPER:
-        nearest = min(tracks, key=lambda t: float(np.linalg.norm(np.array(t.xyz_m) - ORIGIN_M - np.array(cone.foot_m))))
-        assert nearest.cone_height_m == pytest.approx(cone.height_m, abs=0.05)
 
 
 @pytest.mark.parametrize("cones", [TAPER, DENSE], ids=["taper", "dense"])

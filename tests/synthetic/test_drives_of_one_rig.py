@@ -22,27 +22,21 @@ from conetl.mapping.deltas import Terms
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.rig import CalibrationCovariance, Rig
+from conetl.model.rig import Rig
 from tests import records
-from tests.synthetic.world import ORIGIN_M, START_NS, make_path, make_rig
+from tests.synthetic.world import ORIGIN_M, START_NS, calibrated, make_path, make_rig
 
 Floats = NDArray[np.float64]
 PARAMS = ReconcileParams()
 DRIVES = 10
-NAMES = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m")
-SIGMAS = np.array([0.5, 0.25, 2.5e-4, 1e-3])
+SIGMAS = {"left.fx_px": 0.5, "right.cx_px": 0.25, "relative.ry_rad": 2.5e-4, "relative.tx_m": 1e-3}
 #: GNSS of a drive, and of a cone within it, one axis.
 DRIVE_M, CONE_M = 0.03, 0.01
 #: From which even and odd drives see a cone.
 RANGES_M = (8.0, 8.2)
 
 
-def rig_of(sigmas: Floats) -> Rig:
-    matrix = tuple(tuple(row) for row in np.diag(sigmas**2).tolist())
-    return make_rig().model_copy(update={"calibration_covariance": CalibrationCovariance(names=NAMES, matrix=matrix)})
-
-
-RIG = rig_of(SIGMAS)
+RIG = calibrated(make_rig(), SIGMAS)
 
 
 def eastwards(_drive: int) -> bool:
@@ -119,7 +113,7 @@ def nees(
     cones_m = np.array([[12.0 * k, 2.5 if k % 2 else -2.5, 0.0] for k in range(cones)])
     total, sigma_m = [], []
     for _ in range(trials):
-        errors = {rig.model_dump_json(): rng.normal(size=len(NAMES)) for rig in rigs_of_drives}
+        errors = {rig.model_dump_json(): rng.normal(size=len(SIGMAS)) for rig in rigs_of_drives}
         drives = []
         for drive in range(len(rigs_of_drives)):
             rig, gnss_m = rigs_of_drives[drive], rng.normal(0, DRIVE_M, 3)

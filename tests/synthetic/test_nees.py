@@ -21,15 +21,13 @@ from conetl.model.params import PositionParams, TrajectoryParams
 from conetl.tracking.error_propagation import outline_errors, pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
-from tests.synthetic.noisy_drive import EXACT_MOTION, NoisyDrive, PoseErrors, draw_drive, draw_positions
+from tests.synthetic.noisy_drive import EXACT_MOTION, NoisyDrive, draw_drive, draw_positions
 from tests.synthetic.odometry import log_of, motions_of
 from tests.synthetic.world import Cone, fuse_logged, make_path, make_rig
 
 RIG = make_rig()
 CONES = [Cone((14.0 + 4.0 * k, 3.6 - 0.5 * k, 0.0)) for k in range(5)]
 PARAMS = TrajectoryParams()
-#: A common error as large as an RTK drive's, in place and attitude.
-RTK = PoseErrors(common_m=0.03, common_rad=0.0005)
 
 
 def summed(results: Iterable[Consistency | None]) -> Consistency:
@@ -71,7 +69,7 @@ def test_single_positions_from_refined_poses_that_slide(noise: float, drives: in
     jointly, as_one = [], []
     for seed in range(drives):
         rng = np.random.default_rng(seed)
-        drawn = draw_positions(rng, RIG, CONES, RTK, frames=len(pairs), noise=noise)
+        drawn = draw_positions(rng, RIG, CONES, frames=len(pairs), noise=noise)
         refined = refine_trajectory(
             log_of(truth, rng, 0.06, 0.001, PARAMS), RIG, motions_of(truth, RIG, rng, PARAMS), PARAMS
         )
@@ -94,7 +92,7 @@ def test_single_positions_from_refined_poses_that_slide(noise: float, drives: in
 def test_what_all_sightings_of_a_cone_share_is_common_to_them(noise: float, holds: bool) -> None:
     """Feet that the detector puts wrongly, for each cone in all its images alike: single positions and tracks hold."""
     some = [
-        draw_drive(np.random.default_rng(seed), RIG, CONES, RTK, frames=16, noise=noise, outline_px=0.6)
+        draw_drive(np.random.default_rng(seed), RIG, CONES, frames=16, noise=noise, outline_px=0.6)
         for seed in range(20, 36)
     ]
     singles, tracks = summed(of_positions(drive) for drive in some), summed(of_tracks(drive) for drive in some)
@@ -107,7 +105,7 @@ def test_what_all_sightings_of_a_cone_share_is_common_to_them(noise: float, hold
 @pytest.mark.parametrize("count", [4, 16])
 def test_what_sightings_share_counts_once_in_a_track(count: int) -> None:
     """A vehicle that waits beside a cone: the disparities' own error averages out over the frames, what they share does not."""
-    drawn = draw_positions(np.random.default_rng(1), RIG, CONES[:1], RTK, frames=1, noise=0.0, outline_px=0.6)
+    drawn = draw_positions(np.random.default_rng(1), RIG, CONES[:1], frames=1, noise=0.0, outline_px=0.6)
     [pair], [match], [position] = drawn.drive.frame_pairs, drawn.matches, drawn.positions
     pairs = [pair.model_copy(update={"frame_index": k, "captured_at_ns": k * 10**8}) for k in range(count)]
     boxes = [{side: getattr(match, side).model_copy(update={"frame_index": k}) for side in ("left", "right")}

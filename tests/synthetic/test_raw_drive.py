@@ -24,8 +24,8 @@ from conetl.readers.drives import read_drive
 from conetl.readers.rigs import read_kitti_rig
 from conetl.tracking.matching.matches import match_pair
 from conetl.tracking.positions import locate_positions
+from tests.folders import SAMPLE
 
-DRIVE = Path(__file__).parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
 FRAMES = (18, 22, 29, 33)
 NEAR_M = 10.5
 TURNS = {"left": (0.006, 0.012, -0.007), "right": (-0.008, -0.017, 0.011)}
@@ -66,12 +66,12 @@ def raw_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("raw") / "drive"
     for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
         root.mkdir(exist_ok=True)
-        shutil.copy(DRIVE / name, root)
-    shutil.copytree(DRIVE / "oxts", root / "oxts")
-    rectified = read_kitti_rig(DRIVE / "calib_cam_to_cam.txt", body_required=True)
+        shutil.copy(SAMPLE / name, root)
+    shutil.copytree(SAMPLE / "oxts", root / "oxts")
+    rectified = read_kitti_rig(SAMPLE / "calib_cam_to_cam.txt", body_required=True)
     raw = raw_rig(rectified)
-    lines = dict(line.split(": ", 1) for line in (DRIVE / "calib_cam_to_cam.txt").read_text().splitlines())
-    ideal = read_kitti_rig(DRIVE / "calib_cam_to_cam.txt", body_required=True, images="raw")
+    lines = dict(line.split(": ", 1) for line in (SAMPLE / "calib_cam_to_cam.txt").read_text().splitlines())
+    ideal = read_kitti_rig(SAMPLE / "calib_cam_to_cam.txt", body_required=True, images="raw")
     camera_SE3_cam0 = se3.se3(
         *(np.array(lines[k].split(), dtype=float).reshape(s) for k, s in (("R_02", (3, 3)), ("T_02", 3)))
     )
@@ -86,9 +86,9 @@ def raw_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
             lines[f"{key}_{number}"] = " ".join(f"{v:.12e}" for v in np.ravel(values))
         folder = root / f"image_{number}"
         (folder / "data").mkdir(parents=True)
-        shutil.copy(DRIVE / f"image_{number}" / "timestamps.txt", folder)
+        shutil.copy(SAMPLE / f"image_{number}" / "timestamps.txt", folder)
         for frame in FRAMES:
-            image = cv2.imread(str(DRIVE / f"image_{number}" / "data" / f"{frame:010d}.jpg"))
+            image = cv2.imread(str(SAMPLE / f"image_{number}" / "data" / f"{frame:010d}.jpg"))
             cv2.imwrite(str(folder / "data" / f"{frame:010d}.png"), take_raw(image, rectified, raw, side))
     (root / "calib_cam_to_cam.txt").write_text("".join(f"{key}: {value}\n" for key, value in lines.items()))
     return root
@@ -117,7 +117,7 @@ def positions(drive: Drive) -> list[Position]:
 
 
 def test_near_cones_stand_where_the_rectified_drive_puts_them(raw_drive: Path) -> None:
-    taken, original = read_drive(raw_drive)[0], read_drive(DRIVE)[0]
+    taken, original = read_drive(raw_drive)[0], read_drive(SAMPLE)[0]
     assert taken.rig.rectified_from is not None and original.rig.rectified_from is None
     assert [pair.frame_index for pair in taken.frame_pairs] == list(FRAMES)
     near = [p for p in positions(original) if p.range_m < NEAR_M]

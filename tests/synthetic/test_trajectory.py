@@ -15,7 +15,7 @@ from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.error_propagation import motion_error, relative_cov
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
 from tests import records
-from tests.synthetic.noisy_drive import PoseErrors, draw_positions
+from tests.synthetic.noisy_drive import draw_positions
 from tests.synthetic.odometry import log_of, motions_of, pose_errors, true_poses
 from tests.synthetic.world import Cone, make_path, make_rig
 
@@ -89,18 +89,15 @@ def test_rtk_grade_poses_are_not_harmed() -> None:
 def test_without_measurements_the_poses_are_those_of_the_log() -> None:
     _, log, motions = drive(1)
     dark = [m.model_copy(update={"second_SE3_first": None, "cov": (), "reason": "image_blank"}) for m in motions]
-    for nothing in ([], dark):
-        result = refine_trajectory(log, RIG, nothing, PARAMS)
-        assert result.outcome is RefinementOutcome.NO_MEASUREMENT
+    for nothing, params, outcome in (
+        ([], PARAMS, RefinementOutcome.NO_MEASUREMENT),
+        (dark, PARAMS, RefinementOutcome.NO_MEASUREMENT),
+        (motions, TrajectoryParams(refine=False), RefinementOutcome.SWITCHED_OFF),
+    ):
+        result = refine_trajectory(log, RIG, nothing, params)
+        assert result.outcome is outcome
         assert result.frame_pairs == tuple(log)
         assert motion_error(result) is None
-
-
-def test_switched_off() -> None:
-    _, log, motions = drive(1)
-    result = refine_trajectory(log, RIG, motions, TrajectoryParams(refine=False))
-    assert result.outcome is RefinementOutcome.SWITCHED_OFF
-    assert result.frame_pairs == tuple(log)
 
 
 def test_a_gap_in_the_measurements_is_bridged() -> None:
@@ -216,7 +213,7 @@ def test_cones_as_landmarks_correct_the_length_of_the_way() -> None:
     before, after = [], []
     for seed in range(4):
         cones = [Cone((12.0 + 4.0 * k, 3.2 - 6.0 * (k % 2), 0.0)) for k in range(5)]
-        matches = draw_positions(np.random.default_rng(seed), RIG, cones, PoseErrors()).matches
+        matches = draw_positions(np.random.default_rng(seed), RIG, cones).matches
         log = log_of(truth, np.random.default_rng(50 + seed), 0.4, 0.0009, PARAMS)
         motions = [longer(m, 1.015) for m in motions_of(truth, RIG, np.random.default_rng(9 + seed), PARAMS)]
         alone = refine_with_cones(log, RIG, motions, [], IngestParams())
@@ -234,7 +231,7 @@ def test_cones_as_landmarks_correct_the_length_of_the_way() -> None:
 def test_cones_do_not_bend_what_rtk_says() -> None:
     """Whatever the cones say: the log is better than they are."""
     cones = [Cone((12.0 + 4.0 * k, 3.2 - 6.0 * (k % 2), 0.0)) for k in range(3)]
-    matches = draw_positions(np.random.default_rng(1), RIG, cones, PoseErrors()).matches
+    matches = draw_positions(np.random.default_rng(1), RIG, cones).matches
     truth = np.stack([se3.map_SE3_body(pair.pose) for pair in make_path(32)])
     rng = np.random.default_rng(2)
     log, motions = log_of(truth, rng, 0.02, 0.0009, PARAMS), motions_of(truth, RIG, rng, PARAMS)
