@@ -151,6 +151,9 @@ def test_frames_before_the_last_observation_are_ignored() -> None:
     found = visibility.check_visibility(seen, np.zeros(3), NO_OTHERS, observed([]), PARAMS)
     assert found is not None
     assert (found.frames, found.first_ns) == (len(frames) - 4, TIMES[frames[4]])
+    early = [position for position in observe([CONE], PAIRS, RIG)[2] if position.frame_index < frames[2]]
+    found = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, observed(early), PARAMS)
+    assert found is not None and found.first_ns == TIMES[frames[2]], "the first empty one"
 
 
 def test_a_neighbour_is_not_taken_for_a_removed_cone() -> None:
