@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from conetl.geometry import geodesy
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.rejections import RejectionReason as R
 from conetl.readers.drives import read_drive
@@ -45,6 +48,25 @@ def edit(drive: Path, name: str, old: str, new: str) -> None:
     text = (drive / name).read_text()
     assert old in text
     (drive / name).write_text(text.replace(old, new, 1))
+
+
+def test_a_whole_plain_drive(drive: Path) -> None:
+    result, rejections = read_drive(drive)
+    assert rejections == []
+    assert (result.drive_id, result.rig.rig_id, result.map_srid) == ("plain_run", "bike", 32756)
+    assert [pair.frame_index for pair in result.frame_pairs] == [0, 1, 2, 3]
+    assert [Path(pair.left_path).stem for pair in result.frame_pairs] == list(STEMS)
+    pair = result.frame_pairs[2]
+    assert pair.captured_at_ns == 1_772_366_402_500_000_000
+    np.testing.assert_allclose(pair.pose.map_t_body_m, geodesy.to_map(32756, -33.9, 151.2, 30.0))
+    convergence = float(geodesy.grid_convergence_rad(32756, -33.9, 151.2))
+    np.testing.assert_allclose(
+        Rotation.from_matrix(pair.pose.map_R_body).as_euler("ZYX")[::-1],
+        [math.radians(1), math.radians(2), math.pi / 2 + convergence],
+        atol=1e-12,
+    )
+    assert pair.pose.sigma_enu_m == (0.02, 0.03, 0.05)
+    assert read_drive(drive)[0].content_sha256 == result.content_sha256
 
 
 def add_row(text: str) -> Callable[[Path], None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,15 @@ import pytest
 from pyproj import Geod, Transformer
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry.rig import body_SE3_camera
 from conetl.readers.drives import oxts
 from conetl.readers.drives.drive_yaml import Sigmas
+from conetl.readers.rigs import read_rig
 from conetl.readers.trajectories.oxts import parse_oxts
+from conetl.readers.trajectories.times import parse_timestamp
 from conetl.simulation import simulate, trajectory
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.simulate import simulated_rig
+from conetl.simulation.simulate import CAMERA_HEIGHT_M, simulated_rig
 
 
 def _drive(pass_number: int) -> tuple[np.ndarray, np.ndarray]:
@@ -41,6 +45,20 @@ def test_reader_gets_the_true_poses_back_from_noiseless_records(pass_number: int
     np.testing.assert_allclose(read.map_SE3_body[:, :3, :3], poses[:, :3, :3], atol=1e-8)
 
 
+def test_yaw_counts_from_true_east() -> None:
+    """Against the azimuth of a geodesic along the body's x axis: no use of a convergence on this side."""
+    times, poses = _drive(1)
+    yaw = _exact(poses, times)[10][5]
+    ahead = poses[10, :3, 3] + 50.0 * poses[10, :3, 0]
+    to_lonlat = Transformer.from_crs(trajectory.MAP_SRID, 4326, always_xy=True)
+    azimuth, _, _ = Geod(ellps="WGS84").inv(
+        *to_lonlat.transform(*poses[10, :2, 3]), *to_lonlat.transform(ahead[0], ahead[1])
+    )
+    assert yaw == pytest.approx(math.radians(90.0 - azimuth), abs=2e-5)
+    grid_yaw = Rotation.from_matrix(poses[10, :3, :3]).as_euler("ZYX")[0]
+    assert abs(yaw - grid_yaw) > math.radians(0.3)  # the site is far enough from the central meridian to tell
+
+
 def test_velocities_belong_to_the_path() -> None:
     times, poses = _drive(1)
     record = _exact(poses, times)[20]
@@ -64,3 +82,25 @@ def test_measured_poses_differ_as_the_noise_model_says() -> None:
     np.testing.assert_allclose(sigma, expected, rtol=0.25)
     steps = np.std(np.diff(errors, axis=1))
     assert steps < 0.4 * sigma.mean()  # slow drift, not white noise
+
+
+def test_written_calibration_is_the_chain_of_the_renderer(tmp_path: Path) -> None:
+    rig = simulated_rig()
+    simulate.write_calibration(tmp_path, rig, datetime(2026, 3, 2, tzinfo=UTC))
+    read = read_rig(tmp_path)
+    np.testing.assert_allclose(body_SE3_camera(read, "left"), rig.body_SE3_camera(2), atol=1e-9)
+    np.testing.assert_allclose(body_SE3_camera(read, "right"), rig.body_SE3_camera(3), atol=1e-9)
+    assert (read.left.fx_px, read.left.cx_px, read.left.cy_px) == pytest.approx(
+        (rig.camera.f_px, rig.camera.cx_px, rig.camera.cy_px)
+    )
+    left = rig.body_SE3_camera(2)
+    assert left[2, 3] + rig.imu_height_m == pytest.approx(CAMERA_HEIGHT_M)
+    assert np.linalg.norm(rig.body_SE3_camera(3)[:3, 3] - left[:3, 3]) == pytest.approx(0.54, abs=0.01)
+
+
+def test_timestamps_are_read_back() -> None:
+    start = datetime(2026, 3, 2, 9, 59, 59, 950_000, UTC)
+    written = simulate.timestamp(start, 0.1)
+    assert written == "2026-03-02 10:00:00.050000000"
+    ten = int(datetime(2026, 3, 2, 10, tzinfo=UTC).timestamp())
+    assert parse_timestamp(written) == ten * 10**9 + 50_000_000
