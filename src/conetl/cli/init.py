@@ -225,7 +225,7 @@ def _settled(
         except ConetlError as error:
             if asked is None:
                 raise
-            say(str(error))
+            say(_refused(asked.key, answers[asked.key], str(error)))
             answers[asked.key] = _answer(asked)
             continue
         for line in () if as_json else proposal.found:
@@ -330,6 +330,11 @@ def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
         say(f"  ZED recording {path.name}: {found.frames:,} frames, copied to {target.name}{camera}")
     answers = {"left": target.name, "layout": "left-right"}
     return answers if found.start_ns is None else answers | {"start": stated_time(found.start_ns)}
+
+
+def _refused(key: str, value: str, error: str) -> str:
+    """What is wrong with an answer, before its question is repeated."""
+    return error if error.startswith(f"--{key} ") else f"--{key} {value}: {error}"
 
 
 def _answer(question: Question) -> str:

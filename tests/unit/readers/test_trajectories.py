@@ -238,8 +238,26 @@ def test_times_of_tables(column: str, first: str, settings: dict[str, Any], shif
 
 
 @pytest.mark.parametrize(
+    "names",
+    ["Datum;Zeit", "date;time", "Tag;Uhrzeit", "Datum [UTC];UTC-Zeit", "Date;Time of day", "GPS-Datum;GPS-Zeit"],
+)
+def test_dates_and_times_in_two_columns(names: str, tmp_path: Path) -> None:
+    path = files.write(tmp_path, "a.csv", [f"{names};Breite;Länge;Höhe", "07.02.2024;09:15:00,250;49,1;8,4;110,5"])
+    found = read_trajectory(path, TrajectoryFile(time="utc"))
+    assert found.times_ns.tolist() == [int(files.START.timestamp()) * SECOND_NS + SECOND_NS // 4]
+    assert trajectory_format(path) == "table"
+
+
+def test_a_column_datumzeit_has_date_and_time(tmp_path: Path) -> None:
+    path = files.write(tmp_path, "a.csv", ["Datum/Zeit;Breite;Länge;Höhe", "07.02.2024 09:15:00;49,1;8,4;110,5"])
+    assert read_trajectory(path).times_ns[0] == int(files.START.timestamp()) * SECOND_NS
+
+
+@pytest.mark.parametrize(
     ("lines", "settings", "expected"),
     [
+        (["time,lat,alt", "1707297300,49,110"], {"format": "table"}, r"columns for a position \(lat, .* found time, lat, alt"),
+        (["when,lat,lon,alt", "1707297300,49,8,110"], {"format": "table"}, "a column for a time, found when"),
         (["gps_time,lat,lon,alt", "2024-02-07 09:15:18,49,8,110"], {}, "GPS time, which is some seconds ahead"),
         (["local_time,lat,lon,alt", "2024-02-07 10:15:00,49,8,110"], {}, "local time of which zone"),
         (["Messzeit (lokal),lat,lon,alt", "2024-02-07 10:15:00,49,8,110"], {"columns": {"time": "Messzeit (lokal)"}},
@@ -260,7 +278,7 @@ def test_times_of_tables(column: str, first: str, settings: dict[str, Any], shif
         (["time,lat,lon,h", "1707297300,49,8,110"], {"frame": "ITRF2020", "map_frame": "JGD2011"}, "no transformation"),
         (["time,lat,lon,h", "1707297300,49,8,110"], {"frame": "ITRS", "map_frame": "ETRF2000"}, "frame: 'ITRS' is not known"),
         (["time,lat,lon,height_ft", "1707297300,49,8,110"], {}, "unit ft"),
-        (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"lat": "Lat"}}, "names the column 'Lat'"),
+        (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"lat": "Lat"}}, "has no column 'Lat', which"),
         (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"latt": "lat"}}, "'latt' is unknown"),
         (["time,lat,lon", "1707297300,49,8"], {"format": "table"}, "no column for 'height'"),
         (["time,lat,lon,alt", "1707297300,nan,8,110"], {}, "line 2: the latitude"),

@@ -96,6 +96,17 @@ def init(folder: Path, *options: str) -> Result:
     return CliRunner().invoke(app, ["init", str(folder), "--yes", *options])
 
 
+def init_on_terminal(folder: Path, answers: list[str], *options: str) -> subprocess.CompletedProcess[str]:
+    """`conetl init` that asks; the input ends after the answers."""
+    terminal, stdin = os.openpty()
+    os.write(terminal, "".join([*(f"{answer}\n" for answer in answers), "\x04"]).encode())
+    command = [sys.executable, "-c", "from conetl.cli import main; main()", "init", str(folder), *options]
+    made = subprocess.run(command, stdin=stdin, capture_output=True, text=True, timeout=120, check=False)
+    os.close(terminal)
+    os.close(stdin)
+    return made
+
+
 def start_of(drive: Drive) -> str:
     return f"{np.datetime64(drive.frame_pairs[0].captured_at_ns, 'ns')}Z".replace("T", " ")
 
@@ -461,6 +472,35 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
     assert "Fahrt.csv is of 2026-03-02 00:41:07 to 2026-03-02 00:41:" in str(made.exception), made.exception
 
 
+def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Path, tmp_path: Path) -> None:
+    copy = copied(folder, tmp_path, "drive.csv")
+    rows = [f"07.02.2024;09:15:0{second};458000;542700{second};110" for second in range(5)]
+    (copy / "log.csv").write_text("\n".join(["Messtag;Zeit;Ostwert;Nordwert;H", *rows]))
+    answers = ["0.02", "EPSG:25832", "{date", "date=Tag", "date=Messtag"]
+    made = init_on_terminal(copy, answers, "--trajectory", "log.csv")
+    wanted = (
+        "does not say of which coordinate reference system",
+        "In which coordinate reference system are its positions",
+        "--crs 0.02: drive.yaml: trajectory.crs: '0.02' is not known to PROJ",
+        "In which coordinate reference system are its positions",
+        "no usable pose: line 2: expected a time stamp like",
+        "Which column is what",
+        "--columns '{date': this is not JSON",
+        "Which column is what",
+        "has no column 'Tag', which trajectory.columns names; its columns are Messtag, Zeit",
+        "Which column is what",
+        "trajectory log.csv (table): 5 records",
+        "How accurate are its positions",
+    )
+    at = 0
+    for text in wanted:
+        at = made.stdout.find(text, at)
+        assert at >= 0, (text, made.stdout)
+        at += len(text)
+    said = str(init(copy, "--trajectory", "log.csv", "--crs", "EPSG:25832").exception)
+    assert "--columns: Which column is what" in said and "found '09:15:00'" in said, said
+
+
 def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: Path, tmp_path: Path) -> None:
     copy = copied(folder, tmp_path, "rig.yaml")
     WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), tmp_path / "stereo.yml")
@@ -735,13 +775,7 @@ def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample:
 def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tmp_path: Path) -> None:
     """On a terminal, where an end of input stands for Ctrl-C."""
     copy = copied(folder, tmp_path)
-    terminal, stdin = os.openpty()
-    os.write(terminal, b"\x04")
-    program = "from conetl.cli import main; main()"
-    command = [sys.executable, "-c", program, "init", str(copy), "--trajectory", "drive.csv"]
-    made = subprocess.run(command, stdin=stdin, capture_output=True, text=True, timeout=120, check=False)
-    os.close(terminal)
-    os.close(stdin)
+    made = init_on_terminal(copy, [], "--trajectory", "drive.csv")
     assert made.returncode != 0
     assert "start at the same trigger" not in made.stdout and "Time of the first left frame" in made.stdout
     assert made.stdout.count("trajectory drive.csv") == 1 and "images: {start" not in made.stdout

@@ -305,7 +305,7 @@ def write_german(folder: Path, t: Known | None = None) -> Path:
     for stamp, values in zip(times, np.column_stack([t.llh, t.rph, t.sigma]), strict=True):
         lines.append((stamp + ";" + ";".join(f"{v:.10f}" for v in values)).replace(".", ",").replace(",", ".", 2))
     path = folder / "fahrt.csv"
-    path.write_bytes("\r\n".join(lines).replace("Datum;", "Tag;").encode("cp1252"))
+    path.write_bytes("\r\n".join(lines).encode("cp1252"))
     return path
 
 

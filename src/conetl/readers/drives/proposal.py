@@ -262,6 +262,8 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
         recorded = _recorded(path, json.dumps(settings))
     except DriveFolderError as error:
         asked = next((key for key in _UNSTATED if key not in answers and f"{{{key}: " in str(error)), None)
+        if asked is None and _may_be_columns(path, answers, str(error)):
+            asked = "columns"
         if asked is None:
             raise
         cause = _REMEDY.split(str(error))[0]
@@ -276,6 +278,13 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
     elif not np.isfinite(recorded.sigma[:, :2]).any():
         text = "How accurate are its positions, horizontally, in metres (RTK 0.02, corrected 0.5, single 3)?"
         proposal.questions.append(Question("sigma", text))
+
+
+def _may_be_columns(path: Path, answers: Mapping[str, str], error: str) -> bool:
+    """Whether other columns of a table may be the remedy of an error of its records, and not another answer that it names."""
+    named = any(answers[key] in error for key in _UNSTATED if key in answers)
+    is_table = path.is_file() and trajectory_format(path) in {None, "table"}
+    return "columns" not in answers and ": no usable pose: line " in error and is_table and not named
 
 
 def outside_log(root: Path, settings: Mapping[str, Any]) -> str | None:
@@ -321,7 +330,10 @@ def suggested(root: Path, settings: Mapping[str, Any], key: str) -> tuple[str, s
 def _columns(text: str) -> dict[str, str | int]:
     """Column by our name for it, of `time=Zeit,lat=2`, or of JSON. Raises InputError."""
     if text.startswith("{"):
-        return dict(json.loads(text))
+        try:
+            return dict(json.loads(text))
+        except ValueError as error:
+            raise InputError(f"--columns {shown(text)}: this is not JSON: {error}") from error
     words = [word.partition("=") for word in text.split(",")]
     if not all(name.strip() and column.strip() for name, _, column in words):
         raise InputError(f"--columns {shown(text)}: expected names as in time=Zeit,lat=B,lon=L,height=H")

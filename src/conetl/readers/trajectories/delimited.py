@@ -25,9 +25,10 @@ from conetl.readers.trajectories.text import head_lines, split_line
 
 _ALIASES = {
     "time": "time timestamp timestamps stamp t utc utctime timeutc datetime utcdatetime capturedat unixtime unix "
-        "epoch posixtime zeit zeitstempel uhrzeit gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow "
-        "gpssow secondsofweek timeofweek gpsseconds gpssecs localtime timelocal localdatetime localtimestamp ortszeit",
-    "date": "date utcdate datumzeit tag gpsdate day",
+        "epoch posixtime zeit zeitstempel uhrzeit utczeit gpszeit datumzeit timeofday "
+        "gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow gpssow secondsofweek timeofweek gpsseconds gpssecs "
+        "localtime timelocal localdatetime localtimestamp ortszeit",
+    "date": "date utcdate datum tag gpsdate gpsdatum day",
     "week": "week gpsweek weekno weeknumber gpswk wn",
     "lat": "lat latitude breite breitengrad geobreite latitud phi",
     "lon": "lon long lng longitude laenge laengengrad geolaenge longitud lambda",
@@ -181,7 +182,8 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
     missing = [str(name) for name in settings.columns.values() if isinstance(name, str) and name not in best.names]
     if missing:
         raise DriveFolderError(
-            f"{path}: drive.yaml names the column {shown(missing[0])}; the columns are {', '.join(best.names)[:200]}"
+            f"{path}: has no column {shown(missing[0])}, which trajectory.columns names; its columns are "
+            f"{', '.join(best.names)[:200]}"
         )
     return best
 

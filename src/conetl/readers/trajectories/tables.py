@@ -213,15 +213,21 @@ def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tu
     if above_sea is not None and "height" not in columns:
         columns["height"], heights = above_sea, "sea level"
     shown_header = ", ".join(header)[:200]
+    also = "" if "time" in columns else "a time and "
+    missing = f"columns for {also}a position (lat, lon, height; easting, northing, height; or x, y, z)"
     for axes in ("geodetic", "projected", "local"):
         names = POSITIONS[axes]
         if names[0] in columns and names[1] in columns:
             if names[2] not in columns:
-                raise DriveFolderError(f"{path}: has no column for {names[2]!r}; its columns are {shown_header}")
+                raise DriveFolderError(
+                    f"{path}: has no column for {names[2]!r}; its columns are {shown_header}. Name it in drive.yaml, for example "
+                    f"trajectory: {{columns: {{{names[2]}: H}}}}"
+                )
             if "time" not in columns:
+                missing = "a column for a time"
                 break
             return axes, heights
     raise DriveFolderError(
-        f"{path}: expected columns for a time and a position (lat, lon, height; easting, northing, height; or x, y, z), found "
-        f"{shown_header}. Name them in drive.yaml, for example trajectory: {{columns: {{time: Zeit, lat: B, lon: L, height: H}}}}"
+        f"{path}: expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
+        "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}"
     )
