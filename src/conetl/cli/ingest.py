@@ -111,6 +111,8 @@ def ingest_drives(
         database = running.enter_context(MapDatabase(settings))
         for header in headers:
             _log.info("drive %s", header.path)
+            for remark in header.remarks:
+                ui.note(remark)
             complaints: list[ConetlError | str] = []
             try:
                 with ui.progress_bar(header.drive_id, "images and motions") as update:

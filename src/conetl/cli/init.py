@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, answer, at_a_question, complain, say, spinner
+from conetl.cli.console import JsonOption, answer, at_a_question, complain, note, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import validated
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
@@ -21,6 +21,7 @@ from conetl.perception.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import video_facts
 from conetl.readers.drives import find_format, plain
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
+from conetl.readers.drives.header import read_header
 from conetl.readers.drives.proposal import (
     Proposal,
     Question,
@@ -95,7 +96,7 @@ def init(
     ] = None,
     columns: Annotated[str | None, typer.Option(help="Columns of a table, like time=Zeit,lat=B,lon=3.")] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the log's positions, like EPSG:25832.")] = None,
-    heights: Annotated[str | None, typer.Option(help="Heights: ellipsoidal, or a CRS like EPSG:5773.")] = None,
+    heights: Annotated[str | None, typer.Option(help="Heights: ellipsoidal, unknown, or a CRS like EPSG:5773.")] = None,
     sigma: Annotated[str | None, typer.Option(help="Horizontal sigma in metres, if the log contains none.")] = None,
     rig: Annotated[
         str | None, typer.Option(help="Calibration of the cameras, in any format of `conetl rig convert`.")
@@ -165,6 +166,8 @@ def init(
             f"\nTime of the first left frame, estimated from the images: {stated_time(start_ns)} +-{1000 * sigma_s:.0f} ms. "
             "If you know the exact time, set --start."
         )
+    for remark in read_header(root).remarks:
+        note(remark)
     _finish(folder, text, settings, as_json)
 
 
@@ -221,7 +224,7 @@ def _settled(
     asked, shown = None, set[str]()
     while True:
         try:
-            proposal = propose(root, answers)
+            proposal = propose(root, answers, asks=asks)
         except ConetlError as error:
             if asked is None:
                 raise

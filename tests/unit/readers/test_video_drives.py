@@ -37,7 +37,7 @@ from conetl.reports.camera_images import ImageMissingError, image_file
 from conetl.reports.inspection_images import _middle_pair
 from tests import video_drives
 from tests.unit.readers.drive_formats import SAMPLE
-from tests.unit.readers.trajectory_files import write_csv
+from tests.unit.readers.trajectory_files import write_csv, write_gpx
 
 VIDEOS = {
     "two files": {},
@@ -499,6 +499,39 @@ def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Pat
         at += len(text)
     said = str(init(copy, "--trajectory", "log.csv", "--crs", "EPSG:25832").exception)
     assert "--columns: Which column is what" in said and "found '09:15:00'" in said, said
+
+
+def test_heights_of_unknown_reference_are_asked_for_and_named(folder: Path, tmp_path: Path, sample: Drive) -> None:
+    copy = copied(folder, tmp_path, "drive.csv")
+    log = write_gpx(copy, video_drives.known_of(sample), geoid=False)
+    known = ["--start", start_of(sample), "--right-offset", "0", "--sigma", "0.02"]
+    remark = (
+        f"{log}: does not say whether its heights are above sea level or the ellipsoid: vertical sigma 100 m. Put "
+        "trajectory: {heights: 'EPSG:5773'} (sea level, EGM96) or trajectory: {heights: ellipsoidal} into drive.yaml"
+    )
+    made = init(copy, *known)  # which nobody has to answer
+    assert made.exit_code == 0 and remark in made.output, made.output
+    assert read_header(copy).remarks == (remark,)
+    assert max(pair.pose.sigma_enu_m[2] for pair in read_drive(copy)[0].frame_pairs) > 100
+    question = "Heights of van.gpx: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (vertical sigma 100 m)? [unknown]"
+    made_on = {answer: init_on_terminal(copy, [answer], *known, "--force") for answer in ("", "unknown", "ellipsoidal")}
+    for answer, run in made_on.items():
+        assert run.returncode == 0 and question in run.stdout, (answer, run)
+        assert (remark in run.stderr) == (answer != "ellipsoidal"), (answer, run)
+    assert read_header(copy).remarks == ()
+    assert read_drive(copy)[0].frame_pairs[0].pose.sigma_enu_m[2] < 1
+    made = init_on_terminal(copy, [], *known, "--force", "--heights", "unknown")
+    assert made.returncode == 0 and question not in made.stdout, "the option answers it"
+    settings = yaml.safe_load((copy / "drive.yaml").read_text())
+    assert "heights" not in settings["trajectory"]
+    for section, key, value in (
+        ("trajectory", "heights", "EPSG:5773"), ("trajectory", "crs", "EPSG:4979"), ("sigmas", "vertical_m", 20),
+    ):  # fmt: skip
+        (copy / "drive.yaml").write_text(yaml.safe_dump(settings | {section: settings[section] | {key: value}}))
+        assert read_header(copy).remarks == (), key
+    write_gpx(copy, video_drives.known_of(sample))
+    (copy / "drive.yaml").write_text(yaml.safe_dump(settings))
+    assert read_header(copy).remarks == (), "the geoid is in the file"
 
 
 def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: Path, tmp_path: Path) -> None:

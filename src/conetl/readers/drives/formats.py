@@ -64,6 +64,8 @@ class HeaderFacts:
     frame_pairs: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
+    remarks: list[str] = field(default_factory=list)
+    """What the user of the drive has to know, although it can be read."""
 
     def add_file(self, folder: Path, name: str) -> None:
         """A small file, where it exists."""

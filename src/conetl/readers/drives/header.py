@@ -38,6 +38,8 @@ class DriveHeader:
     problem: str | None
     problem_may_pass: bool = False
     """The storage failed, which is not a property of the drive."""
+    remarks: tuple[str, ...] = ()
+    """What the user has to know, although the drive can be read."""
 
     @property
     def shown_path(self) -> str:
@@ -128,7 +130,7 @@ def read_header(folder: Path) -> DriveHeader:
         facts.content.add("path", printable(folder).encode())  # nothing else distinguishes it from others
     return DriveHeader(
         folder, drive_id, facts.content.hexdigest(), facts.frame_pairs, facts.first_ns, facts.last_ns,
-        None if problem is None else printable(problem), passes,
+        None if problem is None else printable(problem), passes, tuple(printable(remark) for remark in facts.remarks),
     )  # fmt: skip
 
 

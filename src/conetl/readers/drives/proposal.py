@@ -23,7 +23,8 @@ from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.found import RIG_SUFFIXES, FoundRigs, find_rigs, read_given_rig
-from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
+from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format, unknown_heights
+from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.times import parse_timestamp
@@ -46,8 +47,8 @@ _UNSTATED = {
 }
 #: What those errors advise; `conetl init` asks instead.
 _REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNORECASE)
-
-
+#: Answer of heights that may be above the sea or the ellipsoid.
+_UNKNOWN = "unknown"
 #: Section and key of drive.yaml of what an option of `conetl init` answers; those of the mount are one answer.
 _KEYS = {
     "left": ("images", "left"), "right": ("images", "right"), "layout": ("images", "layout"), "start": ("images", "start"),
@@ -81,14 +82,16 @@ class Proposal(NamedTuple):
     """To be written as rig.yaml; None where there is one."""
 
 
-def propose(root: Path, answers: Mapping[str, str]) -> Proposal:
+def propose(root: Path, answers: Mapping[str, str], *, asks: bool = False) -> Proposal:
     """The settings of a drive folder. answers: by `Question.key`; questions that they answer are left out.
+
+    asks: also questions that nobody has to answer.
 
     Raises DriveFolderError where there is nothing to make a drive of, InputError for an answer that does not fit.
     """
     proposal = Proposal([], [], {}, None)
     size = _add_images(root, answers, proposal)
-    _add_trajectory(root, answers, proposal)
+    _add_trajectory(root, answers, proposal, asks=asks)
     rig = _add_rig(root, answers, proposal, size)
     return proposal._replace(rig=rig)
 
@@ -240,7 +243,7 @@ def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
     return images
 
 
-def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) -> None:
+def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal, *, asks: bool) -> None:
     settings: dict[str, Any] = {}
     candidates = find_trajectories(root)
     if "trajectory" in answers:
@@ -253,7 +256,8 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
             names += f"; there is {', '.join(tables)}"
         proposal.questions.append(Question("trajectory", f"Which file is the GNSS/INS trajectory ({names})?"))
         return
-    settings |= {key: answers[key] for key in ("date", "time", "crs", "heights") if key in answers}
+    given = {key: answers[key] for key in ("date", "time", "crs", "heights") if key in answers}
+    settings |= {key: value for key, value in given.items() if (key, value) != ("heights", _UNKNOWN)}
     if "columns" in answers:
         settings["columns"] = _columns(answers["columns"])
     proposal.settings["trajectory"] = settings
@@ -273,6 +277,12 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal) 
     proposal.found.append(_described(recorded, kind))
     if kind == "table":
         proposal.found.extend(f"{recorded.name}: {text}" for key, text in _TAKEN.items() if key not in settings)
+    if asks and "heights" not in answers and unknown_heights(path, TrajectoryFile.model_validate(settings)):
+        text = (
+            f"Heights of {recorded.name}: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (vertical sigma "
+            f"{UNSTATED_HEIGHT_SIGMA_M:g} m)?"
+        )
+        proposal.questions.append(Question("heights", text, default=_UNKNOWN))
     if "sigma" in answers:
         proposal.settings["sigmas"] = {"horizontal_m": _numbers("sigma", answers["sigma"], 1, 1)[0]}
     elif not np.isfinite(recorded.sigma[:, :2]).any():

@@ -34,7 +34,7 @@ from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stamps_of_images, stated_start, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
-from conetl.readers.trajectories import find_trajectories, read_trajectory
+from conetl.readers.trajectories import find_trajectories, read_trajectory, unknown_heights
 from conetl.readers.trajectories.recorded import of_images
 
 NAME, TITLE = "video", "video or images with a trajectory file"
@@ -110,7 +110,10 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
             header.add_images(root, {source.relative_to(root).as_posix(): source})
         else:
             header.add_samples(root, source.relative_to(root).as_posix())
-    header.add_samples(root, _trajectory_file(root, settings).relative_to(root).as_posix())
+    trajectory = _trajectory_file(root, settings)
+    header.add_samples(root, trajectory.relative_to(root).as_posix())
+    remark = unknown_heights(trajectory, settings.trajectory) if settings.sigmas.vertical_m is None else None
+    header.remarks += [remark] if remark else []
     header.add_file(root, RIG_YAML)
     _rig(root, settings, ContentHash())
     if not sources[0].is_dir():

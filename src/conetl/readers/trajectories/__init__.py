@@ -13,7 +13,7 @@ import numpy as np
 
 from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories import delimited, gpx, inertial_explorer, local, nmea, oxts, rtklib, sbet
-from conetl.readers.trajectories.earth import in_wgs84
+from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M, in_wgs84
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, assembled
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.text import encoding_of, head_bytes
@@ -66,6 +66,19 @@ def read_trajectory(
     if reading.yaw_column is not None:
         delimited.check_yaw(path, found, reading.yaw_column)
     return found
+
+
+def unknown_heights(path: Path, settings: TrajectoryFile) -> str | None:
+    """What to say of a file whose heights may be above the sea or the ellipsoid; None if it or the settings say which."""
+    if settings.heights is not None or settings.crs is not None or not path.is_file():
+        return None
+    if (settings.format or trajectory_format(path)) != "gpx" or gpx.states_geoid(path):
+        return None
+    return (
+        f"{path}: does not say whether its heights are above sea level or the ellipsoid: vertical sigma "
+        f"{UNSTATED_HEIGHT_SIGMA_M:g} m. Put trajectory: {{heights: 'EPSG:5773'}} (sea level, EGM96) or "
+        "trajectory: {heights: ellipsoidal} into drive.yaml"
+    )
 
 
 def trajectory_format(path: Path) -> FormatName | None:

@@ -28,9 +28,14 @@ _VALUES = frozenset({"ele", "time", "geoidheight"})
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
     """The points of a file. Raises DriveFolderError where it is not XML or has a document type."""
-    stated = b"geoidheight>" in head_bytes(path).lower()
+    stated = states_geoid(path)
     records = _records(path, settings, add_geoid=stated and settings.heights is None)
     return Reading(records, heights="ellipsoidal" if stated else "unstated")
+
+
+def states_geoid(path: Path) -> bool:
+    """Whether the points have the height of the geoid, so that `ele` is above it."""
+    return b"geoidheight>" in head_bytes(path).lower()
 
 
 _Row = tuple[float, float, float, float, str, int]
