@@ -507,13 +507,15 @@ def test_heights_of_unknown_reference_are_asked_for_and_named(folder: Path, tmp_
     known = ["--start", start_of(sample), "--right-offset", "0", "--sigma", "0.02"]
     remark = (
         f"{log}: does not say whether its heights are above sea level or the ellipsoid: vertical sigma 100 m. Put "
-        "trajectory: {heights: 'EPSG:5773'} (sea level, EGM96) or trajectory: {heights: ellipsoidal} into drive.yaml"
+        "into drive.yaml, below trajectory, heights: 'EPSG:5773' (sea level, EGM96) or heights: ellipsoidal"
     )
     made = init(copy, *known)  # which nobody has to answer
     assert made.exit_code == 0 and remark in made.output, made.output
     assert read_header(copy).remarks == (remark,)
     assert max(pair.pose.sigma_enu_m[2] for pair in read_drive(copy)[0].frame_pairs) > 100
-    question = "Heights of van.gpx: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (vertical sigma 100 m)? [unknown]"
+    question = (
+        "Heights of van.gpx: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (sigma 100 m)? [unknown]"
+    )
     made_on = {answer: init_on_terminal(copy, [answer], *known, "--force") for answer in ("", "unknown", "ellipsoidal")}
     for answer, run in made_on.items():
         assert run.returncode == 0 and question in run.stdout, (answer, run)

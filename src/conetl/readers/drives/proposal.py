@@ -279,7 +279,7 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal, 
         proposal.found.extend(f"{recorded.name}: {text}" for key, text in _TAKEN.items() if key not in settings)
     if asks and "heights" not in answers and unknown_heights(path, TrajectoryFile.model_validate(settings)):
         text = (
-            f"Heights of {recorded.name}: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (vertical sigma "
+            f"Heights of {recorded.name}: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (sigma "
             f"{UNSTATED_HEIGHT_SIGMA_M:g} m)?"
         )
         proposal.questions.append(Question("heights", text, default=_UNKNOWN))

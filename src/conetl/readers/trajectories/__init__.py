@@ -76,8 +76,8 @@ def unknown_heights(path: Path, settings: TrajectoryFile) -> str | None:
         return None
     return (
         f"{path}: does not say whether its heights are above sea level or the ellipsoid: vertical sigma "
-        f"{UNSTATED_HEIGHT_SIGMA_M:g} m. Put trajectory: {{heights: 'EPSG:5773'}} (sea level, EGM96) or "
-        "trajectory: {heights: ellipsoidal} into drive.yaml"
+        f"{UNSTATED_HEIGHT_SIGMA_M:g} m. Put into drive.yaml, below trajectory, heights: 'EPSG:5773' "
+        "(sea level, EGM96) or heights: ellipsoidal"
     )
 
 
