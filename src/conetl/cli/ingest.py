@@ -93,6 +93,9 @@ def ingest_drives(
         for problem in problems:
             ui.complain(problem)
         return [], EXIT_BAD_INPUT
+    for header in headers:
+        for remark in header.remarks:
+            ui.note(remark)
     require_room(settings)
     sweep((settings.results_folder, settings.exports_folder))
     ui.note_unmeasured(read_model_card(settings.model_path))
@@ -111,8 +114,6 @@ def ingest_drives(
         database = running.enter_context(MapDatabase(settings))
         for header in headers:
             _log.info("drive %s", header.path)
-            for remark in header.remarks:
-                ui.note(remark)
             complaints: list[ConetlError | str] = []
             try:
                 with ui.progress_bar(header.drive_id, "images and motions") as update:

@@ -501,7 +501,9 @@ def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Pat
     assert "--columns: Which column is what" in said and "found '09:15:00'" in said, said
 
 
-def test_heights_of_unknown_reference_are_asked_for_and_named(folder: Path, tmp_path: Path, sample: Drive) -> None:
+def test_heights_of_unknown_reference_are_asked_for_and_named(
+    folder: Path, tmp_path: Path, sample: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
     copy = copied(folder, tmp_path, "drive.csv")
     log = write_gpx(copy, video_drives.known_of(sample), geoid=False)
     known = ["--start", start_of(sample), "--right-offset", "0", "--sigma", "0.02"]
@@ -512,6 +514,9 @@ def test_heights_of_unknown_reference_are_asked_for_and_named(folder: Path, tmp_
     made = init(copy, *known)  # which nobody has to answer
     assert made.exit_code == 0 and remark in made.output, made.output
     assert read_header(copy).remarks == (remark,)
+    monkeypatch.setattr("conetl.cli.ingest.require_room", lambda _: (_ for _ in ()).throw(InputError("stop here")))
+    ingested = CliRunner().invoke(app, ["ingest", str(copy)])
+    assert str(ingested.exception) == "stop here" and f"note: {remark}" in ingested.output, ingested.output
     assert max(pair.pose.sigma_enu_m[2] for pair in read_drive(copy)[0].frame_pairs) > 100
     question = (
         "Heights of van.gpx: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (sigma 100 m)? [unknown]"
