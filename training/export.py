@@ -15,6 +15,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import onnx
 import onnxruntime
 import torch
 from classes import CLASSES
@@ -130,6 +131,9 @@ def main() -> None:
         opset_version=17,
         dynamo=False,
     )
+    model = onnx.load(args.out)
+    onnx.helper.set_model_props(model, {"names": str(dict(enumerate(CLASSES)))})  # as Ultralytics writes them
+    onnx.save(model, args.out)
     picture = 255 * torch.rand(2, 288, 416, 3)  # more pictures than the one that was traced, and of another size
     with torch.no_grad():
         maps = network(picture.flip(3).permute(0, 3, 1, 2) / 255.0)

@@ -112,6 +112,7 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1, providers
     shapes = [output.shape for output in outputs]
     try:
         check_outputs(card.head, shapes)
+        card.require_metadata(session.get_modelmeta().custom_metadata_map)
     except ModelFileError as error:
         raise ModelFileError(f"{path}: {error}") from error
     size = shape[1:3] if channels_last else shape[2:4]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
 from conetl.files.documents import MAX_JSON_BYTES, first_message, read_limited
@@ -15,6 +18,10 @@ from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.heads import SideDistributionHead, YoloHead
 
 DEFAULT_MODEL = "conetl-road-10.onnx"
+#: Two classes were swapped where their names resemble each other so much better that way (shares of common words): one pair that
+#: has half of its words in common is enough, "traffic light" and "traffic_cone" are not.
+_LIKELY_SWAP, _MOST_LISTED = 0.5, 12
+_ULTRALYTICS_LAYOUT = "RGB float32 NCHW 0..1"
 #: Warning for a model without `evidence` in its sidecar.
 NOT_MEASURED = (
     "the model's sidecar does not say what its scores mean (key `evidence`): existence probabilities rest on a general guess; "
@@ -96,6 +103,39 @@ class ModelCard(BaseModel):
                 f"the model {self.name} knows no category {', '.join(unknown)}: choose from {', '.join(accepted)}"
             )
 
+    def require_metadata(self, metadata: Mapping[str, str]) -> None:
+        """Raise ModelFileError if the network's own metadata contradict the sidecar: its classes and their order, and for exports
+        of Ultralytics the input.
+
+        Ultralytics, YOLOv5 and `training/export.py` write the classes (key `names`). Only the sidecar has conetl's names, so that
+        words are compared: `cone` is most like `traffic_cone`.
+        """
+        layout = self.input_layout
+        if metadata.get("author") == "Ultralytics" and "float32 NCHW" in layout and layout != _ULTRALYTICS_LAYOUT:
+            raise ModelFileError(
+                f"the file is an export of Ultralytics, whose input is {_ULTRALYTICS_LAYOUT!r}, but the sidecar's "
+                f"input_layout is {layout!r}: correct that key"
+            )
+        stated = _stated_names(metadata.get("names", ""))
+        if not stated:
+            return
+        if len(stated) != len(self.class_names):
+            raise ModelFileError(
+                f"the file names {len(stated)} classes ({_listed(stated)}), class_names of its sidecar {len(self.class_names)}: "
+                "list all classes of the network there, in its order"
+            )
+        words = [[_words(name) for name in names] for names in (stated, self.class_names)]
+        alike = np.array([[len(one & other) / max(len(one | other), 1) for other in words[1]] for one in words[0]])
+        own = np.diag(alike)
+        swapped = alike + alike.T - own - own[:, None]
+        if swapped.max() < _LIKELY_SWAP:
+            return
+        k = int(np.argmax(swapped.max(axis=1)))
+        raise ModelFileError(
+            f"class {k} is {stated[k]!r} by the file itself and {self.class_names[k]!r} by class_names of its sidecar: the "
+            f"classes are in another order there. The file has {_listed(stated)}"
+        )
+
     @property
     def detections_sha256(self) -> str:
         """Hash of everything that detections depend on: the weights, the passes and the classes, not the evidence."""
@@ -120,6 +160,24 @@ class ModelCard(BaseModel):
                 f"{self.sha256[:12]}...: run training/calibrate_scores.py on this file, or leave the key `evidence` out"
             )
         return self
+
+
+def _stated_names(text: str) -> tuple[str, ...]:
+    """Class names by the metadata of a network, `{0: 'car', 1: 'cone'}` or `['car', 'cone']`; none if written otherwise."""
+    try:
+        found = ast.literal_eval(text[:MAX_JSON_BYTES])
+        names = [found[k] for k in range(len(found))]
+    except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError):
+        return ()
+    return tuple(names) if all(isinstance(name, str) for name in names) and not isinstance(found, str) else ()
+
+
+def _words(name: str) -> set[str]:
+    return set(re.findall(r"[a-z]+|[0-9]+", name.lower()))
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:_MOST_LISTED])}{' ...' if len(names) > _MOST_LISTED else ''}"
 
 
 def shipped_model_path() -> Path:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -300,6 +301,60 @@ def test_a_sidecar_that_does_not_fit_is_refused(tmp_path: Path, key: str, value:
     rewrite_card(model, **{key: before | value if isinstance(value, dict) else value})
     with pytest.raises(ModelFileError, match=words):
         load_detector(model)
+
+
+def network_of_two_classes(folder: Path, metadata: dict[str, str], layout: str, *names: str) -> Path:
+    """A YOLOv8 export with what its exporter wrote into it, beside a sidecar with these names."""
+    shape: list[int | str] = [1, "h", "w", 3] if "NHWC" in layout else [1, 3, "h", "w"]
+    model = onnx.load_from_string(constant_network([np.ones((1, 4 + len(names), 1), np.float32)], shape))
+    onnx.helper.set_model_props(model, metadata)
+    content = model.SerializeToString()
+    (folder / "two.onnx").write_bytes(content)
+    card = {
+        "name": "two", "version": "1", "sha256": hashlib.sha256(content).hexdigest(), "input_layout": layout,
+        "head": {"kind": "yolov8", "class_count": len(names)}, "pad_multiple_px": 32, "class_names": names,
+        "score_scale": "probability", "licence": "none",
+    }  # fmt: skip
+    (folder / "two.onnx.json").write_text(json.dumps(card))
+    return folder / "two.onnx"
+
+
+@pytest.mark.parametrize(
+    ("names", "in_sidecar", "words"),
+    [
+        ("{0: 'traffic_cone', 1: 'drum'}", ("drum", "traffic_cone"), "class 0 is 'traffic_cone' .* and 'drum' by class_names"),
+        ("{0: 'Cone', 1: 'barrel'}", ("drum", "traffic_cone"), "class 0 is 'Cone'"),
+        ("['car', 'road', 'cone']", ("cone", "car", "road"), "in another order.*The file has car, road, cone"),
+        ("{0: 'cone', 1: 'car', 2: 'bus'}", ("traffic_cone", "car"), "names 3 classes .cone, car, bus., .* sidecar 2"),
+    ],
+)  # fmt: skip
+def test_classes_in_another_order_than_in_the_file_are_refused(
+    tmp_path: Path, names: str, in_sidecar: tuple[str, ...], words: str
+) -> None:
+    model = network_of_two_classes(tmp_path, {"names": names}, "BGR float32 NHWC 0..255", *in_sidecar)
+    with pytest.raises(ModelFileError, match=words):
+        load_detector(model)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "{0: 'drum', 1: 'cone'}", "['barrel', 'orange cone']", "{0: 'traffic light', 1: 'hydrant'}", "{0: 'a', 1: 'b'}", "cones",
+        "{1: 'traffic_cone', 2: 'drum'}", "{0: 7, 1: 8}", "'ab'", "7", "[" * 10_000, "",
+    ],
+)  # fmt: skip
+def test_other_names_of_the_same_classes_are_accepted(tmp_path: Path, names: str) -> None:
+    """And what is no list of names is ignored, as other exporters may use the key."""
+    load_detector(network_of_two_classes(tmp_path, {"names": names}, "BGR float32 NHWC 0..255", "drum", "traffic_cone"))
+
+
+@pytest.mark.parametrize("layout", ["BGR float32 NCHW 0..1", "RGB float32 NCHW 0..255"])
+def test_the_input_of_an_export_of_ultralytics_is_known(tmp_path: Path, layout: str) -> None:
+    author = {"author": "Ultralytics"}
+    with pytest.raises(ModelFileError, match=r"an export of Ultralytics, whose input is 'RGB float32 NCHW 0\.\.1'"):
+        load_detector(network_of_two_classes(tmp_path, author, layout, "drum", "traffic_cone"))
+    load_detector(network_of_two_classes(tmp_path, {}, layout, "drum", "traffic_cone"))
+    load_detector(network_of_two_classes(tmp_path, author, "RGB float32 NCHW 0..1", "drum", "traffic_cone"))
 
 
 @pytest.mark.parametrize("size", [(160, 320), ("h", "w"), ("h", 640)])
