@@ -91,6 +91,7 @@ def test_sigmas_of_poses_hold() -> None:
         (0.5, [0, 2, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "contradict them: P1 ("),
         (0.5, [0, 2, 4], {2: (0.0, 0.0, 0.5)}, Verdict.WARN, "contradict them: P2 ("),
         (0.02, [0, 2, 3, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "GNSS/INS is 0.5"),
+        (0.02, [0, 2, 3, 4], {}, Verdict.WARN, ", all along the drive (17 sigmas of both)"),  # which is wrong?
         (0.5, [0, 4], {1: (0.7, 0.7, 0.0)}, Verdict.HOLD, "contradict each other"),
         (0.02, [0, 2, 3, 4], dict.fromkeys(range(4), (0.4, 0.3, 0.9)), Verdict.HOLD, "in height only"),  # tips of cones
         (0.02, [0, 4], {}, Verdict.HOLD, "P0 (0.5"),  # two do not contradict a log
@@ -127,7 +128,7 @@ def largest_chi2(found: AnalysedDrive, feet: np.ndarray) -> float:
 def test_three_points_correct_a_log_that_is_half_a_metre_off(
     drifts: bool, sigma_m: float | None, sample: tuple[Drive, np.ndarray], sample_settings: Settings
 ) -> None:
-    """Also where it states 2 cm: then the check says so."""
+    """Also where it states 2 cm and drifts: then the check says so."""
     drive, feet = sample
     share = np.linspace(0, 1, len(drive.frame_pairs)) if drifts else np.ones(len(drive.frame_pairs))
     pairs = moved(drive.frame_pairs, share[:, None] * OFF_M, sigma_m)
@@ -137,6 +138,7 @@ def test_three_points_correct_a_log_that_is_half_a_metre_off(
     control = found.trajectory.control
     assert control is not None and control in found.health
     assert control.verdict is (Verdict.PASS if sigma_m else Verdict.CORRECTED)
+    assert ("it drifts, or jumps" in control.detail) is not bool(sigma_m)
     assert largest_chi2(found, feet) < 7.8  # 5 % of 3 degrees of freedom, far below for the median of the cones
     errors = [np.linalg.norm(feet - track.xyz_m, axis=1).min() for track in found.tracks]
     assert max(errors) < 0.05

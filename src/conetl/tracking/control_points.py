@@ -32,6 +32,8 @@ _GATE_CHI2 = 16.3
 _FREE_M, _LEAST_AGREEING = 1.0, 3
 #: Points this near to their position by GNSS/INS in plan (m), but not in height, may be wrong themselves.
 _SAME_PLAN_M = 0.1
+#: Where the log drifts against the images by less than this many sigmas of both, the points may as well be wrong as the log.
+_DRIFT_SIGMAS = 10.0
 #: At most about this many points are tried as the one from which the others are predicted.
 _MOST_SEEDS = 12
 #: Another assignment that fits worse by less than this (chi-square) may be the right one.
@@ -59,6 +61,16 @@ class _Cones:
     def control(self, number: int, point: SurveyedPoint) -> ControlCone:
         cov_m2 = np.diag(np.square(point.sigma_m)) + self.outline_cov[number]
         return ControlCone(self.groups[number], np.array(point.xyz_m), cov_m2)
+
+
+@dataclass(frozen=True)
+class _Log:
+    """GNSS/INS where it may be wrong by more than it states."""
+
+    stated_m: Floats
+    """(3,) sigmas of its positions, the median of the drive."""
+    drift_m: Floats
+    """(3,) by how much its positions change against those that the images show."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +104,9 @@ def refine_with_control(
     if not points:
         return replace(plain, control=_none_near(count))
 
-    def adjusted(pairs: Sequence[FramePair], before: RefinedTrajectory, *, as_stated: bool) -> RefinedTrajectory:
+    def adjusted(pairs: Sequence[FramePair], before: RefinedTrajectory, log: _Log | None = None) -> RefinedTrajectory:
         tie = _tied(before, rig, matches, params, points)
-        check = _check(points, tie, as_stated=as_stated)
+        check = _check(points, tie, log)
         if not check.value:
             return replace(plain, control=check)
         control = [tie.cones.control(g, points[i]) for i, g in tie.cone_of.items()]
@@ -106,10 +118,15 @@ def refine_with_control(
             control=_unused(f"The poses cannot be adjusted to the control points: {refined.detail}.", Verdict.HOLD),
         )
 
-    found = adjusted(frame_pairs, plain, as_stated=True)
+    found = adjusted(frame_pairs, plain)
     if found.control is not None and found.control.verdict is not Verdict.PASS:
         loose = [_with_larger_sigmas(pair) for pair in frame_pairs]
-        free = adjusted(loose, refine_with_cones(loose, rig, motions, matches, params), as_stated=False)
+        stated_m = np.median([pair.pose.sigma_enu_m for pair in frame_pairs], axis=0)
+        freely = refine_with_cones(loose, rig, motions, matches, params)
+        adjusted_m, logged_m = (
+            np.array([pair.pose.map_t_body_m for pair in pairs]) for pairs in (freely.frame_pairs, freely.logged)
+        )
+        free = adjusted(loose, freely, _Log(stated_m, np.ptp(adjusted_m - logged_m, axis=0)))
         if free.control is not None and (free.control.value or 0) > (found.control.value or 0):
             return free
     return found
@@ -272,13 +289,13 @@ def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: 
     return chosen
 
 
-def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> HealthCheck:
-    """The check of the points; its value is how many are used."""
+def _check(points: Sequence[SurveyedPoint], tie: _Tie, log: _Log | None) -> HealthCheck:
+    """The check of the points; its value is how many are used. log: if it may be wrong by more than it states."""
     used, wrong, count = len(tie.cone_of), len(tie.wrong), f"{len(points)} control points"
     named = ", ".join(f"{points[k].name} ({metres:.2f} m from the cone there)" for k, metres in tie.wrong.items())
     if not used and not wrong:
         return _none_near(len(points))
-    if (wrong and (used < 2 or used <= wrong)) or (not as_stated and used < _LEAST_AGREEING):
+    if (wrong and (used < 2 or used <= wrong)) or (log is not None and used < _LEAST_AGREEING):
         agreeing = f" {', '.join(points[k].name for k in tie.cone_of)} alone fit." if used else ""
         return _unused(
             f"The control points contradict each other or GNSS/INS: {named}.{agreeing} Check the points, their datum and that of "
@@ -296,14 +313,22 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, *, as_stated: bool) -> He
         )
         return _unused(f"The {count} fit to the cones in more than one way: {advice}.")
     detail = f"{used} of {count} have a cone and agree: the poses are adjusted to them."
-    verdict = Verdict.WARN if wrong else Verdict.PASS if as_stated else Verdict.CORRECTED
-    if not as_stated:
-        off_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
-        off, advice = f"{np.linalg.norm(off_m):.2f} m off them", "check the datum of both"
-        if np.hypot(*off_m[:2]) < _SAME_PLAN_M:
+    verdict = Verdict.WARN if wrong else Verdict.PASS
+    if log is not None:
+        mean_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
+        both_m = np.hypot(log.stated_m, np.mean([points[i].sigma_m for i in tie.cone_of], axis=0))
+        sigmas = float(np.abs(mean_m / both_m).max())
+        off = f"{np.linalg.norm(mean_m):.2f} m off them"
+        if np.hypot(*mean_m[:2]) < _SAME_PLAN_M:
             verdict, off = Verdict.HOLD, f"{off} in height only"
             advice = "were feet surveyed, not tips, with the right pole and height system? If so, accept the drive"
-        detail += f" GNSS/INS is {off}, more than it states: {advice}."
+        elif (log.drift_m < _DRIFT_SIGMAS * both_m).all():
+            verdict, off = Verdict.WARN, f"{off}, all along the drive"
+            advice = "one of the two is wrong, and the map takes the points. Check datum and base station of both"
+        else:
+            verdict = Verdict.WARN if wrong else Verdict.CORRECTED
+            advice = "it drifts, or jumps: check its log"
+        detail += f" GNSS/INS is {off} ({sigmas:.0f} sigmas of both), more than it states: {advice}."
     if wrong:
         detail += f" Not used, because the others contradict them: {named}."
     return HealthCheck(name=NAME, verdict=verdict, value=float(used), detail=detail)
