@@ -126,6 +126,24 @@ def late(drive: Drive, records: int) -> Drive:
 
 
 @prepared
+def repeated(drive: Drive, times: int) -> Drive:
+    """Every pose so many times, as where a slower log was joined to the images."""
+    return with_poses(drive, lambda k, _: drive.frame_pairs[k // times * times].pose)
+
+
+@prepared
+def climbing_times(drive: Drive, factor: float) -> Drive:
+    """Heights in another unit, or of the other sign, about that of the first pose."""
+    start_m = drive.frame_pairs[0].pose.map_t_body_m[2]
+
+    def changed(_: int, pose: Pose) -> dict[str, Any]:
+        east_m, north_m, up_m = pose.map_t_body_m
+        return {"map_t_body_m": (east_m, north_m, start_m + factor * (up_m - start_m))}
+
+    return with_poses(drive, changed)
+
+
+@prepared
 def clock(drive: Drive, milliseconds: float) -> Drive:
     """Poses of another instant than the images."""
     return with_poses(drive, lambda k, _: pose_at(drive, drive.frame_pairs[k].captured_at_ns + milliseconds * 1e6))

@@ -23,6 +23,7 @@ from tests.mutants.recordings import (
     aside,
     baseline,
     climbing,
+    climbing_times,
     clock,
     clock_known_to,
     drift,
@@ -36,6 +37,7 @@ from tests.mutants.recordings import (
     lever_arm,
     noise,
     raised,
+    repeated,
     reversed_poses,
     right_ahead,
     right_late,
@@ -150,6 +152,14 @@ def _logs() -> list[WrongRecording]:
         ),
         *(WrongRecording(f"poses {n} records late", late(n), cause=_CLOCK, fast=n == 5) for n in (5, 10)),
         *(WrongRecording(f"poses {n} records late", late(n)) for n in (1, 2)),
+        *(
+            WrongRecording(f"each pose {n} times", repeated(n), cause=f"change only every {n} frame pairs", fast=n == 2)
+            for n in (2, 5)
+        ),
+        *(
+            WrongRecording(f"heights {how}", climbing_times(factor), cause="up or down")
+            for how, factor in {"in feet": 1 / 0.3048, "of other sign": -1.0}.items()
+        ),
         *(
             WrongRecording(f"clock {ms:+d} ms", clock(ms))
             for ms in (-200, -100, -50, -20, -10, 10, 20, 50, 100, 200)

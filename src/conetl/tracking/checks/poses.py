@@ -194,6 +194,12 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
     positions_m = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
     looks = np.array([pair.pose.map_R_body for pair in frame_pairs]) @ np.array(rig.body_SE3_left)[:3, 2]
     steps_m, ahead = np.diff(positions_m[:, :2], axis=0), (looks[1:, :2] + looks[:-1, :2]) / 2
+    every = np.diff(np.flatnonzero(steps_m.any(axis=1)))
+    if len(every) and np.median(every) > 1:
+        return (
+            f" By the log the positions change only every {np.median(every):.0f} frame pairs: it has fewer records than there "
+            "are images, and each was repeated. Deliver the log as it was recorded; conetl interpolates."
+        )
     step_s = float(np.median(np.diff([pair.captured_at_ns for pair in frame_pairs]))) * 1e-9
     bend_m = float(np.median(np.linalg.norm(np.diff(steps_m, axis=0), axis=1)))
     scatter_m = bend_m / _BEND_SIGMAS
