@@ -116,7 +116,7 @@ def test_what_cannot_be_used_costs_its_pair(settings: Settings, tmp_path: Path) 
     data, name = image(13, "left")
     (folder / "left" / name).write_bytes(data[:500])
     (folder / "COMPLETE").touch()
-    report = watch(folder, settings, patience_s=0.3)
+    report = watch(folder, settings, patience_s=1.0)
     # 12: no such latitude; 13: half an image for ever; 14: far away; 15: never a row.
     assert report.refused == {"pose_invalid": 2, "image_truncated": 1}
     assert report.left_out == 1
