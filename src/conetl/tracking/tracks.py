@@ -128,7 +128,8 @@ def fuse_group(
     nearest = min(group, key=lambda p: p.range_m)
     sigma_motion_m = _motion_sigmas(group, nearest, left, data)
     sigma_u_px = np.array([m.sigma_u_px for m in pairs])
-    # What all observations share `outline_jacobian` adds once: they do not average it out.
+    # `outline_jacobian` adds once what all observations share, as they do not average it out; here it must not count again. A
+    # disparity is the difference of two columns, hence the square roots of 2.
     sharing = np.array([m.sigma_outline_px > 0 for m in pairs])
     sigma_u_px[sharing] = [own_disparity_px(px) / 2**0.5 for px in 2**0.5 * sigma_u_px[sharing]]
     foot, centre, tip = (
