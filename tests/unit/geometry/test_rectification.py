@@ -116,7 +116,8 @@ def test_what_is_rectified_stays_as_it_is() -> None:
     for changed in (
         rig((0, 0.001, 0), (0.5, 0, 0), left=plain, right=plain),
         rig((0, 0, 0), (0.5, 0.02, 0), left=plain, right=plain),
-        rig((0, 0, 0), (0.5, 0, 0), left=plain, right=camera(Lens(), f=950.0)),
+        rig((0, 0, 0), (0.5, 0, 0), left=plain, right=camera(Lens(), fx_px=962.0)),
+        rig((0, 0, 0), (0.5, 0, 0), left=plain, right=camera(Lens(), fy_px=958.0)),
         rig((0, 0, 0), (0.5, 0, 0), left=plain, right=camera()),
     ):
         assert not rectification.is_rectified(changed)

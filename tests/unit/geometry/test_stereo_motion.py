@@ -72,6 +72,23 @@ def test_covariance_is_honest() -> None:
     assert low < np.mean(nees) < 1.15 * high  # the sandwich estimate itself is a little short on 250 points
 
 
+def test_weights_help_where_errors_have_heavy_tails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As those of real images: few points are far off, many a little."""
+    rms = []
+    for sigmas in (stereo_motion._CAUCHY_SIGMAS, 1e6):
+        monkeypatch.setattr(stereo_motion, "_CAUCHY_SIGMAS", sigmas)
+        errors = []
+        for seed in range(20):
+            rng = np.random.default_rng(seed)
+            points = scene(rng)
+            first = project(CAMERAS, points)[0] + 0.05 * rng.standard_t(1.2, (250, 3))
+            second = project(CAMERAS, se3.apply(TRUTH, points))[0] + 0.05 * rng.standard_t(1.2, (250, 3))
+            found = estimate_motion(CAMERAS, first, second, np.full(250, 0.3), np.eye(4), WIDE, seed)
+            errors.append(error_of(found.next_SE3_first)[3:])
+        rms.append(float(np.sqrt(np.mean(np.square(errors)))))
+    assert rms[0] < 0.8 * rms[1]
+
+
 def behind_a_lorry() -> tuple[np.ndarray, np.ndarray]:
     """Two looks at 300 points, of which the first 180 drive along at the car's own speed."""
     rng = np.random.default_rng(1)

@@ -187,8 +187,13 @@ def test_pose_covariance_of_a_log_is_that_of_gauss_markov_processes() -> None:
     assert np.array_equal(cov, log_errors(pairs, PARAMS))
     blocks = cov.reshape(12, 6, 12, 6)
     apart_s = (pairs[11].captured_at_ns - pairs[0].captured_at_ns) * 1e-9
-    kept = (1 - PARAMS.gnss_white_share**2) * np.exp(-apart_s / PARAMS.gnss_correlation_s)
-    assert blocks[0, 0, 11, 0] == pytest.approx(kept * 0.02**2)
+    sigma_rad = pairs[0].pose.sigma_rpy_rad[2]
+    for column, variance, white_share, correlation_s in (
+        (0, 0.02**2, PARAMS.gnss_white_share, PARAMS.gnss_correlation_s),
+        (5, sigma_rad**2, PARAMS.attitude_white_share, PARAMS.attitude_correlation_s),
+    ):
+        kept = (1 - white_share**2) * np.exp(-apart_s / correlation_s)
+        assert blocks[0, column, 11, column] == pytest.approx(kept * variance)
     assert blocks[4, 0, 4, 0] == pytest.approx(0.02**2)
     assert blocks[4, 5, 4, 5] == pytest.approx(pairs[4].pose.sigma_rpy_rad[2] ** 2)
     assert np.count_nonzero(blocks[0, 0, 11]) == 1
