@@ -6,7 +6,7 @@ import numpy as np
 
 from conetl.mapping import visibility
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, DetectorEvidence
-from conetl.model.drive import Detection, Position, UnclearSquares
+from conetl.model.drive import MIN_DETAIL, Detection, Position, UnclearSquares
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
@@ -107,6 +107,15 @@ def test_only_an_empty_location_is_evidence() -> None:
     assert empty_frames([]) == len(in_view(CONE))
     _, _, positions = observe([CONE], PAIRS, RIG)
     assert empty_frames(positions) == 0
+
+
+def test_images_without_detail_show_no_absence() -> None:
+    """Fog, or a lens that is covered: the first half of the drive."""
+    half = len(PAIRS) // 2
+    pairs = [pair.model_copy(update={"detail": 0.5 * MIN_DETAIL if k < half else None}) for k, pair in enumerate(PAIRS)]
+    drive = visibility.observations_of_drive(RIG, pairs, [], [])
+    found = visibility.check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, drive, PARAMS)
+    assert (0 if found is None else found.frames) == sum(k >= half for k in in_view(CONE)) > 0
 
 
 def test_nothing_is_missing_where_a_lens_is_smeared() -> None:
