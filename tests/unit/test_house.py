@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter
 
 from tests.folders import ROOT
@@ -19,3 +20,11 @@ def test_no_two_public_classes_have_one_name() -> None:
 def test_no_folder_has_more_than_20_modules() -> None:
     folders = Counter(path.parent.relative_to(ROOT) for path in MODULES)
     assert {folder: count for folder, count in folders.items() if count > 20} == {}
+
+
+def test_architecture_names_every_package() -> None:
+    packages = sorted(path.parent.name for path in (ROOT / "src/conetl").glob("*/__init__.py"))
+    drawing, page = (ROOT / "docs" / name for name in ("images/architecture.svg", "explanation/architecture.md"))
+    drawn = ", ".join(re.findall('font-weight="bold">([^<]+)<', drawing.read_text())).split(", ")
+    listed = re.findall("`([^`]+)`", "".join(re.findall(r"^\| (`[^|]+) \|", page.read_text(), re.MULTILINE)))
+    assert sorted(drawn) == sorted(listed) == sorted([*packages, "flows/"])
