@@ -25,6 +25,7 @@ RETIRED = {
     r"at the most": "at most",
     r"\blevers\b": "shared-error Jacobian",
     r"\beyes\b": "visibility",
+    r"\bbeliefs?\b": "existence probability",
     r"at a glance": "header, overview",
     r"left and right pictures?": "left and right images",
     r"\bway of the\b": "drive path, camera path, trajectory",

@@ -1,4 +1,4 @@
-"""Drives in any order, any number of times, on a real PostGIS: one map, and every earlier belief kept."""
+"""Drives in any order, any number of times, on a real PostGIS: one map, and every earlier state kept."""
 
 from __future__ import annotations
 
@@ -56,15 +56,15 @@ def in_order(another_database):
 @pytest.mark.parametrize("order", [(2, 1, 0), (1, 2, 0)], ids=lambda order: "".join(map(str, order)))
 def test_other_orders_of_three_drives_give_the_same_map(conn, in_order, order):
     """Random ones: `test_exactly_once.py`."""
-    believed = {}
+    expected = {}
     for day in order:
         assert world.merge(conn, of_day(day)) is not None
         assert world.failed_audits(conn) == []
         for earlier in order[: order.index(day) + 1]:  # again: nothing happens
             assert world.merge(conn, of_day(earlier)) is None
         now = world.known_maps(conn)
-        assert {moment: now[moment] for moment in believed} == believed, "an earlier belief was changed"
-        believed = now
+        assert {moment: now[moment] for moment in expected} == expected, "an earlier state was changed"
+        expected = now
     assert world.valid_time_map(conn) == in_order
     assert len(list_changesets(conn)) == 3
 

@@ -135,7 +135,7 @@ def test_a_cone_that_comes_back_goes_on_counting(conn, samples):
 
 
 def test_a_change_dated_before_the_open_version_begins_just_after_it(conn, samples):
-    """Drives that overlap in time: no state is lost, and the earlier belief is kept."""
+    """Drives that overlap in time: no state is lost, and the earlier state is kept."""
     feature = samples.feature()
     samples.commit(conn, samples.added(feature), key="1")
     known = datetime.now(UTC)

@@ -292,8 +292,8 @@ def _deltas_near(places: Sequence[Location], happened: Sequence[tuple[int, Delta
     for number, delta in happened:
         x, y, _ = np.array(delta.state_after.xyz_m) - ORIGIN_M
         if any(np.hypot(x - a, y - b) < 3.0 for a, b in places):
-            belief = "" if delta.evidence is None else f", belief {delta.evidence.existence_probability:.2f}"
-            told.append(f"drive {number} {delta.kind} {str(delta.feature_id)[:4]} at ({x:.1f}, {y:.1f}){belief}")
+            existence = "" if delta.evidence is None else f", existence {delta.evidence.existence_probability:.2f}"
+            told.append(f"drive {number} {delta.kind} {str(delta.feature_id)[:4]} at ({x:.1f}, {y:.1f}){existence}")
     return "".join(f"\n    {line}" for line in told)
 
 

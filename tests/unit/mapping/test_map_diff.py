@@ -19,8 +19,8 @@ MAPS = st.dictionaries(
     st.integers(0, 6), st.tuples(st.sampled_from([0.0, 0.1, 0.4, 2.0]), st.sampled_from([0.9, 0.6])), max_size=6
 ).map(
     lambda cones: [
-        cone(number, east_m).model_copy(update={"existence_probability": belief})
-        for number, (east_m, belief) in cones.items()
+        cone(number, east_m).model_copy(update={"existence_probability": existence})
+        for number, (east_m, existence) in cones.items()
     ]
 )
 
@@ -32,12 +32,14 @@ def test_kinds() -> None:
 
 
 def test_a_cone_that_was_looked_for_in_vain_is_not_confirmed() -> None:
-    """A miss lowers the belief in a version and makes no other one."""
+    """A miss lowers the existence probability of a version and makes no other one."""
     before = cone(1, 0)
     after = before.model_copy(update={"existence_probability": 0.6})
     seen = after.model_copy(update={"version": 2, "observation_count": 4})
     assert [change.kind for change in diff([before], [after])] == [DeltaKind.MISSED]
-    assert [change.kind for change in diff([before], [seen])] == [DeltaKind.CONFIRMED], "seen, whatever the belief"
+    assert [change.kind for change in diff([before], [seen])] == [DeltaKind.CONFIRMED], (
+        "seen, whatever the existence probability"
+    )
 
 
 def test_a_lane_marking_is_compared_across_its_line() -> None:
