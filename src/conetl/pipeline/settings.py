@@ -24,7 +24,6 @@ from conetl.model.map_records import MAP_NAME
 _NO_SETTING = re.compile(
     "CONETL_(VERSION|HOST|DRIVES|THREADS|SERVICE_TOKEN|SHARED_DATA|SCREENSHOTS|STREAMS|RENEW_MESSAGES|(.*_)?(SERVICE_HOST|PORT)(_.*)?)"
 )
-_MAP_NAME_WORDS = "1 to 40 characters of a-z, 0-9, _ and -, the first not -, for example night_survey"
 
 
 class Settings(BaseSettings):
@@ -115,8 +114,14 @@ class Settings(BaseSettings):
 def checked_map_name(name: str) -> str:
     """The name, if a map may have it. Raises InputError."""
     if not MAP_NAME.fullmatch(name):
-        raise InputError(f"invalid map name {name!r}: expected {_MAP_NAME_WORDS}")
+        raise InputError(f"invalid map name {name!r}: {_expected_map_name(name)}")
     return name
+
+
+def _expected_map_name(name: str) -> str:
+    """What a map name consists of, and the nearest such name. Only one case: names are parts of paths, which may ignore it."""
+    near = re.sub("[^a-z0-9_-]+", "_", name.lower())[:40].strip("_-")
+    return f"expected 1 to 40 characters of a-z, 0-9, _ and -, the first not -, for example {near or 'night_survey'}"
 
 
 def read_settings(map_name: str | None = None) -> Settings:
@@ -129,7 +134,7 @@ def read_settings(map_name: str | None = None) -> Settings:
     except ValidationError as error:
         first = error.errors()[0]
         name = f"CONETL_{'_'.join(str(part) for part in first['loc']).upper()}"
-        wanted = f"expected {_MAP_NAME_WORDS}" if first["loc"] == ("map_name",) else expectation(first)
+        wanted = _expected_map_name(str(first["input"])) if first["loc"] == ("map_name",) else expectation(first)
         raise InputError(f"the environment variable {name} is {first['input']!r}: {wanted}") from error
 
 
