@@ -130,7 +130,7 @@ def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, fea
     page.wait_for_url(lambda url: "hide" not in url and "drive=" not in url)
     page.click("button.filter-more")
     for label, value in (
-        ("Maximum horizontal sigma in centimetres", "0.1"), ("Maximum height in metres", "0.1"),
+        ("Maximum horizontal sigma in metres", "0.001"), ("Maximum object height in metres", "0.1"),
         ("Last seen from", "2030-01-01"),
     ):  # fmt: skip
         page.fill(f"[aria-label='{label}']", value)
@@ -262,9 +262,9 @@ def test_an_address_that_is_wrong_is_said_so(browser, address):
         (f"feature={NOBODY}", f"has no feature {NOBODY}"),
         ("mode=instnt", "mode=instnt is not one of drive"),
         (
-            "mode=instant&valid=yesterday&feature=12&crs=EPSG:4326&p=2&sigma=x",
-            "valid=yesterday is not a time", "feature=12 is not the id of a cone", "crs is unknown",
-            "p=2 is not a probability; sigma=x is not a number",
+            "mode=instant&valid=yesterday&feature=12&crs=EPSG:4326&p=2&sigma=2&smax=x",
+            "valid=yesterday is not a time", "feature=12 is not the id of a cone", "crs is unknown", "sigma is unknown",
+            "p=2 is not a probability; smax=x is not a number",
         ),
     ):  # fmt: skip
         tab.goto("about:blank")
@@ -280,7 +280,18 @@ def test_an_address_that_is_wrong_is_said_so(browser, address):
     tab.close()
 
 
-def test_a_phone_needs_no_sideways_scrolling(browser, address, features):
+@pytest.fixture
+def long_name(conn: Any) -> Iterator[str]:
+    """The second drive has a long name meanwhile."""
+    names = ("2026-03-03_ring_northbound_lane_2_survey_vehicle_07_run_004", "drive_2")
+    for new, old in (names, names[::-1]):
+        with conn, conn.cursor() as cursor:
+            cursor.execute("update conetl.drive set drive_id = %s where drive_id = %s", (new, old))
+        if new != "drive_2":
+            yield new
+
+
+def test_a_phone_needs_no_sideways_scrolling(browser, address, features, long_name):
     tab = browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     for hash_ in ("", f"feature={features['wanders']}", "list=changes", "mode=compare&list=cones", "mode=instant"):
         tab.goto("about:blank")
@@ -290,6 +301,10 @@ def test_a_phone_needs_no_sideways_scrolling(browser, address, features):
         assert tab.evaluate("document.scrollingElement.scrollWidth") <= 390, hash_
         outside = tab.evaluate(OUTSIDE)
         assert outside == [], hash_
+        if "list" in hash_:  # both ends: drives of one vehicle differ at that of their names
+            assert (
+                tab.locator(f".table:visible [title='{long_name}']").first.inner_text() == "2026-03-03…cle_07_run_004"
+            )
     tab.close()
 
 

@@ -129,6 +129,12 @@ def test_compare_and_any_time(page, address, samples):
     page.click("text=Compare two")
     page.wait_for_selector(".form-line select")
     settle(page)
+    page.wait_for_url("**from=1**")  # since the day before the last one
+    settle(page)
+    assert page.locator(".legend label").all_inner_texts() == ["added\n1", "moved\n1", "removed\n1", "confirmed\n1"]
+    page.select_option(".form-line select >> nth=0", "0")
+    page.wait_for_url("**from=0**")
+    settle(page)
     assert page.locator(".legend label").all_inner_texts() == ["added\n3"]  # against the empty map: what stands now
     page.click("text=Any time")
     page.wait_for_selector(".legend >> text=standing")

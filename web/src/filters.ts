@@ -8,7 +8,7 @@ import type { State } from "./state";
 /** What the kinds and the existence probability of `State` do not say; null: any. */
 export interface Filter {
   maxProbability: number | null;
-  maxSigma_cm: number | null;
+  maxSigma_m: number | null;
   minHeight_m: number | null;
   maxHeight_m: number | null;
   /** Number of the changeset that wrote the version. */
@@ -24,7 +24,7 @@ type NumberName = Exclude<keyof Filter, "seenFrom" | "seenTo" | "hiddenClasses">
 
 /** Names in the address, and the bounds of numbers. */
 const NUMBERS: [NumberName, string, number][] = [
-  ["maxProbability", "pmax", 1], ["maxSigma_cm", "sigma", 1e4], ["minHeight_m", "hmin", 100], ["maxHeight_m", "hmax", 100],
+  ["maxProbability", "pmax", 1], ["maxSigma_m", "smax", 100], ["minHeight_m", "hmin", 100], ["maxHeight_m", "hmax", 100],
   ["drive", "drive", 1e15],
 ]; // prettier-ignore
 const DAYS: ["seenFrom" | "seenTo", string][] = [["seenFrom", "seenfrom"], ["seenTo", "seento"]];
@@ -32,7 +32,7 @@ const CLASSES = "hideclass";
 const DAY_MS = 86_400_000;
 
 export const anyCone = (): Filter => ({
-  maxProbability: null, maxSigma_cm: null, minHeight_m: null, maxHeight_m: null, drive: null, seenFrom: null, seenTo: null, hiddenClasses: null,
+  maxProbability: null, maxSigma_m: null, minHeight_m: null, maxHeight_m: null, drive: null, seenFrom: null, seenTo: null, hiddenClasses: null,
 }); // prettier-ignore
 
 const isDay = (text: string) => /^\d{4}-\d\d-\d\d$/.test(text) && !Number.isNaN(Date.parse(text));
@@ -66,7 +66,7 @@ export function acceptedBy(state: State): (cone: Cone) => boolean {
   const from = f.seenFrom === null ? -Infinity : Date.parse(f.seenFrom);
   const to = f.seenTo === null ? Infinity : Date.parse(f.seenTo) + DAY_MS;
   const maxP = f.maxProbability ?? 1;
-  const maxSigma_m = (f.maxSigma_cm ?? Infinity) / 100;
+  const maxSigma_m = f.maxSigma_m ?? Infinity;
   const [low, high] = [f.minHeight_m ?? 0, f.maxHeight_m ?? Infinity];
   const classes = f.hiddenClasses;
   return (c) =>
@@ -119,9 +119,9 @@ export function createFilterBar(actions: FilterActions) {
   const filterField = (label: string, step: string, name: NumberName) => numberField(label, step, () => state?.filter[name] ?? null, (value) => set({ [name]: value }));
   const minP = numberField("Minimum existence probability", "0.01", () => state?.minProbability || null, (value) => actions.change({ minProbability: Math.min(value ?? 0, 1) }, false)); // prettier-ignore
   const maxP = filterField("Maximum existence probability", "0.01", "maxProbability");
-  const sigma = filterField("Maximum horizontal sigma in centimetres", "0.1", "maxSigma_cm");
-  const low = filterField("Minimum height in metres", "0.01", "minHeight_m");
-  const high = filterField("Maximum height in metres", "0.01", "maxHeight_m");
+  const sigma = filterField("Maximum horizontal sigma in metres", "0.001", "maxSigma_m");
+  const low = filterField("Minimum object height in metres", "0.01", "minHeight_m");
+  const high = filterField("Maximum object height in metres", "0.01", "maxHeight_m");
   for (const { input } of [minP, maxP]) input.max = "1";
   const drive = el("select", { aria: { label: "Drive that last observed or changed the cone" }, onchange: () => set({ drive: drive.value === "" ? null : Number(drive.value) }) });
   const day = (label: string, name: "seenFrom" | "seenTo") => {
@@ -132,7 +132,7 @@ export function createFilterBar(actions: FilterActions) {
   const [from, to] = [day("Last seen from", "seenFrom"), day("Last seen until", "seenTo")];
   const group = (text: string, ...nodes: (Node | string)[]) => el("div", { class: "filter-field" }, el("span", { textContent: text }), ...nodes);
   const fields = el("div", { class: "filter-fields", id: "filter-fields", hidden: true },
-    group("Existence", minP.input, "–", maxP.input), group("Sigma ≤", sigma.input, "cm"), group("Height", low.input, "–", high.input, "m"),
+    group("Existence", minP.input, "–", maxP.input), group("Sigma ≤", sigma.input, "m"), group("Object height", low.input, "–", high.input, "m"),
     group("Drive", drive), group("Last seen", from.input, "–", to.input)); // prettier-ignore
   more.addEventListener("click", () => {
     fields.hidden = !fields.hidden;

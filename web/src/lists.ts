@@ -26,6 +26,8 @@ function shiftOrder(c: Cone): number | null {
   return 1e3 - KIND_ORDER.indexOf(c.kind);
 }
 
+/** Names of drives often differ only at their end. */
+const bothEnds = (name: string) => (name.length > 26 ? `${name.slice(0, 10)}…${name.slice(-14)}` : name);
 const at = (row: Cone, axis: 0 | 1, origin: Vec3) => row.xyz[axis] + origin[axis];
 
 export function createLists(pane: ListPane, actions: ListActions) {
@@ -36,15 +38,17 @@ export function createLists(pane: ListPane, actions: ListActions) {
   let all: Cone[] = [];
   let scrollToChosen = true;
 
+  const driveOf = (c: Cone) => drives.get(c.changeset) ?? "";
+
   const columns: Column<Cone>[] = [
     { id: "id", title: "Id", hint: "First 8 characters of the id", width: "80px", value: (c) => c.id, text: (c) => shortId(c.id) },
     { id: "class", title: "Class", width: "minmax(136px, 1fr)", value: (c) => classOrder(c.category), text: (c) => classOf(c.category).label, icon: (c) => classIcon(c.category) },
     { id: "kind", title: "Kind", width: "minmax(140px, 1fr)", value: (c) => KIND_ORDER.indexOf(c.kind), text: (c) => (state ? kindLabel(c.kind, state) : ""), icon: (c) => icon(c.kind) },
     { id: "existence", title: "Existence", hint: "Existence probability", width: "96px", number: true, value: (c) => c.probability, text: (c) => probabilityText(c.probability) },
-    { id: "sigma", title: "Sigma cm", hint: "Horizontal sigma, along the major axis of the error ellipse", width: "92px", number: true, descending: true, value: (c) => c.sigma_m, text: (c) => (c.sigma_m * 100).toFixed(1) },
-    { id: "height", title: "Height m", hint: "Height of the cone", width: "88px", number: true, value: (c) => c.height_m, text: (c) => (c.marking ? "" : c.height_m.toFixed(2)) },
+    { id: "sigma", title: "Sigma m", hint: "Horizontal sigma, along the major axis of the error ellipse", width: "92px", number: true, descending: true, value: (c) => c.sigma_m, text: (c) => c.sigma_m.toFixed(3) },
+    { id: "height", title: "Object m", hint: "Height of the object", width: "88px", number: true, value: (c) => c.height_m, text: (c) => (c.marking ? "" : c.height_m.toFixed(2)) },
     { id: "shift", title: "Shift m", hint: "Horizontal shift. Sorted: moved, then added and removed, then confirmed", width: "84px", number: true, descending: true, value: shiftOrder, text: (c) => (c.shift_m === null ? "" : c.shift_m.toFixed(3)) },
-    { id: "drive", title: "Drive", hint: "Last drive that observed or changed it", width: "minmax(184px, 1.6fr)", value: (c) => c.changeset, text: (c) => drives.get(c.changeset) ?? "" },
+    { id: "drive", title: "Drive", hint: "Last drive that observed or changed it", width: "minmax(184px, 1.6fr)", value: (c) => c.changeset, text: (c) => bothEnds(driveOf(c)), whole: driveOf },
     { id: "seen", title: "Last seen (UTC)", width: "128px", descending: true, value: (c) => c.seenAt, text: (c) => utc(new Date(c.seenAt).toISOString(), false) },
     { id: "observations", title: "Obs.", hint: "Observations in total", width: "58px", number: true, descending: true, value: (c) => c.observations, text: (c) => c.observations.toLocaleString("en") },
     { id: "east", title: "East m", hint: "Easting in the map's CRS", width: "96px", number: true, value: (c) => c.xyz[0], text: (c) => at(c, 0, origin).toFixed(2) },

@@ -39,7 +39,7 @@ export interface Chosen {
   decisions: Decisions | null;
 }
 
-const cm = (variance: number) => `${(Math.sqrt(variance) * 100).toFixed(1)} cm`;
+const sigma = (variance: number) => Math.sqrt(variance).toFixed(3);
 
 /** The state that is shown; undefined before the cone was on the map. */
 export const stateOf = ({ history, reached }: Chosen): HistoryItem | undefined => history.filter(reached).at(-1);
@@ -127,8 +127,8 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
         ...row("Class", classOf(now.category).label),
         ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, ${line ? "middle of this stretch" : "foot centre"}` })),
         ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
-        ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${cm(now.cov_m2[0])}, ${cm(now.cov_m2[3])}, ${cm(now.cov_m2[5])}` })),
-        ...(line ? lineRows(line) : row("95 % semi-axes", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm` }),
+        ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${sigma(now.cov_m2[0])}, ${sigma(now.cov_m2[3])}, ${sigma(now.cov_m2[5])} m` })),
+        ...(line ? lineRows(line) : row("95 % semi-axes", el("span", { class: "mono", textContent: `${e.major_m.toFixed(3)} × ${e.minor_m.toFixed(3)} m` }),
           el("small", {}, "ellipse drawn at ", factor))),
         ...row("Existence probability", meter, el("span", { class: "mono", textContent: probabilityText(now.existence_probability) })),
         ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} in total` })),
@@ -165,7 +165,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
             icon(h.kind),
             el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.kind === "moved" && h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, other(h), h.kind === "missed" ? frames(h) : ` · version ${h.version}`,
               el("small", {}, `${utc(h.changed_at)} UTC · `, el("span", { class: "together", textContent: h.drive_id })),
-              el("small", { textContent: `existence ${probabilityText(h.existence_probability)} · ${plural(h.observation_count, "observation")} · σ ${cm((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
+              el("small", { textContent: `existence ${probabilityText(h.existence_probability)} · ${plural(h.observation_count, "observation")} · σ ${sigma((h.cov_m2[0] + h.cov_m2[3]) / 2)} m` }))))),
       ),
     ); // prettier-ignore
   }
@@ -259,7 +259,7 @@ function row(name: string, ...values: (Node | string)[]): Node[] {
 }
 
 const lineRows = (line: Marking): Node[] => [
-  ...row("Sigma across", el("span", { class: "mono", textContent: `${(line.sigma_lateral_m * 100).toFixed(1)} cm` }), el("small", { textContent: "largest along the line" })),
+  ...row("Sigma across", el("span", { class: "mono", textContent: `${line.sigma_lateral_m.toFixed(3)} m` }), el("small", { textContent: "largest along the line" })),
   ...row("Paint", el("span", { textContent: wordsOf(line) })),
   ...row("Width", el("span", { class: "mono", textContent: `${line.width_m.toFixed(3)} ± ${line.width_sigma_m.toFixed(3)} m` })),
   ...row("Length", el("span", { class: "mono", textContent: `${lengthOf(line.line_m).toFixed(2)} m` }), el("small", { textContent: "of this stretch" })),

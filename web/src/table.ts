@@ -13,6 +13,8 @@ export interface Column<T> {
   value(row: T): number | string | null;
   text(row: T): string;
   icon?(row: T): Node;
+  /** Shown when the mouse rests on the cell. */
+  whole?(row: T): string;
   /** Direction of the first click. */
   descending?: boolean;
 }
@@ -223,6 +225,7 @@ function makeSlot<T>(columns: Column<T>[], name: string, number: number): Slot<T
         if (!cell) return;
         if (column.icon) fill(cell, column.icon(row), column.text(row));
         else cell.textContent = column.text(row);
+        if (column.whole) cell.title = column.whole(row);
       });
     },
   };

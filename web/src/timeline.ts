@@ -43,12 +43,17 @@ export const lineChanges = (items: TimelineItem[]) => changes(items, linesOf, (s
 const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, String), ...lineChanges(items)];
 
 export function createTimeline(host: HTMLElement, actions: TimelineActions) {
-  const modeTabs = segmented("View mode", MODES, (mode) => actions.change({ mode }));
+  let [now, drives]: [State | null, TimelineItem[]] = [null, []];
+  const modeTabs = segmented("View mode", MODES, (mode) => {
+    const neverChosen = mode === "compare" && now?.from === 0 && now.to === null;
+    actions.change({ mode, ...(neverChosen && { from: beforeLastDay(drives) }) });
+  });
   const body = el("div", { class: "timeline-body" });
   host.append(modeTabs.node, body);
   const views = { drive: driveView(actions), compare: compareView(actions), instant: instantView(actions) };
 
   return (state: State, items: TimelineItem[]) => {
+    [now, drives] = [state, items];
     modeTabs.set(state.mode);
     const view = views[state.mode];
     if (body.firstElementChild !== view.node) fill(body, view.node);
@@ -64,6 +69,12 @@ function segmented<T extends string>(label: string, choices: [T, string][], choo
       for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset["value"] === value));
     },
   };
+}
+
+/** The last changeset of an earlier day than the newest one; 0 without. */
+function beforeLastDay(items: TimelineItem[]): number {
+  const days = items.map((t) => utc(t.captured_from).slice(0, 10));
+  return items.filter((_, i) => days[i] !== days.at(-1)).at(-1)?.changeset_no ?? 0;
 }
 
 /** The changes of some drives: a bar per kind, as high as its share of `most`. */
