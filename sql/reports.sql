@@ -170,23 +170,35 @@ and x.of_line and upper_inf(x.system_period)
 group by x.kind
 order by x.kind;
 
--- name: night_removed
--- Cones and other point objects that drives committed in a time span removed or merged, as the database knows it now; total: of all rows.
--- Parameters: map_name; since; until; max_rows.
+-- name: night_changes
+-- Cones and other point objects that drives committed in a time span added, moved, removed or changed otherwise, as the database knows
+-- it now; those that are gone first, then moved ones. Parameters: map_name; since; until; max_rows.
+-- Columns: as below; total, gone: of all rows; xyz_m and sigma_m: of the version after the change; frames_empty: pairs without it.
+with changed as (
+    select
+        x.*, c.changeset_no, d.drive_id, count(*) over () as total,
+        count(*) filter (where x.kind in ('removed', 'merged')) over () as gone,
+        row_number() over (order by x.kind in ('removed', 'merged') desc, x.kind = 'moved' desc, c.changeset_no, x.feature_id) as number
+    from conetl.delta x
+    join conetl.changeset c using (changeset_id)
+    join conetl.map m using (map_id)
+    join conetl.drive d using (drive_uuid)
+    where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
+    and x.kind not in ('confirmed', 'missed') and not x.of_line and upper_inf(x.system_period)
+    order by number
+    limit %(max_rows)s
+)
 select
-    x.feature_id, x.kind, c.changeset_no, d.drive_id, x.changed_at, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m,
-    ST_Z(v.geom) as height_m, v.cone_height_m, x.existence_after, x.frames_empty, v.first_seen_ns, count(*) over () as total
-from conetl.delta x
-join conetl.changeset c using (changeset_id)
-join conetl.map m using (map_id)
-join conetl.drive d using (drive_uuid)
-join conetl.feature_version v
-    on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
-    and upper_inf(v.system_period) and upper_inf(v.valid_period)
-where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
-and x.kind in ('removed', 'merged') and not x.of_line and upper_inf(x.system_period)
-order by c.changeset_no, x.feature_id
-limit %(max_rows)s;
+    x.number, x.feature_id, x.kind, x.changeset_no, x.drive_id, x.changed_at, x.existence_after, x.frames_empty, x.shift_m, x.total,
+    x.gone, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m, {{sigma columns of v}} as sigma_m
+from changed x
+join lateral (
+    select w.* from conetl.feature_version w
+    where w.cell = x.cell and w.feature_id = x.feature_id and w.version = x.new_version
+    order by w.version_row_id desc
+    limit 1
+) v on true
+order by x.number;
 
 -- name: night_rejections
 -- Rejected records of all drives committed in a time span, by step and reason.

@@ -183,7 +183,12 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     assert [row["drive_id"] for row in facts.drives][-1] == EVIL
     assert [(row["state"], row["attempts"]) for row in facts.failures] == [("failed", 1), ("started", 1)]
     assert facts.drives[-1]["seconds"] == 12.0
-    assert [row["kind"] for row in facts.vanished] == ["removed"]
+    assert [row["kind"] for row in facts.changes if row["number"] <= row["gone"]] == ["removed"]
+    counted = sum(
+        row[f"{kind}_count"] for row in facts.drives for kind in ("added", "moved", "removed", "split", "merged")
+    )
+    assert {row["total"] for row in facts.changes} == {len(facts.changes)} == {counted}
+    assert all(0 < row["sigma_m"] < 1 for row in facts.changes)
     assert {row["reason"]: row["count"] for row in facts.rejections} == {"never_near": 2, "image_truncated": 1}
     now = execute(shown, "select count(*) as n from current_feature where map_name = 'default'")[0]["n"]
     assert [count for _, count in facts.sizes][-1] == facts.size_at(until) == now
@@ -198,7 +203,7 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
 def test_an_empty_and_an_invalid_night(shown: Any) -> None:
     begin = datetime(2001, 1, 1, tzinfo=UTC)
     quiet = read_night(shown, map_name="default", since=begin, until=begin + timedelta(days=1))
-    assert (quiet.drives, quiet.failures, quiet.vanished) == ([], [], [])
+    assert (quiet.drives, quiet.failures, quiet.changes) == ([], [], [])
     assert "No drive was added to the map" in night_page(quiet)
     page = night_page(replace(quiet, markings=[{"kind": "missed", "count": 2, "length_m": 12.0}]))
     assert ">not observed</td><td>2</td>" in page and ">missed<" not in page

@@ -62,10 +62,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
     for c in facts.changes:
         old_xy_m = (c["old_easting_m"], c["old_northing_m"]) if c["kind"] is DeltaKind.MOVED else None
         marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, str(c["number"])))
-    probabilities = np.array([t.existence_probability for t in facts.tracks])
-    least = facts.header["params"].get("track", {}).get("min_existence_probability")
     nearest = [(t.nearest_range_m, t.residual_rms_px) for t in facts.tracks]
-    steps = [(s["step"], s["started_s"], s["ended_s"]) for s in facts.header["steps"]]
     return render(
         "drive.html.j2",
         title=f"Drive {changeset.drive_id}",
@@ -86,10 +83,8 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         if len(facts.residual_px)
         else None,
         residual_rows=_residual_rows(facts),
-        existence_figure=figures.existence(probabilities, least) if facts.tracks else None,
         weakest=sorted(facts.tracks, key=lambda track: track.existence_probability)[:5],
         number_of_track={c["track_index"]: c["number"] for c in facts.changes if c["track_index"] is not None},
-        timeline=figures.timeline(steps) if steps else None,
         trajectory=_trajectory_rows(facts),
         versions=_version_rows(facts),
     )

@@ -97,12 +97,13 @@ def draw_plan_view(
 
 
 def plan(path_m: Floats, marks: Sequence[PlanMark], lines: Sequence[MarkingChange], *, others_label: str) -> Figure:
-    """Drive path (F, 2), objects, and lane markings, in the map's CRS. others_label: of objects without a change."""
+    """Drive path (F, 2; NaN between drives), objects, lines, in the map's CRS. others_label: of those without a change."""
     olds = [mark.old_xy_m for mark in marks if mark.old_xy_m is not None]
     at_m = np.reshape([*(mark.xy_m for mark in marks), *olds], (-1, 2))
     everything = np.concatenate([path_m, at_m, ends_of(lines)])
-    origin = np.floor(everything.min(axis=0))
-    low, high = everything.min(axis=0) - origin - _MARGIN_M, everything.max(axis=0) - origin + _MARGIN_M
+    least, most = np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)
+    origin = np.floor(least)
+    low, high = least - origin - _MARGIN_M, most - origin + _MARGIN_M
     height = 10 * (high[1] - low[1]) / (high[0] - low[0]) + 1.0
     figure = new_figure(10, float(np.clip(height, 3.4, 6.5)))
     axes = figure.add_subplot()
@@ -198,33 +199,6 @@ def residuals(range_m: Floats, residual_px: Floats, tracks: Sequence[tuple[float
     histogram.set_ylabel("positions")
     histogram.legend(fontsize=8)
     add_grid(over, histogram, open_sides=True)
-    return png(figure)
-
-
-def existence(probabilities: Floats, least: float | None) -> bytes:
-    """Existence probabilities of a drive's objects; least: the threshold for a new one."""
-    figure = new_figure(10, 2.5)
-    axes = figure.add_subplot()
-    axes.hist(probabilities, bins=np.linspace(0, 1, 41).tolist(), color=BLUE)
-    if least is not None:
-        axes.axvline(least, color=ORANGE, linestyle="--", label=f"rejected below {least:g}")
-        axes.legend(fontsize=8, loc="upper left")
-    axes.set_xlim(0, 1)
-    axes.set_xlabel("existence probability from this drive alone")
-    axes.set_ylabel("objects")
-    add_grid(axes, open_sides=True)
-    return png(figure)
-
-
-def timeline(steps: Sequence[tuple[str, float, float]]) -> bytes:
-    """When each step ran: (name, start s, end s)."""
-    figure = new_figure(10, 0.55 + 0.24 * len(steps))
-    axes = figure.add_subplot()
-    names, starts, ends = zip(*steps, strict=True)
-    axes.barh(names, np.maximum(np.subtract(ends, starts), 0.01), left=starts, color=BLUE, height=0.6)
-    axes.invert_yaxis()
-    axes.set_xlabel("seconds since the start of the run")
-    add_grid(axes, open_sides=True)
     return png(figure)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.files.atomic import atomic_text_file
@@ -55,6 +56,7 @@ def _environment() -> Environment:
     environment.globals["kind_marks"] = KIND_MARKS
     environment.filters |= {
         "data_uri": data_uri,
+        "name": _name,
         "plain": lambda value: str(value).replace("_", " "),
         "time": lambda value: f"{value:%Y-%m-%d %H:%M:%S}",
         "minute": lambda value: f"{value:%Y-%m-%d %H:%M}",
@@ -65,6 +67,12 @@ def _environment() -> Environment:
         "short_id": lambda value: str(value)[:8],
     }
     return environment
+
+
+def _name(value: str) -> Markup:
+    """Of a drive: a line breaks after `_` rather than within a date or a word."""
+    text = str(escape(value)).replace("_", "_<wbr>")
+    return Markup(re.sub(r"\d{4}-\d\d-\d\d", r'<span class="date">\g<0></span>', text))
 
 
 def _decimals(value: float | None, count: int = 3) -> str:

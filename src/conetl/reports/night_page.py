@@ -8,9 +8,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from conetl.db.connection import Connection, database_errors, query
 from conetl.db.map.decision_store import held_drives, hold_events
-from conetl.db.map.map_store import list_changesets, require_map
+from conetl.db.map.map_store import list_changesets, read_paths, require_map
+from conetl.model.arrays import Floats
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.health import HeldDrive, HoldEvent, what_to_do
@@ -40,8 +43,10 @@ class NightFacts:
     hold_events: list[HoldEvent]
     """Holds and releases in the period, in order."""
     failures: list[Row]
-    vanished: list[Row]
-    """At most `_MAX_ROWS`; each with the `total`."""
+    changes: list[Row]
+    """Of point objects, confirmations excluded; at most `_MAX_ROWS`, each with the `total` and how many are `gone`."""
+    paths_m: Floats
+    """(N, 2) drive paths of the period, each followed by a row of NaN."""
     rejections: list[Row]
     markings: list[Row]
     """Stretches of lane markings by kind of change: kind, count, length_m."""
@@ -64,7 +69,7 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
         changesets = {one.changeset_id: one for one in list_changesets(conn, map_name=map_name)}
         sizes = query(conn, "reports.map_size", map_name=map_name)
         failures = query(conn, "reports.night_failures", **period)
-        vanished = query(conn, "reports.night_removed", **period | {"max_rows": _MAX_ROWS})
+        changes = query(conn, "reports.night_changes", **period | {"max_rows": _MAX_ROWS})
         rejections = query(conn, "reports.night_rejections", **period)
         markings = query(conn, "reports.night_markings", **period)
         held = [drive for drive in held_drives(conn, map_name=map_name) if drive.since < until]
@@ -76,10 +81,13 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
         changeset = changesets[row["changeset_id"]]
         row |= {name: getattr(changeset, name) for name in ("counts", *_COUNTS.values())}
         row["lost_share"] = row["lost_pairs"] / max(row["expected_frame_count"], 1)
-    for row in vanished:
-        row["first_seen_at"] = utc_from_ns(row["first_seen_ns"])
+    names = {row["drive_id"] for row in drives}
+    paths = [path.xy_m for path in read_paths(conn, map_name=map_name) if path.drive_id in names]
+    paths_m = np.concatenate([np.empty((0, 2)), *(part for path in paths for part in (path, [[np.nan, np.nan]]))])
     counts = [(row["at"], int(row["standing"])) for row in sizes]
-    return NightFacts(map_name, since, until, drives, held, events, failures, vanished, rejections, markings, counts)
+    return NightFacts(
+        map_name, since, until, drives, held, events, failures, changes, paths_m, rejections, markings, counts
+    )
 
 
 def write_night_page(conn: Connection, path: Path, *, map_name: str, since: datetime, until: datetime) -> NightFacts:
@@ -116,8 +124,17 @@ def night_page(facts: NightFacts) -> str:
         warned=[row for row in facts.drives if row["warnings"] and row["counts"]],
         worst_residuals=_worst(measured, "residual_px"),
         worst_losses=[row for row in _worst(recorded, "lost_share") if row["lost_pairs"]],
-        vanished_total=facts.vanished[0]["total"] if facts.vanished else 0,
+        plan=_plan(facts) if facts.changes else None,
+        gone=facts.changes[0]["gone"] if facts.changes else 0,
+        changed=facts.changes[0]["total"] if facts.changes else 0,
     )
+
+
+def _plan(facts: NightFacts) -> bytes:
+    """Where the changes are."""
+    kinds = [(row, DeltaKind(row["kind"])) for row in facts.changes]
+    marks = [figures.PlanMark(row["category"], kind, row["xyz_m"][:2], None, str(row["number"])) for row, kind in kinds]
+    return figures.png(figures.plan(facts.paths_m, marks, (), others_label=""))
 
 
 def _worst(rows: Sequence[Row], key: str) -> list[Row]:
