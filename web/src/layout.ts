@@ -86,6 +86,7 @@ export function createLayout(app: HTMLElement) {
       noticeHost.textContent = text;
     },
     toast(text: string, action: { text: string; run: () => void } | null): void {
+      if ([...toasts.children].some((shown) => shown.firstChild?.textContent === text)) return;
       const node = el("div", { class: "toast" }, el("span", { textContent: text }));
       const remove = () => node.remove();
       if (action) node.append(el("button", { type: "button", class: "link", textContent: action.text, onclick: () => (action.run(), remove()) }));
@@ -104,7 +105,7 @@ export function createLayout(app: HTMLElement) {
       if (!cone) return;
       const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
       fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), !onlyCones() && classOf(cone.category).label, cone.marking && el("span", { textContent: wordsOf(cone.marking) }), el("span", { class: "mono", textContent: shortId(cone.id) }),
-        el("span", { textContent: `existence probability ${probabilityText(cone.probability)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
+        el("span", { textContent: `existence probability ${probabilityText(cone.probability)}, sigma ${cone.sigma_m.toFixed(3)} m, ${plural(cone.observations, "observation")}` })); // prettier-ignore
       const left = x + 14 + tip.offsetWidth > view.clientWidth ? x - 14 - tip.offsetWidth : x + 14;
       tip.style.transform = `translate(${left}px, ${Math.max(4, y - tip.offsetHeight / 2)}px)`;
     },
