@@ -48,7 +48,7 @@ docs: setup     ## build the documentation in build/site
 web:            ## build the front end of `conetl view` into src/conetl/web/static (needs Node 20.19 or newer)
 	@cd web && npm ci --no-audit --no-fund && npm run build
 
-bench-detect: setup  ## measure the detector beside YOLOv3 and a network of YOLO11n's size (ARGS='--pictures FOLDER' ...)
+bench-detect: setup  ## measure the detector beside YOLOv3 and a network of YOLO11n's size (ARGS='--images FOLDER' ...)
 	@$(BIN)/python benchmarks/bench_detect.py $(ARGS)
 
 bench-intersection: setup  ## measure forward intersection beside OpenCV

@@ -1,10 +1,10 @@
 """Time to detect the cones of one image, beside well-known networks on the same machine.
 
-    .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE] [--pictures FOLDER]
+    .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE] [--images FOLDER]
 
 Rows: the complete detection (`conetl.perception.detector.detect_image`) of cones and of all classes, its network alone on the
 tensor of the full-size pass and on the tensors of all passes, and two rivals with random weights (`rival_networks.py`), network
-alone. `--pictures` measures conetl's rows on at most 24 images of a folder; times are per image.
+alone. `--images` measures conetl's rows on at most 24 images of a folder; times are per image.
 
 One thread is one session of one thread; two threads are two Python threads, each with its own such session, working on the same
 image at the same time. Requires the development packages (onnx).
@@ -279,14 +279,14 @@ def run(model_path: Path, runs: int, threads: int, pictures: Path | None) -> dic
 def main() -> None:
     parser = arguments_of(__doc__)
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs per row instead of {RUNS}")
-    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="measure conetl on images of your own")
+    parser.add_argument("--images", type=Path, metavar="FOLDER", help="measure conetl on images of your own")
     parser.add_argument("--model", type=Path, metavar="FILE", help="another conetl model than the shipped one")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    if options.pictures is not None and not options.pictures.is_dir():
-        parser.error(f"--pictures {options.pictures}: not a folder")
+    if options.images is not None and not options.images.is_dir():
+        parser.error(f"--images {options.images}: not a folder")
     try:
-        report = run(options.model or shipped_model_path(), QUICK_RUNS if options.quick else RUNS, 2, options.pictures)
+        report = run(options.model or shipped_model_path(), QUICK_RUNS if options.quick else RUNS, 2, options.images)
     except (ModelFileError, ImageFileError) as error:
         parser.error(str(error))
     print_report(report)

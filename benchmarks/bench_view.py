@@ -6,7 +6,7 @@ points are drawn. Processor time is that of Chromium's processes until then. The
 the cone under a click, and the frame time while the camera turns are measured. Last, the list of another map with `--rows` cones
 is scrolled from its top to its end.
 
-    python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--rows 100000] [--pictures folder]
+    python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--rows 100000] [--images folder]
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def main() -> None:
     parser.add_argument("--lines", type=int, default=200)
     parser.add_argument("--rows", type=int, default=100_000)
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--images", type=Path)
     options = parser.parse_args()
     with own_cluster() as (home, url):
         with closing(connect(url)) as conn:
@@ -175,7 +175,7 @@ def main() -> None:
         with served_view(home, url, MAP_NAME, "--decisions") as (address, _), sync_playwright() as playwright:
             figures = measure(playwright, address, options)
             if options.rows:
-                figures |= scroll(playwright, f"{address}/#map={MANY}&mode=instant&list=cones", options.pictures)
+                figures |= scroll(playwright, f"{address}/#map={MANY}&mode=instant&list=cones", options.images)
     write_json(options.json, figures)
 
 
@@ -188,7 +188,7 @@ def measure(playwright: Any, address: str, options: argparse.Namespace) -> dict[
         print(f"first image {first_s:.2f} s ({parts}); Chromium's processor time {used_s:.1f} s; load {load()}")
         runs.append({"first_image_s": first_s, "chromium_s": used_s})
         if len(runs) == options.runs:
-            figures = use(tab, options.pictures)
+            figures = use(tab, options.images)
         tab.context.browser.close()
     return {"runs": runs, **figures}
 
