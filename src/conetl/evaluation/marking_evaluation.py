@@ -21,7 +21,6 @@ from conetl.evaluation.markings import (
 )
 from conetl.evaluation.nees_table import NEES_COLUMNS, NEES_TEXT, nees_as_dict, nees_rows
 from conetl.geometry.consistency import Consistency, pooled
-from conetl.geometry.packing import cov_matrices, on_diagonal
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
@@ -31,6 +30,9 @@ from conetl.tracking.error_propagation import PoseCov, constant_and_change
 
 #: Depths between which markings are measured, and where they are measured well.
 _VIEW_M, _TYPICAL_RANGE_M = (4.0, 16.0), 8.0
+#: Least sigma of a vertex against the truth, whose coordinates are rounded (degrees to nine digits: 0.1 mm; heights to 1 mm). In
+#: a gap the fit ties vertices to each other, so that neighbours could not differ otherwise.
+_RESOLUTION_M = 1e-4
 _FIGURES = (
     "", "visible m", "found m", "complete", "correct", "double", "lateral median", "95 %", "height median", "95 %", "width",
     "dash", "gap", "pattern right", "colour right",
@@ -116,8 +118,8 @@ def _pooled_nees(drives: Mapping[str, MarkingEvaluation]) -> dict[str, Consisten
 
 
 def _covariances(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -> tuple[Floats, Floats, Floats]:
-    """Covariances of all vertices of a drive, for `marking_consistency`: their own errors, correlated by poses that change within
-    the drive, and those common to the drive.
+    """Covariances of all vertices of a drive, for `marking_consistency`: their own errors, correlated along each marking and by
+    poses that change within the drive, and those common to the drive.
 
     A vertex moves with the poses from which it was in view, near ones most, as in its fit.
     """
@@ -133,7 +135,9 @@ def _covariances(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -
     moved = weight.T[:, :, None, None] * by_frame
     constant, change = constant_and_change(poses([pair.frame_index for pair in pairs]))
     by_pose = moved[..., :6].transpose(1, 2, 0, 3).reshape(3 * len(vertices), -1)
-    own = on_diagonal(cov_matrices([cov for track in tracks for cov in track.image_cov_m2]))
+    stretches = [stretch for track in tracks for stretch in track.image_covs()]
+    own = block_diag(*stretches) if stretches else np.zeros((0, 0))
+    own += _RESOLUTION_M**2 * np.eye(len(own))
     return own + by_pose @ change @ by_pose.T, moved.sum(axis=0), block_diag(constant, calibration_of(drive.rig))
 
 

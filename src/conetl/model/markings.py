@@ -5,11 +5,13 @@ Units and frames as in `base.py`.
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, isqrt
 from typing import Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from conetl.model.arrays import Floats
 from conetl.model.base import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec3
 
 MarkingColour = Literal["white", "yellow", "other"]
@@ -71,5 +73,10 @@ class MarkingTrack(Record):
     """Sigma of the Gaussian that blurs its edges in the images, median."""
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
     """Of the calibration's part in the covariances, at the middle vertex; None where unknown."""
-    image_cov_m2: tuple[Cov3, ...] = Field(default=(), exclude=True, repr=False)
-    """Of the vertices, without any error of pose and calibration, for evaluations; not in the database."""
+    image_cov_m2: tuple[bytes, ...] = Field(default=(), exclude=True, repr=False)
+    """Of the vertices, without any error of pose and calibration, for evaluations; not in the database. Joint covariances of
+    stretches, one after the other: the bytes of (3k, 3k) doubles for k vertices."""
+
+    def image_covs(self) -> list[Floats]:
+        """The stretches of `image_cov_m2` as arrays (3k, 3k)."""
+        return [np.frombuffer(data).reshape(2 * (isqrt(len(data) // 8),)) for data in self.image_cov_m2]

@@ -148,7 +148,7 @@ def test_a_drive_that_found_the_truth_is_complete_and_correct() -> None:
         MarkingTrack(
             marking_index=k, category=LANE_MARKING, existence_probability=0.99, observation_count=9, first_seen_ns=1,
             last_seen_ns=2, contrast=60.0, blur_px=0.9, relative_cov_m2=(cov,) * len(one.vertices_m),
-            image_cov_m2=(cov,) * len(one.vertices_m),
+            image_cov_m2=tuple((np.eye(3 * n) * 1e-4).tobytes() for n in (1, len(one.vertices_m) - 1)),
             marking=found(np.array(one.vertices_m), pattern=one.pattern, dash_m=one.dash_m, gap_m=one.gap_m),
         )
         for k, one in enumerate(known)

@@ -145,16 +145,43 @@ def test_solid_and_dashed_lines_of_a_bend_are_found_where_they_are(dash_m: float
     assert 2.0 < steps.min() <= steps.max() < 3.0
 
 
+def _across_cov(track: MarkingTrack, unit: Floats) -> Floats:
+    """(K, K) of a track's vertices along unit vectors (K, 2), from the images alone."""
+    (joint,) = track.image_covs()
+    return np.asarray(np.einsum("ki,kilj,lj->kl", unit, joint.reshape(2 * (len(unit), 3))[:, :2, :, :2], unit))
+
+
 def _across_swung(track: MarkingTrack, offset_m: float, swing_m: float) -> tuple[Floats, Floats, Floats]:
     """Errors of the vertices to the left of a line that swings, their stated sigmas, and how far along the bend they are."""
     outwards = np.array(track.marking.vertices_m)[:, :2] - CENTRE
     radius_m = np.linalg.norm(outwards, axis=1)
     along_m = np.arctan2(outwards[:, 0], -outwards[:, 1]) * RADIUS_M
     unit = outwards / radius_m[:, None]
-    sigma = np.sqrt(np.einsum("ki,kij,kj->k", unit, cov_matrices(track.image_cov_m2)[:, :2, :2], unit))
+    sigma = np.sqrt(np.diagonal(_across_cov(track, unit)))
     slope = np.gradient(swing_m * _swung(np.array([along_m - 0.1, along_m + 0.1])), 0.2, axis=0)[0]
     errors = (RADIUS_M - radius_m - offset_m - swing_m * _swung(along_m)) / np.hypot(1, slope)
     return errors, sigma, along_m
+
+
+def test_vertices_do_not_zigzag_more_than_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit with a penalty has smooth errors, most of all in gaps: independent vertices with the same sigmas would zigzag three
+    times as much. Points have nothing but noise; pairs of seeds, so that what they have in common cancels."""
+    for name, value in {"_FRAME_SIGMA_PX": 0.0, "_COMMON_SIGMA_PX": 0.0, "_NOISE_SHARE": 1.0}.items():
+        monkeypatch.setattr(f"conetl.tracking.markings.tracks.{name}", value)
+    actual_m2, stated_m2, independent_m2 = [], [], []
+    tracks = [fused({-1.5: dashes(3.0, 12.0)}, seed=seed, share=1.0)[0] for seed in range(10)]
+    for pair in zip(tracks[::2], tracks[1::2], strict=True):
+        outwards = [np.array(track.marking.vertices_m)[:, :2] - CENTRE for track in pair]
+        cov = sum(
+            _across_cov(track, xy / np.linalg.norm(xy, axis=1)[:, None])
+            for track, xy in zip(pair, outwards, strict=True)
+        )
+        zigzag = np.diff(np.eye(len(cov)), n=2, axis=0)
+        actual_m2.append((zigzag @ (_across(pair[0], -1.5) - _across(pair[1], -1.5))) ** 2)
+        stated_m2.append(np.diagonal(zigzag @ cov @ zigzag.T))
+        independent_m2.append(zigzag**2 @ np.diagonal(cov))
+    assert 0.6 < np.mean(actual_m2) / np.mean(stated_m2) < 1.6
+    assert np.mean(independent_m2) > 9 * np.mean(stated_m2)
 
 
 def test_vertices_of_a_curve_lie_on_it_and_not_inside_of_it() -> None:

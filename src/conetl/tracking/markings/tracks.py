@@ -45,6 +45,8 @@ _BEND_VERTICES, _LOST_SHARE = 5, 1.0
 #: Share of the variance of the points about the course that vertices show beside the errors above. Most likely, as the share of
 #: worn edges, on twelve rendered drives.
 _NOISE_SHARE = 0.8
+#: Vertices whose errors are followed together: the square of their number is kept. 250 m, of which a frame pair shows 13 m.
+_STRETCH = 100
 #: Frame pairs of less weight than this share of the largest do not move a vertex.
 _LEAST_SHARE = 0.02
 #: Largest scatter of the points about the course (m) and of the widths (share).
@@ -73,7 +75,10 @@ class _Course(NamedTuple):
     shares: Floats
     """(2, K, F) weight of each of them in the offset and in the height of each vertex; sums over frame pairs are 1."""
     noise_m2: Floats
-    """(K, 2, 2) covariance of offset and height from the scatter of the points, and from bends that the penalty straightened."""
+    """(K, 2, K, 2) covariance of offsets and heights from the scatter of the points, and from bends that the penalty
+    straightened."""
+    by_paint: Floats
+    """(K, K) derivative of the offsets by those of the paint at the vertices: the fit smooths them and fills gaps."""
     kept: Bools
     """(N,) the points that are not outliers."""
 
@@ -155,18 +160,20 @@ def _fit_course(points: LocatedPoints, start_m: float, end_m: float, spacing_m: 
     core, both = size < 3 * _ROBUST, np.sqrt(weight.prod(axis=0))
     scatter = (scaled[core].T * both[core]) @ scaled[core] / both[core].sum() if core.any() else np.eye(2)
     mixed, (across, up) = hats.T @ (hats * both[:, None]), normal - penalty
-    spread = np.einsum("cij,cdjk,dki->icd", inverse, np.array([[across, mixed], [mixed, up]]), inverse, optimize=True)
-    noise = _NOISE_SHARE * spread * scatter
+    spread = np.einsum("cij,cdjk,dkl->icld", inverse, np.array([[across, mixed], [mixed, up]]), inverse, optimize=True)
+    noise = _NOISE_SHARE * spread * scatter[:, None, :]
     if len(bend):
         # Vertices of a polyline through the points of a curve are a twelfth of its bend inside of it, and the penalty straightens
         # the ends: by so much of a parabola that bends as the course does near by.
         near_by = uniform_filter1d(np.pad(bend @ course[:, 0], 1, mode="edge"), _BEND_VERTICES, mode="nearest")
         lost = (1 / 12 + inverse[0] @ penalty @ (np.arange(count) ** 2 / 2)) * near_by
         course[:, 0] += lost
-        noise[:, 0, 0] += (_LOST_SHARE * lost) ** 2
+        # Errors of means of bends are correlated as far as these have bends in common.
+        apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+        noise[:, 0, :, 0] += _LOST_SHARE**2 * np.outer(lost, lost) * np.maximum(1 - apart / _BEND_VERTICES, 0.0)
     kept = np.zeros(len(points.station_m), dtype=bool)
     kept[np.flatnonzero(inside)[core]] = True
-    return _Course(knots, course[:, 0], course[:, 1], frames, shares, noise, kept)
+    return _Course(knots, course[:, 0], course[:, 1], frames, shares, noise, inverse[0] @ across, kept)
 
 
 def _track(
@@ -201,7 +208,8 @@ def _track(
     if robust_std(residual) > _MAX_SCATTER_M or width_scatter > _MAX_WIDTH_SCATTER * width:
         return None
     xyz = np.column_stack([locate(points.line_m, course.station_m, course.offset_m), course.height_m])
-    own_cov, pose_part, calibrated = _covariances(points, course, xyz, _WORN_SHARE * width_scatter, drive, pairs, poses)
+    joint, pose_part, calibrated = _covariances(points, course, xyz, _WORN_SHARE * width_scatter, drive, pairs, poses)
+    own_cov = np.concatenate([np.einsum("kikj->kij", stretch) for stretch in joint])
     middle = len(xyz) // 2
     contrast = float(np.median(own.columns.contrast))
     seen = [pairs[points.frames[number].frame_index].captured_at_ns for number in frames]
@@ -220,7 +228,7 @@ def _track(
             gap_m=piece.gap_m,
         ),
         relative_cov_m2=tuple(map(cov3, own_cov + pose_part[1])),
-        image_cov_m2=tuple(map(cov3, own_cov)),
+        image_cov_m2=tuple(stretch.tobytes() for stretch in joint),
         existence_probability=marking_existence(len(frames), contrast, piece.hit_share),
         observation_count=len(frames),
         first_seen_ns=min(seen),
@@ -239,15 +247,14 @@ def _covariances(
     drive: Drive,
     pairs: dict[int, FramePair],
     poses: PoseCov,
-) -> tuple[Floats, tuple[Floats, Floats], Floats]:
-    """Of K vertices: (K, 3, 3) m^2 from the images; the same from all errors of the poses, and from the part of them that the
-    frame pairs do not share; (K, 3, C) derivatives by the calibration's parameters."""
+) -> tuple[list[Floats], tuple[Floats, Floats], Floats]:
+    """Of K vertices: joint covariances (k, 3, k, 3) m^2 from the images, stretch by stretch; (K, 3, 3) from all errors of the
+    poses, and from the part of them that the frame pairs do not share; (K, 3, C) derivatives by the calibration's parameters."""
     rig, count = drive.rig, len(xyz)
     direction = directions_at(points.line_m, course.station_m)
     across = np.stack([-direction[:, 1], direction[:, 0], np.zeros(count)], axis=1)
     axes = np.stack([across, np.broadcast_to([0.0, 0.0, 1.0], across.shape)], axis=2)
-    own = axes @ course.noise_m2 @ np.swapaxes(axes, 1, 2)
-    whole, change, calibrated = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), []
+    whole, change, calibrated, by_images = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), [], []
     for k, vertex in enumerate(xyz):
         largest = np.abs(course.shares[:, k]).max(axis=0)
         used = largest > _LEAST_SHARE * largest.max()
@@ -260,8 +267,8 @@ def _covariances(
         left = points.map_SE3_left[frames]
         seen = np.einsum("fji,fj->fi", left[:, :3, :3], vertex - left[:, :3, 3])
         seen[:, 2] = np.maximum(seen[:, 2], 1.0)
-        own[k] += worn_m**2 * aligned
-        own[k] += _image_errors(left, seen, shares, axes[k], rig.left.fx_px, rig.left.fx_px * rig.baseline_m)
+        moved_by_images = _by_images(left, seen, shares, axes[k], rig.left.fx_px, rig.left.fx_px * rig.baseline_m)
+        by_images.append((frames, moved_by_images))
         members = [pairs[points.frames[number].frame_index] for number in frames]
         moved = shares @ moved_by_poses(np.broadcast_to(vertex, seen.shape), [one.pose for one in members])
         cov = poses([one.frame_index for one in members])
@@ -270,20 +277,41 @@ def _covariances(
             target[k] = moved_cov(moved, rank, part).reshape(len(rank), 3, len(rank), 3).sum(axis=(0, 2))
         by_calibration = left[:, :3, :3] @ calibration_jacobian(seen, rig)
         calibrated.append((shares @ by_calibration).sum(axis=0))
-    return own, (whole, change), np.stack(calibrated)
+    stretches = [slice(first, first + _STRETCH) for first in range(0, count, _STRETCH)]
+    joint = [_joint_cov(course, axes, worn_m, by_images, stretch) for stretch in stretches]
+    return joint, (whole, change), np.stack(calibrated)
 
 
-def _image_errors(
-    left: Floats, seen: Floats, shares: Floats, axes: Floats, focal_px: float, focal_base: float
-) -> Floats:
-    """(3, 3) m^2 across the marking and in height: errors of column and disparity that the points of a frame pair share, and that
-    all share. seen, shares: (F, 3) and (F, 3, 3) of the vertex, by frame pair."""
+def _by_images(left: Floats, seen: Floats, shares: Floats, axes: Floats, focal_px: float, focal_base: float) -> Floats:
+    """(F, 3, 2) m per px, across the marking and in height: derivatives of a vertex by the errors of column and disparity that
+    its points of each frame pair share. seen, shares: (F, 3) and (F, 3, 3) of the vertex, by frame pair."""
     by_column = seen[:, 2:] / focal_px * np.array([1.0, 0.0, 0.0])
     by_disparity = -seen * seen[:, 2:] / focal_base
-    moved = axes @ axes.T @ shares @ left[:, :3, :3] @ np.stack([by_column, by_disparity], axis=2)
-    total = moved.sum(axis=0)
-    found = _FRAME_SIGMA_PX**2 * np.einsum("fik,fjk->ij", moved, moved) + _COMMON_SIGMA_PX**2 * total @ total.T
-    return np.asarray(found)
+    return np.asarray(axes @ axes.T @ shares @ left[:, :3, :3] @ np.stack([by_column, by_disparity], axis=2))
+
+
+def _joint_cov(
+    course: _Course, axes: Floats, worn_m: float, by_images: Sequence[tuple[Ints, Floats]], stretch: slice
+) -> Floats:
+    """(k, 3, k, 3) m^2 of the vertices of a stretch, by all errors in the images.
+
+    Neighbouring vertices have most of them in common: the frame pairs, the marking, and points that the penalty ties to both.
+    Worn edges are errors of the paint, the same in all images: the fit smooths them as it smooths the paint's own course, so that
+    they do not make vertices zigzag, least of all in gaps, where there is no paint.
+    """
+    noise = course.noise_m2[stretch][:, :, stretch].copy()
+    noise[:, 0, :, 0] += worn_m**2 * course.by_paint[stretch] @ course.by_paint[stretch].T
+    axes, own = axes[stretch], by_images[stretch]
+    first = min(int(frames.min()) for frames, _ in own)
+    by_frame = np.zeros((len(own), 3, max(int(frames.max()) for frames, _ in own) - first + 1, 2))
+    for k, (frames, moved) in enumerate(own):
+        by_frame[k, :, frames - first] = moved
+    shared = by_frame.reshape(3 * len(own), -1), by_frame.sum(axis=2).reshape(3 * len(own), -1)
+    of_frames, of_all = (
+        sigma**2 * part @ part.T for sigma, part in zip((_FRAME_SIGMA_PX, _COMMON_SIGMA_PX), shared, strict=True)
+    )
+    turned = np.einsum("kia,kalb,ljb->kilj", axes, noise, axes, optimize=True)
+    return np.asarray(turned + (of_frames + of_all).reshape(turned.shape))
 
 
 def _colour(points: LocatedPoints) -> MarkingColour:
