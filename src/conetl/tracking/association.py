@@ -20,7 +20,6 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import cov_matrix
-from conetl.geometry.small_arrays import nearest
 from conetl.model.arrays import Floats
 from conetl.model.drive import Position
 from conetl.model.feature_classes import exclude_each_other
@@ -255,16 +254,20 @@ def misfit_of(
 
 
 def _nearest_in_time(a: tuple[Position, ...], b: tuple[Position, ...]) -> tuple[Position, Position] | None:
-    """The pair of positions fewest frames apart; None where both groups have a position in one frame."""
+    """The pair of positions fewest frames apart; None where both groups have a position in one frame.
+
+    Of several pairs the most precise: groups whose frames alternate have many, and one vague position among them says nothing.
+    """
     if a[-1].frame_index < b[0].frame_index:
         return a[-1], b[0]
     if b[-1].frame_index < a[0].frame_index:
         return a[0], b[-1]
     frames_a, frames_b = np.array([p.frame_index for p in a]), np.array([p.frame_index for p in b])
-    partner = nearest(frames_b, frames_a)
-    gaps = np.abs(frames_b[partner] - frames_a)
-    i = int(gaps.argmin())
-    return (a[i], b[int(partner[i])]) if gaps[i] else None
+    gaps = np.abs(frames_b - frames_a[:, None])
+    if not gaps.min():
+        return None
+    pairs = [(a[i], b[j]) for i, j in np.argwhere(gaps == gaps.min()).tolist()]
+    return min(pairs, key=lambda pair: sum(p.camera_cov_m2[0] + p.camera_cov_m2[3] + p.camera_cov_m2[5] for p in pair))
 
 
 def _within_reach(one: Position, other: Position, map_SE3_left: Mapping[int, Floats], params: TrackParams) -> bool:

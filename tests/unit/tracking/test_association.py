@@ -94,6 +94,21 @@ def test_the_reach_is_that_of_the_covariance(seed, share):
         assert _within_reach(one, other, poses, PARAMS) == (share < 1)
 
 
+def test_of_alternating_frames_the_most_precise_pair_is_compared():
+    """Far away one object may be followed as two, whose frames alternate. The first of all neighbouring pairs has a vague
+    position, 2.5 m away along the line of sight, beyond the reach of the precise one before it."""
+    poses, motion = path(6), drifting(1e-5)
+
+    def at(frame: int, depth_m: float, sigma_m: float = 0.05) -> Position:
+        return position(frame, np.array([0.5, 1.0, depth_m]), sigma_m, poses)
+
+    before, vague = tuple(at(k, 20.0) for k in (0, 2, 4)), at(1, 22.5, 0.9)
+    assert misfit_of(before[:1], (vague,), poses, PARAMS, motion) is None
+    after, beyond = (tuple(at(k, depth) for k in (3, 5)) for depth in (20.1, 21.6))
+    assert [len(group) for group in join_fragments([before, (vague, *after)], poses, PARAMS, motion)] == [6]
+    assert len(join_fragments([before, (vague, *beyond)], poses, PARAMS, motion)) == 2
+
+
 def test_groups_beyond_any_error_are_not_compared():
     poses, compared = path(400), []
 
