@@ -43,7 +43,7 @@ _WORN_SHARE = 0.15
 #: The bend of a course is the mean of those at this many vertices; sigma of what it adds, as a share of that.
 _BEND_VERTICES, _LOST_SHARE = 5, 1.0
 #: Share of the variance of the points about the course that vertices show beside the errors above. Most likely, as the share of
-#: worn edges, on twelve rendered drives.
+#: worn edges, on twelve rendered drives, where vertices were taken as independent.
 _NOISE_SHARE = 0.8
 #: Vertices whose errors are followed together: the square of their number is kept. 250 m, of which a frame pair shows 13 m.
 _STRETCH = 100
