@@ -164,6 +164,9 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     ui.print_records("", columns, plan.lines[:_SHOWN], numbers_from=4)
     if len(plan.lines) > _SHOWN:
         ui.say(f"... and {len(plan.lines) - _SHOWN} more; --dry-run --json lists all.")
+    if remarks := [remark for line in plan.lines if line.action == "ingest" for remark in line.header.remarks]:
+        others = f" ({ui.counted(len(remarks) - 1, 'more note')} like this)" if remarks[1:] else ""
+        ui.note(remarks[0] + others)
 
 
 def _print_receipt(receipt: Receipt) -> None:

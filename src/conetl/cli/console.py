@@ -98,9 +98,10 @@ def complain(error: ConetlError | str) -> None:
     err.print(f"[bold red]conetl:[/] {escape(str(error))}", soft_wrap=True)
 
 
-def note(text: str) -> None:
-    """One remark on standard error."""
-    err.print(f"[yellow]conetl: note:[/] {escape(text)}", soft_wrap=True)
+def note(*texts: str) -> None:
+    """Remarks on standard error, a line each."""
+    for text in texts:
+        err.print(f"[yellow]conetl: note:[/] {escape(text)}", soft_wrap=True)
 
 
 def note_unmeasured(card: Any) -> None:

@@ -93,9 +93,7 @@ def ingest_drives(
         for problem in problems:
             ui.complain(problem)
         return [], EXIT_BAD_INPUT
-    for header in headers:
-        for remark in header.remarks:
-            ui.note(remark)
+    ui.note(*(remark for header in headers for remark in header.remarks))
     require_room(settings)
     sweep((settings.results_folder, settings.exports_folder))
     ui.note_unmeasured(read_model_card(settings.model_path))

@@ -11,12 +11,13 @@ import typer
 
 from conetl.cli import console as ui
 from conetl.files.names import minutes
-from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
+from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import FORMATS, drive_format, read_drive
+from conetl.readers.drives.header import read_header
 from conetl.readers.drives.summary import DriveSummary, summarise
 
 #: Processor seconds of one `conetl ingest`, measured (docs/reference/drives.md): at the start, and per million pixels of both
@@ -32,7 +33,6 @@ def inspect(
         Path | None,
         typer.Option(help="HTML page to write: all results, and an image of the drive path with one image pair."),
     ] = None,
-    image: Annotated[Path | None, typer.Option("--image", "--picture", hidden=True)] = None,
     map_srid: ui.MapSridOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
@@ -41,10 +41,9 @@ def inspect(
     Reads only the headers and ends of the images and compares five frame pairs; writes nothing to the map. Exit code 2: the
     drive cannot be ingested. Exit code 1: it can, but too many frame pairs are lost, poses jump, or a health check did not pass.
     """
-    if image is not None:
-        raise InputError("--image was replaced by --page FILE.html, which contains the image")
     settings = read_settings()
     found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
+    ui.note(*read_header(drive).remarks)
     kind = str(drive_format(drive))
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)

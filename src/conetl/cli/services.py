@@ -194,8 +194,7 @@ def status(as_json: JsonOption = False) -> None:
             if service["log_tail"]:
                 say(f"\n{service['name']}: the end of {service['log']}:\n{service['log_tail']}")
         say(f"Home:    {settings.home.resolve()}, readable by {found['home_readable_by']}")
-        if any(service["name"] == "view" for service in found["services"]):
-            view = next(service["address"] for service in found["services"] if service["name"] == "view")
+        if view := next((service["address"] for service in found["services"] if service["name"] == "view"), None):
             say(f"Prefect: log in with {login_source(settings.home.resolve())}")
             say(f"Map:     {login_address(view, view_token(settings.home))}")
         if all(service["since"] is None for service in found["services"]):

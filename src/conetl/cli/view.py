@@ -83,7 +83,6 @@ def view(
             require_map(conn, map_name)
     writer = decision_writer(settings, url, on_request=decisions, token_file=writer_token_file)
     token = view_token(settings.home) if login else None
-    address = f"http://127.0.0.1:{port}/"
     with closing(free_port("127.0.0.1", port, "the web view", "--port")) as listener:
         server: uvicorn.Server | None = None
         app = create_app(
@@ -95,7 +94,7 @@ def view(
             timeout_graceful_shutdown=3, server_header=False,
         )  # fmt: skip
         server = uvicorn.Server(config)
-        address = login_address(address, token)
+        address = login_address(f"http://127.0.0.1:{port}/", token)
         facts = {"url": address, "map": settings.map_name, "decisions": writer is not None}
         answer(as_json, facts, f"Map: {address} (this machine only; press Ctrl-C to stop)")
         # uvicorn stops at Ctrl-C and then raises the signal again; here it is how the command ends, not an interruption.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,11 +10,12 @@ from uuid import uuid4
 
 import pytest
 
-from conetl.cli.backfill import _print_summary
+from conetl.cli.backfill import _print_plan, _print_summary
 from conetl.model.errors import ConetlError, MapMismatchError, ServiceError
+from conetl.pipeline.backfill_plan import Analysis, Plan, PlanLine
 from conetl.pipeline.ingest import failed, new_receipt
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import read_header
+from conetl.readers.drives.header import DriveHeader, read_header
 from flows.backfill import Standing
 
 REFUSED = MapMismatchError("this is the recording of drive a again")
@@ -32,3 +34,17 @@ def test_a_retry_is_advised_only_where_it_can_help(
     _print_summary(Standing(plan, 1, "here", 0.0, [], [failed(begun, error) for error in errors]))
     said = capsys.readouterr().out
     assert ("to retry" in said, "fail again" in said) == (retry, correct)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_the_plan_notes_what_the_user_has_to_know_of_drives_to_ingest(
+    count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [
+        PlanLine(DriveHeader(tmp_path, f"d{k}", f"{k}", 10, 0, 1, None, remarks=(f"heights of d{k}",)), action, "")
+        for k, action in enumerate(["skip", *["ingest"] * count])
+    ]
+    now = datetime.now(UTC)
+    _print_plan(Plan(tmp_path, "m", None, None, Analysis("p", "m", "s"), tuple(lines), None, now, 0.1), 1)
+    notes = ["", "conetl: note: heights of d1\n", "", "conetl: note: heights of d1 (2 more notes like this)\n"]
+    assert capsys.readouterr().err == notes[count]
