@@ -32,6 +32,7 @@ from conetl.readers.drives.proposal import (
     still_valid,
     suggested,
 )
+from conetl.readers.drives.summary import summarise
 from conetl.readers.drives.video import NAME, Preview, preview
 from conetl.readers.drives.video_timing import Timing, UnknownTimeError
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
@@ -41,7 +42,8 @@ from conetl.readers.trajectories.times import parse_timestamp
 _TIME_QUESTIONS = {
     "timestamps": "File with the time of each left image, one per line (UTC, or nanoseconds since 1970), or the trajectory if it "
     "has one record per image",
-    "start": "Time of the first left frame, in UTC or with a UTC offset, like 2026-03-02 11:00:00.250+01:00",
+    "start": "Time of the first left frame, in UTC or with a UTC offset, like 2026-03-02 11:00:00.250+01:00; to the second if "
+    "not known better",
     "right-offset": "Seconds by which the right file begins after the left one (0 if both start at the same trigger)",
 }
 #: Of a time without a fraction, like that of creation in a video's container: of a uniform distribution.
@@ -151,9 +153,11 @@ def init(
     text = f"{folder / DRIVE_YAML}: {_counted(found)}"
     if "clock" not in settings and _to_the_second(answers.get("start")):
         settings["clock"] = {"offset_s": 0.0, "sigma_s": _SIGMA_OF_A_SECOND_S}
+        driven = summarise(found.drive, found.rejections)
+        along_m = _SIGMA_OF_A_SECOND_S * driven.length_m / max(driven.duration_s, _SIGMA_OF_A_SECOND_S)
         text += (
-            f"\nThe time of the first left frame is stated to the second: its sigma is taken as {_SIGMA_OF_A_SECOND_S} s, which "
-            "increases that of the positions. If it is exact, state milliseconds, like 11:00:00.000."
+            f"\nThe time of the first left frame is stated to the second: its sigma is taken as {_SIGMA_OF_A_SECOND_S} s, and "
+            f"that of positions along the road becomes {along_m:.1f} m. If it is exact, state milliseconds, like 11:00:00.000."
         )
     _write(root, settings, new_rig)
     start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s
@@ -166,8 +170,7 @@ def init(
             f"\nTime of the first left frame, estimated from the images: {stated_time(start_ns)} +-{1000 * sigma_s:.0f} ms. "
             "If you know the exact time, set --start."
         )
-    for remark in read_header(root).remarks:
-        note(remark)
+    note(*read_header(root).remarks)
     _finish(folder, text, settings, as_json)
 
 
@@ -336,13 +339,18 @@ def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
 
 
 def _refused(key: str, value: str, error: str) -> str:
-    """What is wrong with an answer, before its question is repeated."""
-    return error if error.startswith(f"--{key} ") else f"--{key} {value}: {error}"
+    """What is wrong with an answer, before its question is repeated: the option was not typed, so it is not named."""
+    reason = error.removeprefix(f"--{key}").lstrip(": ")
+    return f"{value}: {error}" if reason == error else reason
 
 
 def _answer(question: Question) -> str:
-    with at_a_question():
-        return str(typer.prompt(question.text, default=question.default))
+    default, shown = question.default or "", question.default is not None
+    while True:
+        with at_a_question():
+            if text := str(typer.prompt(question.text, default=default, show_default=shown)).strip():
+                return text
+        say("This value is needed. To look it up first, press Ctrl-C: nothing has been written.")
 
 
 def _add_timing(settings: dict[str, Any], timing: Timing) -> None:

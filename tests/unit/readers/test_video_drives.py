@@ -481,11 +481,11 @@ def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Pat
     wanted = (
         "does not say of which coordinate reference system",
         "In which coordinate reference system are its positions",
-        "--crs 0.02: drive.yaml: trajectory.crs: '0.02' is not known to PROJ",
+        "0.02: drive.yaml: trajectory.crs: '0.02' is not known to PROJ",
         "In which coordinate reference system are its positions",
         "no usable pose: line 2: expected a time stamp like",
         "Which column is what",
-        "--columns '{date': this is not JSON",
+        ": '{date': this is not JSON",
         "Which column is what",
         "has no column 'Tag', which trajectory.columns names; its columns are Messtag, Zeit",
         "Which column is what",
@@ -497,8 +497,22 @@ def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Pat
         at = made.stdout.find(text, at)
         assert at >= 0, (text, made.stdout)
         at += len(text)
+    assert "--crs" not in made.stdout and "--columns" not in made.stdout, "the options were not typed"
     said = str(init(copy, "--trajectory", "log.csv", "--crs", "EPSG:25832").exception)
     assert "--columns: Which column is what" in said and "found '09:15:00'" in said, said
+
+
+def test_init_says_how_to_go_on_without_an_answer(folder: Path, tmp_path: Path) -> None:
+    copy = copied(folder, tmp_path, "drive.csv")
+    rows = (folder / "drive.csv").read_text().splitlines()
+    (copy / "drive.csv").write_text("\n".join([*rows[:4], *rows[5:]]))  # with a record per frame it suggests a time
+    made = init_on_terminal(copy, ["", "noon", "2026-03-02 09:41:07Z"], "--right-offset", "0")
+    assert made.returncode == 0, made
+    asked = "Time of the first left frame, in UTC or with a UTC offset, like 2026-03-02 11:00:00.250+01:00; to the second if"
+    _, first, second, third = made.stdout.split(asked)
+    assert "This value is needed. To look it up first, press Ctrl-C: nothing has been written." in first
+    assert ": expected a time stamp like 2011-09-26 13:04:32.345, found 'noon'\n" in second, second
+    assert "Next: conetl ingest" in third
 
 
 def test_heights_of_unknown_reference_are_asked_for_and_named(
@@ -517,6 +531,7 @@ def test_heights_of_unknown_reference_are_asked_for_and_named(
     monkeypatch.setattr("conetl.cli.ingest.require_room", lambda _: (_ for _ in ()).throw(InputError("stop here")))
     ingested = CliRunner().invoke(app, ["ingest", str(copy)])
     assert str(ingested.exception) == "stop here" and f"note: {remark}" in ingested.output, ingested.output
+    assert f"note: {remark}" in CliRunner().invoke(app, ["inspect", str(copy)]).output
     assert max(pair.pose.sigma_enu_m[2] for pair in read_drive(copy)[0].frame_pairs) > 100
     question = (
         "Heights of van.gpx: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (sigma 100 m)? [unknown]"
@@ -660,6 +675,11 @@ def test_a_start_without_a_fraction_of_a_second_is_uncertain(folder: Path, tmp_p
         assert made.exit_code == 0, made.exception
         assert ("sigma is taken as 0.29 s" in made.output) is (sigma_s is not None)
         assert read_drive(copy)[0].clock_sigma_s == sigma_s
+        if sigma_s:
+            first, last = (read_drive(copy)[0].frame_pairs[k] for k in (0, -1))
+            driven_m = np.linalg.norm(np.subtract(last.pose.map_t_body_m, first.pose.map_t_body_m)[:2])
+            along_m = 0.29e9 * driven_m / (last.captured_at_ns - first.captured_at_ns)
+            assert f"along the road becomes {along_m:.1f} m" in made.output and along_m > 3
 
 
 def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(
@@ -768,9 +788,12 @@ def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_
     wrong = {s: getattr(rig, s).model_copy(update={"height_px": rig.left.height_px + 2}) for s in ("left", "right")}
     write_rig_yaml(rig.model_copy(update=wrong), copy / "rig.yaml")
     WRITERS["opencv"](rig, copy / "stereo.yml")
-    for side, name in (("left", "GX01_L.mp4"), ("right", "GX01_R.mp4")):
+    for side, name in (("left", "Kamera_links.mp4"), ("right", "Kamera_rechts.mp4")):
         (copy / f"{side}.mp4").rename(copy / name)
     options = ["--mount", "1,0,1", "--start", start_of(sample), "--right-offset", "0"]
+    assert "--left" not in str(init(copy, *options).exception)
+    for side, name in (("links", "GX01_L.mp4"), ("rechts", "GX01_R.mp4")):
+        (copy / f"Kamera_{side}.mp4").rename(copy / name)
     made = init(copy, *options)
     assert "calibration rig.yaml: for images of 960 x 322, these have 960 x 320" in made.output
     assert "the cameras (stereo.yml)?" in str(made.exception) and "It replaces rig.yaml." in str(made.exception)

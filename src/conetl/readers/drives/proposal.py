@@ -47,6 +47,8 @@ _UNSTATED = {
 }
 #: What those errors advise; `conetl init` asks instead.
 _REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNORECASE)
+#: What people call the file or folder of a camera.
+_SIDE_NAMES: Mapping[Side, tuple[str, ...]] = {"left": ("left", "links"), "right": ("right", "rechts")}
 #: Answer of heights that may be above the sea or the ellipsoid.
 _UNKNOWN = "unknown"
 #: Section and key of drive.yaml of what an option of `conetl init` answers; those of the mount are one answer.
@@ -218,7 +220,7 @@ def _layout_of(root: Path, answers: Mapping[str, str]) -> str | None:
 def _of_side(names: Sequence[str], side: Side) -> list[str]:
     """The files or folders that are called left or right, else those with its letter alone, like GX010042_L.MP4."""
     stems = {name: Path(name).stem.lower() for name in names}
-    return [name for name, stem in stems.items() if side in stem] or [
+    return [name for name, stem in stems.items() if any(word in stem for word in _SIDE_NAMES[side])] or [
         name for name, stem in stems.items() if side[0] in re.split(r"[^a-z]+", stem)
     ]
 
@@ -400,8 +402,8 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         proposal.found.append(_mounted(values))
     elif rigs.body_is_left_camera(rig):
         text = (
-            "Left camera from the antenna or IMU: metres forward, left (right is negative), up, degrees it looks down, "
-            "like 1.2,0.3,-0.2,3"
+            "Left camera from the antenna or IMU of the log: metres forward, left (right is negative), up, degrees it looks "
+            "down, like 1.2,0.3,-0.2,3"
         )
         proposal.questions.append(Question("mount", text))
     return None if path == root / RIG_YAML else rig
