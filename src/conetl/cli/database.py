@@ -45,8 +45,16 @@ def open_maps(settings: Settings) -> Iterator[Connection]:
 
 @contextmanager
 def open_map(map_name: str | None) -> Iterator[tuple[Connection, MapInfo]]:
-    """A connection to the database, and the map of this name, or of the settings. Raises InputError, with the nearest names."""
+    """A connection to the database, and the map of this name, or of the settings. Raises InputError, with the nearest names.
+
+    No cluster is made for it: where there is none, the current folder is probably another one than that of the ingest.
+    """
     settings = read_settings(map_name)
+    if not settings.database_url and cluster_status(settings.home).state == "absent":
+        raise InputError(
+            f"{settings.home.absolute()}: contains no maps. They are in `.conetl` of the folder in which `conetl ingest` ran: "
+            "change to that folder, or set CONETL_HOME"
+        )
     with open_maps(settings) as conn:
         yield conn, require_map(conn, settings.map_name)
 

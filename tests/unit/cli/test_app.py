@@ -45,6 +45,19 @@ def test_every_command_has_examples_that_are_valid(words: tuple[str, ...]) -> No
         assert command.make_context(words[-1], shlex.split(example))
 
 
+def test_reading_a_map_in_a_folder_without_one_makes_no_database(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("CONETL_HOME", "CONETL_DATABASE_URL"):
+        monkeypatch.delenv(name, raising=False)
+    for command in ("map show", "map export --out cones.gpkg", "report night"):
+        done = CliRunner().invoke(app, command.split())
+        assert isinstance(done.exception, InputError), (command, done)
+        assert f"{tmp_path / '.conetl'}: contains no maps" in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
 def test_help_and_completion_import_no_command() -> None:
     code = (
         "import sys\nfrom conetl.cli.app import app\nfrom typer.testing import CliRunner\n"

@@ -70,8 +70,7 @@ def require_map(conn: Connection, map_name: str) -> MapInfo:
     names = [row["map_name"] for row in db.read(conn, "The maps of the database cannot be read", "map.maps")]
     if not names:
         raise InputError(
-            f"this database has no map named {map_name}, and no other one: ingest a drive or import a map first. If you did so "
-            "in another folder, its .conetl has the map: change to that folder, or set CONETL_HOME to its .conetl"
+            f"this database has no map named {map_name}, and no other one: ingest a drive or import a map first"
         )
     near = get_close_matches(map_name, names, n=3, cutoff=0.5)
     others = (
