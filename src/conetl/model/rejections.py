@@ -17,6 +17,7 @@ class RejectionReason(StrEnum):
     IMAGE_TRUNCATED = "image_truncated"
     IMAGE_WRONG_SIZE = "image_wrong_size"
     IMAGE_FROZEN = "image_frozen"
+    IMAGE_TORN = "image_torn"
     TIMESTAMP_MISSING = "timestamp_missing"
     TIMESTAMP_INVALID = "timestamp_invalid"
     POSE_MISSING = "pose_missing"
@@ -55,6 +56,7 @@ INPUT_REASONS = frozenset(
         RejectionReason.IMAGE_TRUNCATED,
         RejectionReason.IMAGE_WRONG_SIZE,
         RejectionReason.IMAGE_FROZEN,
+        RejectionReason.IMAGE_TORN,
         RejectionReason.TIMESTAMP_MISSING,
         RejectionReason.TIMESTAMP_INVALID,
         RejectionReason.POSE_MISSING,

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -32,7 +33,8 @@ from conetl.model.rig import SIDES, Side
 from conetl.perception.image_detail import SQUARE_PX, detail_by_octaves, local_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.lens_check import check_distortion
-from conetl.perception.rectified_image import read_pair_image
+from conetl.perception.rectified_image import read_pair_image, rectify_image
+from conetl.perception.torn_images import MOST_OTHERS, check_seams, thinned
 from conetl.perception.video import frame_of
 
 TRIGGER = "trigger of both cameras"
@@ -72,6 +74,8 @@ class _Features(NamedTuple):
     """`detail_by_octaves`."""
     small: Image = np.empty((0, 0), np.uint8)
     """The image in which corners were found."""
+    thin: Image = np.empty((0, 0), np.uint8)
+    """The stored image, `thinned`."""
 
 
 def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
@@ -103,6 +107,10 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
         _check_lenses({side: [features(k, side).detail for k in chosen] for side in SIDES}),
         _check_sharpness(unclear, drive),
         trigger,
+        check_seams(
+            {side: [thin for k in chosen if (thin := features(k, side).thin).size] for side in SIDES},
+            partial(_others, drive, chosen),
+        ),
     ]
     if len(rows) < _MIN_MATCHES or trigger.verdict is not Verdict.PASS:
         return drive, checks
@@ -317,16 +325,33 @@ def _rows_of_one_scene(offsets: Floats) -> Floats:
 def _features(drive: Drive, number: int, side: Side) -> _Features:
     """What one image of a frame pair shows."""
     try:
-        image = read_pair_image(drive.frame_pairs[number], side, drive.rig, grey=True)
+        stored = _stored(drive, number, side)
     except ImageFileError:
         return _Features()
-    detail, octaves = local_detail(image), detail_by_octaves(image)
+    image = stored if drive.rig.rectified_from is None else rectify_image(stored, drive.rig, side)
+    shown = _Features(detail=local_detail(image), octaves=detail_by_octaves(image), thin=thinned(stored))
     small = cv2.resize(image, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
     points, found = cv2.ORB.create(_FEATURES).detectAndCompute(small, None)
     if found is None:
-        return _Features(detail=detail, octaves=octaves)
+        return shown
     corners_px = np.array([point.pt for point in points]) * _SHRINK
-    return _Features(corners_px, np.asarray(found, np.uint8), detail, octaves, np.asarray(small, np.uint8))
+    return shown._replace(
+        points_px=corners_px, descriptors=np.asarray(found, np.uint8), small=np.asarray(small, np.uint8)
+    )
+
+
+def _stored(drive: Drive, number: int, side: Side) -> Image:
+    """The grey image of a frame pair as it is stored. Raises ImageFileError."""
+    return read_pair_image(drive.frame_pairs[number], side, drive.rig.rectified_from or drive.rig, grey=True)
+
+
+def _others(drive: Drive, chosen: Sequence[int], side: Side) -> list[Image]:
+    """Thinned images of other frame pairs than the chosen ones."""
+    found = []
+    for number in evenly_spread([k for k in range(1, len(drive.frame_pairs)) if k not in chosen], MOST_OTHERS):
+        with suppress(ImageFileError):
+            found.append(thinned(_stored(drive, number, side)))
+    return found
 
 
 def _matched_points(left: _Features, right: _Features) -> tuple[Floats, Floats]:

@@ -19,6 +19,7 @@ from conetl.model.arrays import Bools, Floats, Image
 from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
+from conetl.perception.torn_images import row_changes
 from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSize, read_working_images, working_size
 
 Points = NDArray[np.float32]
@@ -52,7 +53,11 @@ def follow_drive(
         images = read_working_images(pair, read, working)
         if previous is not None:
             found = _between(previous, images, working, cameras, guesses[k - 1], params)
-            yield _tracks(frame_pairs[k - 1], pair, *found)
+            tracks = _tracks(frame_pairs[k - 1], pair, *found)
+            if not isinstance(previous, NoMeasurement) and not isinstance(images, NoMeasurement):
+                changes = [row_changes(previous.left, images.left), row_changes(previous.right, images.right)]
+                tracks = tracks.model_copy(update={"row_changes": tuple(np.concatenate(changes).tolist())})
+            yield tracks
         previous = images
 
 

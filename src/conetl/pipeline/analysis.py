@@ -110,16 +110,20 @@ def analyse(
             chunks = chunks_of(drive, settings, _for_corrected_rows(params))
             parts = _Parts(chunks, executor, progress, with_markings=with_markings)
         found = _run_chunks(drive, chunks, parts, executor, with_markings=with_markings)
-        drive = drive.model_copy(update={"rig": found.rig})
+        drive, torn, refused_pairs = odometry.without_torn(drive.model_copy(update={"rig": found.rig}), found.motions)
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, found.motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
         position_paths = executor.run(locate, odometry.moved(chunks, drive), found.matches)
         detections, refused_detections = load_results(found.detections, Detection)
+        refused_detections = [*refused_detections, *refused_pairs]
         drive, detections = without_unread(drive, detections, refused_detections)
         details, _ = load_results(map(detail_path, found.detections), ImageDetail)
         drive, without_detail = with_detail(drive, details)
+        health += [torn] if found.motions else []
         health += odometry.check_poses(drive, found.motions, trajectory, params.trajectory)
         matches, refused_matches = load_results(found.matches, StereoMatch)
+        kept = {pair.frame_index for pair in drive.frame_pairs}
+        matches = [match for match in matches if match.frame_index in kept]
         positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(
             fuse, drive, detections, matches, positions, params, card.evidence, trajectory
@@ -275,9 +279,8 @@ def _locate(chunk: Chunk, matches: Path) -> Path:
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
     pairs = {pair.frame_index: pair for pair in chunk.frame_pairs}
-    positions, rejections = locate_positions(
-        load_result(matches, StereoMatch)[0], pairs, chunk.rig, chunk.params.position
-    )
+    found = [match for match in load_result(matches, StereoMatch)[0] if match.frame_index in pairs]
+    positions, rejections = locate_positions(found, pairs, chunk.rig, chunk.params.position)
     return save_result(chunk.results_folder, key, positions, rejections)
 
 

@@ -20,9 +20,11 @@ from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair, StereoMatch
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
+from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.stereo_check import check_lost_parts
+from conetl.perception.torn_images import check_torn, find_torn
 from conetl.perception.visual_odometry import follow_drive, follow_spans
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
@@ -46,11 +48,14 @@ _SHORT_CHUNK_PAIRS = 16
 
 
 def moved(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
-    """The chunks of a drive with its rig and poses as refined."""
+    """The chunks of a drive with its rig, its frame pairs and their poses as refined."""
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     return [
         chunk.model_copy(
-            update={"rig": drive.rig, "frame_pairs": tuple(pairs[p.frame_index] for p in chunk.frame_pairs)}
+            update={
+                "rig": drive.rig,
+                "frame_pairs": tuple(pairs[p.frame_index] for p in chunk.frame_pairs if p.frame_index in pairs),
+            }
         )
         for chunk in chunks
     ]
@@ -215,14 +220,26 @@ def _calibration(rig: Rig, spans: Sequence[tuple[Span, StereoTracks]], params: T
 def refine(drive: Drive, motions: list[Path], matches: list[Path], params: IngestParams) -> RefinedTrajectory:
     """Refined poses of the whole drive; the logged ones, with the reason, where images or parameters do not allow it."""
     measured, _ = load_results(motions, RelativeMotion)
-    found, _ = load_results(matches, StereoMatch)
-    params = params.model_copy(update={"trajectory": _by_its_clock(drive, params.trajectory)})
     pairs = drive.frame_pairs
+    indices = {pair.frame_index for pair in pairs}
+    found = [match for match in load_results(matches, StereoMatch)[0] if match.frame_index in indices]
+    params = params.model_copy(update={"trajectory": _by_its_clock(drive, params.trajectory)})
     if is_by_course(pairs):
         pairs = with_roll(pairs, drive.rig, measured, grey_reader(drive.rig), params.trajectory)
     result = refine_with_control(pairs, drive.rig, measured, found, params, drive.control_points)
     _log.info("Trajectory %s: %s", result.outcome.replace("_", " "), result.detail)
     return result
+
+
+def without_torn(drive: Drive, motions: Sequence[Path]) -> tuple[Drive, HealthCheck, list[Rejection]]:
+    """The drive without the frame pairs that have a torn image, whether there are too many, and their rejections."""
+    torn = find_torn(
+        drive, load_results(motions, RelativeMotion)[0], grey_reader(drive.rig.rectified_from or drive.rig)
+    )
+    check, rejections = check_torn(torn, drive)
+    lost = {one.pair.frame_index for one in torn}
+    kept = tuple(pair for pair in drive.frame_pairs if pair.frame_index not in lost)
+    return drive.model_copy(update={"frame_pairs": kept}), check, rejections
 
 
 def check_poses(

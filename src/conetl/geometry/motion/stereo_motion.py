@@ -52,6 +52,8 @@ class RelativeMotion(Record):
     point_count: int = Field(ge=0)
     reason: str
     """'ok', or why there is no measurement."""
+    row_changes: tuple[float, ...] = ()
+    """Mean grey levels by which bands of rows differ between the left images, then between the right ones."""
 
     @model_validator(mode="after")
     def _whole_or_nothing(self) -> RelativeMotion:

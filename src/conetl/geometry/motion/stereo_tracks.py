@@ -72,6 +72,8 @@ class StereoTracks(Record):
     sigma_px: Positive
     """Of each coordinate."""
     missing: NoMeasurement | None
+    row_changes: tuple[float, ...] = ()
+    """See `RelativeMotion`."""
 
     @model_validator(mode="after")
     def _same_points_in_both(self) -> StereoTracks:
@@ -141,5 +143,5 @@ def relative_motion(tracks: StereoTracks, motion: StereoMotion | None) -> Relati
         second_SE3_first=se3.to_matrix4(motion.next_SE3_first) if motion is not None and known else None,
         cov=tuple(motion.cov[np.triu_indices(6)].tolist()) if motion is not None and known else (),
         inlier_count=0 if motion is None else int(motion.inliers.sum()), point_count=len(tracks.points()[0]),
-        reason=str(tracks.missing if motion is None else motion.status),
+        reason=str(tracks.missing if motion is None else motion.status), row_changes=tracks.row_changes,
     )  # fmt: skip

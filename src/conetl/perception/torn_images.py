@@ -1,0 +1,234 @@
+"""Images torn across: from a row on they show the instant of the image before, as where a buffer was overwritten while it was
+read, or a packet was lost.
+
+Such an image repeats rows of the one before, noise included, while the rest of it and the intervals before and after move: rows
+repeat by less than 0.01 of the usual change, and never by less than 0.2 in intact drives. The hood of the vehicle, a bar or a
+standing vehicle change as little in all intervals.
+
+Where all images are torn at one row, nothing repeats. But neighbouring rows differ there as they do nowhere else: a seam is
+sharp, a lens is not. One image hides it, the mean of five shows the row, and in twenty others its seam exceeds those of the rows
+around 2.4 times, in intact drives 1.16 times. After an image that repeats rows, the seam shows whether the next ones are torn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.ndimage import median_filter
+
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.motion.stereo_tracks import motions_between
+from conetl.model.arrays import Floats, Image
+from conetl.model.drive import Drive, FramePair
+from conetl.model.health import HealthCheck, hold_if
+from conetl.model.rejections import Rejection, RejectionReason
+from conetl.model.rig import SIDES, Side
+from conetl.perception.images import ImageFileError
+from conetl.perception.working_size import ImageReader
+
+#: Changes are means over so many bands of rows.
+BANDS = 64
+#: A band is repeated below this share of its change in the intervals beside, and moves above that share, where that change is
+#: above this many grey levels. So much of an image must be repeated, and must move.
+_REPEATED, _MOVING, _LEAST_CHANGE, _LEAST_SHARE = 0.15, 0.5, 1.0, 0.05
+#: Of the bands between the first and the last repeated one.
+_MOST_OF_BANDS = 0.8
+#: A drive with a larger share of torn pairs is on hold: where so many are found, more are torn.
+_MAX_TORN_SHARE = 0.1
+#: Seams are searched for at this share of the width, in so many strips; larger differences count as this many grey levels.
+_THINNED, _STRIPS, _MOST_LEVELS = 4, 6, 20
+#: Rows to either side with which a seam is compared; of those the third or second largest counts.
+_ROWS_BESIDE, _MEAN_ROWS_BESIDE = 12, 24
+#: By how much the seam of one image exceeds that, and, in all images, the mean seam and that in all strips but one.
+_LEAST_SEAM, _LEAST_MEAN_SEAM, _LEAST_IN_STRIPS = 1.5, 2.0, 1.2
+#: Other images are read, at most so many, where the strongest seam of the first few exceeds all other rows by this; at least so
+#: many images are needed. Of the strongest rows some are edges: of the hood and of captions, for example.
+_SUSPECTED, MOST_OTHERS, _LEAST_IMAGES, _MOST_EDGES = 1.1, 20, 12, 4
+#: Not a seam: steps of one sign, and rows below that change less from image to image, or are less sharp, than those above.
+_ONE_SIGN, _STATIC, _BLURRED = 0.7, 0.3, 0.3
+
+
+class TornImage(NamedTuple):
+    """An image of which some rows are of another instant."""
+
+    pair: FramePair
+    side: Side
+    row_px: int
+    """The first of these rows, roughly."""
+
+
+def row_changes(first: Image, second: Image) -> Floats:
+    """(BANDS,) mean grey levels by which bands of rows differ between two images (H, W)."""
+    rows = cv2.reduce(cv2.absdiff(first, second), 1, cv2.REDUCE_AVG, dtype=cv2.CV_32F)
+    return np.asarray(cv2.resize(rows, (1, BANDS), interpolation=cv2.INTER_AREA)[:, 0], np.float64)
+
+
+def find_torn(drive: Drive, motions: Sequence[RelativeMotion], read: ImageReader) -> list[TornImage]:
+    """Images that repeat rows of the one before, and those after them that are torn at the same row.
+
+    read: grey images of a frame pair as they are stored.
+    """
+    pairs = drive.frame_pairs
+    unknown = np.full((len(SIDES), BANDS), np.nan)
+    changes = np.array(
+        [
+            unknown if motion is None or not motion.row_changes else np.reshape(motion.row_changes, unknown.shape)
+            for motion in motions_between(pairs, motions)
+        ]
+        or [unknown]
+    )
+    beside = np.fmin(np.concatenate([unknown[None], changes[:-1]]), np.concatenate([changes[1:], unknown[None]]))
+    ratios = changes / np.where(beside >= _LEAST_CHANGE, beside, np.nan)
+    enough = [(part.mean(axis=2) >= _LEAST_SHARE) for part in (ratios < _REPEATED, ratios > _MOVING)]
+    torn: dict[tuple[int, int], TornImage] = {}
+    for k, side in np.argwhere(enough[0] & enough[1]).tolist():
+        bands = np.flatnonzero(ratios[k, side] < _REPEATED)
+        if len(bands) >= _MOST_OF_BANDS * (bands[-1] - bands[0] + 1):
+            row = int(bands[0] * drive.rig.left.height_px / BANDS)
+            torn[k + 1, side] = TornImage(pairs[k + 1], SIDES[side], row)
+    if len({k for k, _ in torn}) <= _MAX_TORN_SHARE * len(pairs):
+        for (k, side), one in list(torn.items()):
+            for later, again in enumerate(_continued(one, pairs[k:], read), k + 1):
+                torn.setdefault((later, side), again)
+    return [torn[key] for key in sorted(torn)]
+
+
+def _continued(torn: TornImage, pairs: Sequence[FramePair], read: ImageReader) -> Iterator[TornImage]:
+    """Images of the pairs after the first that have a seam where the first one has it."""
+    row = None
+    for pair in pairs:
+        try:
+            seams = _seams(thinned(read(pair, torn.side))).mean(axis=1)
+        except ImageFileError:
+            return
+        if row is None:
+            reach = len(seams) // BANDS + 2
+            start = max(torn.row_px - 2 * reach, 0)
+            row = start + int(seams[start : torn.row_px + reach].argmax())
+        if _excess(seams, row, _ROWS_BESIDE, 3) < _LEAST_SEAM:
+            return
+        if pair is not pairs[0]:
+            yield TornImage(pair, torn.side, row)
+
+
+def check_torn(torn: Sequence[TornImage], drive: Drive) -> tuple[HealthCheck, list[Rejection]]:
+    """Whether so many pairs of a drive are torn that those which were not found matter; rejections of those that were."""
+    first = {one.pair.frame_index: one for one in reversed(torn)}
+    rejections = [_rejection(first[frame]) for frame in sorted(first)]
+    share = len(first) / len(drive.frame_pairs)
+    detail = "No image shows two instants."
+    if rejections:
+        detail = f"{len(rejections)} of {len(drive.frame_pairs)} frame pairs were torn and are left out. {_WHAT_TO_DO}"
+    if share > _MAX_TORN_SHARE:
+        detail = (
+            f"{len(rejections)} of {len(drive.frame_pairs)} frame pairs are torn: below a row an image shows the instant of the "
+            f"pair before, first in {rejections[0].record} from about row {rejections[0].payload['row_px']} on; others may be "
+            f"torn without showing it. {_WHAT_TO_DO}"
+        )
+    return hold_if(share > _MAX_TORN_SHARE, "torn images", detail, value=share, limit=_MAX_TORN_SHARE), rejections
+
+
+_WHAT_TO_DO = "Check the recorder for buffers that are overwritten while they are read, and for lost packets."
+
+
+def _rejection(torn: TornImage) -> Rejection:
+    path, frame = torn.pair.image(torn.side)[0], torn.pair.frame_index
+    return Rejection(
+        step="detections",
+        reason=RejectionReason.IMAGE_TORN,
+        record=f"frame pair {frame}",
+        detail=f"{path}: from about row {torn.row_px} on the {torn.side} image shows the instant of the frame pair before: it is "
+        "torn. Check the recorder and its connection",
+        payload={"frame_index": frame, "side": torn.side, "path": path, "row_px": torn.row_px},
+    )
+
+
+def check_seams(images: dict[Side, list[Image]], others: Callable[[Side], list[Image]]) -> HealthCheck:
+    """Whether the images of a drive are torn at one row. images: some of each side, `thinned`; others: more of a side."""
+    found = {side: _mean_seam(images[side], partial(others, side)) for side in SIDES}
+    known = {side: seam for side, seam in found.items() if seam is not None}
+    torn = {side: row for side, (size, row) in known.items() if size > _LEAST_MEAN_SEAM}
+    detail = "The images have no seam."
+    if torn:
+        rows = " and ".join(f"row {row} of the {side} images" for side, row in torn.items())
+        detail = (
+            f"The images are torn at {rows}: what is below is of another instant, usually that of the image before, and cones "
+            f"there would be placed one interval's travel off. {_WHAT_TO_DO}"
+        )
+    value = max((size for size, _ in known.values()), default=None)
+    return hold_if(torn, "seams in the images", detail, value=value, limit=_LEAST_MEAN_SEAM)
+
+
+def _mean_seam(images: Sequence[Image], others: Callable[[], list[Image]]) -> tuple[float, int] | None:
+    """By how much the strongest seam of images exceeds the rows around it, and its row; None where they show too little."""
+    if not images or min(len(image) for image in images) < 4 * _ROWS_BESIDE:
+        return None
+    [first, second] = [size for _, size in _strongest(_mean_of_strips(images).mean(axis=1), 2)]
+    if first < _SUSPECTED * second:
+        return 1.0, 0
+    more = [*images, *others()]
+    if len(more) < _LEAST_IMAGES:
+        return None
+    strips, stack = _mean_of_strips(more), np.array(more, np.float64)
+    seams = strips.mean(axis=1)
+    found = [
+        (float(_excess(seams, row, _MEAN_ROWS_BESIDE, 2)), row)
+        for row, _ in _strongest(seams, _MOST_EDGES)
+        if np.sort(_excess(strips, row, _MEAN_ROWS_BESIDE, 2))[1] > _LEAST_IN_STRIPS and not _is_edge(stack, row)
+    ]
+    return max(found, default=(1.0, 0))
+
+
+def _mean_of_strips(images: Sequence[Image]) -> Floats:
+    """(H, _STRIPS)"""
+    return np.asarray(np.mean([_seams(image) for image in images], axis=0))
+
+
+def _strongest(seams: Floats, count: int) -> list[tuple[int, float]]:
+    """Rows that differ most from their neighbours compared with those around, not next to each other, and by how many times."""
+    sizes = seams / (median_filter(seams, 2 * _ROWS_BESIDE + 1) + 0.05)
+    found = []
+    for _ in range(count):
+        row = int(sizes.argmax())
+        found.append((row, float(sizes[row])))
+        sizes[max(row - 2, 0) : row + 3] = 0.0
+    return found
+
+
+def _is_edge(images: Floats, row: int) -> bool:
+    """Whether a row of images (N, H, W) is the edge of the vehicle, of a bar or of a blurred part of the lens."""
+    steps = images[:, row] - images[:, row - 1]
+    steps -= np.median(steps, axis=1, keepdims=True)
+    one_sign = np.abs(steps.mean(axis=0)).sum() > _ONE_SIGN * np.abs(steps).mean(axis=0).sum()
+    above, below = images[:, max(row - _ROWS_BESIDE, 0) : row], images[:, row : row + _ROWS_BESIDE]
+    moving = [float(np.std(part, axis=0).mean()) for part in (above, below)]
+    sharp = [float(np.abs(np.diff(part, axis=1)).mean()) for part in (above, below)]
+    return bool(one_sign or min(moving) < _STATIC * max(moving) or min(sharp) < _BLURRED * max(sharp))
+
+
+def _excess(seams: Floats, row: int, reach: int, rank: int) -> Floats:
+    """How many times as strong a row's seam is as the `rank`-th strongest of the rows beside, apart from the next ones.
+
+    seams: (H,), or (H, K) of K strips.
+    """
+    start = max(row - reach, 0)
+    beside = np.delete(seams[start : row + reach + 1], np.s_[max(row - start - 1, 0) : row - start + 2], axis=0)
+    return np.asarray(seams[row] / np.maximum(np.sort(beside, axis=0)[-rank], 0.05))
+
+
+def thinned(image: Image) -> Image:
+    """(H, W // 4) means of four neighbours in a row: less noise, seams as sharp as before."""
+    size = max(image.shape[1] // _THINNED, 1), image.shape[0]
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _seams(image: Image) -> Floats:
+    """(H, _STRIPS) by how much each row of a thinned image differs from the one above, beyond what the rows beside do."""
+    steps = cv2.absdiff(image[1:], image[:-1])
+    beyond = np.minimum(cv2.subtract(steps[1:-1], cv2.max(steps[:-2], steps[2:])), _MOST_LEVELS)
+    means = cv2.resize(beyond.astype(np.float32), (_STRIPS, len(beyond)), interpolation=cv2.INTER_AREA)
+    return np.pad(means.astype(np.float64), ((2, 1), (0, 0)))
