@@ -186,6 +186,32 @@ def blended(folder: Path) -> None:
 
 
 @prepared
+def torn(folder: Path, row: float, *cameras: str, pairs: slice = slice(1, None)) -> None:
+    """Below this share of the height the images of these pairs show those before, as where a buffer is overwritten while read."""
+    for camera in cameras or CAMERAS:
+        files = sorted((folder / camera / "data").iterdir())
+        images = [np.asarray(cv2.imread(str(file)), np.uint8) for file in files]
+        for k in range(len(files))[pairs]:
+            image, first = images[k].copy(), int(row * len(images[k]))
+            image[first:] = images[k - 1][first:]
+            cv2.imwrite(str(files[k]), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
+
+
+@prepared
+def with_hood(folder: Path, top: float) -> None:
+    """The vehicle's own hood from this share of the height on in the middle, lower at the sides; with noise of a sensor."""
+    random = np.random.default_rng(1)
+    for camera in CAMERAS:
+        for file in (folder / camera / "data").iterdir():
+            image = np.asarray(cv2.imread(str(file)), np.uint8)
+            rows, columns = np.ogrid[: image.shape[0], -1 : 1 : image.shape[1] * 1j]
+            hood = rows > (top + 0.08 * columns**2) * len(image)
+            shine = 90 + 40 * np.sin(6 * columns) + 0.1 * rows + random.normal(0.0, 3.0, image.shape[:2])
+            image[hood] = np.clip(shine, 0, 255).astype(np.uint8)[hood][:, None]
+            cv2.imwrite(str(file), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
+
+
+@prepared
 def log(folder: Path, change: Callable[[Sequence[float]], Sequence[float]], first: int = 0, last: int = 3) -> None:
     """Other fields in every record of the GNSS/INS log: latitude, longitude and height (degrees, m) unless others are named."""
     for path in (folder / "oxts" / "data").iterdir():

@@ -300,6 +300,17 @@ def _cameras() -> list[WrongRecording]:
         WrongRecording(
             "images blended with those before", files=images.blended, cause="two instants", on=(FIRST, SECOND), fast=True
         ),
+        *(
+            WrongRecording(f"images torn at {row:.0%}", files=images.torn(row), cause="torn at row", fast=row == 0.6)
+            for row in (0.4, 0.6, 0.8)
+        ),
+        WrongRecording("right images torn at 60%", files=images.torn(0.6, "image_03"), cause="torn at row .* right"),
+        WrongRecording("every third pair torn", files=images.torn(0.5, pairs=slice(4, None, 3)), cause="pairs are torn"),
+        WrongRecording(
+            "10 pairs in a row torn", files=images.torn(0.6, pairs=slice(15, 25)), cause="pairs are torn", fast=True
+        ),
+        WrongRecording("two pairs torn", files=images.torn(0.5, pairs=slice(18, 31, 12))),
+        WrongRecording("hood of the vehicle in view", files=images.with_hood(0.85)),
         WrongRecording(
             "drive of the next morning in the same folder", files=images.another_day(SAMPLES[1], 20),
             cause="of another recording: split", on=(FIRST,),
@@ -407,6 +418,8 @@ def _street() -> list[WrongRecording]:
         WrongRecording("right images +6 columns", files=changed(only_right(shifted(0, 6))), cause="shifted sideways", on=street),
         WrongRecording("right lens k1 -0.05", files=changed(only_right(images.distorted(-0.05))), cause="distorted", on=street),
         WrongRecording("images stretched vertically by 10 %", files=changed(both(images.stretched(1.1))), on=street),
+        WrongRecording("images torn at 60%", files=images.torn(0.6), cause="torn at row", on=street),
+        WrongRecording("10 pairs in a row torn", files=images.torn(0.6, pairs=slice(60, 70)), on=street),
         image("both lenses covered", both(images.darker(0.0)), _BLIND),
         image("fog 0.9", both(images.foggier(0.9)), _BLIND),
         image("sides swapped", images.swapped, _SIDES),

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -141,8 +142,8 @@ def _rejection(torn: TornImage) -> Rejection:
         step="detections",
         reason=RejectionReason.IMAGE_TORN,
         record=f"frame pair {frame}",
-        detail=f"{path}: from about row {torn.row_px} on the {torn.side} image shows the instant of the frame pair before: it is "
-        "torn. Check the recorder and its connection",
+        detail=f"{Path(path).name}: from about row {torn.row_px} on the {torn.side} image shows the instant of the frame pair "
+        "before: it is torn. Check the recorder and its connection",
         payload={"frame_index": frame, "side": torn.side, "path": path, "row_px": torn.row_px},
     )
 
