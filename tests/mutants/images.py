@@ -55,6 +55,12 @@ def darker(share: float) -> ImageMutant:
     return lambda image: (image * share).astype(np.uint8)
 
 
+def gamma(power: float) -> ImageMutant:
+    """Another brightness curve."""
+    levels = (255 * (np.arange(256) / 255) ** power).round().astype(np.uint8)
+    return lambda image: levels[image]
+
+
 def foggier(share: float) -> ImageMutant:
     return lambda image: (image * (1.0 - share) + 200.0 * share).astype(np.uint8)
 

@@ -278,6 +278,7 @@ def _cameras() -> list[WrongRecording]:
         ),
         wrong("images stretched vertically by 10 %", both(images.stretched(1.1))),
         wrong("right images blur 3 px", only_right(images.blurred(3.0))),
+        wrong("right images of gamma 0.6", only_right(images.gamma(0.6)), "gamma", on=(FIRST, SECOND)),
         wrong("right images blur 6 px", only_right(images.blurred(6.0)), _BLIND),
         wrong("lower part of the left lens smeared, 5 px", only_left(images.smeared(5.0))),
         wrong("lower part of both lenses smeared, 5 px", both(images.smeared(5.0))),

@@ -90,8 +90,8 @@ def check_exposures(ahead: tuple[float, ...], rig: Rig, frame_pairs: Sequence[Fr
         detail = (
             f"The right camera stands {abs(off_m):.3f} +- {sigma_m:.3f} m {'before' if off_m > 0 else 'behind'} its place by the "
             f"calibration: at {speed_m_s:.1f} m/s it exposes {abs(off_m) / speed_m_s * 1e3:.1f} ms too "
-            f"{'late' if off_m > 0 else 'early'}. Trigger both cameras together; if they are, calibrate the rig (conetl "
-            "calibrate)."
+            f"{'late' if off_m > 0 else 'early'}. Trigger both cameras together; if they are, see whether both record brightness "
+            "alike (gamma, contrast: another curve looks the same), or calibrate the rig (conetl calibrate)."
         )
     return [hold_if(wrong, EXPOSURES, detail, value=off_m, sigma=sigma_m, limit=limit_m, unit="m")]
 
