@@ -311,7 +311,7 @@ def _cameras() -> list[WrongRecording]:
             "10 pairs in a row torn", files=images.torn(0.6, pairs=slice(15, 25)), cause="pairs are torn", fast=True
         ),
         WrongRecording("two pairs torn", files=images.torn(0.5, pairs=slice(18, 31, 12))),
-        WrongRecording("hood of the vehicle in view", files=images.with_hood(0.85)),
+        WrongRecording("hood of the vehicle in view", files=images.with_hood(0.92)),
         WrongRecording(
             "drive of the next morning in the same folder", files=images.another_day(SAMPLES[1], 20),
             cause="of another recording: split", on=(FIRST,),

@@ -64,7 +64,7 @@ def test_inspect_shows_what_is_lost(
     assert code == 0
     checks = [line.split("  ") for line in text.splitlines() if line.rstrip().endswith(" pass")]
     assert [line[0] for line in checks] == [
-        "covered parts of the lenses", "blurred parts of the lenses", "trigger of both cameras",
+        "covered parts of the lenses", "blurred parts of the lenses", "trigger of both cameras", "seams in the images",
         "columns of the right images", "distortion of the lenses", "rows of the right images",
     ]  # fmt: skip
     assert "+- 0.3 px (limit 0.7)" in text
