@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from conetl.pipeline import odometry
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
 from conetl.pipeline.detect import Along, Detected, detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
-from conetl.pipeline.markings import mark, marking_points
+from conetl.pipeline.markings import mark
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
 from conetl.tracking.checks.exposures import check_doubled, check_exposures
@@ -179,7 +178,7 @@ class _Parts:
         self.followed: dict[int, Submitted] = {}
         """Odometry as a step of its own, by the rig as it was given."""
         self.detected: dict[int, Submitted] = {}
-        """Detections, with matches, odometry and markings along with them once the rig is known."""
+        """Detections, with matches, odometry and markings along with them."""
         self._executor, self._refine, self._with_markings = executor, chunks[0].params.trajectory.refine, with_markings
         pairs = [len(chunk.frame_pairs[parts_of(chunk)[part]]) for chunk, part in self.parts]
         self._images = [2 * count for count in pairs]
@@ -202,8 +201,8 @@ class _Parts:
                 self.followed[k] = self._executor.submit(odometry.odometry, *self.parts[k], self._count.tick)
                 self._count.follow(self.followed[k], self._motions[k])
 
-    def detect(self, numbers: Iterable[int], rig: Rig | None) -> None:
-        """Submit the detections of those parts that lack them. rig: None before the self-calibration."""
+    def detect(self, numbers: Iterable[int], rig: Rig) -> None:
+        """Submit the detections of those parts that lack them. rig: after the self-calibration."""
         for k in numbers:
             if k not in self.detected:
                 along = Along(odometry=self._refine and k not in self.followed, markings=self._with_markings)
@@ -216,30 +215,26 @@ def _run_chunks(
 ) -> _ChunkResults:
     """All steps that read images.
 
-    Matching waits for the calibration, which needs the odometry of some parts of the drive. So that comes first, and while Python
-    itself works out the calibration in the caller's own thread, detections of these parts, which leave the interpreter to others,
-    keep the cores busy. Once the rig is known, the rest is computed along with the detections, from images that are in memory;
-    only matches and markings of what was found meanwhile need them again.
+    Matches and markings need the calibration, and that needs the odometry of some parts of the drive, which comes first. Once the
+    rig is known, the rest is computed along with the detections, from images that are in memory. Detections while the calibration
+    is worked out would need them decoded again for matches and markings: more work than a core can do in that time.
     """
     params = chunks[0].params.trajectory
     needed, calibration = parts.needed_for_calibration(), SWITCHED_OFF
     if needed:
         calibration = _calibrate(parts, needed, executor, params)
     rig = self_calibrated_rig(drive.rig, calibration, params)
-    found_early = sorted(parts.detected)
     motions_of_followed = _motions_by(rig, drive.rig, parts, executor)
-    marked_late = {k: executor.submit(marking_points, *parts.parts[k], rig) for k in found_early if with_markings}
     matched = []
     for chunk, following in zip_longest(chunks, chunks[1:]):
         parts.detect([*parts.of(chunk), *parts.of(following)], rig)  # in this order, so that matching waits for nothing
         matched.append(executor.submit(match, chunk, rig, *(parts.detected[k] for k in parts.of(chunk))))
     found: list[Detected] = _in_order(parts.detected)
-    motions, marks = [], []
+    motions = []
     if params.refine:
         followed = dict(zip(sorted(parts.followed), motions_of_followed(), strict=True))
         motions = [(each.odometry or followed[k]).motions for k, each in enumerate(found)]
-    if with_markings:
-        marks = [each.marking_points or marked_late[k].result() for k, each in enumerate(found)]
+    marks = [each.marking_points for each in found if each.marking_points is not None]
     return _ChunkResults([each.detections for each in found], results(matched), motions, marks, calibration, rig)
 
 
@@ -247,7 +242,6 @@ def _calibrate(parts: _Parts, needed: Sequence[int], executor: Executor, params:
     """Self-calibration from the needed parts of the drive; from all of them where these show too little."""
     whole = parts.parts[0][0]
     parts.follow(needed)
-    parts.detect(needed[: os.cpu_count() or 1], None)
     calibration: SelfCalibration = executor.run(odometry.self_calibrate, whole, _in_order(parts.followed))
     if len(parts.followed) < len(parts.parts) and calibration.span_count < params.self_calibration_max_spans / 2:
         parts.follow(range(len(parts.parts)))
