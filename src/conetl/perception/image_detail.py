@@ -68,7 +68,9 @@ def _squares(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     height, width = image.shape[0] // _SHRINK, image.shape[1] // _SHRINK
     if min(height, width) < _SQUARE:
         return np.empty((0, 0), np.float32)
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    # Whole squares only: OpenCV is five times faster at a ratio of whole numbers.
+    whole = image[: height * _SHRINK, : width * _SHRINK]
+    small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
     fine = small - cv2.GaussianBlur(small, (0, 0), _SIGMA)
     squares = cv2.resize(fine * fine, (width // _SQUARE, height // _SQUARE), interpolation=cv2.INTER_AREA)
     return np.asarray(squares, np.float32)

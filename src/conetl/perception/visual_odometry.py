@@ -178,7 +178,8 @@ def _corners(half: Image, params: TrajectoryParams) -> Points:
     """Corners (N, 2) of an image given at half its size: the best few of each cell of a grid."""
     response = cv2.cornerMinEigenVal(half, 5)
     highest = cv2.dilate(response, np.ones((5, 5), np.uint8))
-    strong = float(np.quantile(response[::4, ::4], 0.99))
+    some = response[::4, ::4].ravel()
+    strong = float(np.partition(some, int(0.99 * (len(some) - 1)))[int(0.99 * (len(some) - 1))])
     border = 6
     inner, around = (image[border:-border, border:-border] for image in (response, highest))
     # One row after the other: numpy finds the few set elements of a mask much faster in one dimension than in two.
