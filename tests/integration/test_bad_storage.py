@@ -6,11 +6,13 @@ import errno
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from conetl.files.parquet_store import load_result
 from conetl.files.storage import forget_all
 from conetl.geometry.motion.stereo_tracks import StereoTracks
+from conetl.geometry.rig import right_camera_turned
 from conetl.model.drive import Detection, StereoMatch
 from conetl.model.errors import StorageError
 from conetl.model.params import IngestParams
@@ -51,7 +53,7 @@ def half(path: Path) -> bytes:
 
 
 def detected(chunk: Chunk) -> bool:
-    found, rejections = load_result(detect(chunk, 0, None).detections, Detection)
+    found, rejections = load_result(detect(chunk, 0, chunk.rig).detections, Detection)
     return bool(found) and not rejections
 
 
@@ -77,12 +79,12 @@ def test_nothing_is_kept_of_images_that_were_not_read(
 def test_an_image_that_changed_since_it_was_hashed_is_not_used(chunk: Chunk) -> None:
     image = Path(chunk.frame_pairs[0].left_path)
     image.write_bytes(half(image))
-    for work in (lambda: detect(chunk, 0, None), lambda: odometry(chunk, 0)):
+    for work in (lambda: detect(chunk, 0, chunk.rig), lambda: odometry(chunk, 0)):
         with pytest.raises(StorageError, match="changed"):
             work()
     image.unlink()
     with pytest.raises(StorageError, match="there is no such file"):
-        detect(chunk, 0, None)
+        detect(chunk, 0, chunk.rig)
     assert not chunk.results_folder.exists()
 
 
@@ -90,7 +92,7 @@ def test_an_image_that_no_decoder_accepts_is_a_rejection_that_is_kept(tmp_path: 
     drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-04-01")
     spoil_huffman_table(sorted((drive / "image_02" / "data").iterdir())[0])
     chunk = chunk_of(drive, tmp_path / "results")
-    _, rejections = load_result(detect(chunk, 0, None).detections, Detection)
+    _, rejections = load_result(detect(chunk, 0, chunk.rig).detections, Detection)
     assert [rejection.reason for rejection in rejections] == ["image_unreadable"]
     found, _ = load_result(odometry(chunk, 0).tracks, StereoTracks)
     assert found[0].missing == "image_unreadable"
@@ -99,14 +101,14 @@ def test_an_image_that_no_decoder_accepts_is_a_rejection_that_is_kept(tmp_path: 
 def test_matches_and_calibration_are_not_worked_out_without_images_that_were_there(
     chunk: Chunk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    detected = detect(chunk, 0, None)
+    detected, rig = detect(chunk, 0, chunk.rig), right_camera_turned(chunk.rig, np.array([0.0, 1e-4, 0.0]))
     kept = set(chunk.results_folder.iterdir())
     forget_all()
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_bytes", gone)
         with pytest.raises(StorageError, match="changed"):
-            match(chunk, chunk.rig, detected)
+            match(chunk, rig, detected)
         with pytest.raises(StorageError, match="changed"):
             grey_reader(chunk.rig)(chunk.frame_pairs[0], "left")
     assert set(chunk.results_folder.iterdir()) == kept
-    assert load_result(match(chunk, chunk.rig, detected, detect(chunk, 1, None)), StereoMatch)[0]
+    assert load_result(match(chunk, rig, detected, detect(chunk, 1, chunk.rig)), StereoMatch)[0]

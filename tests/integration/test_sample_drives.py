@@ -140,7 +140,7 @@ def test_detections_are_known_by_all_that_says_what_is_searched(tmp_path: Path, 
         results_folder=tmp_path, model_path=None, detections_sha256=read_model_card(None).detections_sha256, params=PARAMS,
     )  # fmt: skip
     others = [chunk.model_copy(update={"params": PARAMS.model_copy(update=changed)}) for changed in changes]
-    assert len({detect(other, 0, None).detections for other in others}) == len(changes)
+    assert len({detect(other, 0, other.rig).detections for other in others}) == len(changes)
 
 
 def _with_covered(covered: str, folder: Path) -> Path:

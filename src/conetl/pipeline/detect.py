@@ -54,30 +54,29 @@ class Along(NamedTuple):
 NOTHING = Along()
 
 
-def detect(chunk: Chunk, part: int, rig: Rig | None, along: Along = NOTHING, tick: Tick | None = None) -> Detected:
-    """Detections in both images of one of the parts of a chunk.
+def detect(chunk: Chunk, part: int, rig: Rig, along: Along = NOTHING, tick: Tick | None = None) -> Detected:
+    """Detections in both images of one of the parts of a chunk, and its matches, stored where `match` finds them.
 
     The right image is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`).
-    rig: of the drive after its self-calibration, None where that is not known yet. Where it is, the matches are computed along
-    with the detections, while the images are in memory, and stored where `match` finds them; so is the rest (`along`), which
-    needs it. tick: called for every image and every motion.
+    rig: of the drive after its self-calibration, for the matches and the rest (`along`), which are computed along with the
+    detections while the images are in memory. tick: called for every image and every motion.
     """
     steps: list[Iterator[None]] = []
     if along.odometry:
         steps.append(follow(chunk, part, tick))
-    if along.markings and rig is not None:
+    if along.markings:
         steps.append(find_marking_points(chunk, part, rig))
     together = zip_longest(*steps)
     detections = _detections(chunk, part, rig, together, tick or ignore)
     deque(together, maxlen=0)
     return Detected(
         detections,
-        motions(chunk, part, rig or chunk.rig) if along.odometry else None,
-        marking_points(chunk, part, rig) if along.markings and rig is not None else None,
+        motions(chunk, part, rig) if along.odometry else None,
+        marking_points(chunk, part, rig) if along.markings else None,
     )
 
 
-def _detections(chunk: Chunk, part: int, rig: Rig | None, along: Iterator[object], tick: Tick) -> Path:
+def _detections(chunk: Chunk, part: int, rig: Rig, along: Iterator[object], tick: Tick) -> Path:
     """Detections of a part; along: takes one step for every frame pair."""
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
     params, reconcile, first_rows = chunk.params.detection, chunk.params.reconcile, _first_rows(chunk)
@@ -95,8 +94,7 @@ def _detections(chunk: Chunk, part: int, rig: Rig | None, along: Iterator[object
     if has_result(chunk.results_folder, key) and has_result(chunk.results_folder, _detail_key(key)):
         detected = result_path(chunk.results_folder, key)
         tick(2 * len(pairs))
-        if rig is not None:
-            _match_part(chunk, part, detected, rig)
+        _match_part(chunk, part, detected, rig)
         return detected
     set_up_worker()
     found: list[_PairFound] = []
@@ -114,9 +112,8 @@ def _detections(chunk: Chunk, part: int, rig: Rig | None, along: Iterator[object
     detected = save_result(
         chunk.results_folder, key, [d for f in found for d in f.detections], [r for f in found for r in f.rejections]
     )
-    if rig is not None:
-        matches, refused = [m for f in found for m in f.matches], [r for f in found for r in f.refused_matches]
-        save_result(chunk.results_folder, _match_key(chunk, detected, rig), matches, refused)
+    matches, refused = [m for f in found for m in f.matches], [r for f in found for r in f.refused_matches]
+    save_result(chunk.results_folder, _match_key(chunk, detected, rig), matches, refused)
     return detected
 
 
@@ -147,12 +144,12 @@ def _search(
     chunk: Chunk,
     pair: FramePair,
     first_rows: Mapping[Side, int],
-    rig: Rig | None,
+    rig: Rig,
     tick: Tick,
     *,
     everywhere: bool,
 ) -> _PairFound:
-    """Detections, and matches where the rig is known, of one frame pair; the right image where partners can be, or everywhere."""
+    """Detections and matches of one frame pair; the right image where partners can be, or everywhere."""
     images: dict[Side, Image] = {}
     by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
     details: list[ImageDetail] = []
@@ -169,7 +166,7 @@ def _search(
             images[side] = image
             details.append(ImageDetail(frame_index=pair.frame_index, side=side, detail=fine_detail(image)))
         rejections += refused
-    matches, refused_matches = ([], []) if rig is None else _match(chunk, pair, by_side, rig, images)
+    matches, refused_matches = _match(chunk, pair, by_side, rig, images)
     return _PairFound([*by_side["left"], *by_side["right"]], details, rejections, matches, refused_matches)
 
 
