@@ -132,7 +132,8 @@ def _covariances(tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov) -
     weight = np.where(seen, np.maximum(ahead, _VIEW_M[0]) ** -2.0, 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
     by_frame = np.stack([pose_and_calibration(vertices, [pair.pose] * len(vertices), drive.rig)[0] for pair in pairs])
-    moved = weight.T[:, :, None, None] * by_frame
+    # Points behind a camera have no derivative by its calibration (NaN).
+    moved = weight.T[:, :, None, None] * np.nan_to_num(by_frame)
     constant, change = constant_and_change(poses([pair.frame_index for pair in pairs]))
     by_pose = moved[..., :6].transpose(1, 2, 0, 3).reshape(3 * len(vertices), -1)
     stretches = [stretch for track in tracks for stretch in track.image_covs()]

@@ -23,6 +23,7 @@ from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.markings import Marking, MarkingTrack
 from conetl.readers.drives import read_drive
 from tests.folders import SAMPLE
+from tests.synthetic.world import calibrated
 
 
 def line(y_m: float, start_m: float = 0.0, end_m: float = 40.0, step_m: float = 2.5) -> np.ndarray:
@@ -138,9 +139,11 @@ def test_pose_errors_that_drift_along_a_drive_are_in_the_band_as_correlated_erro
         assert [one is not None and one.absolute.holds(0.999) for one in results.values()] == [holds] * 3
 
 
-def test_a_drive_that_found_the_truth_is_complete_and_correct() -> None:
-    """The sample drive sees three markings; tracks made of the truth have no errors."""
+@pytest.mark.parametrize("sigmas", [{}, {"relative.ry_rad": 1e-4, "right.cx_px": 0.5}])
+def test_a_drive_that_found_the_truth_is_complete_and_correct(sigmas: dict[str, float]) -> None:
+    """The sample drive sees three markings, also with a rig after self-calibration; tracks made of the truth have no errors."""
     drive, _ = read_drive(SAMPLE)
+    drive = drive.model_copy(update={"rig": calibrated(drive.rig, sigmas)}) if sigmas else drive
     known = read_truth_markings(SAMPLE / TRUTH_FILE, drive.map_srid)
     assert [(one.marking_id, one.pattern) for one in known] == [("E1", "solid"), ("E2", "solid"), ("C1", "dashed")]
     cov = cov3(np.eye(3) * 1e-4)
@@ -158,6 +161,7 @@ def test_a_drive_that_found_the_truth_is_complete_and_correct() -> None:
     assert (figures.completeness, figures.correctness, figures.pattern_share) == (1.0, 1.0, 1.0)
     assert 150.0 < figures.truth_m < 200.0, "three lines along 51 m and up to 15 m ahead"
     assert figures.lateral_median_m == pytest.approx(0.0, abs=1e-6)
+    assert all(one is not None and np.isfinite(one.absolute.per_dof) for one in evaluation.nees.values())
     each = evaluation.tables()[1].rows
     assert [row[0] for row in each] == ["E1", "E2", "C1"]
     assert pooled_markings({"a": evaluation, "b": evaluation})[0].rows[-1][0] == "all drives"
