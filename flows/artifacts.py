@@ -79,7 +79,7 @@ def publish_drive(
         "summary": (summary_rows(report), f"Drive {drive}: {report.status}"),
         "changes": ([_change_row(line) for line in report.changes], f"Changes by drive {drive}"),
         "health": ([check.model_dump(mode="json") for check in report.health], f"Health checks of drive {drive}"),
-        "rejections": (reasons, f"{total} records of drive {drive} are in quarantine"),
+        "rejections": (reasons, f"{total} records of drive {drive} were rejected"),
     }
     for key, (rows, description) in tables.items():
         if rows:

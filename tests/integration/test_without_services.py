@@ -215,7 +215,7 @@ def test_a_report_says_that_no_lane_markings_were_found_where_they_were_searched
 ) -> None:
     print_report(report(categories=("traffic_cone",), rejections={RejectionReason.BOX_CUT_BY_BORDER: 20}))
     said = capsys.readouterr().out
-    assert "marking" not in said and "\nQuarantined: 20 records (box cut by border: 20).\n" in said
+    assert "marking" not in said and "\nRejected records: 20 (box cut by border: 20).\n" in said
     print_report(report(categories=("lane_marking", "traffic_cone")))
     assert "No lane markings found; none changed on the map." in capsys.readouterr().out
     print_report(report(categories=("lane_marking",), markings=2, line_counts={DeltaKind.ADDED: 3}))

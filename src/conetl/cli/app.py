@@ -224,7 +224,7 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    epilog="Exit codes: 0 done; 1 done, but needs attention (too many records quarantined, a drive on hold, files "
+    epilog="Exit codes: 0 done; 1 done, but needs attention (too many records rejected, a drive on hold, files "
     "or events not published); 2 bad usage or input, nothing written; 3 a service (database, Prefect, storage) is "
     "unavailable, nothing written; 70 internal error.",
 )

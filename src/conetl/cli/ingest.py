@@ -251,8 +251,8 @@ def print_report(report: IngestReport) -> None:
     if report.trajectory:
         ui.out.print(f"Trajectory: {report.trajectory}.")
     if report.rejections:
-        records = ui.counted(sum(report.rejections.values()), "record")
-        ui.out.print(f"Quarantined: {records} ({ui.counted_by_reason(report.rejections.items())}).")
+        reasons = ui.counted_by_reason(report.rejections.items())
+        ui.out.print(f"Rejected records: {sum(report.rejections.values())} ({reasons}).")
     ui.print_checks([check for check in report.health if check.verdict is not Verdict.HOLD])
     if report.replayed_drives:
         later = ui.counted(report.replayed_drives, "later drive")

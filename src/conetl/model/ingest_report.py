@@ -133,5 +133,5 @@ class TooManyRejectionsError(NeedsAttentionError):
         super().__init__(
             report,
             f"{rejected} of {total} frame pairs of drive {report.drive_id} were rejected or show too little, more than "
-            f"{allowed_fraction:.0%} (max_rejected_fraction). The others are on the map; see what was quarantined.{cause}",
+            f"{allowed_fraction:.0%} (max_rejected_fraction). The others are on the map.{cause}",
         )
