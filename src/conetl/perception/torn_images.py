@@ -51,6 +51,7 @@ _LEAST_SEAM, _LEAST_MEAN_SEAM, _LEAST_IN_STRIPS = 1.5, 2.0, 1.2
 _SUSPECTED, MOST_OTHERS, _LEAST_IMAGES, _MOST_EDGES = 1.1, 20, 12, 4
 #: Not a seam: steps of one sign, and rows below that change less from image to image, or are less sharp, than those above.
 _ONE_SIGN, _STATIC, _BLURRED = 0.7, 0.3, 0.3
+_WHAT_TO_DO = "Check the recorder for buffers that are overwritten while they are read, and for lost packets."
 
 
 class TornImage(NamedTuple):
@@ -131,9 +132,6 @@ def check_torn(torn: Sequence[TornImage], drive: Drive) -> tuple[HealthCheck, li
             f"torn without showing it. {_WHAT_TO_DO}"
         )
     return hold_if(share > _MAX_TORN_SHARE, "torn images", detail, value=share, limit=_MAX_TORN_SHARE), rejections
-
-
-_WHAT_TO_DO = "Check the recorder for buffers that are overwritten while they are read, and for lost packets."
 
 
 def _rejection(torn: TornImage) -> Rejection:

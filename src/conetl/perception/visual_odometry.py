@@ -179,7 +179,8 @@ def _corners(half: Image, params: TrajectoryParams) -> Points:
     response = cv2.cornerMinEigenVal(half, 5)
     highest = cv2.dilate(response, np.ones((5, 5), np.uint8))
     some = response[::4, ::4].ravel()
-    strong = float(np.partition(some, int(0.99 * (len(some) - 1)))[int(0.99 * (len(some) - 1))])
+    rank = int(0.99 * (len(some) - 1))
+    strong = float(np.partition(some, rank)[rank])
     border = 6
     inner, around = (image[border:-border, border:-border] for image in (response, highest))
     # One row after the other: numpy finds the few set elements of a mask much faster in one dimension than in two.

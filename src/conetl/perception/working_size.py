@@ -15,9 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from conetl.geometry.camera import matrix_k
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
-from conetl.geometry.rig import camera_of, left_SE3_right
+from conetl.geometry.rig import camera_of, infinity_shift_px
 from conetl.model.arrays import Floats, Image
 from conetl.model.drive import FramePair
 from conetl.model.rig import Rig, Side
@@ -62,17 +61,8 @@ class WorkingSize:
 
     def infinity_shift(self, left_px: ArrayLike) -> Floats:
         """(..., 2) working pixels: left minus right image point of an infinitely far point, at points (..., 2) of the left."""
-        stored = self.to_stored(left_px)
-        turn, fixed = self._right_from_left[:, :2], self._right_from_left[:, 2]
-        right = stored @ turn.T + fixed
-        shift = (stored - right[..., :2] / right[..., 2:]) * self.scale
+        shift = infinity_shift_px(self.rig, self.to_stored(left_px)) * self.scale
         return np.asarray(shift.round(_SHIFT_DECIMALS) + 0.0)
-
-    @cached_property
-    def _right_from_left(self) -> Floats:
-        """(3, 3) homography of infinitely far points, in stored pixels: `rig.infinity_shift_px` for thousands of points."""
-        turn = left_SE3_right(self.rig)[:3, :3].T
-        return np.asarray(matrix_k(self.rig.right) @ turn @ np.linalg.inv(matrix_k(self.rig.left)))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
+from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Pose, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
@@ -21,7 +21,7 @@ from conetl.perception.detections import with_detail, without_unread
 from conetl.perception.model_card import read_model_card
 from conetl.perception.stereo_check import check_stereo, in_one_file
 from conetl.pipeline import odometry
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, load_matches, parts_of
 from conetl.pipeline.detect import Along, Detected, detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
 from conetl.pipeline.markings import mark
@@ -120,9 +120,7 @@ def analyse(
         drive, without_detail = with_detail(drive, details)
         health += [torn] if found.motions else []
         health += odometry.check_poses(drive, found.motions, trajectory, params.trajectory)
-        matches, refused_matches = load_results(found.matches, StereoMatch)
-        kept = {pair.frame_index for pair in drive.frame_pairs}
-        matches = [match for match in matches if match.frame_index in kept]
+        matches, refused_matches = load_matches(found.matches, drive.frame_pairs)
         positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(
             fuse, drive, detections, matches, positions, params, card.evidence, trajectory
@@ -273,7 +271,7 @@ def _locate(chunk: Chunk, matches: Path) -> Path:
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
     pairs = {pair.frame_index: pair for pair in chunk.frame_pairs}
-    found = [match for match in load_result(matches, StereoMatch)[0] if match.frame_index in pairs]
+    found, _ = load_matches([matches], chunk.frame_pairs)
     positions, rejections = locate_positions(found, pairs, chunk.rig, chunk.params.position)
     return save_result(chunk.results_folder, key, positions, rejections)
 

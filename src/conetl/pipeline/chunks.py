@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from conetl.files.parquet_store import result_key
+from conetl.files.parquet_store import load_results, result_key
 from conetl.model.base import Record
-from conetl.model.drive import Drive, FramePair
+from conetl.model.drive import Drive, FramePair, StereoMatch
 from conetl.model.feature_classes import LINE_CLASSES
 from conetl.model.params import IngestParams
+from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
@@ -75,3 +77,10 @@ def images_key(chunk: Chunk, rig: Rig | None = None) -> str:
 def geometry_key(chunk: Chunk, rig: Rig | None = None) -> str:
     """Hash of the images, poses and rig (the chunk's own or another one) that results of a chunk depend on."""
     return result_key((rig or chunk.rig).model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
+
+
+def load_matches(paths: Iterable[Path], frame_pairs: Sequence[FramePair]) -> tuple[list[StereoMatch], list[Rejection]]:
+    """Stereo matches of these frame pairs, which are fewer than were matched where some are torn, and all rejections."""
+    indices = {pair.frame_index for pair in frame_pairs}
+    matches, rejections = load_results(paths, StereoMatch)
+    return [match for match in matches if match.frame_index in indices], rejections

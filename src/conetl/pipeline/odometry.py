@@ -17,7 +17,7 @@ from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, motions_between, motions_of
 from conetl.model.arrays import Image
-from conetl.model.drive import Drive, FramePair, StereoMatch
+from conetl.model.drive import Drive, FramePair
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.rejections import Rejection
@@ -28,7 +28,7 @@ from conetl.perception.torn_images import check_torn, find_torn
 from conetl.perception.visual_odometry import follow_drive, follow_spans
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, load_matches, parts_of
 from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.checks.exposures import check_lost_frames, right_camera_ahead
 from conetl.tracking.checks.foreign_images import check_recording
@@ -221,8 +221,7 @@ def refine(drive: Drive, motions: list[Path], matches: list[Path], params: Inges
     """Refined poses of the whole drive; the logged ones, with the reason, where images or parameters do not allow it."""
     measured, _ = load_results(motions, RelativeMotion)
     pairs = drive.frame_pairs
-    indices = {pair.frame_index for pair in pairs}
-    found = [match for match in load_results(matches, StereoMatch)[0] if match.frame_index in indices]
+    found, _ = load_matches(matches, pairs)
     params = params.model_copy(update={"trajectory": _by_its_clock(drive, params.trajectory)})
     if is_by_course(pairs):
         pairs = with_roll(pairs, drive.rig, measured, grey_reader(drive.rig), params.trajectory)
