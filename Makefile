@@ -45,7 +45,8 @@ check: lint     ## run the lint checks and the fast tests
 docs: setup     ## build the documentation in build/site
 	@$(BIN)/mkdocs build --strict
 
-web:            ## build the front end of `conetl view` into src/conetl/web/static (needs Node 20.19 or newer)
+web: setup      ## build the front end of `conetl view` into src/conetl/web/static (needs Node 20.19 or newer)
+	@$(BIN)/python -c 'import json; from conetl.web.app import create_app; print(json.dumps(create_app("", "").openapi()))' > web/openapi.json
 	@cd web && npm ci --no-audit --no-fund && npm run build
 
 bench-detect: setup  ## measure the detector beside YOLOv3 and a network of YOLO11n's size (ARGS='--images FOLDER' ...)
