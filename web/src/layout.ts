@@ -117,3 +117,4 @@ export function createLayout(app: HTMLElement) {
     },
   };
 }
+export type Layout = ReturnType<typeof createLayout>;

@@ -1,36 +1,39 @@
 // State of the page -> requests -> drawing.
-import { api, requestEarly, type Decisions, type MapItem, type Sighting, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, requestEarly, type Decisions, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { createAddress, REST_MS } from "./address";
 import { createBase } from "./base";
 import { countClasses, countOf } from "./classes";
 import { createCones } from "./cones";
 import { aboutFeature, createDecisionList } from "./decisions";
-import { el, fill, messageOf, shortId } from "./dom";
-import { isGone, type Cone, type Kind } from "./kinds";
+import { el, fill, messageOf } from "./dom";
+import { isGone, type Cone } from "./kinds";
 import { createDownloads, pictureOf } from "./downloads";
 import { acceptedBy, onlyKind } from "./filters";
+import { listenToInput } from "./input";
 import { createLayout } from "./layout";
 import { createLists } from "./lists";
 import { listen } from "./live";
-import { createOverlays, ellipse95, niceFactor } from "./overlays";
-import { createPanel, stateOf, type Chosen } from "./panel";
-import { changesetOf, drivesShown, readCones, shownInstant, shownState, unknownChangeset } from "./query";
+import { createOverlays } from "./overlays";
+import { changesetOf, drivesShown, readCones, shownInstant, unknownChangeset } from "./query";
 import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
 import { createMarker, createSearch } from "./search";
+import { createSelection } from "./selection";
 import { createSidebar } from "./sidebar";
 import { createSites, nearTo } from "./sites";
-import { formatState, parseState, type State } from "./state";
+import { parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
 import { themeSwitch } from "./theme";
 import { createTimeline, lineChanges } from "./timeline";
 import { createTools } from "./tools";
-import { createViewer, type Start } from "./viewer";
+import { createViewer } from "./viewer";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
 // The requests go out first: setting up WebGL keeps this thread for as long as they take.
 layout.card("Loading the map …", "", { busy: true });
-let state: State = readAddress();
+const address = createAddress(() => state, (text) => layout.toast(text, { text: "OK", run: () => undefined }));
+let state: State = address.read();
 try {
   const answer = await api.maps();
   const name = state.map || nameOf(answer);
@@ -53,7 +56,7 @@ const tools = createTools(stage, layout.view, cones, {
   state: () => state,
   change: (scene) => {
     state = { ...state, scene: { ...state.scene, ...scene } };
-    writeChoice();
+    address.writeChoice();
     base.apply(state);
     tools.apply(state);
   },
@@ -65,7 +68,6 @@ const tools = createTools(stage, layout.view, cones, {
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
 let all: Cone[] = [];
-let chosen: Chosen | null = null;
 let fitted = false;
 /** Number of the latest refresh: answers to earlier ones are dropped. */
 let refreshNo = 0;
@@ -76,7 +78,7 @@ const paths = new Map<string, Trajectory>();
 const sidebar = createSidebar(layout.sidebar, {
   chooseMap: (name) => {
     state = { ...parseState(""), map: name };
-    writeAddress();
+    address.write();
     void openMap();
   },
   change,
@@ -89,14 +91,14 @@ const search = createSearch(layout.tools.search, {
   showChangeset: (no) => change({ mode: "drive", changeset: no === timeline?.changesets.at(-1)?.changeset_no ? null : no }),
   flyTo: ({ xy_m: [x, y] }) => {
     state.mark = [x, y];
-    writeAddress();
+    address.write();
     stage.lookAt([x, y, groundAt(x, y)], 40);
     drawMark();
   },
 });
 const showMarker = createMarker(stage, layout.view, () => {
   state.mark = null;
-  writeAddress();
+  address.write();
   drawMark();
 });
 const lists = createLists(layout.listPane, { change, select: (id, centre) => void select(id, centre), inView });
@@ -116,19 +118,23 @@ const showTimeline = createTimeline(layout.timeline, {
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
 });
-const panel = createPanel(layout.panel, {
-  close: () => void select(null),
-  showSighting: (sighting) => showSighting(sighting),
-  showChangeset: (changeset) => change({ mode: "drive", changeset }),
-  setFactor: (factor) => {
-    if (chosen) chosen = { ...chosen, factor };
-    drawChosen();
-  },
-  centre: () => centreChosen(),
-  decided: () => void newDecision(),
-  openImages,
-});
 const viewer = createViewer(document.body);
+const selection = createSelection(layout.panel, stage, overlays, viewer, {
+  state: () => state,
+  timeline: () => timeline,
+  decisions: () => decisions,
+  cones: () => all,
+  writeAddress: address.write,
+  writeChoice: address.writeChoice,
+  chosen: (id) => {
+    overlays.showLabels(visible(), id);
+    lists.choose(id);
+    layout.panelOpen(id !== null);
+  },
+  decided: () => void newDecision(),
+  showChangeset: (changeset) => change({ mode: "drive", changeset }),
+});
+const { select } = selection;
 const review = createReview((render) => layout.listPane.addTab("Review", render), {
   map: () => state.map,
   writable: () => decisions?.writable ?? false,
@@ -138,7 +144,7 @@ const review = createReview((render) => layout.listPane.addTab("Review", render)
   },
   openImages: (item) => {
     const drive = timeline?.changesets.find((t) => t.changeset_no === item.changeset_no);
-    if (item.feature_id !== null) openImages(null);
+    if (item.feature_id !== null) selection.openImages(null);
     else if (drive) void viewer.open({ map: state.map, id: null, title: item.drive_id, why: item.why, now: null, before: null, sightings: [] }, { drive_uuid: drive.drive_uuid, frame_index: 0 });
   },
   decided: () => void newDecision(),
@@ -157,49 +163,25 @@ const showDecisionList = createDecisionList(decisionSection, (d) => {
 
 function change(values: Partial<State>, refetch = true): void {
   state = { ...state, ...values };
-  writeChoice();
+  address.writeChoice();
   if (refetch) void refresh();
   else draw();
 }
 
-/** Delay of the address while something keeps moving: browsers refuse more than about 100 addresses in 30 s. */
-const REST_MS = 120;
-let addressTimer = 0;
-let choiceAt = -Infinity;
 let movedTimer = 0;
-
-/** At once: a reload right after a click shows what was clicked. */
-function writeAddress(): void {
-  window.clearTimeout(addressTimer);
-  const hash = `#${formatState(state)}`;
-  if (hash !== location.hash) history.replaceState(null, "", hash);
-}
-
-function writeAtRest(): void {
-  window.clearTimeout(addressTimer);
-  addressTimer = window.setTimeout(writeAddress, REST_MS);
-}
-
-/** At once too, unless choices follow each other fast: a slider is dragged, or a key held. */
-function writeChoice(): void {
-  const now = performance.now();
-  if (now - choiceAt < REST_MS) writeAtRest();
-  else writeAddress();
-  choiceAt = now;
-}
 
 layout.listPane.onChange((list) => {
   state.list = list;
-  writeAddress();
+  address.write();
 });
 stage.onCamera((camera) => {
   state.camera = camera;
-  writeAtRest();
+  address.writeAtRest();
   window.clearTimeout(movedTimer);
   movedTimer = window.setTimeout(() => lists.moved(), REST_MS);
 });
 window.addEventListener("hashchange", () => {
-  const next = readAddress();
+  const next = address.read();
   const other = next.map !== state.map;
   state = next;
   if (other) void openMap();
@@ -213,14 +195,6 @@ window.addEventListener("hashchange", () => {
 
 const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [], no);
 
-/** The address says what is shown; what is not understood is reported. */
-function readAddress(): State {
-  const problems: string[] = [];
-  const found = parseState(location.hash, problems);
-  if (problems.length) layout.toast(`Part of this link was ignored: ${problems.join("; ")}.`, { text: "OK", run: () => undefined });
-  return found;
-}
-
 // --- loading
 
 /** The map to show by default. */
@@ -230,8 +204,7 @@ function nameOf(answer: { maps: MapItem[]; chosen: string }): string {
 
 async function openMap(): Promise<void> {
   closeStream?.();
-  chosen = null;
-  panel.hide();
+  selection.clear();
   timeline = null;
   all = [];
   paths.clear();
@@ -309,7 +282,7 @@ async function newChangeset(no: number): Promise<void> {
     const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} was committed, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
     layout.toast(said, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
     await refresh();
-    if (chosen) await select(chosen.id);
+    await selection.again();
   } catch (error) {
     fail(error, () => newChangeset(no));
   }
@@ -323,7 +296,6 @@ async function readDecisions(): Promise<void> {
     if (map !== state.map) return;
     decisions = answer;
     showDecisionList(answer);
-    if (chosen) chosen = { ...chosen, decisions };
   } catch (error) {
     layout.toast(`The decisions cannot be read: ${messageOf(error)}`, { text: "Try again", run: () => void newDecision() });
   }
@@ -335,7 +307,7 @@ async function newDecision(): Promise<void> {
     await Promise.all([readTimeline(), readDecisions()]);
     review.load();
     await refresh();
-    if (chosen) await select(chosen.id);
+    await selection.again();
   } catch (error) {
     fail(error, newDecision);
   }
@@ -368,7 +340,7 @@ async function refresh(): Promise<void> {
     const [[next, truncated], drives] = await Promise.all([readCones(state, timeline.changesets), readPaths(drivesShown(state, timeline.changesets))]);
     if (mine !== refreshNo) return;
     layout.card(null);
-    if (chosen && chosenKnown !== shownState(state, timeline.changesets).known) void select(chosen.id);
+    selection.follow();
     layout.notice(truncated ? `Only the first ${countOf(next.length)} are shown: this map is too large for one view.` : null);
     show(next, drives);
   } catch (error) {
@@ -458,7 +430,7 @@ function draw(): void {
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length);
   showTimeline(state, timeline?.changesets ?? []);
-  drawChosen();
+  selection.draw();
   document.documentElement.dataset["cones"] = String(shown.length);
 }
 
@@ -483,158 +455,9 @@ function fail(error: unknown, again: () => unknown): void {
   layout.card("The map cannot be shown", text, { action: { text: "Try again", run: () => void again() } });
 }
 
-// --- the selected cone
-
-let selecting = 0;
-/** Instant of the database of the history that is shown; null is now. */
-let chosenKnown: string | null = null;
-async function select(id: string | null, centre = false): Promise<void> {
-  const mine = ++selecting;
-  if (id !== state.feature) state.sighting = null;
-  state.feature = id;
-  writeAddress();
-  overlays.showLabels(visible(), id);
-  lists.choose(id);
-  layout.panelOpen(id !== null);
-  if (id === null) {
-    chosen = null;
-    panel.hide();
-    drawChosen();
-    return;
-  }
-  const map = state.map;
-  if (chosen?.id !== id) {
-    chosen = null;
-    panel.loading(id);
-    drawChosen();
-  }
-  try {
-    const { reached, known } = shownState(state, timeline?.changesets ?? []);
-    const { history } = await api.history(map, id, known);
-    if (mine !== selecting) return;
-    chosenKnown = known;
-    // The images of before stay until there are others.
-    chosen = { id, map, srid: timeline?.srid ?? 0, history, sightings: chosen?.sightings ?? null, truncated: chosen?.truncated ?? false, sightingIndex: 0, reached, kind: null, factor: chosen?.factor ?? null, decisions };
-    drawChosen();
-    if (centre) centreChosen();
-    const { sightings, truncated } = await api.sightings(map, id);
-    if (mine !== selecting || !chosen) return;
-    chosen = { ...chosen, sightings, truncated };
-    drawChosen();
-  } catch (error) {
-    if (mine === selecting) panel.failed(id, error);
-  }
-}
-
-function showSighting(index: number): void {
-  if (!chosen?.sightings) return;
-  const sightingIndex = Math.max(0, Math.min(index, sightingsShown(chosen).length - 1));
-  state.sighting = sightingIndex;
-  writeChoice();
-  drawChosen();
-}
-
-function drawChosen(): void {
-  if (!chosen) {
-    overlays.showSelection(null, null, 1);
-    overlays.showFrustum(null);
-    return;
-  }
-  const { reached } = shownState(state, timeline?.changesets ?? []);
-  chosen = { ...chosen, reached };
-  const shown: Chosen = { ...chosen, kind: kindShown(chosen), sightings: chosen.sightings && sightingsShown(chosen) };
-  shown.sightingIndex = chosen.sightingIndex = sightingToShow(shown);
-  const now = stateOf(shown);
-  const ellipse = now && !now.marking ? ellipse95(now.cov_m2) : null;
-  overlays.showSelection(now?.xyz_m ?? null, ellipse, ellipse ? chosen.factor ?? niceFactor(ellipse) : 1, now?.marking?.line_m);
-  overlays.showFrustum(shown.sightings?.[shown.sightingIndex] ?? null);
-  panel.show(shown);
-}
-
-/** As the scene draws it, or would. */
-function kindShown(c: Chosen): Kind | null {
-  const drawn = all.find((cone) => cone.id === c.id)?.kind;
-  const now = stateOf(c);
-  if (drawn || !now) return drawn ?? null;
-  const about = aboutFeature(decisions?.decisions ?? [], c.id, c.history.at(-1)?.xyz_m, Boolean(c.history[0]?.marking));
-  if (about.some((d) => d.kind === "suppress")) return "suppressed";
-  return state.mode !== "drive" && !isGone(now.kind) ? "standing" : now.kind;
-}
-
-/** Of the drives until the chosen instant; drive by drive of all drives. */
-function sightingsShown({ sightings, history, reached }: Chosen): Sighting[] {
-  if (!sightings || state.mode === "drive") return sightings ?? [];
-  const until = new Set(history.filter(reached).map((h) => h.changeset_no));
-  return sightings.filter((s) => until.has(s.changeset_no));
-}
-
-/** The selected one, else the nearest one of the drive that is shown. */
-function sightingToShow({ sightings, history, reached }: Chosen): number {
-  if (!sightings?.length) return 0;
-  if (state.sighting !== null) return Math.min(state.sighting, sightings.length - 1);
-  const no = history.filter((h) => reached(h) && h.sighting_count > 0).at(-1)?.changeset_no;
-  let best = -1;
-  sightings.forEach((s, i) => {
-    if ((s.changeset_no === no || no === undefined) && (best < 0 || s.range_m < (sightings[best]?.range_m ?? 0))) best = i;
-  });
-  return Math.max(best, 0);
-}
-
-function openImages(start: Start | null): void {
-  if (!chosen) return;
-  const now = stateOf(chosen) ?? chosen.history[0];
-  if (!now || now.marking) return;
-  const before = now.kind === "moved" ? chosen.history[chosen.history.indexOf(now) - 1] ?? null : null;
-  const absent = now.kind === "removed" || now.kind === "missed";
-  const sighting = absent ? undefined : sightingsShown(chosen)[chosen.sightingIndex];
-  void viewer.open({ map: chosen.map, id: chosen.id, title: shortId(chosen.id), why: now.why, now, before, sightings: chosen.sightings ?? [] }, start ?? sighting ?? null);
-}
-
-function centreChosen(): void {
-  const now = chosen && (stateOf(chosen) ?? chosen.history[0]);
-  if (now) stage.lookAt(now.xyz_m, 9);
-}
-
 // --- mouse and keyboard
 
-let down: [number, number] | null = null;
-stage.canvas.addEventListener("pointerdown", (event) => {
-  down = [event.clientX, event.clientY];
-});
-stage.canvas.addEventListener("pointerup", (event) => {
-  if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
-  if (tools.click(event.offsetX, event.offsetY)) return layout.tip(null, 0, 0);
-  const cone = tools.pick(event.offsetX, event.offsetY);
-  if (!cone) return tools.clickGround(event.offsetX, event.offsetY);
-  layout.tip(null, 0, 0); // the panel moves the scene, and the cone away from the pointer
-  void select(cone.id);
-});
-let hovering = false;
-stage.canvas.addEventListener("pointermove", (event) => {
-  if (hovering || event.buttons || event.pointerType === "touch") return;
-  hovering = true;
-  requestAnimationFrame(() => {
-    hovering = false;
-    const cone = tools.pick(event.offsetX, event.offsetY);
-    stage.canvas.classList.toggle("over", cone !== null);
-    layout.tip(cone, event.offsetX, event.offsetY);
-  });
-});
-stage.canvas.addEventListener("pointerleave", () => layout.tip(null, 0, 0));
-
-window.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  const target = event.target instanceof HTMLElement ? event.target : document.body;
-  const typing = target.matches("select, input:not([type=range]):not([type=checkbox])");
-  if (event.key === "Escape") {
-    if (typing) target.blur();
-    else if (!layout.closeHelp() && !tools.escape()) void select(null);
-    return;
-  }
-  if (typing) return;
-  if (target.matches("input[type=range]") && event.key.startsWith("Arrow")) return;
-  if (tools.key(event) || handleKey(event) || stage.key(event)) event.preventDefault();
-});
+listenToInput(stage, layout, tools, { select: (id) => void select(id), key: handleKey });
 
 function handleKey(event: KeyboardEvent): boolean {
   if (review.key(event)) return true;
@@ -650,9 +473,9 @@ function handleKey(event: KeyboardEvent): boolean {
     case ".": step(1); return true;
     case "b": case "B": change({ mode: "drive", side: state.side === "before" ? "after" : "before" }); return true;
     case "c": case "C": change({ mode: "drive", side: "changes" }); return true;
-    case "n": case "N": if (chosen) showSighting(chosen.sightingIndex + 1); return true;
-    case "p": case "P": if (chosen) showSighting(chosen.sightingIndex - 1); return true;
-    case "i": case "I": openImages(null); return true;
+    case "n": case "N": selection.showNext(1); return true;
+    case "p": case "P": selection.showNext(-1); return true;
+    case "i": case "I": selection.openImages(null); return true;
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
     case "l": case "L": layout.listPane.toggle(); return true;

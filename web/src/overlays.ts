@@ -182,3 +182,4 @@ function chevrons(points: Vec3[]): Object3D[] {
   poses.forEach((matrix, i) => mesh.setMatrixAt(i, matrix));
   return [mesh];
 }
+export type Overlays = ReturnType<typeof createOverlays>;

@@ -171,3 +171,4 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     },
   };
 }
+export type Tools = ReturnType<typeof createTools>;

@@ -1,0 +1,53 @@
+// Mouse and keyboard.
+import type { Cone } from "./kinds";
+import type { Layout } from "./layout";
+import type { Stage } from "./scene";
+import type { Tools } from "./tools";
+
+export interface InputActions {
+  select(id: string | null): void;
+  /** Whether the key meant something. */
+  key(event: KeyboardEvent): boolean;
+}
+
+export function listenToInput(stage: Stage, layout: Layout, tools: Tools, actions: InputActions): void {
+  const { canvas } = stage;
+  let down: [number, number] | null = null;
+  canvas.addEventListener("pointerdown", (event) => {
+    down = [event.clientX, event.clientY];
+  });
+  canvas.addEventListener("pointerup", (event) => {
+    if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
+    if (tools.click(event.offsetX, event.offsetY)) return layout.tip(null, 0, 0);
+    const cone: Cone | null = tools.pick(event.offsetX, event.offsetY);
+    if (!cone) return tools.clickGround(event.offsetX, event.offsetY);
+    layout.tip(null, 0, 0); // the panel moves the scene, and the cone away from the pointer
+    actions.select(cone.id);
+  });
+  let hovering = false;
+  canvas.addEventListener("pointermove", (event) => {
+    if (hovering || event.buttons || event.pointerType === "touch") return;
+    hovering = true;
+    requestAnimationFrame(() => {
+      hovering = false;
+      const cone = tools.pick(event.offsetX, event.offsetY);
+      canvas.classList.toggle("over", cone !== null);
+      layout.tip(cone, event.offsetX, event.offsetY);
+    });
+  });
+  canvas.addEventListener("pointerleave", () => layout.tip(null, 0, 0));
+
+  window.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const target = event.target instanceof HTMLElement ? event.target : document.body;
+    const typing = target.matches("select, input:not([type=range]):not([type=checkbox])");
+    if (event.key === "Escape") {
+      if (typing) target.blur();
+      else if (!layout.closeHelp() && !tools.escape()) actions.select(null);
+      return;
+    }
+    if (typing) return;
+    if (target.matches("input[type=range]") && event.key.startsWith("Arrow")) return;
+    if (tools.key(event) || actions.key(event) || stage.key(event)) event.preventDefault();
+  });
+}
