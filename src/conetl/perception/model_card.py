@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Self
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
 from conetl.files.documents import MAX_JSON_BYTES, first_message, read_limited
@@ -18,9 +16,6 @@ from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.heads import SideDistributionHead, YoloHead
 
 DEFAULT_MODEL = "conetl-road-10.onnx"
-#: Two classes were swapped where their names resemble each other so much better that way (shares of common words): one pair that
-#: has half of its words in common is enough, "traffic light" and "traffic_cone" are not.
-_LIKELY_SWAP, _MOST_LISTED = 0.5, 12
 _ULTRALYTICS_LAYOUT = "RGB float32 NCHW 0..1"
 #: Warning for a model without `evidence` in its sidecar.
 NOT_MEASURED = (
@@ -107,8 +102,8 @@ class ModelCard(BaseModel):
         """Raise ModelFileError if the network's own metadata contradict the sidecar: its classes and their order, and for exports
         of Ultralytics the input.
 
-        Ultralytics, YOLOv5 and `training/export.py` write the classes (key `names`). Only the sidecar has conetl's names, so that
-        words are compared: `cone` is most like `traffic_cone`.
+        Ultralytics, YOLOv5 and `training/export.py` write the classes (key `names`). Other names than the sidecar's are no
+        contradiction: only that has conetl's names, `traffic_cone` for `cone`.
         """
         layout = self.input_layout
         if metadata.get("author") == "Ultralytics" and "float32 NCHW" in layout and layout != _ULTRALYTICS_LAYOUT:
@@ -116,25 +111,18 @@ class ModelCard(BaseModel):
                 f"the file is an export of Ultralytics, whose input is {_ULTRALYTICS_LAYOUT!r}, but the sidecar's "
                 f"input_layout is {layout!r}: correct that key"
             )
-        stated = _stated_names(metadata.get("names", ""))
-        if not stated:
-            return
-        if len(stated) != len(self.class_names):
+        stated, own = _stated_names(metadata.get("names", "")), list(map(_plain, self.class_names))
+        if stated and len(stated) != len(own):
             raise ModelFileError(
-                f"the file names {len(stated)} classes ({_listed(stated)}), class_names of its sidecar {len(self.class_names)}: "
+                f"the file names {len(stated)} classes ({', '.join(stated)}), class_names of its sidecar {len(own)}: "
                 "list all classes of the network there, in its order"
             )
-        words = [[_words(name) for name in names] for names in (stated, self.class_names)]
-        alike = np.array([[len(one & other) / max(len(one | other), 1) for other in words[1]] for one in words[0]])
-        own = np.diag(alike)
-        swapped = alike + alike.T - own - own[:, None]
-        if swapped.max() < _LIKELY_SWAP:
-            return
-        k = int(np.argmax(swapped.max(axis=1)))
-        raise ModelFileError(
-            f"class {k} is {stated[k]!r} by the file itself and {self.class_names[k]!r} by class_names of its sidecar: the "
-            f"classes are in another order there. The file has {_listed(stated)}"
-        )
+        for k, name in enumerate(stated):
+            if name != own[k] and name in own:
+                raise ModelFileError(
+                    f"class {k} is {name!r} by the file itself and {own[k]!r} by class_names of its sidecar: the classes are in "
+                    f"another order there. The file has {', '.join(stated)}"
+                )
 
     @property
     def detections_sha256(self) -> str:
@@ -162,22 +150,17 @@ class ModelCard(BaseModel):
         return self
 
 
-def _stated_names(text: str) -> tuple[str, ...]:
+def _stated_names(text: str) -> list[str]:
     """Class names by the metadata of a network, `{0: 'car', 1: 'cone'}` or `['car', 'cone']`; none if written otherwise."""
     try:
         found = ast.literal_eval(text[:MAX_JSON_BYTES])
-        names = [found[k] for k in range(len(found))]
-    except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError):
-        return ()
-    return tuple(names) if all(isinstance(name, str) for name in names) and not isinstance(found, str) else ()
+        return [] if isinstance(found, str) else [_plain(found[k]) for k in range(len(found))]
+    except (ValueError, SyntaxError, TypeError, KeyError, AttributeError, MemoryError, RecursionError):
+        return []
 
 
-def _words(name: str) -> set[str]:
-    return set(re.findall(r"[a-z]+|[0-9]+", name.lower()))
-
-
-def _listed(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:_MOST_LISTED])}{' ...' if len(names) > _MOST_LISTED else ''}"
+def _plain(name: str) -> str:
+    return name.lower().replace(" ", "_").replace("-", "_")
 
 
 def shipped_model_path() -> Path:
