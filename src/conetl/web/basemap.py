@@ -9,22 +9,14 @@ import os
 import re
 import zlib
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import SplitResult, urlsplit
 
 from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi import Path as PathParameter
-from pmtiles.tile import (
-    Compression,
-    Entry,
-    TileType,
-    deserialize_directory,
-    deserialize_header,
-    find_tile,
-    zxy_to_tileid,
-)
+from pmtiles.reader import Reader
+from pmtiles.tile import Compression, TileType
 
 from conetl.model.errors import InputError, StorageError
 from conetl.web.models import BaseMapItem
@@ -37,15 +29,11 @@ _HOST = re.compile(r"(?:[a-z0-9.-]+|\[[0-9a-f:]+\])(?::\d{1,5})?", re.IGNORECASE
 Zoom = Annotated[int, PathParameter(ge=0, le=30)]
 Index = Annotated[int, PathParameter(ge=0, le=2**30)]
 router = APIRouter(tags=["layers"])
-_HEADER_BYTES = 127
 _MEDIA_TYPES = {
     TileType.PNG: "image/png", TileType.JPEG: "image/jpeg", TileType.WEBP: "image/webp", TileType.AVIF: "image/avif",
 }  # fmt: skip
 #: Larger directories and tiles are refused: a damaged file must not exhaust the memory.
-_MAX_DIRECTORY_BYTES = 1_000_000
-_MAX_TILE_BYTES = 8_000_000
-#: The specification allows three levels of leaves below the root in practice.
-_MAX_DEPTH = 4
+_MAX_BYTES = 8_000_000
 
 
 @dataclass(frozen=True)
@@ -108,10 +96,10 @@ def tile(z: Zoom, x: Index, y: Index, request: Request) -> Response:
 class Archive:
     """An open file; reading is safe from several threads."""
 
-    def __init__(self, path: Path, file: int, header: bytes) -> None:
-        self._path, self._file = path, file
+    def __init__(self, path: Path, file: int) -> None:
+        self._path, self._file, self._reader = path, file, Reader(self._read)
         try:
-            named = deserialize_header(header)
+            named = self._reader.header()
         except ValueError as error:
             raise InputError(f"{path} is damaged: {error} in its header") from error
         if named["tile_type"] not in _MEDIA_TYPES:
@@ -125,29 +113,21 @@ class Archive:
                 f"{path} is packed in a way that is not supported: expected directories with gzip, tiles without"
             )
         self.media_type = _MEDIA_TYPES[named["tile_type"]]
-        self._root = named["root_offset"], named["root_length"]
-        self._leaves, self._data = named["leaf_directory_offset"], named["tile_data_offset"]
-        self._directory = lru_cache(maxsize=32)(self._read_directory)
-        self._directory(*self._root)
+        self.tile(self.min_zoom, 0, 0)  # reads the root directory
 
     def tile(self, z: int, x: int, y: int) -> bytes | None:
         """The bytes of a tile; None if there is none. Raises StorageError if the file is damaged."""
         if not (self.min_zoom <= z <= self.max_zoom and x < 1 << z and y < 1 << z):
             return None
-        wanted = zxy_to_tileid(z, x, y)
-        at, length = self._root
-        for _ in range(_MAX_DEPTH):
-            entry = find_tile(self._directory(at, length), wanted)
-            if entry is None:
-                return None
-            if entry.run_length:
-                return self._read(self._data + entry.offset, entry.length, _MAX_TILE_BYTES)
-            at, length = self._leaves + entry.offset, entry.length
-        raise StorageError(f"{self._path} is damaged: its directories have no end")
+        try:
+            data: bytes | None = self._reader.get(z, x, y)
+        except (EOFError, OSError, zlib.error) as error:
+            raise StorageError(f"{self._path} has a damaged directory") from error
+        return data
 
-    def _read(self, at: int, length: int, most: int) -> bytes:
-        if length > most:
-            raise StorageError(f"{self._path} is damaged: {length} bytes at {at}, expected at most {most}")
+    def _read(self, at: int, length: int) -> bytes:
+        if length > _MAX_BYTES:
+            raise StorageError(f"{self._path} is damaged: {length} bytes at {at}, expected at most {_MAX_BYTES}")
         try:
             data = os.pread(self._file, length, at)
         except (OSError, OverflowError) as error:
@@ -156,27 +136,20 @@ class Archive:
             raise StorageError(f"{self._path} is truncated: {length} bytes expected at {at}, found {len(data)}")
         return data
 
-    def _read_directory(self, at: int, length: int) -> list[Entry]:
-        data = self._read(at, length, _MAX_DIRECTORY_BYTES)
-        try:
-            return deserialize_directory(data)
-        except (OSError, EOFError, zlib.error) as error:
-            raise StorageError(f"{self._path} has a damaged directory at byte {at}") from error
-
 
 def open_archive(path: Path) -> Archive:
     """A PMTiles file. Raises InputError unless it is one of raster tiles."""
     try:
         file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-        header = os.pread(file, _HEADER_BYTES, 0)
+        begin = os.pread(file, 8, 0)
     except OSError as error:
         raise InputError(
             f"--basemap {path}: {error.strerror}; expected a PMTiles file or a URL with {{z}}, {{x}}, {{y}}"
         ) from error
-    if len(header) < _HEADER_BYTES or header[:8] != b"PMTiles\x03":
+    if begin != b"PMTiles\x03":
         os.close(file)
         raise InputError(f"--basemap {path} is not a PMTiles file of version 3")
     try:
-        return Archive(path, file, header)
+        return Archive(path, file)
     except StorageError as error:
         raise InputError(str(error)) from error

@@ -69,7 +69,7 @@ def test_damaged_files_are_refused(tmp_path: Path):
     good = write_pmtiles(tmp_path / "a.pmtiles", tiles).read_bytes()
     vector = write_pmtiles(tmp_path / "vector.pmtiles", tiles, tile_type=TileType.MVT).read_bytes()
     for name, data, said in (
-        ("short", good[:100], "not a PMTiles file"), ("vector", vector, "no raster tiles"),
+        ("short", good[:100], "truncated"), ("text", b"{}", "not a PMTiles file"), ("vector", vector, "no raster tiles"),
         ("root", good[:130] + b"\0" * 20 + good[150:], "damaged"), ("header", good[:99] + b"\xff" + good[100:], "damaged"),
         ("packed", good[:97] + b"\1" + good[98:], "expected directories with gzip"),
     ):  # fmt: skip
@@ -82,8 +82,7 @@ def test_damaged_files_are_refused(tmp_path: Path):
     # The root is its own leaf.
     looping = base_map(str(write_pmtiles(tmp_path / "b.pmtiles", tiles, leaf_directory_offset=127))).archive
     assert looping is not None
-    with pytest.raises(StorageError, match="no end"):
-        looping.tile(2, 1, 1)
+    assert looping.tile(2, 1, 1) is None
     cut = tmp_path / "cut.pmtiles"
     cut.write_bytes(good[:-30])
     archive = base_map(str(cut)).archive
