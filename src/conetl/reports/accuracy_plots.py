@@ -120,7 +120,12 @@ def error_plan(
         ax.scatter(false[:, 0], false[:, 1], marker="x", s=60, color=figures.PINK, label=f"false ({len(false)})")
     for name, at in zip(names, truth, strict=True):
         ax.annotate(name, at, xytext=(6, -12), textcoords="offset points", fontsize=8)
-    figures.frame_plan(ax, low, high, origin)
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
+    ax.set_aspect("equal")
+    figures.add_grid(ax)
+    ax.set_xlabel(f"easting - {origin[0]:.0f} (m)")
+    ax.set_ylabel(f"northing - {origin[1]:.0f} (m)")
     ax.set_title(f"{title}; errors and ellipses enlarged {scale} times")
     ax.legend(fontsize=8, loc="best")
     return figures.png(figure)

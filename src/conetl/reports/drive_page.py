@@ -28,6 +28,7 @@ from conetl.reports.camera_images import SURROUNDINGS, ImageMissingError, crop_j
 from conetl.reports.drive_facts import DriveFacts, Row, read_drive_facts
 from conetl.reports.figures import counted_by_kind
 from conetl.reports.html import data_uri, render, write_page
+from conetl.reports.map_picture import PlanContent, draw_plan
 
 #: A median residual above this is suspicious: the rays of a good calibration meet within half a pixel.
 _RESIDUAL_PX = 1.0
@@ -62,6 +63,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
     for c in facts.changes:
         old_xy_m = (c["old_easting_m"], c["old_northing_m"]) if c["kind"] is DeltaKind.MOVED else None
         marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, str(c["number"])))
+    plan = PlanContent(facts.srid, marks, facts.markings, [facts.path_m], others=figures.NOT_EVALUATED)
     nearest = [(t.nearest_range_m, t.residual_rms_px) for t in facts.tracks]
     return render(
         "drive.html.j2",
@@ -77,7 +79,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         max_illustrated=MAX_ILLUSTRATED,
         confirmed=confirmed[:_MAX_CONFIRMED],
         confirmed_left_out=max(len(confirmed) - _MAX_CONFIRMED, 0),
-        plan=figures.png(figures.plan(facts.path_m, marks, facts.markings, others_label="not evaluated")),
+        plan=figures.png(draw_plan(plan)),
         markings=counted_by_kind(facts.markings),
         residual_figure=figures.residuals(facts.range_m, facts.residual_px, nearest)
         if len(facts.residual_px)

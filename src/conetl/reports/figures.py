@@ -1,4 +1,4 @@
-"""Plan views of drives and map differences, the plots of the pages, and what all figures share: colours, axes, PNG, files."""
+"""Objects and lines on plans, the plots of the pages, and what all figures share: colours, axes, PNG, files."""
 
 from __future__ import annotations
 
@@ -38,13 +38,10 @@ BLUE, SKY, GREEN, ORANGE, PINK, GREY, BLACK = (
     "#222222",
 )
 DPI = 130
-_MARGIN_M = 5.0
-#: Labels of more changes than this cannot be read.
-_MAX_LABELS = 80
 _INK = "#1d2733"
-_LETTER_PT = 6.0
-#: Of objects without a change, below those that have one.
-_UNCHANGED = STANDING._replace(colour="#bbbbbb")
+_SYMBOL_PT, _LETTER_PT = 7.5, 6.0
+#: Of objects that a drive did not evaluate.
+NOT_EVALUATED = STANDING._replace(colour="#bbbbbb", label="not evaluated")
 _PAINT_PT, _CASING_PT, _CHANGE_PT = 1.3, 2.4, 2.6
 #: Of lines that are gone, in units of their width.
 _GONE = (0, (1.6, 1.1))
@@ -68,69 +65,16 @@ class PlanMark(NamedTuple):
 Handle = Line2D | tuple[Line2D, ...]
 
 
-def draw_plan_view(
-    path: Path,
-    *,
-    title: str,
-    trajectory_m: Floats,
-    deltas: Sequence[Delta | FeatureChange],
-    untouched: Sequence[MapFeature],
-    untouched_label: str = "not evaluated",
-) -> Path:
-    """Write the plan of a drive, or of the difference of two maps, to `path` (PNG) and return it.
-
-    trajectory_m: (F, 2) easting, northing of the left camera in order of time, (0, 2) without one. untouched: features without a
-    change.
-    """
+def marks_of(deltas: Iterable[Delta | FeatureChange], untouched: Iterable[MapFeature]) -> list[PlanMark]:
+    """Those of them that are point objects; untouched: features without a change."""
     marks = [PlanMark(one.category, None, one.xyz_m[:2]) for one in untouched if one.marking is None]
-    lines = changes_of(deltas, untouched)
     for delta in deltas:
-        if delta.is_of_line:
-            continue
-        *old, at = (np.array(side.xyz_m[:2]) for side in (delta.old, delta.new) if side is not None)
-        moved = delta.kind is DeltaKind.MOVED
-        shift = f"{delta.shift_m:.2f} m" if moved else ""
-        marks.append(PlanMark(delta.state_after.category, delta.kind, at, old[0] if moved else None, shift))
-    figure = plan(trajectory_m, marks, lines, others_label=untouched_label)
-    figure.suptitle(title)
-    return save_figure(figure, path)
-
-
-def plan(path_m: Floats, marks: Sequence[PlanMark], lines: Sequence[MarkingChange], *, others_label: str) -> Figure:
-    """Drive path (F, 2; NaN between drives), objects, lines, in the map's CRS. others_label: of those without a change."""
-    olds = [mark.old_xy_m for mark in marks if mark.old_xy_m is not None]
-    at_m = np.reshape([*(mark.xy_m for mark in marks), *olds], (-1, 2))
-    everything = np.concatenate([path_m, at_m, ends_of(lines)])
-    least, most = np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)
-    origin = np.floor(least)
-    low, high = least - origin - _MARGIN_M, most - origin + _MARGIN_M
-    height = 10 * (high[1] - low[1]) / (high[0] - low[0]) + 1.0
-    figure = new_figure(10, float(np.clip(height, 3.4, 6.5)))
-    axes = figure.add_subplot()
-    if len(path_m):
-        x, y = (path_m - origin).T
-        axes.plot(x, y, zorder=1, color=GREY, linewidth=1.4, label="path of the left camera")
-    if len(path_m) > 1:
-        draw_arrow(axes, path_m[-2] - origin, path_m[-1] - origin, GREY, "-|>")
-    handles: list[Handle] = [*axes.get_lines()]
-    by_class = any(letter_of(mark.category) for mark in marks)
-    for kind, style in [(None, _UNCHANGED._replace(label=others_label)), *KIND_MARKS.items()]:
-        group = [mark for mark in marks if mark.kind is kind]
-        at = np.array([mark.xy_m for mark in group]).reshape(-1, 2) - origin
-        size_pt = 3.7 if kind is None else 6.8
-        handles += draw_objects(
-            axes, at, [mark.category for mark in group], style, by_class=by_class, size_pt=size_pt, zorder=3
-        )
-    changes = [mark for mark in marks if mark.kind is not None]
-    for mark in sorted(changes, key=lambda mark: mark.kind is DeltaKind.CONFIRMED)[:_MAX_LABELS]:
-        at = np.asarray(mark.xy_m) - origin
-        if mark.kind is DeltaKind.MOVED and mark.old_xy_m is not None:
-            draw_arrow(axes, np.asarray(mark.old_xy_m) - origin, at, KIND_MARKS[mark.kind].colour)
-        axes.annotate(mark.label, xy=at, xytext=(5, 5), textcoords="offset points", fontsize=8)
-    handles += draw_markings(axes, lines, origin)
-    frame_plan(axes, low, high, origin)
-    add_legend(figure, handles, loc="outside lower center", ncols=4, fontsize=8)
-    return figure
+        if not delta.is_of_line:
+            *old, at = (side.xyz_m[:2] for side in (delta.old, delta.new) if side is not None)
+            moved = delta.kind is DeltaKind.MOVED
+            shift = f"{delta.shift_m:.2f} m" if moved else ""
+            marks.append(PlanMark(delta.state_after.category, delta.kind, at, old[0] if moved else None, shift))
+    return marks
 
 
 def draw_objects(
@@ -140,27 +84,25 @@ def draw_objects(
     mark: KindMark,
     *,
     by_class: bool,
-    size_pt: float,
     zorder: float,
-    edge: str | None = None,
 ) -> list[Handle]:
     """Draw objects of one kind at (N, 2) in the coordinates of the axes, each with the letter of its class to the left of it; the
     entries of the legend with their counts.
 
-    by_class: an entry for each class, instead of one for all. edge: colour of the symbol's edge; None: that of the symbol.
+    by_class: an entry for each class, instead of one for all.
     """
     marker, colour, label = mark
-    edge = colour if edge is None or marker.startswith("$") else edge  # another edge would cover thin signs
+    edge = colour if marker.startswith("$") else "white"  # a white edge would cover thin signs
     halo = [withStroke(linewidth=2, foreground="white")]
-    left = axes.transData + ScaledTranslation(-(_LETTER_PT + size_pt / 2) / 72, 0, axes.figure.dpi_scale_trans)
+    left = axes.transData + ScaledTranslation(-(_LETTER_PT + _SYMBOL_PT / 2) / 72, 0, axes.figure.dpi_scale_trans)
     handles: list[Handle] = []
     present = set(categories)
     for category in (*known_of(present), *sorted(present - set(FEATURE_CLASSES))):
         x, y = xy[[one == category for one in categories]].T
-        axes.scatter(x, y, marker=marker, s=size_pt**2, color=colour, edgecolors=edge, linewidths=0.8, zorder=zorder)
+        axes.scatter(x, y, marker=marker, s=_SYMBOL_PT**2, color=colour, edgecolors=edge, linewidths=0.8, zorder=zorder)
         text = f"{noun_of(category)}, {label} ({len(x)})" if by_class else f"{label} ({len(categories)})"
         style: dict[str, Any] = {"color": colour, "markeredgecolor": edge, "markeredgewidth": 0.8, "linestyle": ""}
-        symbols = [Line2D([], [], marker=marker, markersize=max(size_pt, 5), label=text, **style)]
+        symbols = [Line2D([], [], marker=marker, markersize=_SYMBOL_PT, label=text, **style)]
         if letter := letter_of(category):
             sign = rf"$\mathbf{{{letter}}}$"
             beside = axes.scatter(x, y, marker=sign, s=_LETTER_PT**2, color=_INK, linewidths=0, transform=left)
@@ -218,16 +160,6 @@ def map_size(times: Sequence[datetime], counts: Sequence[int], since: datetime, 
     axes.legend(fontsize=8, loc="lower right")
     add_grid(axes, open_sides=True)
     return png(figure)
-
-
-def frame_plan(axes: Axes, low: Floats, high: Floats, origin: Floats) -> None:
-    """Limit a plan to a box and label its axes. low, high: (2,) in metres from `origin`, which is (2,) in the map's CRS."""
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal")
-    add_grid(axes)
-    axes.set_xlabel(f"easting - {origin[0]:.0f} (m)")
-    axes.set_ylabel(f"northing - {origin[1]:.0f} (m)")
 
 
 def draw_arrow(
@@ -305,20 +237,12 @@ def change_of_row(row: Mapping[str, Any]) -> MarkingChange | None:
     return MarkingChange(np.array(shape["line_m"]), shape["colour"], shape["dash_m"], shape["gap_m"], kind, old_m)
 
 
-def ends_of(changes: Sequence[MarkingChange]) -> Floats:
-    """(N, 2): first and last vertices, of the old lines too."""
-    lines = [line for change in changes for line in (change.line_m, change.old_line_m) if line is not None]
-    return np.array([line[k, :2] for line in lines for k in (0, -1)]).reshape(-1, 2)
-
-
-def draw_markings(
-    axes: Axes, changes: Sequence[MarkingChange], origin_m: Sequence[float] | Floats = (0.0, 0.0)
-) -> list[Line2D]:
-    """Draw the lines below all objects, (0, 0) of the axes being at `origin_m`; the entries of the legend with their counts."""
+def draw_markings(axes: Axes, changes: Sequence[MarkingChange]) -> list[Line2D]:
+    """Draw the lines below all objects; the entries of the legend with their counts."""
 
     def drawn(lines: Iterable[Floats], colour: str, width_pt: float, **style: object) -> None:
-        shifted = [line[:, :2] - np.asarray(origin_m) for line in lines]
-        axes.add_collection(LineCollection(shifted, colors=colour, linewidths=width_pt, **style), autolim=False)  # type: ignore[arg-type]
+        flat = [line[:, :2] for line in lines]
+        axes.add_collection(LineCollection(flat, colors=colour, linewidths=width_pt, **style), autolim=False)  # type: ignore[arg-type]
 
     handles = []
     quiet = [change for change in changes if change.kind in _QUIET]

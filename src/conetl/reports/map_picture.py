@@ -1,13 +1,13 @@
-"""A rendered map for a report: cones, lane markings, paths, lane boundaries, LiDAR points, scale bar, legend, CRS and date."""
+"""Plans of maps, drives and nights: cones, lane markings, paths, lane boundaries, LiDAR points, scale bar, legend and CRS."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
+from itertools import compress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -25,65 +25,79 @@ from conetl.db.connection import Connection
 from conetl.db.map.map_store import Bbox, list_changesets, read_paths
 from conetl.db.serve_store import read_base_tile, read_rows
 from conetl.exports import kind_marks as marks
+from conetl.exports.kind_marks import STANDING, KindMark
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import letter_of
-from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
+from conetl.model.map_records import DeltaKind
 from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
 from conetl.reports import figures
+from conetl.reports.figures import MarkingChange, PlanMark
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
 _INK = "#1d2733"
-_SYMBOL_PT = 7.5
 _MARGIN = 0.06
 _MIN_SPAN_M = 12.0
-_MAX_ARROW_LABELS = 40
+#: Labels of more changes than this cannot be read.
+_MAX_LABELS = 80
 _DPI = 200
 _MM = 1 / 25.4
 _MAX_POINTS = 400_000
 _MAX_TILES = 100_000
 _MAX_LINES = 200_000
+_NOWHERE, _NO_SHADES = np.empty((0, 2)), np.empty(0, np.uint8)
 
 
-@dataclass(frozen=True)
-class PlanContent:
-    """The content of the picture, in metres of the map's CRS."""
+class PlanContent(NamedTuple):
+    """The content of a plan, in metres of the map's CRS."""
 
     srid: int
-    standing: Sequence[MapFeature]
-    changes: Sequence[FeatureChange] | None
-    """None without a comparison of two states."""
-    paths_m: Sequence[Floats]
+    marks: Sequence[PlanMark]
+    """Point objects, each with its change."""
+    markings: Sequence[MarkingChange]
+    paths_m: Sequence[Floats] = ()
     """(N, 2) each: paths of the drives."""
-    lines_m: Sequence[Floats]
+    others: KindMark = STANDING
+    """How objects without a change are shown."""
+    boundaries_m: Sequence[Floats] = ()
     """(N, 2) each: lane boundaries."""
-    points_m: Floats
+    points_m: Floats = _NOWHERE
     """(N, 2) LiDAR points."""
-    shades: NDArray[np.uint8]
+    shades: NDArray[np.uint8] = _NO_SHADES
     """(N,) their intensity."""
 
+    def extent(self) -> Bbox:
+        """West, south, east, north around all cones, lane markings and paths, with a margin. Raises InputError where there is
+        none."""
+        lines = (line for one in self.markings for line in (one.line_m, one.old_line_m) if line is not None)
+        olds = [mark.old_xy_m for mark in self.marks if mark.old_xy_m is not None]
+        at_m = np.reshape([*(mark.xy_m for mark in self.marks), *olds], (-1, 2))
+        places = np.concatenate([at_m, *(line[:, :2] for line in lines), *self.paths_m])
+        if not len(places):
+            raise InputError("no cone stands on the map at that time: choose another time, or an area with --bbox")
+        low, high = places.min(axis=0), places.max(axis=0)
+        margin = max(_MARGIN * float((high - low).max()), 3.0)
+        half = np.maximum((high - low) / 2 + margin, _MIN_SPAN_M / 2)
+        (west, south), (east, north) = (low + high) / 2 - half, (low + high) / 2 + half
+        return float(west), float(south), float(east), float(north)
 
-def read_plan_content(
+
+def with_surroundings(
     conn: Connection,
     map_name: str,
-    srid: int,
+    content: PlanContent,
     extent: Bbox,
-    standing: Sequence[MapFeature],
-    changes: Sequence[FeatureChange] | None,
-    *,
     valid_at: datetime | None,
     known_at: datetime | None,
 ) -> PlanContent:
-    """Cones of a map, and what the database holds around them; extent: west, south, east, north in the map's CRS."""
+    """The content with drive paths, and what the database holds around an extent: west, south, east, north in the map's CRS."""
     west, south, east, north = extent
     margin = max(east - west, north - south)  # the paper has another shape than the extent
     around = (west - margin, south - margin, east + margin, north + margin)
     points_m, shades = _points(conn, map_name, around)
-    return PlanContent(
-        srid=srid, standing=standing, changes=changes, paths_m=drive_paths(conn, map_name, valid_at, known_at),
-        lines_m=_lane_boundaries(conn, map_name, around), points_m=points_m, shades=shades,
-    )  # fmt: skip
+    paths_m, boundaries_m = drive_paths(conn, map_name, valid_at, known_at), _lane_boundaries(conn, map_name, around)
+    return content._replace(paths_m=paths_m, boundaries_m=boundaries_m, points_m=points_m, shades=shades)
 
 
 def drive_paths(conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None) -> list[Floats]:
@@ -104,7 +118,7 @@ def _lane_boundaries(conn: Connection, map_name: str, around: Bbox) -> list[Floa
 def _points(conn: Connection, map_name: str, around: Bbox) -> tuple[Floats, NDArray[np.uint8]]:
     """(N, 2) points and (N,) intensities of the tiles around, coarse ones first, up to _MAX_POINTS."""
     west, south, east, north = around
-    points, shades, count = [np.empty((0, 2))], [np.empty(0, np.uint8)], 0
+    points, shades, count = [_NOWHERE], [_NO_SHADES], 0
     for row in read_rows(conn, "base_layers.tiles", map_name=map_name, max_rows=_MAX_TILES):
         x, y = row["origin_m"][:2]
         side = tile_side_m(row["level"])
@@ -120,41 +134,45 @@ def _points(conn: Connection, map_name: str, around: Bbox) -> tuple[Floats, NDAr
     return np.concatenate(points), np.concatenate(shades)
 
 
-def plan_extent(standing: Sequence[MapFeature], changes: Sequence[FeatureChange] | None) -> Bbox:
-    """West, south, east, north around all cones and lane markings, with a margin. Raises InputError where there is none."""
-    features = [*standing, *(side for change in changes or () for side in (change.old, change.new) if side is not None)]
-    if not features:
-        raise InputError("no cone stands on the map at that time: choose another time, or an area with --bbox")
-    shapes = [feature.marking.vertices_m if feature.marking else [feature.xyz_m] for feature in features]
-    places = np.concatenate([np.array(shape)[:, :2] for shape in shapes])
-    low, high = places.min(axis=0), places.max(axis=0)
-    margin = max(_MARGIN * float((high - low).max()), 3.0)
-    half = np.maximum((high - low) / 2 + margin, _MIN_SPAN_M / 2)
-    (west, south), (east, north) = (low + high) / 2 - half, (low + high) / 2 + half
-    return float(west), float(south), float(east), float(north)
-
-
 def draw_map_picture(
-    path: Path, content: PlanContent, bbox: Bbox, *, title: str, footer: str, size_mm: tuple[float, float] | None = None
+    path: Path,
+    content: PlanContent,
+    *,
+    bbox: Bbox | None = None,
+    title: str,
+    footer: str,
+    size_mm: tuple[float, float] | None = None,
 ) -> Path:
-    """Write the picture (PNG at 200 dpi, SVG or PDF by the suffix) and return its path.
+    """Write a plan (PNG at 200 dpi, SVG or PDF by the suffix) and return its path; arguments as of `draw_plan`.
 
-    bbox: west, south, east, north. size_mm: width and height; None: 240 wide, with the height of the bbox. footer: the line
-    below. Raises InputError where the file cannot be written.
+    Raises InputError where there is nothing to draw, and where the file cannot be written.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
-    west, south, east, north = bbox
+    figure = draw_plan(content, bbox=bbox, title=title, footer=footer, size_mm=size_mm)
+    return figures.save_figure(figure, path, suffixes=SUFFIXES)
+
+
+def draw_plan(
+    content: PlanContent,
+    *,
+    bbox: Bbox | None = None,
+    title: str = "",
+    footer: str = "grid north",
+    size_mm: tuple[float, float] | None = None,
+) -> Figure:
+    """bbox: west, south, east, north; None: around the content. size_mm: width and height; None: 240 wide, with the height of the
+    bbox. footer: the line below."""
+    west, south, east, north = bbox or content.extent()
     if size_mm is None:
         size_mm = (240.0, float(np.clip(240 * 0.78 * (north - south) / (east - west) + 34, 96, 300)))
-    figure = _compose(content, bbox, title, footer, size_mm)
+    figure = _compose(content, (west, south, east, north), title, footer, size_mm)
     figure.draw_without_rendering()  # the size of the map depends on that of title and legend
     paper = figure.axes[0].get_position(original=True)
     wide = paper.width * size_mm[0] / (paper.height * size_mm[1])
     width, height = max(east - west, (north - south) * wide), max(north - south, (east - west) / wide)
     x, y = (west + east) / 2, (south + north) / 2
-    figure = _compose(content, (x - width / 2, y - height / 2, x + width / 2, y + height / 2), title, footer, size_mm)
-    return figures.save_figure(figure, path, suffixes=SUFFIXES)
+    return _compose(content, (x - width / 2, y - height / 2, x + width / 2, y + height / 2), title, footer, size_mm)
 
 
 def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm: tuple[float, float]) -> Figure:
@@ -192,9 +210,9 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
             figures.draw_arrow(axes, start, tip, marks.DRIVE_PATH, "-|>", linewidth=1.1, shrinkA=0, shrinkB=0)
     if content.paths_m:
         handles.append(Line2D([], [], color=marks.DRIVE_PATH, linewidth=1.3, label="drive path"))
-    if content.lines_m:
+    if content.boundaries_m:
         axes.add_collection(
-            LineCollection(list(content.lines_m), colors=marks.LANE, linewidths=0.9, zorder=2), autolim=False
+            LineCollection(list(content.boundaries_m), colors=marks.LANE, linewidths=0.9, zorder=2), autolim=False
         )
         handles.append(Line2D([], [], color=marks.LANE, linewidth=1.1, label="lane boundary"))
     if len(content.points_m):
@@ -215,14 +233,11 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
 
 def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     """Draw lane markings and their changes; their lines of the legend."""
-    changes = content.changes or ()
-    changed = {change.feature_id for change in changes}
-    lines = figures.changes_of(changes, (feature for feature in content.standing if feature.feature_id not in changed))
     low, high = np.array(box[::2]), np.array(box[1::2])
     shown = [
-        line
-        for line in lines
-        for xy_m in [line.line_m[:, :2]]
+        one
+        for one in content.markings
+        for xy_m in [one.line_m[:, :2]]
         if (xy_m.max(axis=0) >= low).all() and (xy_m.min(axis=0) <= high).all()
     ]
     return figures.draw_markings(axes, shown)
@@ -230,44 +245,33 @@ def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
 
 def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[figures.Handle]:
     """Draw cones and other objects, and changes; their entries of the legend count those inside the picture."""
-    changes = [change for change in content.changes or () if not change.is_of_line]
-    changed = {change.feature_id for change in content.changes or ()}
-    rest = [feature for feature in content.standing if feature.feature_id not in changed and feature.marking is None]
-    label = "unchanged" if content.changes is not None else marks.STANDING.label
-    groups = [(marks.STANDING._replace(label=label), rest)]
-    for kind, style in marks.KIND_MARKS.items():
-        groups.append((style, [change.state_after for change in changes if change.kind == kind]))
-    by_class = any(letter_of(feature.category) for _, some in groups for feature in some)
+    xy_m = np.reshape([mark.xy_m for mark in content.marks], (-1, 2))
+    inside = ((xy_m >= box[::2]) & (xy_m <= box[1::2])).all(axis=1).tolist()
+    shown = list(compress(content.marks, inside))
+    by_class = any(letter_of(mark.category) for mark in content.marks)
     handles: list[figures.Handle] = []
-    for level, (style, features) in enumerate(groups, 4):
-        positions = np.array([feature.xyz_m[:2] for feature in features]).reshape(-1, 2)
-        inside = _inside(positions, box)
-        classes = [feature.category for feature, kept in zip(features, inside.tolist(), strict=True) if kept]
-        handles[:0] = figures.draw_objects(
-            axes, positions[inside], classes, style, by_class=by_class, size_pt=_SYMBOL_PT, zorder=level, edge="white"
-        )
-    moved = [change for change in changes if change.kind is DeltaKind.MOVED]
-    _arrows(axes, moved, marks.KIND_MARKS[DeltaKind.MOVED].colour, box)
+    for level, (kind, style) in enumerate([(None, content.others), *marks.KIND_MARKS.items()], 4):
+        group = [mark for mark in shown if mark.kind is kind]
+        places = np.reshape([mark.xy_m for mark in group], (-1, 2))
+        classes = [mark.category for mark in group]
+        handles[:0] = figures.draw_objects(axes, places, classes, style, by_class=by_class, zorder=level)
+    colour = marks.KIND_MARKS[DeltaKind.MOVED].colour
+    for mark in shown:
+        if mark.old_xy_m is not None:
+            axes.scatter(
+                *mark.old_xy_m, marker="o", s=26, facecolors="none", edgecolors=colour, linewidths=1.0, zorder=8
+            )
+            figures.draw_arrow(
+                axes, mark.old_xy_m, mark.xy_m, colour, zorder=8, linewidth=1.2, clip_path=axes.patch, clip_on=True
+            )
+    labelled = [mark for mark in shown if mark.label]
+    for mark in sorted(labelled, key=lambda mark: mark.kind is DeltaKind.CONFIRMED)[:_MAX_LABELS]:
+        ink = colour if mark.kind is DeltaKind.MOVED else _INK
+        axes.annotate(
+            mark.label, xy=mark.xy_m, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color=ink, zorder=14,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
+        )  # fmt: skip
     return handles
-
-
-def _arrows(axes: Axes, moved: Sequence[FeatureChange], colour: str, box: Bbox) -> None:
-    for change in moved:
-        if change.old is None or change.new is None or not _inside(np.array([change.new.xyz_m[:2]]), box)[0]:
-            continue
-        old, new = change.old.xyz_m[:2], change.new.xyz_m[:2]
-        axes.scatter(old[0], old[1], marker="o", s=26, facecolors="none", edgecolors=colour, linewidths=1.0, zorder=8)
-        figures.draw_arrow(axes, old, new, colour, zorder=8, linewidth=1.2, clip_path=axes.patch, clip_on=True)
-        if len(moved) <= _MAX_ARROW_LABELS:
-            axes.annotate(
-                f"{change.shift_m:.2f} m", xy=new, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color=colour,
-                zorder=10, bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
-            )  # fmt: skip
-
-
-def _inside(positions: Floats, box: Bbox) -> NDArray[np.bool_]:
-    """(N,) mask of positions (N, 2) inside west, east, south, north."""
-    return np.asarray(((positions >= box[::2]) & (positions <= box[1::2])).all(axis=1))
 
 
 def _frame(axes: Axes) -> None:

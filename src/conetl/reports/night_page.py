@@ -8,8 +8,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from conetl.db.connection import Connection, database_errors, query
 from conetl.db.map.decision_store import held_drives, hold_events
 from conetl.db.map.map_store import list_changesets, read_paths, require_map
@@ -20,6 +18,7 @@ from conetl.model.health import HeldDrive, HoldEvent, what_to_do
 from conetl.model.map_records import DeltaKind
 from conetl.reports import figures
 from conetl.reports.html import render, write_page
+from conetl.reports.map_picture import PlanContent, draw_plan
 
 #: Rows of a table; the rest is counted.
 _MAX_ROWS = 400
@@ -45,8 +44,9 @@ class NightFacts:
     failures: list[Row]
     changes: list[Row]
     """Of point objects, confirmations excluded; at most `_MAX_ROWS`, each with the `total` and how many are `gone`."""
-    paths_m: Floats
-    """(N, 2) drive paths of the period, each followed by a row of NaN."""
+    srid: int
+    paths_m: list[Floats]
+    """(N, 2) each: drive paths of the period."""
     rejections: list[Row]
     markings: list[Row]
     """Stretches of lane markings by kind of change: kind, count, length_m."""
@@ -62,7 +62,7 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     """Facts of a period; read-only. Raises InputError for an unknown map or an empty period."""
     if until <= since:
         raise InputError(f"the report would end ({until:%Y-%m-%d %H:%M}) before it begins ({since:%Y-%m-%d %H:%M})")
-    require_map(conn, map_name)
+    srid = require_map(conn, map_name).srid
     period = {"map_name": map_name, "since": since, "until": until}
     with database_errors(f"The map {map_name} cannot be read"):
         drives = query(conn, "reports.night_drives", **period)
@@ -82,11 +82,10 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
         row |= {name: getattr(changeset, name) for name in ("counts", *_COUNTS.values())}
         row["lost_share"] = row["lost_pairs"] / max(row["expected_frame_count"], 1)
     names = {row["drive_id"] for row in drives}
-    paths = [path.xy_m for path in read_paths(conn, map_name=map_name) if path.drive_id in names]
-    paths_m = np.concatenate([np.empty((0, 2)), *(part for path in paths for part in (path, [[np.nan, np.nan]]))])
+    paths_m = [path.xy_m for path in read_paths(conn, map_name=map_name) if path.drive_id in names]
     counts = [(row["at"], int(row["standing"])) for row in sizes]
     return NightFacts(
-        map_name, since, until, drives, held, events, failures, changes, paths_m, rejections, markings, counts
+        map_name, since, until, drives, held, events, failures, changes, srid, paths_m, rejections, markings, counts
     )
 
 
@@ -134,7 +133,7 @@ def _plan(facts: NightFacts) -> bytes:
     """Where the changes are."""
     kinds = [(row, DeltaKind(row["kind"])) for row in facts.changes]
     marks = [figures.PlanMark(row["category"], kind, row["xyz_m"][:2], None, str(row["number"])) for row, kind in kinds]
-    return figures.png(figures.plan(facts.paths_m, marks, (), others_label=""))
+    return figures.png(draw_plan(PlanContent(facts.srid, marks, (), facts.paths_m)))
 
 
 def _worst(rows: Sequence[Row], key: str) -> list[Row]:

@@ -8,12 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
+from conetl.exports.kind_marks import STANDING as STANDING_MARK
 from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LINE_CLASSES, letter_of
 from conetl.model.map_records import DeltaKind
-from conetl.reports.figures import PlanMark, plan
-from conetl.reports.map_picture import PlanContent, draw_map_picture, plan_extent
+from conetl.reports.figures import NOT_EVALUATED, PlanMark, changes_of, marks_of
+from conetl.reports.map_picture import PlanContent, draw_map_picture, draw_plan
 
 ADDED, MOVED, REMOVED, STANDING, LANE = map(bytes.fromhex, ("002e9a", "821773", "1f2933", "7c93a2", "8a7443"))
 INK = bytes.fromhex("1d2733")
@@ -25,9 +26,12 @@ def cone(samples, name, east_m, north_m, version=1):
 
 
 def content(standing, changes=None, lines=(), points=NO_POINTS):
+    changed = {one.feature_id for one in changes or ()}
+    shown = changes or (), [feature for feature in standing if feature.feature_id not in changed]
     return PlanContent(
-        srid=32632, standing=standing, changes=changes, paths_m=[np.array([[458_000.0, 5_428_000.0], [458_030.0, 5_428_000.0]])],
-        lines_m=list(lines), points_m=points[0], shades=points[1],
+        32632, marks_of(*shown), changes_of(*shown), [np.array([[458_000.0, 5_428_000.0], [458_030.0, 5_428_000.0]])],
+        boundaries_m=list(lines), points_m=points[0], shades=points[1],
+        others=STANDING_MARK if changes is None else STANDING_MARK._replace(label="unchanged"),
     )  # fmt: skip
 
 
@@ -40,7 +44,7 @@ def pixels(path: Path, colour) -> np.ndarray:
 
 
 def draw(path, made, bbox=None):
-    return draw_map_picture(path, made, bbox or plan_extent(made.standing, made.changes), title="A road", footer="now")
+    return draw_map_picture(path, made, bbox=bbox or made._replace(paths_m=()).extent(), title="A road", footer="now")
 
 
 def test_changes_are_where_they_belong_in_the_colours_of_the_view(samples, tmp_path):
@@ -105,14 +109,14 @@ def test_the_plan_of_a_drive_tells_classes_apart():
     ]
 
     def legend(*shown):
-        figure = plan(np.array([[0.0, -3.0], [12.0, -3.0]]), shown, [], others_label="not evaluated")
+        path_m = np.array([[0.0, -3.0], [12.0, -3.0]])
+        figure = draw_plan(PlanContent(32632, shown, [], [path_m], others=NOT_EVALUATED))
         return [text.get_text() for text in figure.legends[0].get_texts()]
 
     assert legend(*marks) == [
-        "path of the left camera", "work zone sign, not evaluated (1)", "cone, moved (1)", "cone, added (1)",
-        "work zone sign, added (1)",
+        "cone, added (1)", "work zone sign, added (1)", "cone, moved (1)", "work zone sign, not evaluated (1)", "drive path",
     ]  # fmt: skip
-    assert legend(*marks[:2]) == ["path of the left camera", "moved (1)", "added (1)"]
+    assert legend(*marks[:2]) == ["added (1)", "moved (1)", "drive path"]
 
 
 def test_every_class_of_points_but_cones_has_a_letter_of_its_own():
@@ -129,7 +133,7 @@ def test_vector_formats(samples, tmp_path, suffix, begin):
 
 def test_what_cannot_be_drawn_or_written_is_refused(samples, tmp_path):
     with pytest.raises(InputError, match="no cone stands"):
-        plan_extent([], None)
+        content([])._replace(paths_m=()).extent()
     one = content([cone(samples, "a", 0, 0)])
     with pytest.raises(InputError, match=r"\.png, \.svg, \.pdf"):
         draw(tmp_path / "map.gif", one)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from uuid import UUID
 
-import numpy as np
 import typer
 from pyproj import Transformer
 
@@ -18,7 +17,7 @@ from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import Bbox, feature_log, list_changesets, read_features_as_of
-from conetl.exports.kind_marks import kind_label
+from conetl.exports.kind_marks import STANDING, kind_label
 from conetl.exports.text_files import export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
@@ -27,6 +26,7 @@ from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
 
 if TYPE_CHECKING:  # what draws and checks takes half a second to load
     from conetl.evaluation.truth import CheckedMap
+    from conetl.reports.map_picture import PlanContent
 
 _AXES = ("east", "north", "up", "horizontal", "3D")
 
@@ -50,18 +50,15 @@ def diff(
     if output is not None:
         export_diff_geojson(points, output, srid=info.srid, origins=origins)
     if picture is not None:
-        from conetl.reports.figures import draw_plan_view  # matplotlib takes half a second to load
+        from conetl.reports.map_picture import draw_map_picture  # matplotlib takes half a second to load
 
         if not old and not new:
             raise InputError(f"nothing to draw: the map has no cones at {before} or at {after}")
-        changed = {change.feature_id for change in changes}
-        draw_plan_view(
+        draw_map_picture(
             picture,
-            title=f"Map {info.map_name}, EPSG:{info.srid}: {_shown(before)} to {_shown(after)}",
-            trajectory_m=np.empty((0, 2)),
-            deltas=changes,
-            untouched=[one for one in new if one.feature_id not in changed],
-            untouched_label="no difference",
+            _content(info.srid, new, changes),
+            title=f"Map {info.map_name}: {_shown(before)} to {_shown(after)}",
+            footer=_footer(None, None, (before, after), info.last_committed_at),
         )
     if as_json:
         ui.print_json(changes)
@@ -256,7 +253,7 @@ def picture(
     as_json: ui.JsonOption = False,
 ) -> None:
     """Draw a plan of the map for a report: cones, lane markings, base layers, drive paths, scale bar, legend, CRS and date."""
-    from conetl.reports.map_picture import SUFFIXES, draw_map_picture, plan_extent, read_plan_content
+    from conetl.reports.map_picture import SUFFIXES, draw_map_picture, with_surroundings
 
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
@@ -273,18 +270,17 @@ def picture(
             standing = state_of(conn, name, changes[1])
             valid_at, known = instants_of(conn, name, changes[1])
             differing = map_diff.diff(state_of(conn, name, changes[0]), standing)
-        extent = plan_extent(standing, differing) if bbox is None else _bbox(bbox, info.srid)
-        content = read_plan_content(
-            conn, name, info.srid, extent, standing, differing, valid_at=valid_at, known_at=known
-        )
+        content = _content(info.srid, standing, differing)
+        extent = content.extent() if bbox is None else _bbox(bbox, info.srid)
+        content = with_surroundings(conn, name, content, extent, valid_at, known)
     classes = Counter(feature.category for feature in standing)
     if title is None:
         drawn = [*standing, *(change.old for change in differing or () if change.old is not None)]
         title = f"Traffic cones, map {name}" if {one.category for one in drawn} <= {CONE} else f"Map {name}"
         title += f": changes from {_shown(changes[0])} to {_shown(changes[1])}" if changes else ""
     footer = _footer(valid_at, known, changes, info.last_committed_at)
-    done = draw_map_picture(output, content, extent, size_mm=size_mm, title=title, footer=footer)
-    lines, points = len(content.lines_m), len(content.points_m)
+    done = draw_map_picture(output, content, bbox=extent, size_mm=size_mm, title=title, footer=footer)
+    lines, points = len(content.boundaries_m), len(content.points_m)
     facts = {
         "picture": str(done),
         "objects_by_class": dict(classes),
@@ -298,6 +294,17 @@ def picture(
     if painted:
         shown += f"{ui.counted_by_class({LANE_MARKING: painted})}, "
     ui.answer(as_json, facts, f"{shown}{lines} lane boundaries, {points} points -> {done}")
+
+
+def _content(srid: int, standing: Sequence[MapFeature], changes: Sequence[FeatureChange] | None) -> PlanContent:
+    """A state of the map, or its changes (None: no comparison) with what is unchanged."""
+    from conetl.reports.figures import changes_of, marks_of
+    from conetl.reports.map_picture import PlanContent
+
+    changed = {change.feature_id for change in changes or ()}
+    shown = changes or (), [feature for feature in standing if feature.feature_id not in changed]
+    others = STANDING if changes is None else STANDING._replace(label="unchanged")
+    return PlanContent(srid, marks_of(*shown), changes_of(*shown), others=others)
 
 
 def _footer(
