@@ -87,7 +87,7 @@ order by t.no;
 select c.run_id from conetl.changeset c where c.map_id = %(map_id)s and c.run_id is not null;
 
 -- name: delete_map_row
--- The rest of a map whose tables are empty, and a notification of its readers. Parameters: map_id; map_name; run_ids.
+-- The rest of a map whose tables are empty. Parameters: map_id; map_name; run_ids. Columns: map_id.
 with steps as (
     delete from conetl.run_step where run_id = any(%(run_ids)s::uuid[])
 ),
@@ -96,11 +96,8 @@ runs as (
 ),
 watched as (
     delete from conetl.watched_drive where map_name = %(map_name)s
-),
-gone as (
-    delete from conetl.map where map_id = %(map_id)s
 )
-select pg_notify('conetl_change', '');
+delete from conetl.map where map_id = %(map_id)s returning map_id;
 
 -- name: restore_map_row
 -- The map itself, from its dump. Parameters: map_name; id_name (null where it is map_name); srid; vertical_srid; licence; created_at. Columns: map_id.

@@ -115,7 +115,3 @@ select
         select set_config('role', r.rolname, false) from pg_roles r
         where r.rolname = 'conetl_reader' and pg_has_role(current_user, r.oid, 'MEMBER')
     ) as role;
-
--- name: listen
--- Receive a notification when a map or its base layers change (see conetl.notify_change).
-listen conetl_change;

@@ -64,7 +64,9 @@ class ReaderPool:
         """A connection that was returned, if its server still holds it: a restart of PostgreSQL must not cost six requests."""
         while self._free:
             conn = self._free.pop()
-            if not _has_input(conn, 0.0):  # nothing was asked, so this would be its end
+            waiting = select.poll()  # supports file numbers beyond select's 1024
+            waiting.register(conn.fileno(), select.POLLIN)
+            if not waiting.poll(0):  # nothing was asked, so input would be its end
                 return conn
             conn.close()
         return None
@@ -80,34 +82,10 @@ class ReaderPool:
         finally:
             self._exports.release()
 
-    def listener(self) -> Connection:
-        """One more connection, which receives notifications of changes; the caller closes it. Raises DatabaseError."""
-        conn = open_reader(self._url)
-        with db.database_errors("The connection could not listen for changes"):
-            conn.autocommit = True
-            db.query(conn, "schema.listen")
-        return conn
-
     def close(self) -> None:
         """Close the connections that are not lent."""
         while self._free:
             self._free.pop().close()
-
-
-def wait_for_news(conn: Connection, timeout_s: float) -> bool:
-    """Wait for a notification of a change; False if none came in time. Raises DatabaseError if the connection was lost."""
-    _has_input(conn, timeout_s)
-    with db.database_errors("The connection to the database was lost"):
-        conn.poll()
-    notified = bool(conn.notifies)
-    conn.notifies.clear()
-    return notified
-
-
-def _has_input(conn: Connection, timeout_s: float) -> bool:
-    waiting = select.poll()  # supports file numbers beyond select's 1024
-    waiting.register(conn.fileno(), select.POLLIN)
-    return bool(waiting.poll(timeout_s * 1000))
 
 
 def open_reader(url: str, timeout: str = STATEMENT_TIMEOUT) -> Connection:

@@ -1,28 +1,22 @@
-"""The stream of new changesets, decisions and base layers: one listener for all open pages, only while any is open.
-
-PostgreSQL notifies of each commit (LISTEN); then, and every `POLL_S` in case a connection pool drops notifications, the heads of
-all maps are read once for all pages.
-"""
+"""The stream of new changesets, decisions and base layers: twice per second the heads of all maps are read for all open pages."""
 
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
 
 from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
-from conetl.db.reader_pool import ReaderPool, wait_for_news
+from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import Head, read_heads
 from conetl.model.errors import DatabaseError
 from conetl.web.parameters import MapName
 
-#: Period at which streams check whether the server stops, and the listener whether any stream is open.
+#: Period at which streams look for something new, and whether the server stops.
 ROUND_S = 0.5
-POLL_S = 5.0
-RETRY_S = 1.0
 PING_S = 15.0
 MAX_STREAMS = 64
 _TOO_MANY = f"{MAX_STREAMS} pages are open already: close some, or reload by hand."
@@ -40,15 +34,15 @@ async def events(map_name: MapName, request: Request) -> StreamingResponse:
 
 
 class HeadWatcher:
-    """Listens to the database and sends the newest state of every map to every open stream."""
+    """Sends the newest state of every map to every open stream."""
 
     def __init__(self, pool: ReaderPool, *, closing: Callable[[], bool]) -> None:
         self._pool, self._closing = pool, closing
         self._heads: dict[str, Head] = {}
         self._problem: str | None = None
         self._streams = 0
-        self._round = asyncio.Condition()
-        self._listener: asyncio.Task[None] | None = None
+        self._reading = asyncio.Lock()
+        self._read_at_s = -ROUND_S
 
     def full(self) -> bool:
         """True if no further stream may be opened."""
@@ -66,13 +60,9 @@ class HeadWatcher:
         sent_problem: str | None = None
         idle_s = 0.0
         try:
-            if self._listener is None or self._listener.done():
-                self._listener = asyncio.create_task(self._listen())
             while not self._closing():
-                async with self._round:
-                    await self._round.wait()
+                await self._refresh()
                 head, problem = self._heads.get(map_name, Head()), self._problem
-                idle_s += ROUND_S
                 if problem and problem != sent_problem:
                     yield _event("trouble", problem)
                     sent, idle_s = None, 0.0  # everything is sent again afterwards
@@ -83,41 +73,21 @@ class HeadWatcher:
                     yield ": still here\n\n"
                     idle_s = 0.0
                 sent_problem = problem
+                await asyncio.sleep(ROUND_S)
+                idle_s += ROUND_S
         finally:
             self._streams -= 1
-            if self._streams == 0 and self._listener is not None:
-                self._listener.cancel()
-                self._listener = None
 
-    async def _listen(self) -> None:
-        with suppress(asyncio.CancelledError):
-            while True:
-                try:
-                    await self._follow()
-                except DatabaseError as error:
-                    self._problem = str(error)
-                    await self._wake_streams()
-                    await asyncio.sleep(RETRY_S)
-
-    async def _follow(self) -> None:
-        """Read the heads at every notification. Raises DatabaseError when the database becomes unavailable."""
-        conn = await run_in_threadpool(self._pool.listener)
-        since_read_s = POLL_S
-        try:
-            while True:
-                if since_read_s >= POLL_S:
-                    self._heads, since_read_s = await run_in_threadpool(self._read), 0.0
-                self._problem = None
-                await self._wake_streams()
-                notified = await run_in_threadpool(wait_for_news, conn, ROUND_S)
-                since_read_s = POLL_S if notified else since_read_s + ROUND_S
-        finally:
-            with suppress(Exception):  # it may be broken already
-                conn.close()
-
-    async def _wake_streams(self) -> None:
-        async with self._round:
-            self._round.notify_all()
+    async def _refresh(self) -> None:
+        """Read the heads if that is a round ago."""
+        async with self._reading:
+            if time.monotonic() < self._read_at_s + ROUND_S:
+                return
+            try:
+                self._heads, self._problem = await run_in_threadpool(self._read), None
+            except DatabaseError as error:
+                self._problem = str(error)
+            self._read_at_s = time.monotonic()
 
     def _read(self) -> dict[str, Head]:
         with self._pool.reading() as conn:
