@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from itertools import compress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -15,9 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
 from pyproj import CRS
 
@@ -290,22 +291,17 @@ def _frame(axes: Axes) -> None:
 
 
 def _scale_bar(axes: Axes, box: Bbox) -> None:
-    """A scale bar of two pieces at the lower left, with a round length of about a fifth of the width."""
+    """At the lower left, with a round length of about a fifth of the width."""
     width_m = box[1] - box[0]
     power = 10.0 ** math.floor(math.log10(width_m / 5))
     length_m = power * max(step for step in (1, 2, 5, 10) if step * power <= width_m / 5)
-    share = length_m / width_m
-    style: dict[str, Any] = {"transform": axes.transAxes, "linewidth": 0.8}
-    axes.add_patch(Rectangle((0.012, 0.016), share + 0.07, 0.075, facecolor="white", alpha=0.88, zorder=11, **style))
-    for k, colour in enumerate((_INK, "white")):
-        corner = (0.025 + k * share / 2, 0.03)
-        axes.add_patch(Rectangle(corner, share / 2, 0.012, facecolor=colour, edgecolor=_INK, zorder=12, **style))
-    for k, metres in enumerate((0.0, length_m / 2, length_m)):
-        unit = " m" if k == 2 else ""
-        axes.text(
-            0.025 + k * share / 2, 0.052, f"{metres:g}{unit}", transform=axes.transAxes, fontsize=7.5,
-            ha="center" if k < 2 else "left", color=_INK, zorder=12,
-        )  # fmt: skip
+    style = {"color": _INK, "fontproperties": FontProperties(size=7.5)}
+    bar = AnchoredSizeBar(
+        axes.transData, length_m, f"{length_m:g} m", "lower left", pad=0.5, sep=3, size_vertical=width_m / 250, **style
+    )
+    bar.patch.set(edgecolor="none", alpha=0.88)
+    bar.set(zorder=12)
+    axes.add_artist(bar)
 
 
 def _north(axes: Axes) -> None:
