@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.geometry.packing import cov_matrices, stacked, vec3
+from conetl.geometry.packing import cov3, cov_matrices, stacked, vec3
 from conetl.mapping.existence_update import observed
 from conetl.mapping.fusion import birge_ratios, fuse
 from conetl.model.arrays import Floats
@@ -149,38 +149,7 @@ def confirmed(
     if not pairs:
         return []
     old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
-    return [
-        sound(
-            Delta,
-            kind=DeltaKind.CONFIRMED,
-            feature_id=feature.feature_id,
-            old=feature,
-            new=sound(
-                MapFeature,
-                **vars(feature)
-                | fused
-                | {
-                    "version": feature.version + 1,
-                    "existence_probability": own_evidence.existence_probability,
-                    "observation_count": feature.observation_count + track.observation_count,
-                    "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
-                },
-            ),
-            track_index=track.track_index,
-            changed_at_ns=track.first_seen_ns,
-            shift_m=shift_m,
-            other_feature_id=None,
-            evidence=own_evidence,
-        )
-        for feature, track, own_evidence, (fused, shift_m) in zip(
-            old, new, [evidence[j] for j in pairs], _fused(old, new), strict=True
-        )
-    ]
-
-
-def _fused(old: Sequence[MapFeature], new: Sequence[Track]) -> Iterator[tuple[dict[str, object], float]]:
-    """Position and height of each feature with those of its track, as fields of `MapFeature`, and the horizontal shift (m)."""
-    gain, cov, shared_jacobian = fuse(
+    gain, cov, jacobians = fuse(
         [f.cov_m2 for f in old],
         [f.shared_jacobian for f in old],
         [t.cov_m2 for t in new],
@@ -192,23 +161,47 @@ def _fused(old: Sequence[MapFeature], new: Sequence[Track]) -> Iterator[tuple[di
     stated = cov_matrices([f.cov_m2 for f in old]) + cov_matrices([t.cov_m2 for t in new])
     cov[:, range(3), range(3)] *= birge_ratios(apart, stated)
     centres, new_centres = (stacked([one.centre_xyz_m for one in side], 3) for side in (old, new))
-    fused_centres = centres + _times(gain, new_centres - centres)
-    shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1)
+    centres = centres + _times(gain, new_centres - centres)
+    shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1).tolist()
     heights = np.array([[one.cone_height_m for one in side] for side in (old, new)]).T
     weights = np.array([[one.cone_height_sigma_m for one in side] for side in (old, new)]).T ** -2.0
     height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
     # The checks of the records, for all pairs at once.
-    whole = np.column_stack([fused, cov.reshape(-1, 9), fused_centres, height])
+    whole = np.column_stack([fused, cov.reshape(-1, 9), centres, height])
     unsound = ~np.isfinite(whole).all(axis=1) | (np.diagonal(cov, axis1=1, axis2=2) <= 0).any(axis=1)
     if unsound.any():
         first = old[int(np.flatnonzero(unsound)[0])]
         raise ValueError(f"feature {first.feature_id} and its track have covariances that cannot be fused")
-    vectors = (fused, cov.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]], fused_centres)
-    numbers = height.tolist(), (weights.sum(axis=1) ** -0.5).tolist()
-    names = ("xyz_m", "cov_m2", "centre_xyz_m", "cone_height_m", "cone_height_sigma_m", "shared_jacobian")
-    columns = [*(map(tuple, values.tolist()) for values in vectors), *numbers, shared_jacobian]
-    for values, shift_m in zip(zip(*columns, strict=True), shifts_m.tolist(), strict=True):
-        yield dict(zip(names, values, strict=True)), shift_m
+    sigmas_m = weights.sum(axis=1) ** -0.5
+    deltas = []
+    for k, (j, feature, track) in enumerate(zip(pairs, old, new, strict=True)):
+        after = {
+            "version": feature.version + 1,
+            "xyz_m": vec3(fused[k]),
+            "cov_m2": cov3(cov[k]),
+            "centre_xyz_m": vec3(centres[k]),
+            "cone_height_m": float(height[k]),
+            "cone_height_sigma_m": float(sigmas_m[k]),
+            "shared_jacobian": jacobians[k],
+            "existence_probability": evidence[j].existence_probability,
+            "observation_count": feature.observation_count + track.observation_count,
+            "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
+        }
+        deltas.append(
+            sound(
+                Delta,
+                kind=DeltaKind.CONFIRMED,
+                feature_id=feature.feature_id,
+                old=feature,
+                new=sound(MapFeature, **vars(feature) | after),
+                track_index=track.track_index,
+                changed_at_ns=track.first_seen_ns,
+                shift_m=shifts_m[k],
+                other_feature_id=None,
+                evidence=evidence[j],
+            )
+        )
+    return deltas
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
@@ -220,20 +213,12 @@ def feature_from_track(
     track: Track, map_xyz_m: Floats, shift: Floats, feature_id: UUID, version: int, evidence: ExistenceEvidence
 ) -> MapFeature:
     """A track as a feature; map_xyz_m (3,): in map coordinates, shift (3,): what was subtracted from the track, metres."""
-    return sound(
-        MapFeature,
-        feature_id=feature_id,
-        version=version,
-        category=track.category,
-        xyz_m=vec3(map_xyz_m),
-        cov_m2=track.cov_m2,
-        centre_xyz_m=vec3(np.array(track.centre_xyz_m) - shift),
-        cone_height_m=track.cone_height_m,
-        cone_height_sigma_m=track.cone_height_sigma_m,
-        existence_probability=evidence.existence_probability,
-        observation_count=track.observation_count,
-        first_seen_ns=track.first_seen_ns,
-        last_seen_ns=track.last_seen_ns,
-        shared_jacobian=track.shared_jacobian,
-        marking=None,
-    )
+    own = {
+        "feature_id": feature_id,
+        "version": version,
+        "xyz_m": vec3(map_xyz_m),
+        "centre_xyz_m": vec3(np.array(track.centre_xyz_m) - shift),
+        "existence_probability": evidence.existence_probability,
+        "marking": None,
+    }
+    return sound(MapFeature, **{name: vars(track)[name] for name in MapFeature.model_fields.keys() - own} | own)

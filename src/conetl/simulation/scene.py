@@ -129,11 +129,8 @@ def _world_parts(world: scenario.World) -> list[Part]:
 
 def _flat(x0: float, x1: float, y0: float, y1: float, z: float, tile_m: float) -> meshes.Mesh:
     """A horizontal rectangle whose texture repeats every tile_m."""
-    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return meshes.Mesh(
-        np.column_stack([corners, np.full(4, z)]), np.tile([0.0, 0.0, 1.0], (4, 1)), corners / tile_m,
-        np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
-    )  # fmt: skip
+    middle = (y0 + y1) / 2
+    return meshes.ribbon([(x0, middle), (x1, middle)], y1 - y0, z, tile_m)
 
 
 def _ground(world: scenario.World) -> list[Part]:
