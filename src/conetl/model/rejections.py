@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from conetl.model.base import Record
 
 
 class RejectionReason(StrEnum):
@@ -69,10 +69,8 @@ INPUT_REASONS = frozenset(
 DOUBTFUL_REASONS = INPUT_REASONS | {RejectionReason.IMAGE_WITHOUT_DETAIL}
 
 
-class Rejection(BaseModel):
+class Rejection(Record):
     """One rejected record, kept in quarantine."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     step: str
     """The step that rejected it: frames, detections, matches, positions, tracks."""

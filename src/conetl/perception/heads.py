@@ -13,9 +13,10 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, model_validator
+from pydantic import Field, FiniteFloat, PositiveInt, model_validator
 
 from conetl.model.arrays import Floats
+from conetl.model.base import Record
 from conetl.model.errors import ModelFileError
 
 Output = NDArray[Any]
@@ -29,9 +30,7 @@ AnchorSide = Annotated[FiniteFloat, Field(gt=0)]
 PROBABILITY_SLACK = 0.01
 
 
-class _Head(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+class _Head(Record):
     class_count: PositiveInt
     """Number of classes of the network; they are the sidecar's `class_names`, in the network's order."""
 

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
+from pydantic import Field, PositiveInt, ValidationError, model_validator
 
 from conetl.files.documents import MAX_JSON_BYTES, first_message, read_limited
+from conetl.model.base import Record
 from conetl.model.detector_evidence import DetectorEvidence, Share
 from conetl.model.errors import InputError, ModelFileError
 from conetl.perception.heads import SideDistributionHead, YoloHead
@@ -24,10 +25,8 @@ NOT_MEASURED = (
 )
 
 
-class ReScoringPass(BaseModel):
+class ReScoringPass(Record):
     """Re-scoring pass (`second_passes.py`), key `closer_look`; sizes in pixels of the network's input."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     cone_px: PositiveInt
     """Height to which the candidate is scaled."""
@@ -47,10 +46,8 @@ class ReScoringPass(BaseModel):
         return self
 
 
-class SmallObjectPass(BaseModel):
+class SmallObjectPass(Record):
     """Small-object pass (`second_passes.py`), key `enlarged_look`; sizes in pixels of the network's input."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     below_px: PositiveInt
     """Candidates less tall than this are small."""
@@ -64,10 +61,8 @@ class SmallObjectPass(BaseModel):
     """Weight of this pass; the first has the rest."""
 
 
-class ModelCard(BaseModel):
+class ModelCard(Record):
     """A model's sidecar. Unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     version: str

@@ -21,9 +21,8 @@ from conetl.model.health import HeldDrive
 from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_passes import reasons_of
-from conetl.web import judging_models as m
+from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.models import ActiveDecisions, Conflict, Decided, Problem
 from conetl.web.parameters import MapName, Reader, cut, origin_of
 from conetl.web.security import WritersRoute
 
@@ -32,12 +31,12 @@ _MAX_DECISIONS = 1_000
 #: How long a person waits for an ingest that has locked the map.
 _LOCK_TIMEOUT_S = 15.0
 _ERRORS: dict[int | str, dict[str, Any]] = {
-    409: {"model": Conflict, "description": "The feature changed meanwhile, or this was decided already."},
-    401: {"model": Problem, "description": "The writer token is missing or wrong."},
-    403: {"model": Problem, "description": "The server is read-only, or the request comes from another page."},
-    411: {"model": Problem, "description": "Content-Length is missing."},
-    413: {"model": Problem, "description": "Too long."},
-    415: {"model": Problem, "description": "Not JSON."},
+    409: {"model": m.Conflict, "description": "The feature changed meanwhile, or this was decided already."},
+    401: {"model": m.Problem, "description": "The writer token is missing or wrong."},
+    403: {"model": m.Problem, "description": "The server is read-only, or the request comes from another page."},
+    411: {"model": m.Problem, "description": "Content-Length is missing."},
+    413: {"model": m.Problem, "description": "Too long."},
+    415: {"model": m.Problem, "description": "Not JSON."},
 }
 _LINE = r"^[^\x00-\x1f\x7f]*$"
 Name = Annotated[str, StringConstraints(strip_whitespace=True, min_length=2, max_length=80, pattern=_LINE)]
@@ -98,7 +97,7 @@ class Writer:
     settings: Settings = field(default_factory=read_settings)
     """Folders of the QA reports that decisions change."""
 
-    def decide(self, map_name: str, wish: DecisionRequest) -> Decided:
+    def decide(self, map_name: str, wish: DecisionRequest) -> m.Decided:
         """Write a decision as `conetl map suppress|pin|revert` and `conetl drive accept` do. Raises InputError, ConflictError,
         DatabaseError."""
         from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load
@@ -123,18 +122,18 @@ class Writer:
             "hold_changes": [change.sentence for change in done.hold_changes],
             "report_problem": problem,
         }
-        return Decided(
-            **{name: getattr(done, name) for name in Decided.model_fields if name not in computed}, **computed
+        return m.Decided(
+            **{name: getattr(done, name) for name in m.Decided.model_fields if name not in computed}, **computed
         )
 
 
 @router.get("/decisions", tags=["decisions"])
-def decisions(map_name: MapName, conn: Reader, request: Request) -> ActiveDecisions:
+def decisions(map_name: MapName, conn: Reader, request: Request) -> m.ActiveDecisions:
     """The decisions in effect, newest first."""
     origin = origin_of(conn, map_name)
     rows = read_rows(conn, "decisions.active_decisions", map_name=map_name)
     found, truncated = cut(rows[::-1], _MAX_DECISIONS)
-    return ActiveDecisions(
+    return m.ActiveDecisions(
         origin_m=origin,
         writable=request.app.state.writer is not None,
         decisions=[to.decision(row, origin) for row in found],
@@ -142,14 +141,16 @@ def decisions(map_name: MapName, conn: Reader, request: Request) -> ActiveDecisi
     )
 
 
-@router.post("/decisions", tags=["decisions"], status_code=201, response_model=Decided, responses=_ERRORS)
-def decide(map_name: MapName, decision: Annotated[DecisionRequest, Body()], request: Request) -> Decided | JSONResponse:
+@router.post("/decisions", tags=["decisions"], status_code=201, response_model=m.Decided, responses=_ERRORS)
+def decide(
+    map_name: MapName, decision: Annotated[DecisionRequest, Body()], request: Request
+) -> m.Decided | JSONResponse:
     """Suppress or pin the position of a feature, revert a changeset, or withdraw a decision; the map is updated at once."""
     writer: Writer = request.app.state.writer
     try:
         return writer.decide(map_name, decision)
     except ConflictError as error:
-        conflict = Conflict(detail=_sentence(error), now=_current_state(request.app.state.pool, map_name, decision))
+        conflict = m.Conflict(detail=_sentence(error), now=_current_state(request.app.state.pool, map_name, decision))
         return JSONResponse(conflict.model_dump(mode="json"), status_code=409)
     except InputError as error:
         raise HTTPException(404, _sentence(error)) from error

@@ -17,7 +17,7 @@ from conetl.model.errors import ConetlError
 from conetl.model.rig import Rig
 from conetl.reports.camera_images import Box, crop_jpeg, frame_jpeg, image_file
 from conetl.reports.drive_passes import expected_box, passes_of
-from conetl.web import judging_models as m
+from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.parameters import ChangesetNo, Index, MapName, Reader, cut, origin_of
 
@@ -46,7 +46,7 @@ def passes(map_name: MapName, feature_id: UUID, conn: Reader, version: Version =
     states = [row for row in history if version in (None, row["version"])]
     if not states:
         raise HTTPException(404, f"The map {map_name} has no feature {feature_id} of this version.")
-    xyz_m = _position(states[-1])
+    xyz_m = to.position(states[-1])
     height_m, category = states[-1]["cone_height_m"], states[-1]["category"]
     found, truncated = cut(
         passes_of(conn, map_name, feature_id, xyz_m, height_m, category=category, max_drives=_MAX_PASSES + 1),
@@ -97,7 +97,8 @@ def frame_image(
         history = [] if feature_id is None else store.read_feature_history(conn, map_name, feature_id)
     rig, pose = Rig.model_validate(row["rig"]), to.pose_of(row)
     expected = {
-        expected_box(_position(state), state["cone_height_m"], pose, rig, side, state["category"]) for state in history
+        expected_box(to.position(state), state["cone_height_m"], pose, rig, side, state["category"])
+        for state in history
     }
     sharp = [(box["x_px"], box["y_px"], box["w_px"], box["h_px"]) for box in boxes]
     sharp += [box for box in expected if box is not None and _is_near(box, rig)]
@@ -111,10 +112,6 @@ def _frame(conn: Connection, map_name: str, drive_uuid: UUID, frame_index: int) 
     if not rows:
         raise HTTPException(404, f"The map {map_name} has no frame pair {frame_index} of drive {drive_uuid}.")
     return rows[0]
-
-
-def _position(row: dict[str, Any]) -> tuple[float, float, float]:
-    return row["easting_m"], row["northing_m"], row["height_m"]
 
 
 def _problem(row: dict[str, Any], side: str) -> str | None:

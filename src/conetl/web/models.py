@@ -6,12 +6,11 @@ from datetime import datetime
 from typing import Literal
 from uuid import UUID
 
-from pydantic import BaseModel, ConfigDict
-
 from conetl.db.map.results import ChangesetFacts, DecisionFacts
-from conetl.model.base import Cov3, Matrix3, Vec3
+from conetl.model.base import Cov3, Matrix3, Record, Vec3
 from conetl.model.map_records import DeltaKind
 from conetl.model.markings import MarkingColour, MarkingPattern
+from conetl.reports.drive_passes import DrivePass
 
 Cov2 = tuple[float, float, float]
 """xx, xy, yy on the ground."""
@@ -19,19 +18,13 @@ ChangeKind = DeltaKind | Literal["unchanged"]
 """What a drive did to a feature; between two instants, `unchanged` for the same version."""
 
 
-class Answer(BaseModel):
-    """Base of all answers."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Listing(Answer):
+class Listing(Record):
     origin_m: Vec3
     truncated: bool
     """True if the map has more than one answer can hold."""
 
 
-class MapItem(Answer):
+class MapItem(Record):
     map_name: str
     srid: int
     changeset_count: int
@@ -39,7 +32,7 @@ class MapItem(Answer):
     last_committed_at: datetime | None
 
 
-class BaseMapItem(Answer):
+class BaseMapItem(Record):
     """Tiles under the map, in the Web Mercator scheme of XYZ."""
 
     template: str
@@ -48,14 +41,14 @@ class BaseMapItem(Answer):
     max_zoom: int
 
 
-class Maps(Answer):
+class Maps(Record):
     maps: list[MapItem]
     chosen: str
     """The map with which `conetl view` was started."""
     basemap: BaseMapItem | None
 
 
-class MapProjection(Answer):
+class MapProjection(Record):
     """Polynomials between the map's CRS and WGS 84 within a square, exact to 1 cm.
 
     With u, v = ((x, y) - centre_m) / radius_m, to_degrees gives ((lon, lat) - (lon_deg, lat_deg)) * unit_per_degree; to_metres is
@@ -88,7 +81,7 @@ class TimelineItem(ChangesetFacts):
     """The last instant of the database before `effective_at`."""
 
 
-class Timeline(Answer):
+class Timeline(Record):
     map_name: str
     srid: int
     origin_m: Vec3
@@ -96,7 +89,7 @@ class Timeline(Answer):
     """Oldest first."""
 
 
-class FeatureState(Answer):
+class FeatureState(Record):
     version: int
     category: str
     xyz_m: Vec3
@@ -114,7 +107,7 @@ class Feature(FeatureState):
     """Along the major axis of the horizontal error ellipse."""
 
 
-class MarkingShape(Answer):
+class MarkingShape(Record):
     """Shape of a lane marking, or of a stretch of one."""
 
     line_m: list[Vec3]
@@ -188,14 +181,14 @@ class HistoryItem(FeatureState):
     """What happened, in one sentence with numbers."""
 
 
-class FeatureHistory(Answer):
+class FeatureHistory(Record):
     feature_id: UUID
     origin_m: Vec3
     history: list[HistoryItem]
     """In the order of the drives on the road."""
 
 
-class Box(Answer):
+class Box(Record):
     x_px: float
     y_px: float
     w_px: float
@@ -203,7 +196,7 @@ class Box(Answer):
     score: float
 
 
-class Sighting(Answer):
+class Sighting(Record):
     changeset_no: int
     drive_id: str
     drive_uuid: UUID
@@ -258,7 +251,7 @@ class ActiveDecisions(Listing):
     """Newest first."""
 
 
-class Decided(Answer):
+class Decided(Record):
     """A decision that was written, and its effects."""
 
     decision_id: UUID
@@ -275,14 +268,14 @@ class Decided(Answer):
     """Why a QA report on disk could not be written again; null if nothing failed. The decision is stored in any case."""
 
 
-class FoundDrive(Answer):
+class FoundDrive(Record):
     changeset_no: int
     drive_id: str
     kind: Literal["drive", "import"]
     captured_from: datetime
 
 
-class FoundPosition(Answer):
+class FoundPosition(Record):
     label: str
     """Name of a place, or how a coordinate pair was read."""
     xy_m: tuple[float, float]
@@ -290,7 +283,7 @@ class FoundPosition(Answer):
     """None outside the area of the map's CRS."""
 
 
-class SearchResult(Answer):
+class SearchResult(Record):
     """What a searched text may mean."""
 
     feature_ids: list[UUID]
@@ -302,14 +295,14 @@ class SearchResult(Answer):
     """True if there are more cones or drives."""
 
 
-class BaseLayer(Answer):
+class BaseLayer(Record):
     layer_name: str
     kind: Literal["points", "lines"]
     files: int
     count: int
 
 
-class BaseTile(Answer):
+class BaseTile(Record):
     """A square of points with a side of 4096 m / 2^level. A point is origin_m + steps * scale_m."""
 
     level: int
@@ -326,7 +319,7 @@ class BaseLayers(Listing):
     """Coarse levels first; the tiles of all levels together are the whole cloud."""
 
 
-class BaseLine(Answer):
+class BaseLine(Record):
     kind: str
     subtype: str | None
     xyz_m: list[float]
@@ -337,7 +330,7 @@ class BaseLines(Listing):
     lines: list[BaseLine]
 
 
-class ProvisionalFeature(Answer):
+class ProvisionalFeature(Record):
     """A cone of a drive that is being recorded, or that was recorded and is not ingested yet; not part of the map."""
 
     drive_id: str
@@ -359,7 +352,86 @@ class ProvisionalFeatures(Listing):
     features: list[ProvisionalFeature]
 
 
-class Problem(Answer):
+class Passes(Listing):
+    feature_id: UUID
+    version: int
+    """Whose position it is."""
+    passes: list[DrivePass]
+    """Latest drive first."""
+
+
+class FrameBox(Box):
+    match_index: int | None
+    """null: without a stereo match."""
+    range_m: float | None
+
+
+class FrameView(Record):
+    """One image of a frame pair, and its camera; rectified, without distortion."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    xyz_m: Vec3
+    """Projection centre."""
+    map_R_camera: Matrix3
+    """Rows of the rotation from the camera's axes (right, down, forward) to the map's."""
+    boxes: list[FrameBox]
+    problem: str | None
+    """Why there is no image; null if there is one."""
+
+
+class Frame(Record):
+    drive_id: str
+    drive_uuid: UUID
+    frame_index: int
+    captured_at: datetime
+    origin_m: Vec3
+    pixelated: bool
+    """Images are pixelated outside detections."""
+    left: FrameView
+    right: FrameView
+
+
+class Measured(Record):
+    """A health check that a drive did not pass."""
+
+    name: str
+    figures: str
+    """What was measured, its sigma and its limit; empty if the recording does not show it."""
+    detail: str
+
+
+class ReviewItem(Record):
+    """What a person should review. Of held drives `feature_id`, `xyz_m` and `version` are null."""
+
+    kind: Literal["held", "removal", "move", "doubtful"]
+    changeset_no: int
+    changeset_id: UUID | None
+    """Of a held drive."""
+    drive_id: str
+    at: datetime
+    """Since when a drive is on hold, or a change was true on the road."""
+    why: str
+    checks: list[Measured]
+    feature_id: UUID | None
+    version: int | None
+    xyz_m: Vec3 | None
+    existence_probability: float | None
+
+
+class Review(Record):
+    origin_m: Vec3
+    counts: dict[str, int]
+    """Items by kind."""
+    items: list[ReviewItem]
+    """Held drives first, then removals (latest first), moves (largest first), doubtful cones (least certain first)."""
+
+
+class Problem(Record):
     """Every error."""
 
     detail: str

@@ -15,8 +15,7 @@ from conetl.model.base import Vec3, utc_from_ns
 from conetl.model.drive import Pose
 from conetl.model.rig import Rig, Side
 from conetl.reports.drive_passes import DrivePass
-from conetl.web.judging_models import FrameBox, FrameView
-from conetl.web.models import Box, Decision, HistoryItem, MarkingShape, Sighting, TimelineItem
+from conetl.web.models import Box, Decision, FrameBox, FrameView, HistoryItem, MarkingShape, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
 A = TypeVar("A", bound=BaseModel)
@@ -26,9 +25,9 @@ _DECIMALS = 4
 _TICK = timedelta(microseconds=1)
 
 
-def offset(position: Sequence[float], origin_m: Vec3) -> Vec3:
+def offset(xyz_m: Sequence[float], origin_m: Vec3) -> Vec3:
     """A position of the map as metres from the origin."""
-    x, y, z = (round(float(value) - start, _DECIMALS) for value, start in zip(position, origin_m, strict=True))
+    x, y, z = (round(float(value) - start, _DECIMALS) for value, start in zip(xyz_m, origin_m, strict=True))
     return x, y, z
 
 
@@ -41,8 +40,8 @@ def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
         if name in row:
             return row[name]
         if name in ("xyz_m", "old_xyz_m"):
-            position = _position(row, name.removesuffix("xyz_m"))
-            return None if position[0] is None else offset(position, origin_m)
+            xyz_m = position(row, name.removesuffix("xyz_m"))
+            return None if xyz_m[0] is None else offset(xyz_m, origin_m)
         if name == "cov_m2":
             axes = ("xx", "xy", "xz", "yy", "yz", "zz") if "cov_xz" in row else ("xx", "xy", "yy")
             return tuple(row[f"cov_{axis}"] for axis in axes)
@@ -75,7 +74,7 @@ def timeline_item(c: CommittedChangeset) -> TimelineItem:
 def history(rows: Sequence[Row], reasons: Sequence[str], origin_m: Vec3) -> list[HistoryItem]:
     """A feature's history; reasons: the sentence of each row."""
     return [
-        answer(HistoryItem, row, origin_m, map_xyz_m=_position(row), why=why)
+        answer(HistoryItem, row, origin_m, map_xyz_m=position(row), why=why)
         for row, why in zip(rows, reasons, strict=True)
     ]
 
@@ -108,7 +107,8 @@ def camera_position(row: Row, rig: Rig, origin_m: Vec3) -> Vec3:
     return offset(map_SE3_left(pose_of(row), rig)[:3, 3].tolist(), origin_m)
 
 
-def _position(row: Row, prefix: str = "") -> Vec3:
+def position(row: Row, prefix: str = "") -> Vec3:
+    """Position in the map's CRS."""
     return row[f"{prefix}easting_m"], row[f"{prefix}northing_m"], row[f"{prefix}height_m"]
 
 
@@ -141,7 +141,7 @@ def drive_pass(found: DrivePass, origin_m: Vec3) -> DrivePass:
 def pose_of(row: Row, prefix: str = "") -> Pose:
     rotation = np.reshape(row["map_r_body"], (3, 3)).tolist()
     zeros = (0.0, 0.0, 0.0)  # the position of the camera does not depend on sigmas
-    return Pose(map_R_body=rotation, map_t_body_m=_position(row, prefix), sigma_enu_m=zeros, sigma_rpy_rad=zeros)
+    return Pose(map_R_body=rotation, map_t_body_m=position(row, prefix), sigma_enu_m=zeros, sigma_rpy_rad=zeros)
 
 
 def _corners(rig: Rig) -> tuple[Vec3, Vec3, Vec3, Vec3]:
