@@ -13,7 +13,6 @@ from conetl.geometry.packing import cov3, cov_matrices, stacked, vec3
 from conetl.mapping.existence_update import observed
 from conetl.mapping.fusion import birge_ratios, fuse
 from conetl.model.arrays import Floats
-from conetl.model.base import sound
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
@@ -166,9 +165,7 @@ def confirmed(
     heights = np.array([[one.cone_height_m for one in side] for side in (old, new)]).T
     weights = np.array([[one.cone_height_sigma_m for one in side] for side in (old, new)]).T ** -2.0
     height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
-    # The checks of the records, for all pairs at once.
-    whole = np.column_stack([fused, cov.reshape(-1, 9), centres, height])
-    unsound = ~np.isfinite(whole).all(axis=1) | (np.diagonal(cov, axis1=1, axis2=2) <= 0).any(axis=1)
+    unsound = ~(np.diagonal(cov, axis1=1, axis2=2) > 0).all(axis=1)
     if unsound.any():
         first = old[int(np.flatnonzero(unsound)[0])]
         raise ValueError(f"feature {first.feature_id} and its track have covariances that cannot be fused")
@@ -188,16 +185,14 @@ def confirmed(
             "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
         }
         deltas.append(
-            sound(
-                Delta,
+            Delta(
                 kind=DeltaKind.CONFIRMED,
                 feature_id=feature.feature_id,
                 old=feature,
-                new=sound(MapFeature, **vars(feature) | after),
+                new=MapFeature(**vars(feature) | after),
                 track_index=track.track_index,
                 changed_at_ns=track.first_seen_ns,
                 shift_m=shifts_m[k],
-                other_feature_id=None,
                 evidence=evidence[j],
             )
         )
@@ -221,4 +216,4 @@ def feature_from_track(
         "existence_probability": evidence.existence_probability,
         "marking": None,
     }
-    return sound(MapFeature, **{name: vars(track)[name] for name in MapFeature.model_fields.keys() - own} | own)
+    return MapFeature(**{name: vars(track)[name] for name in MapFeature.model_fields.keys() - own} | own)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from math import exp, log
 
 from conetl.mapping.visibility import NotObserved
-from conetl.model.base import sound
 from conetl.model.drive import Track
 from conetl.model.map_records import ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
@@ -32,8 +31,7 @@ def confirming(
     """Evidence of a drive that observed the feature in some frame pairs, or of an imported map that contains it."""
     ratio = log_odds(existence_probability)
     before = 0.0 if feature is None else log_odds((summary or feature).existence_probability)
-    return sound(
-        ExistenceEvidence,
+    return ExistenceEvidence(
         log_likelihood_ratio=ratio,
         existence_probability=probability(min(before + ratio, MAX_LOG_ODDS)),
         frames_seen=frames_seen,

@@ -25,7 +25,6 @@ from conetl.mapping.imported_maps import reconcile_imported
 from conetl.mapping.markings import ViewCheck, reconcile_markings
 from conetl.mapping.visibility import NotObserved, not_in_view
 from conetl.model.arrays import Floats
-from conetl.model.base import sound
 from conetl.model.drive import Track
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import (
@@ -198,8 +197,7 @@ def apply_drive(
         number = 1 if delta.old is None else delta.old.version + 1
         state = delta.state_after
         versions.append(
-            sound(
-                FeatureVersion,
+            FeatureVersion(
                 feature=state if state.version == number else state.model_copy(update={"version": number}),
                 changeset_id=drive.changeset_id,
                 present=delta.new is not None,

@@ -16,7 +16,7 @@ from conetl.mapping.fusion import OffsetErrors, birge_ratios, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Lines, lines_of
 from conetl.mapping.visibility import MarkingView
 from conetl.model.arrays import Bools, Floats, Ints
-from conetl.model.base import SharedErrorJacobian, sound
+from conetl.model.base import SharedErrorJacobian
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
 
@@ -137,8 +137,7 @@ def confirmed(
         old, shape = features[j], shape_of(features[j])
         rows = np.flatnonzero(on_map.line == j)
         middle = int(rows[len(rows) // 2])
-        marking = sound(
-            Marking,
+        marking = Marking(
             vertices_m=tuple(map(vec3, vertices_m[rows])),
             cov_m2=tuple(new_cov.get(k, old_cov[k]) for k in rows.tolist()),
             **_attributes(shape, old.observation_count, drive.tracks[seen.track].marking, seen.frames),
@@ -264,8 +263,7 @@ def _feature(
 ) -> MapFeature:
     """A stretch as one drive observed it."""
     middle = len(marking.vertices_m) // 2
-    return sound(
-        MapFeature,
+    return MapFeature(
         feature_id=feature_id,
         version=version,
         category=category,

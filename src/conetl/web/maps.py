@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Annotated
 from uuid import UUID
 
-from fastapi import APIRouter, HTTPException, Query, Request, Response
+from fastapi import APIRouter, HTTPException, Query, Request
 
 from conetl.db import serve_store as store
 from conetl.db.connection import latest_or
@@ -48,20 +48,18 @@ def timeline(map_name: MapName, conn: Reader) -> m.Timeline:
     return m.Timeline(map_name=map_name, srid=srid, origin_m=origin, changesets=items)
 
 
-@router.get(f"{_MAP}/features", response_model=m.Features)
-def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at: Instant = None) -> Response:
+@router.get(f"{_MAP}/features")
+def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at: Instant = None) -> m.Features:
     """Features on the road at `valid_at`, in the state of the database at `known_at`."""
     origin = origin_of(conn, map_name)
     found, truncated = cut(store.read_features(conn, map_name, valid_at, known_at, MAX_FEATURES + 1), MAX_FEATURES)
     points, lines = to.by_geometry(found)
-    sent = m.Features(
+    return m.Features(
         origin_m=origin,
         features=[to.answer(m.Feature, row, origin) for row in points],
         markings=[to.answer(m.Stretch, row, origin) for row in lines],
         truncated=truncated,
     )
-    # FastAPI would first convert a hundred thousand features to dictionaries.
-    return Response(sent.model_dump_json(), media_type="application/json")
 
 
 @router.get(f"{_MAP}/changes/{{changeset_no}}")

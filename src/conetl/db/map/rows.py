@@ -14,7 +14,7 @@ import shapely
 from conetl.db import copy_binary as binary
 from conetl.db.copy_binary import CopyColumn
 from conetl.geometry.packing import stacked
-from conetl.model.base import Cov3, Record, SharedErrorJacobian, sound
+from conetl.model.base import Cov3, Record, SharedErrorJacobian
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
@@ -45,12 +45,8 @@ _CHANGE: dict[str, Encoder] = {
 
 
 def record_of(record_type: type[R], row: Row, **computed: Any) -> R:
-    """A record (unchecked) whose fields are columns of the same name, arrays as tuples, or computed from others."""
-    values = {}
-    for name in record_type.__pydantic_fields__:
-        value = computed[name] if name in computed else row[name]
-        values[name] = tuple(value) if type(value) is list else value
-    return sound(record_type, **values)
+    """A record whose fields are columns of the same name, or computed from others."""
+    return record_type(**{name: computed[name] if name in computed else row[name] for name in record_type.model_fields})
 
 
 def feature_of(row: Row) -> MapFeature:
