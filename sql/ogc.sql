@@ -46,11 +46,6 @@ left join (
     where m.map_name = $1
 ) s on true;
 
--- name: warm
--- Let a new session load what PROJ needs for the maps' coordinate reference systems. Columns: place (text, any).
-select ST_AsGeoJSON(ST_Transform(ST_Centroid(d.area), 4326)) as n
-from (select distinct on (srid) area from conetl.drive order by srid) d;
-
 -- name: features_page
 -- One page of features of a map as GeoJSON made by PostgreSQL, so that items are sent to the client without unpacking.
 -- Parameters: $1 limit, $2 offset; $3, $4 text before and after the id in the links of each item; $5 map name; $6, $7,

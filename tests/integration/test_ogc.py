@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import re
 import subprocess
@@ -18,13 +17,10 @@ import pytest
 from fastapi.testclient import TestClient
 
 from conetl.db.connection import execute
-from conetl.db.ogc_store import MapDirectory
-from conetl.db.reader_pool import AsyncReaderPool
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import utc_from_ns
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_place, revert
 from conetl.web.app import create_app
-from conetl.web.ogc.collections import Instants, collection_of, warm
 from tests import ogc_schemas as standard
 from tests.integration.drives_of_days import merge, survey
 from tests.integration.test_exports import OFFSCREEN, PYTHON, has_qgis
@@ -377,23 +373,6 @@ def plain(item):
     """Instants without their trailing zeros, which not everybody writes."""
     values = {k: utc(v) if k.endswith(("_at", "_from", "_to")) and v else v for k, v in item["properties"].items()}
     return item | {"properties": values}
-
-
-def test_a_new_session_has_planned_its_first_page(module_database_url, features):
-    count_pages = "select count(*) from pg_prepared_statements where statement like '-- One page of features%'"
-
-    async def prepared_before_and_after():
-        pool = AsyncReaderPool(module_database_url, warm)
-        async with pool.acquire() as conn:
-            [served] = await MapDirectory().maps(conn, "default")
-            before = await conn.fetchval(count_pages)
-            box = (8.0, 48.0, 8.43, 49.5)
-            page = await collection_of("features", served, Instants()).page(conn, box=box, limit=10)
-            after = await conn.fetchval(count_pages)
-        await pool.close()
-        return before, after, page.returned
-
-    assert asyncio.run(prepared_before_and_after()) == (1, 1, 3)
 
 
 def test_one_item_also_as_of_an_instant(client, features, start):

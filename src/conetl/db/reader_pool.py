@@ -6,7 +6,7 @@ import asyncio
 import json
 import select
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, closing, contextmanager, suppress
 from urllib.parse import quote, urlencode
 
@@ -102,12 +102,11 @@ class AsyncReaderPool:
     """`MAX_CONNECTIONS` read-only connections, as role conetl_reader if the user is a member of it.
 
     All are opened with the first request and stay open: a new session plans its first statement for 30 ms and more, which
-    would be the slowest answers at busy times. `warm` runs such a statement in each session.
+    would be the slowest answers at busy times.
     """
 
-    def __init__(self, url: str, warm: Callable[[asyncpg.Connection], Awaitable[None]] | None = None) -> None:
+    def __init__(self, url: str) -> None:
         self._url = url
-        self._warm = warm
         self._pool: asyncpg.Pool | None = None
         self._opening = asyncio.Lock()
 
@@ -160,9 +159,6 @@ class AsyncReaderPool:
         await conn.fetch(db.load_sql("schema.reader_session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
         for name in ("json", "jsonb"):
             await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")
-        if self._warm is not None:
-            with suppress(asyncpg.PostgresError):  # the request gets the error
-                await self._warm(conn)
 
 
 async def _keep(_: asyncpg.Connection) -> None:

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT, STANDING, KindMark, dashes_of
 from conetl.files.atomic import atomic_files
 from conetl.model.arrays import Floats
+from conetl.model.base import Vec2
 from conetl.model.feature_classes import FEATURE_CLASSES, known_of, letter_of, noun_of
 from conetl.model.map_records import Delta, DeltaKind, FeatureChange, MapFeature
 from conetl.model.markings import Marking
@@ -55,8 +56,8 @@ class PlanMark(NamedTuple):
     category: str
     kind: DeltaKind | None
     """None: no change."""
-    xy_m: ArrayLike
-    old_xy_m: ArrayLike | None = None
+    xy_m: Vec2
+    old_xy_m: Vec2 | None = None
     """Of moved objects."""
     label: str = ""
 

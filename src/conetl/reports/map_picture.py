@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import datetime
-from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -247,8 +246,8 @@ def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
 def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[figures.Handle]:
     """Draw cones and other objects, and changes; their entries of the legend count those inside the picture."""
     xy_m = np.reshape([mark.xy_m for mark in content.marks], (-1, 2))
-    inside = ((xy_m >= box[::2]) & (xy_m <= box[1::2])).all(axis=1).tolist()
-    shown = list(compress(content.marks, inside))
+    inside = np.asarray(((xy_m >= box[::2]) & (xy_m <= box[1::2])).all(axis=1))
+    shown = [content.marks[k] for k in np.flatnonzero(inside).tolist()]
     by_class = any(letter_of(mark.category) for mark in content.marks)
     handles: list[figures.Handle] = []
     for level, (kind, style) in enumerate([(None, content.others), *marks.KIND_MARKS.items()], 4):
@@ -259,9 +258,8 @@ def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[figures.Handle
     colour = marks.KIND_MARKS[DeltaKind.MOVED].colour
     for mark in shown:
         if mark.old_xy_m is not None:
-            axes.scatter(
-                *mark.old_xy_m, marker="o", s=26, facecolors="none", edgecolors=colour, linewidths=1.0, zorder=8
-            )
+            x, y = mark.old_xy_m
+            axes.scatter(x, y, marker="o", s=26, facecolors="none", edgecolors=colour, linewidths=1.0, zorder=8)
             figures.draw_arrow(
                 axes, mark.old_xy_m, mark.xy_m, colour, zorder=8, linewidth=1.2, clip_path=axes.patch, clip_on=True
             )

@@ -20,7 +20,6 @@ from conetl.perception.images import ImageFileError
 from conetl.web import basemap, decisions, downloads, frames, layers, live, maps, search
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
-from conetl.web.ogc.collections import warm
 from conetl.web.security import Guard
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ def create_app(
     base_map: tiles under the map; the browser may request them from this one other server.
     """
     pool = ReaderPool(database_url)
-    ogc_pool = AsyncReaderPool(database_url, warm)
+    ogc_pool = AsyncReaderPool(database_url)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:

@@ -97,9 +97,10 @@ class Archive:
     """An open file; reading is safe from several threads."""
 
     def __init__(self, path: Path, file: int) -> None:
-        self._path, self._file, self._reader = path, file, Reader(self._read)
+        self._path, self._file = path, file
+        self._reader = Reader(self._read)  # type: ignore[no-untyped-call]
         try:
-            named = self._reader.header()
+            named = self._reader.header()  # type: ignore[no-untyped-call]
         except ValueError as error:
             raise InputError(f"{path} is damaged: {error} in its header") from error
         if named["tile_type"] not in _MEDIA_TYPES:
@@ -120,7 +121,7 @@ class Archive:
         if not (self.min_zoom <= z <= self.max_zoom and x < 1 << z and y < 1 << z):
             return None
         try:
-            data: bytes | None = self._reader.get(z, x, y)
+            data: bytes | None = self._reader.get(z, x, y)  # type: ignore[no-untyped-call]
         except (EOFError, OSError, zlib.error) as error:
             raise StorageError(f"{self._path} has a damaged directory") from error
         return data

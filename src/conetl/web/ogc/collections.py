@@ -300,16 +300,6 @@ def _column(name: str) -> Column:
     return Column(name=name, type=kind, description=field.meaning)
 
 
-async def warm(conn: asyncpg.Connection) -> None:
-    """Read the maps, their coordinate reference systems and an empty page, so that the first page of a session takes no longer
-    than the next ones."""
-    await store.fetch(conn, "warm", {})
-    await store.fetch(conn, "maps", {}, "")
-    never = datetime.min.replace(tzinfo=UTC)
-    nowhere = ServedMap("", 0, 0, never, (0.0, 0.0, 0.0, 0.0), never)
-    await collection_of("features", nowhere, Instants()).page(conn, box=(90.0, 45.0, 90.0, 45.0), limit=1)
-
-
 def as_ewkt(geometry: dict[str, Any]) -> str:
     """A GeoJSON point or line as PostGIS' extended well-known text."""
     kind, places = geometry["type"].upper(), geometry["coordinates"]
