@@ -10,7 +10,7 @@ from typing import Annotated, TypeVar
 from uuid import UUID
 
 from fastapi import Depends, HTTPException, Path, Query, Request
-from pydantic import AfterValidator, BeforeValidator, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
 from conetl.db.connection import Connection
@@ -136,20 +136,12 @@ def check_value(name: str, kind: str, text: str) -> None:
         raise BadParameterError(f"{name}={text!r} should be {wanted}.") from error
 
 
-def _integer(text: str) -> None:
-    if not -(2**31) <= int(text) < 2**31:
-        raise ValueError
-
-
-def _uuid(text: str) -> None:
-    UUID(text)
-    if len(text) not in (32, 36):  # Python also reads urn:uuid:...
-        raise ValueError
-
-
 _VALUES: dict[str, tuple[Callable[[str], object], str]] = {
-    "integer": (_integer, "a whole number from -2147483648 to 2147483647"),
+    "integer": (
+        TypeAdapter(Annotated[int, Field(ge=-(2**31), lt=2**31)]).validate_python,
+        "a whole number from -2147483648 to 2147483647",
+    ),
     "float8": (float, "a number"),
-    "uuid": (_uuid, "the id of a cone, a UUID"),
+    "uuid": (TypeAdapter(UUID).validate_python, "the id of a cone, a UUID"),
     "timestamptz": (parse_instant, "an instant such as 2026-03-02T12:00:00Z"),
 }
