@@ -31,8 +31,8 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.maps.decisions import DecisionOutcome
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
-from conetl.reports.figures import NOT_EVALUATED, changes_of, marks_of
-from conetl.reports.map_picture import PlanContent, draw_map_picture
+from conetl.reports.figures import NOT_EVALUATED, changes_of, marks_of, save_figure
+from conetl.reports.map_picture import PlanContent, draw_plan
 
 _log = logging.getLogger(__name__)
 #: Hands the report of a changeset and the cones that it removed to whoever wants to know; returns when they have left.
@@ -70,12 +70,12 @@ def publish(
         renew_pages(conn, [change.changeset_id for change in committed.report.hold_changes], settings)
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
     shown = committed.deltas, committed.untouched
-    plan_view = draw_map_picture(
-        settings.drive_image_path(drive.drive_id),
+    plan = draw_plan(
         PlanContent(drive.map_srid, marks_of(*shown), changes_of(*shown), [path_m], others=NOT_EVALUATED),
         title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC",
         footer=f"map {settings.map_name} · grid north · conetl",
     )
+    plan_view = save_figure(plan, settings.drive_image_path(drive.drive_id))
     return PublishedFiles(geojson, plan_view, page)
 
 

@@ -39,6 +39,8 @@ BLUE, SKY, GREEN, ORANGE, PINK, GREY, BLACK = (
     "#222222",
 )
 DPI = 130
+#: Of the formats of figures that are files.
+SUFFIXES = (".png", ".svg", ".pdf")
 _INK = "#1d2733"
 _SYMBOL_PT, _LETTER_PT = 7.5, 6.0
 #: Of objects that a drive did not evaluate.
@@ -193,11 +195,11 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def save_figure(figure: Figure, path: Path, *, suffixes: Iterable[str] = (".png",)) -> Path:
+def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure in the format of the suffix, or as PNG; completely or not at all. Raises InputError where it cannot."""
     suffix = path.suffix.lower()
     with atomic_files(path) as (file,):
-        figure.savefig(file, format=suffix[1:] if suffix in suffixes else "png")
+        figure.savefig(file, format=suffix[1:] if suffix in SUFFIXES else "png")
     return path
 
 

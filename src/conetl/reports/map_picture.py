@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import datetime
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +32,6 @@ from conetl.model.map_records import DeltaKind
 from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
 from conetl.reports import figures
 from conetl.reports.figures import MarkingChange, PlanMark
-
-SUFFIXES = (".png", ".svg", ".pdf")
 
 _INK = "#1d2733"
 _MARGIN = 0.06
@@ -134,25 +131,6 @@ def _points(conn: Connection, map_name: str, around: Bbox) -> tuple[Floats, NDAr
     return np.concatenate(points), np.concatenate(shades)
 
 
-def draw_map_picture(
-    path: Path,
-    content: PlanContent,
-    *,
-    bbox: Bbox | None = None,
-    title: str,
-    footer: str,
-    size_mm: tuple[float, float] | None = None,
-) -> Path:
-    """Write a plan (PNG at 200 dpi, SVG or PDF by the suffix) and return its path; arguments as of `draw_plan`.
-
-    Raises InputError where there is nothing to draw, and where the file cannot be written.
-    """
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
-    figure = draw_plan(content, bbox=bbox, title=title, footer=footer, size_mm=size_mm)
-    return figures.save_figure(figure, path, suffixes=SUFFIXES)
-
-
 def draw_plan(
     content: PlanContent,
     *,
@@ -161,8 +139,8 @@ def draw_plan(
     footer: str = "grid north",
     size_mm: tuple[float, float] | None = None,
 ) -> Figure:
-    """bbox: west, south, east, north; None: around the content. size_mm: width and height; None: 240 wide, with the height of the
-    bbox. footer: the line below."""
+    """The figure at 200 dpi. bbox: west, south, east, north; None: around the content. size_mm: width and height; None: 240 wide,
+    with the height of the bbox. footer: the line below. Raises InputError where there is nothing to draw."""
     west, south, east, north = bbox or content.extent()
     if size_mm is None:
         size_mm = (240.0, float(np.clip(240 * 0.78 * (north - south) / (east - west) + 34, 96, 300)))

@@ -50,16 +50,14 @@ def diff(
     if output is not None:
         export_diff_geojson(points, output, srid=info.srid, origins=origins)
     if picture is not None:
-        from conetl.reports.map_picture import draw_map_picture  # matplotlib takes half a second to load
+        from conetl.reports.figures import save_figure  # matplotlib takes half a second to load
+        from conetl.reports.map_picture import draw_plan
 
         if not old and not new:
             raise InputError(f"nothing to draw: the map has no cones at {before} or at {after}")
-        draw_map_picture(
-            picture,
-            _content(info.srid, new, changes),
-            title=f"Map {info.map_name}: {_shown(before)} to {_shown(after)}",
-            footer=_footer(None, None, (before, after), info.last_committed_at),
-        )
+        title = f"Map {info.map_name}: {_shown(before)} to {_shown(after)}"
+        footer = _footer(None, None, (before, after), info.last_committed_at)
+        save_figure(draw_plan(_content(info.srid, new, changes), title=title, footer=footer), picture)
     if as_json:
         ui.print_json(changes)
         return
@@ -253,7 +251,8 @@ def picture(
     as_json: ui.JsonOption = False,
 ) -> None:
     """Draw a plan of the map for a report: cones, lane markings, base layers, drive paths, scale bar, legend, CRS and date."""
-    from conetl.reports.map_picture import SUFFIXES, draw_map_picture, with_surroundings
+    from conetl.reports.figures import SUFFIXES, save_figure
+    from conetl.reports.map_picture import draw_plan, with_surroundings
 
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
@@ -279,7 +278,7 @@ def picture(
         title = f"Traffic cones, map {name}" if {one.category for one in drawn} <= {CONE} else f"Map {name}"
         title += f": changes from {_shown(changes[0])} to {_shown(changes[1])}" if changes else ""
     footer = _footer(valid_at, known, changes, info.last_committed_at)
-    done = draw_map_picture(output, content, bbox=extent, size_mm=size_mm, title=title, footer=footer)
+    done = save_figure(draw_plan(content, bbox=extent, size_mm=size_mm, title=title, footer=footer), output)
     lines, points = len(content.boundaries_m), len(content.points_m)
     facts = {
         "picture": str(done),
