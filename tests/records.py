@@ -9,9 +9,10 @@ from uuid import UUID, uuid5
 
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
+from conetl.evaluation.truth import TruthCone
 from conetl.model.base import Cov3
 from conetl.model.drive import Detection, Drive, DriveRecords, FramePair, Pose, Position, StereoMatch, Track
-from conetl.model.feature_classes import LANE_MARKING
+from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
 from conetl.model.rig import Camera, Rig, Side
@@ -141,6 +142,14 @@ def track(track_index: int = 0, frames: int = 3, *, seen_ns: int = START_NS + 7,
         "members": tuple((i, 0) for i in range(frames)),
     }
     return Track(**values | standing_at((458_001.0, 5_428_010.0, 114.5)) | changes)
+
+
+def truth_cone(name: str, xyz_m: Sequence[float], height_m: float = 0.7, category: str = CONE) -> TruthCone:
+    """A surveyed cone, UTM 32."""
+    x, y, z = map(float, xyz_m)
+    return TruthCone(
+        cone_id=name, category=category, easting_m=x, northing_m=y, height_ellipsoidal_m=z, cone_height_m=height_m, map_srid=32632
+    )  # fmt: skip
 
 
 def feature(name: str | int = "cone", *, seen_ns: int = START_NS, **changes: Any) -> MapFeature:

@@ -88,7 +88,7 @@ EXACT_MOTION = MotionError(lambda _start, _end, _point_m: np.zeros((3, 3)), most
 
 def _truth(number: int, cone: Cone) -> TruthCone:
     x, y, z = np.add(ORIGIN_M, cone.foot_m).tolist()
-    return TruthCone(cone_id=f"C{number}", xyz_m=(x, y, z), cone_height_m=cone.height_m)
+    return records.truth_cone(f"C{number}", (x, y, z), cone.height_m)
 
 
 def _logged(rng: np.random.Generator, pairs: Sequence[FramePair]) -> list[FramePair]:

@@ -23,7 +23,7 @@ from conetl.geometry.consistency import point_nees
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, near_pairs
 from conetl.model.arrays import Floats
-from conetl.model.base import Positive, Record, Vec3
+from conetl.model.base import Record, Vec3
 from conetl.model.drive import SurveyedPoint, Track
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
@@ -40,16 +40,7 @@ _CONTRADICTS = 1e-3
 
 
 class TruthCone(Record):
-    """One surveyed cone: centre of the foot on the ground, in the map's CRS with ellipsoidal height."""
-
-    cone_id: str
-    category: str = CONE
-    xyz_m: Vec3
-    cone_height_m: Positive
-
-
-class TruthRow(Record):
-    """One line of truth.csv, with the centre of the foot on the ground."""
+    """One line of truth.csv: a surveyed cone, with the centre of the foot on the ground."""
 
     cone_id: str = Field(min_length=1)
     category: Literal[tuple(FEATURE_CLASSES)] = CONE  # type: ignore[valid-type]
@@ -63,8 +54,13 @@ class TruthRow(Record):
     change: str = ""
     """added, confirmed, moved or removed since the previous pass."""
 
+    @property
+    def xyz_m(self) -> Vec3:
+        """In the map's CRS."""
+        return self.easting_m, self.northing_m, self.height_ellipsoidal_m
 
-def read_truth(path: Path) -> list[TruthRow]:
+
+def read_truth(path: Path) -> list[TruthCone]:
     """All lines of a truth.csv. Raises InputError with file, line and field."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -72,7 +68,7 @@ def read_truth(path: Path) -> list[TruthRow]:
             columns, rows = list(reader.fieldnames or ()), list(reader)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"truth {path}: cannot be read ({error})") from error
-    required = [name for name, field in TruthRow.model_fields.items() if field.is_required()]
+    required = [name for name, field in TruthCone.model_fields.items() if field.is_required()]
     if not set(required) <= set(columns):
         raise InputError(
             f"truth {path}: expected the columns {', '.join(required)}, separated by commas; found {', '.join(columns)[:200]}"
@@ -80,7 +76,7 @@ def read_truth(path: Path) -> list[TruthRow]:
     truth = []
     for number, row in enumerate(rows, 2):
         try:
-            truth.append(TruthRow.model_validate(row))
+            truth.append(TruthCone.model_validate(row))
         except ValidationError as error:
             raise InputError(f"truth {path}, line {number}, {first_message(error)}") from error
     return truth
@@ -91,21 +87,12 @@ def read_truth_cones(path: Path) -> tuple[list[TruthCone], int]:
 
     Raises InputError if the file cannot be used, has no cones, or mixes coordinate systems.
     """
-    rows = [row for row in read_truth(path) if row.present]
-    srids = sorted({row.map_srid for row in rows})
-    if not rows:
+    cones = [cone for cone in read_truth(path) if cone.present]
+    srids = sorted({cone.map_srid for cone in cones})
+    if not cones:
         raise InputError(f"truth {path}: no cone is present (present = 1); nothing to compare with")
     if len(srids) > 1:
         raise InputError(f"truth {path}: map_srid must be the same for all cones, found {', '.join(map(str, srids))}")
-    cones = [
-        TruthCone(
-            cone_id=row.cone_id,
-            category=row.category,
-            xyz_m=(row.easting_m, row.northing_m, row.height_ellipsoidal_m),
-            cone_height_m=row.cone_height_m,
-        )
-        for row in rows
-    ]
     return cones, srids[0]
 
 

@@ -34,10 +34,7 @@ PATH = np.add([pair.pose.map_t_body_m for pair in PAIRS], (0.8, 0.27, 1.65))
 
 
 def truth_cones(count: int) -> list[TruthCone]:
-    return [
-        TruthCone(cone_id=f"C{k}", xyz_m=tuple(np.add(ORIGIN_M, (16.0 + 2 * k, 3.0, 0.0)).tolist()), cone_height_m=0.7)
-        for k in range(count)
-    ]
+    return [records.truth_cone(f"C{k}", np.add(ORIGIN_M, (16.0 + 2 * k, 3.0, 0.0))) for k in range(count)]
 
 
 def make_track(index: int, xyz: np.ndarray, frames: range) -> Track:

@@ -9,8 +9,9 @@ import numpy as np
 
 from conetl.evaluation.accuracy import PointErrors, position_errors
 from conetl.evaluation.drive_evaluation import DriveEvaluation, figures_of, pooled_tables
-from conetl.evaluation.truth import TruthCone, TruthLine
+from conetl.evaluation.truth import TruthLine
 from conetl.model.feature_classes import CONE
+from tests import records
 from tests.synthetic.noisy_drive import draw_positions
 from tests.synthetic.world import Cone, make_rig
 
@@ -27,9 +28,9 @@ def evaluation(name: str, errors: PointErrors, missed: int = 0) -> DriveEvaluati
     """Two cones and two drums, each found 1 cm too far east, a false drum, and missed cones."""
     lines = []
     for k, cone_id in enumerate(sorted(set(errors.cone_ids))):
-        truth = TruthCone(cone_id=cone_id, category="drum" if k > 1 else CONE, xyz_m=(0.0, 0.0, 0.0), cone_height_m=0.5)
+        truth = records.truth_cone(cone_id, (0.0, 0.0, 0.0), 0.5, "drum" if k > 1 else CONE)
         lines.append(TruthLine(truth, SimpleNamespace(xyz_m=(0.01, 0.0, 0.0)), 1.0, 1.0))  # type: ignore[type-var]
-    cone = TruthCone(cone_id="missed", xyz_m=(9.0, 0.0, 0.0), cone_height_m=0.5)
+    cone = records.truth_cone("missed", (9.0, 0.0, 0.0), 0.5)
     lines += [TruthLine(cone, None, 1.0, None)] * missed
     false = [SimpleNamespace(category="drum")]
     return DriveEvaluation(name, lines, false, [], np.empty((0, 3)), errors, errors)  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ PATH = np.array([[0.0, 0.0, 1.6], [10.0, 0.0, 1.6], [20.0, 0.0, 1.6]])
 
 
 def cone(name: str, x: float, y: float) -> TruthCone:
-    return TruthCone(cone_id=name, xyz_m=(x, y, 0.0), cone_height_m=0.7)
+    return records.truth_cone(name, (x, y, 0.0))
 
 
 def feature(number: int, x: float, y: float) -> MapFeature:
