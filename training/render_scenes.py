@@ -20,19 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from classes import CLASSES
 
+from conetl.model.rig import Camera
 from conetl.simulation.meshes import Mesh
 from conetl.simulation.parts import CLASSED_KINDS, cone_parts, true_shape
 from conetl.simulation.scenario import Colour, Cone, Road, RoadMarking, RoadObject, World, street_markings
-from conetl.simulation.scene import (
-    BUILDERS,
-    PinholeCamera,
-    build_scene,
-    develop,
-    encode_jpeg,
-    exposure_gain,
-    load_mitsuba,
-    render,
-)
+from conetl.simulation.scene import BUILDERS, build_scene, develop, encode_jpeg, exposure_gain, load_mitsuba, render
 
 VIEWS_PER_SCENE = 3
 MIN_HEIGHT_PX = 7.0
@@ -132,9 +124,7 @@ def labelled_things(world: World, eye: np.ndarray) -> Iterator[Labelled]:
             yield Labelled(category, [plate], np.full((2, 3), np.nan))
 
 
-def object_boxes(
-    scene: object, world: World, camera: PinholeCamera, road_SE3_camera: np.ndarray
-) -> list[tuple[float, ...]]:
+def object_boxes(scene: object, world: World, camera: Camera, road_SE3_camera: np.ndarray) -> list[tuple[float, ...]]:
     """[class, x0, y0, x1, y1, foot x, foot y, tip x, tip y] from the edge of the picture, in pixels, an object.
 
     The box holds the visible part. A vertex is hidden where the ray to it meets something that is not the object itself.
@@ -144,7 +134,7 @@ def object_boxes(
 
     def project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         local = (points - eye) @ road_SE3_camera[:3, :3]
-        return local[:, :2] / local[:, 2:] * camera.f_px + [camera.cx_px + 0.5, camera.cy_px + 0.5], local[:, 2]
+        return local[:, :2] / local[:, 2:] * camera.fx_px + [camera.cx_px + 0.5, camera.cy_px + 0.5], local[:, 2]
 
     boxes: list[tuple[float, ...]] = []
     for thing in labelled_things(world, eye):
@@ -172,12 +162,11 @@ def object_boxes(
     return boxes
 
 
-def random_camera(rng: np.random.Generator) -> tuple[PinholeCamera, np.ndarray]:
+def random_camera(rng: np.random.Generator) -> tuple[Camera, np.ndarray]:
     """A camera somewhere on the first metres of the road, looking along it."""
     width = int(rng.choice([640, 736, 960], p=[0.55, 0.25, 0.2]))
-    camera = PinholeCamera(
-        width, 320, float(width * rng.uniform(0.6, 1.05)), width / 2 + rng.uniform(-15, 15), 160 + rng.uniform(-25, 10)
-    )
+    f_px, cx_px, cy_px = width * rng.uniform(0.6, 1.05), width / 2 + rng.uniform(-15, 15), 160 + rng.uniform(-25, 10)
+    camera = Camera(width_px=width, height_px=320, fx_px=f_px, fy_px=f_px, cx_px=cx_px, cy_px=cy_px)
     yaw, pitch, roll = rng.normal(0.0, 0.10), rng.uniform(-0.02, 0.13), rng.normal(0.0, 0.015)
     forward = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), -math.sin(pitch)])
     right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from conetl.model.base import Matrix4
 from conetl.model.rig import CalibrationCovariance, Camera, Rig
 from conetl.simulation.scenario import Cone, World
-from conetl.simulation.scene import PinholeCamera, build_scene, render
+from conetl.simulation.scene import build_scene, render
 
 Array = NDArray[np.float64]
 
@@ -146,7 +146,8 @@ def render_pair(
     cut = full.left.model_copy(update={"width_px": width, "height_px": height, "cx_px": cx - u0, "cy_px": cy - v0})
     # The renderer has square pixels; rows are resampled to the rig's, which are 0.2 % taller.
     spare = math.ceil(0.003 * SIZE_PX[1]) + 2
-    square = PinholeCamera(width, height + 2 * spare, fx, cx - u0, (cy - v0) + spare)
+    height_px, cx_px, cy_px = height + 2 * spare, cx - u0, (cy - v0) + spare
+    square = Camera(width_px=width, height_px=height_px, fx_px=fx, fy_px=fx, cx_px=cx_px, cy_px=cy_px)
     scale = fx / fy
     rows = np.array([[1.0, 0.0, 0.0], [0.0, scale, square.cy_px - scale * cut.cy_px]])
     world = World(

@@ -22,7 +22,6 @@ from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
 from conetl.readers.drives.video_timing import refined_clock
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.simulate import simulated_rig
 from conetl.simulation.trajectory import true_poses
 from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.clock_search import find_clock_offset, rates_of
@@ -94,8 +93,8 @@ def test_a_sample_drive_by_positions_alone_states_true_sigmas(
     """One position a second, from before the images to after them. Where they scatter by 0.3 m, they hardly show the scale of
     visual odometry, which stretches all tracks."""
     drive, _ = read_drive(SAMPLES[number - 1])
-    rig, times_s = simulated_rig(), np.arange(-8.6, 12.0)
-    true = true_poses(scenario_pass(number), times_s, float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
+    times_s = np.arange(-8.6, 12.0)
+    true = true_poses(scenario_pass(number), times_s)
     true[:, :3, 3] += np.random.default_rng(number).normal(0, max(scatter_m, 1e-9), (len(true), 3))
     captured_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
     stamps = (captured_ns[0] + np.round(times_s * 1e9)).astype(np.int64).tolist()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from conetl.model.arrays import Floats, Image
 from conetl.model.errors import InputError
+from conetl.model.rig import Camera
 from conetl.simulation import meshes, scenario, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
 
@@ -23,16 +24,6 @@ FULL_WELL_ELECTRONS = 9000.0
 READ_NOISE_ELECTRONS = 6.0
 BLUR_SIGMA_PX = 0.45
 """Blur of lens and pixel together."""
-
-
-class PinholeCamera(NamedTuple):
-    """Interior orientation and size of an image, in pixels."""
-
-    width_px: int
-    height_px: int
-    f_px: float
-    cx_px: float
-    cy_px: float
 
 
 def load_mitsuba() -> Any:
@@ -59,7 +50,7 @@ def build_scene(world: scenario.World) -> Any:
 
 
 def render(
-    scene: Any, camera: PinholeCamera, road_SE3_camera: Floats, *, samples_per_pixel: int, seed: int, fast: bool = False
+    scene: Any, camera: Camera, road_SE3_camera: Floats, *, samples_per_pixel: int, seed: int, fast: bool = False
 ) -> NDArray[np.float32]:
     """Linear radiance (H, W, 3), direct light of sun and sky. road_SE3_camera: (4, 4), camera axes x right, y down, z forward.
 
@@ -77,8 +68,8 @@ def render(
     return np.array(image, dtype=np.float32)[..., :3]
 
 
-def sensor(camera: PinholeCamera, road_SE3_camera: Floats, samples_per_pixel: int = 16) -> Any:
-    """Mitsuba's perspective camera of an exterior and interior orientation.
+def sensor(camera: Camera, road_SE3_camera: Floats, samples_per_pixel: int = 16) -> Any:
+    """Mitsuba's perspective camera of an exterior and interior orientation, without a lens and with square pixels.
 
     Mitsuba counts pixels from the edge of the film (the centre of pixel 0 is 0.5), has x to the left and y up, and its
     principal point offset moves the image, not the axis.
@@ -89,7 +80,7 @@ def sensor(camera: PinholeCamera, road_SE3_camera: Floats, samples_per_pixel: in
         {
             "type": "perspective",
             "to_world": mi.ScalarTransform4f(to_world.tolist()),
-            "fov": math.degrees(2.0 * math.atan(camera.width_px / 2.0 / camera.f_px)),
+            "fov": math.degrees(2.0 * math.atan(camera.width_px / 2.0 / camera.fx_px)),
             "fov_axis": "x",
             "near_clip": 0.05,
             "far_clip": 1000.0,

@@ -10,20 +10,19 @@ import math
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
-from conetl.geometry.geodesy import CAMERA_R_BODY
-from conetl.geometry.pose import se3
+from conetl.geometry.camera import matrix_k
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
+from conetl.model.rig import Camera
 from conetl.simulation import trajectory
 from conetl.simulation.mixed_world import mixed_pass
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.scene import PinholeCamera, build_scene, develop, encode_jpeg, exposure_gain, render
+from conetl.simulation.scene import build_scene, develop, encode_jpeg, exposure_gain, render
 from conetl.simulation.truth_files import write_truth
 
 WorldName = Literal["taper", "mixed"]
@@ -32,23 +31,6 @@ CAMERAS = (2, 3)
 F_PX, CX_PX, CY_PX = 640.0, 478.35, 146.20
 """For images of 960 x 320."""
 DESIGN_SIZE = (960, 320)
-CAMERA_HEIGHT_M = 1.65
-BASELINE_M = 0.5402
-
-
-def _rotation_deg(x: float, y: float, z: float) -> Floats:
-    return np.asarray(Rotation.from_euler("xyz", [math.radians(a) for a in (x, y, z)]).as_matrix())
-
-
-#: IMU -> velodyne -> camera 0 (from axes x forward, y left to x right, y down) -> R_rect_00.
-VELO_SE3_IMU = se3(_rotation_deg(0.31, -0.17, 0.22), (-0.7914, 0.3308, -0.8126))
-CAM0_SE3_VELO = se3(_rotation_deg(1.45, -0.24, 0.13) @ CAMERA_R_BODY, (0.0123, -0.0694, -0.2871))
-RECT_R_CAM0 = _rotation_deg(0.28, 0.41, -0.35)
-#: Camera number -> (3,) t of P_rect = K [I | t].
-T_RECT_M = {
-    0: np.zeros(3), 1: np.array([-0.5374, 0.0, 0.0]), 2: np.array([0.0598, -0.0011, 0.0028]),
-    3: np.array([0.0598 - BASELINE_M, -0.0011, 0.0028]),
-}  # fmt: skip
 
 
 def timestamp(start: datetime, seconds: float) -> str:
@@ -59,20 +41,21 @@ def timestamp(start: datetime, seconds: float) -> str:
     return f"{moment:%Y-%m-%d %H:%M:%S}.{nanoseconds % 1_000_000_000:09d}"
 
 
-def write_calibration(folder: Path, rig: SimulatedRig, made_on: datetime) -> None:
+def write_calibration(folder: Path, camera: Camera, made_on: datetime) -> None:
     """The three calib_*.txt files."""
     head = f"calib_time: {made_on:%d-%b-%Y %H:%M:%S}\n"
-    k, size = rig.k(), (rig.camera.width_px, rig.camera.height_px)
+    k, size = matrix_k(camera), (camera.width_px, camera.height_px)
     lines = [head, "corner_dist: 9.950000e-02\n"]
-    for number, t in T_RECT_M.items():
+    for number, t in trajectory.T_RECT_M.items():
         # Calibration before rectification: without lens distortion, because the images are rendered rectified.
         matrices = {
-            "S": np.array(size, dtype=float), "K": k, "D": np.zeros(5), "R": np.eye(3), "T": RECT_R_CAM0.T @ t,
-            "S_rect": np.array(size, dtype=float), "R_rect": RECT_R_CAM0, "P_rect": k @ np.column_stack([np.eye(3), t]),
+            "S": np.array(size, dtype=float), "K": k, "D": np.zeros(5), "R": np.eye(3), "T": trajectory.RECT_R_CAM0.T @ t,
+            "S_rect": np.array(size, dtype=float), "R_rect": trajectory.RECT_R_CAM0,
+            "P_rect": k @ np.column_stack([np.eye(3), t]),
         }  # fmt: skip
         lines += [f"{name}_{number:02d}: {_numbers(value)}\n" for name, value in matrices.items()]
     (folder / "calib_cam_to_cam.txt").write_text("".join(lines))
-    for name, pose in (("velo_to_cam", CAM0_SE3_VELO), ("imu_to_velo", VELO_SE3_IMU)):
+    for name, pose in (("velo_to_cam", trajectory.CAM0_SE3_VELO), ("imu_to_velo", trajectory.VELO_SE3_IMU)):
         text = f"{head}R: {_numbers(pose[:3, :3])}\nT: {_numbers(pose[:3, 3])}\n"
         (folder / f"calib_{name}.txt").write_text(text)
 
@@ -116,15 +99,14 @@ def simulate_drive(
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
         raise InputError(f"{out_dir}: exists and is not empty; choose a new folder")
     scene = build_scene(scenario.world)
-    rig = simulated_rig(width_px, height_px)
+    camera = simulated_camera(width_px, height_px)
     times_s: Floats = np.arange(scenario.frame_count) * np.float64(trajectory.FRAME_PERIOD_S)
-    ahead_m = float(rig.body_SE3_camera(2)[0, 3])
-    poses = trajectory.true_poses(scenario, times_s, ahead_m, rig.imu_height_m)
+    poses = trajectory.true_poses(scenario, times_s)
     places, rpy = trajectory.measured_poses(poses, times_s, np.random.default_rng([seed, pass_number, 0]))
     stamps = [timestamp(scenario.start_utc, t) for t in times_s]
 
     out_dir.mkdir(parents=True, exist_ok=True)
-    write_calibration(out_dir, rig, scenario.start_utc)
+    write_calibration(out_dir, camera, scenario.start_utc)
     write_oxts(out_dir, trajectory.oxts_records(places, rpy, times_s), stamps)
     # OXTS records state one sigma of the position; these are the ones of the noise, in all axes.
     (out_dir / "drive.yaml").write_text(yaml.safe_dump({"sigmas": trajectory.stated_sigmas()}, sort_keys=False))
@@ -139,9 +121,9 @@ def simulate_drive(
     for frame, pose in enumerate(poses):
         for number in CAMERAS:
             rng = np.random.default_rng([seed, pass_number, 1, frame, number])
-            road_SE3_camera = road_SE3_map @ pose @ rig.body_SE3_camera(number)
+            road_SE3_camera = road_SE3_map @ pose @ trajectory.body_SE3_camera(number)
             radiance = render(
-                scene, rig.camera, road_SE3_camera, samples_per_pixel=samples_per_pixel, seed=int(rng.integers(1 << 31))
+                scene, camera, road_SE3_camera, samples_per_pixel=samples_per_pixel, seed=int(rng.integers(1 << 31))
             )
             if math.isnan(gain):  # one exposure for the whole drive, set on its first image
                 gain = exposure_gain(radiance, scenario.exposure)
@@ -153,29 +135,9 @@ def simulate_drive(
     return out_dir
 
 
-class SimulatedRig(NamedTuple):
-    """Two rectified cameras on an IMU, with one interior orientation."""
-
-    camera: PinholeCamera
-
-    def body_SE3_camera(self, number: int) -> Floats:
-        """(4, 4) pose of rectified camera `number` on the IMU."""
-        cami_SE3_rect, rect_SE3_cam0 = se3(np.eye(3), T_RECT_M[number]), se3(RECT_R_CAM0, np.zeros(3))
-        return np.asarray(np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ CAM0_SE3_VELO @ VELO_SE3_IMU))
-
-    @property
-    def imu_height_m(self) -> float:
-        """Height of the IMU for the left camera's height above the road."""
-        return CAMERA_HEIGHT_M - float(self.body_SE3_camera(2)[2, 3])
-
-    def k(self) -> Floats:
-        """(3, 3) interior orientation."""
-        c = self.camera
-        return np.array([[c.f_px, 0.0, c.cx_px], [0.0, c.f_px, c.cy_px], [0.0, 0.0, 1.0]])
-
-
-def simulated_rig(width_px: int = DESIGN_SIZE[0], height_px: int = DESIGN_SIZE[1]) -> SimulatedRig:
-    """The rig, with the field of view of the 960-pixel image at any width; other aspect ratios add or remove rows evenly."""
+def simulated_camera(width_px: int = DESIGN_SIZE[0], height_px: int = DESIGN_SIZE[1]) -> Camera:
+    """Both cameras, with the field of view of the 960-pixel image at any width; other aspect ratios add or remove rows evenly."""
     scale = width_px / DESIGN_SIZE[0]
     cy_px = (CY_PX + 0.5 - DESIGN_SIZE[1] / 2) * scale + height_px / 2 - 0.5
-    return SimulatedRig(PinholeCamera(width_px, height_px, F_PX * scale, (CX_PX + 0.5) * scale - 0.5, cy_px))
+    f_px, cx_px = F_PX * scale, (CX_PX + 0.5) * scale - 0.5
+    return Camera(width_px=width_px, height_px=height_px, fx_px=f_px, fy_px=f_px, cx_px=cx_px, cy_px=cy_px)

@@ -1,4 +1,4 @@
-"""True trajectory of the vehicle, and the OXTS records of its GNSS/INS with drift and noise.
+"""True trajectory of the vehicle, the cameras on it, and the OXTS records of its GNSS/INS with drift and noise.
 
 Map frame: easting, northing, ellipsoidal height of EPSG:32632, as one rigid Cartesian frame around the site. OXTS yaw counts
 from TRUE east, the map's axes are grid axes: yaw_true = yaw_grid - convergence (clockwise positive).
@@ -13,7 +13,8 @@ import numpy as np
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.geodesy import grid_convergence_rad
+from conetl.geometry.geodesy import CAMERA_R_BODY, grid_convergence_rad
+from conetl.geometry.pose import se3
 from conetl.model.arrays import Floats
 from conetl.simulation.scenario import ScenarioPass
 
@@ -27,6 +28,29 @@ FRAME_PERIOD_S = 0.1
 POS_ACCURACY_M = 0.02
 """In the records, rounded up as receivers do; `stated_sigmas` has the true ones."""
 GRAVITY_M_S2 = 9.81
+CAMERA_HEIGHT_M = 1.65
+BASELINE_M = 0.5402
+
+
+def _rotation_deg(x: float, y: float, z: float) -> Floats:
+    return np.asarray(Rotation.from_euler("xyz", [math.radians(a) for a in (x, y, z)]).as_matrix())
+
+
+#: IMU -> velodyne -> camera 0 (from axes x forward, y left to x right, y down) -> R_rect_00.
+VELO_SE3_IMU = se3(_rotation_deg(0.31, -0.17, 0.22), (-0.7914, 0.3308, -0.8126))
+CAM0_SE3_VELO = se3(_rotation_deg(1.45, -0.24, 0.13) @ CAMERA_R_BODY, (0.0123, -0.0694, -0.2871))
+RECT_R_CAM0 = _rotation_deg(0.28, 0.41, -0.35)
+#: Camera number -> (3,) t of P_rect = K [I | t].
+T_RECT_M = {
+    0: np.zeros(3), 1: np.array([-0.5374, 0.0, 0.0]), 2: np.array([0.0598, -0.0011, 0.0028]),
+    3: np.array([0.0598 - BASELINE_M, -0.0011, 0.0028]),
+}  # fmt: skip
+
+
+def body_SE3_camera(number: int) -> Floats:
+    """(4, 4) pose of rectified camera `number` on the IMU."""
+    cami_SE3_rect, rect_SE3_cam0 = se3(np.eye(3), T_RECT_M[number]), se3(RECT_R_CAM0, np.zeros(3))
+    return np.asarray(np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ CAM0_SE3_VELO @ VELO_SE3_IMU))
 
 
 class DriftModel(NamedTuple):
@@ -55,8 +79,9 @@ def map_SE3_road() -> Floats:
     return pose
 
 
-def true_poses(scenario: ScenarioPass, times_s: Floats, camera_ahead_m: float, imu_height_m: float) -> Floats:
+def true_poses(scenario: ScenarioPass, times_s: Floats) -> Floats:
     """(N, 4, 4) map_SE3_body at times from the start of the drive, of a slightly swaying vehicle."""
+    camera_ahead_m, _, above_imu_m = body_SE3_camera(2)[:3, 3].tolist()
     duration_s = (scenario.frame_count - 1) * FRAME_PERIOD_S
     poses = np.zeros((len(times_s), 4, 4))
     direction = math.copysign(1.0, scenario.end_x_m - scenario.start_x_m)
@@ -68,7 +93,7 @@ def true_poses(scenario: ScenarioPass, times_s: Floats, camera_ahead_m: float, i
         heading = math.atan2(direction * slope, direction) + math.radians(0.25) * math.sin(1.7 * t + 0.4)
         pitch = math.radians(0.22) * math.sin(5.3 * t + 1.0)
         roll = math.radians(0.30) * math.sin(3.1 * t + 2.0)
-        z = imu_height_m + 0.008 * math.sin(6.1 * t)
+        z = CAMERA_HEIGHT_M - above_imu_m + 0.008 * math.sin(6.1 * t)
         poses[n] = np.eye(4)
         poses[n, :3, :3] = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
         poses[n, :3, 3] = (x, y, z)

@@ -16,16 +16,17 @@ from conetl.evaluation.truth import read_truth
 from conetl.geometry.camera import project
 from conetl.geometry.rig import body_SE3_camera, map_SE3_camera
 from conetl.model.errors import InputError
+from conetl.model.rig import Camera
 from conetl.readers.drives import read_drive
 from conetl.simulation import trajectory
 from conetl.simulation.parts import true_shape
 from conetl.simulation.scenario import Cone, Road, RoadObject, World, scenario_pass
-from conetl.simulation.scene import PinholeCamera, build_scene, develop, exposure_gain, render
-from conetl.simulation.simulate import simulate_drive, simulated_rig
+from conetl.simulation.scene import build_scene, develop, exposure_gain, render
+from conetl.simulation.simulate import simulate_drive, simulated_camera
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
 
-RIG = PinholeCamera(width_px=96, height_px=64, f_px=150.3, cx_px=44.7, cy_px=29.4)
+RIG = Camera(width_px=96, height_px=64, fx_px=150.3, fy_px=150.3, cx_px=44.7, cy_px=29.4)
 """With an eccentric principal point, to test its sign."""
 
 
@@ -55,7 +56,7 @@ def test_cone_is_rendered_where_its_position_projects() -> None:
     rows, columns = np.nonzero(inside)
     view = np.linalg.inv(_looking_along_x(1.5, 0.1))
     ends = [view @ [x_m, y_m, z, 1.0] for z in (0.04, 0.7)]
-    (u0, v0), (u1, v1) = [(RIG.f_px * p[0] / p[2] + RIG.cx_px, RIG.f_px * p[1] / p[2] + RIG.cy_px) for p in ends]
+    (u0, v0), (u1, v1) = [(RIG.fx_px * p[0] / p[2] + RIG.cx_px, RIG.fx_px * p[1] / p[2] + RIG.cy_px) for p in ends]
     assert columns.mean() == pytest.approx((u0 + u1) / 2, abs=0.3)
     assert rows.min() - 0.5 == pytest.approx(v1, abs=1.0)
     assert rows.max() + 0.5 == pytest.approx(v0, abs=2.5)  # the near side of the ring is below its centre
@@ -72,10 +73,10 @@ def test_the_written_files_project_truth_to_its_rendered_position(tiny_drive: Pa
     drive, rejections = read_drive(tiny_drive)
     assert rejections == []
     assert drive.map_srid == trajectory.MAP_SRID
-    rig, scenario = simulated_rig(48, 16), scenario_pass(2)
+    simulated, scenario = simulated_camera(48, 16), scenario_pass(2)
     assert len(drive.frame_pairs) == scenario.frame_count
     times = np.arange(scenario.frame_count) * trajectory.FRAME_PERIOD_S
-    poses = trajectory.true_poses(scenario, times, float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
+    poses = trajectory.true_poses(scenario, times)
     by_id = {cone.cone_id: cone for cone in (*scenario.world.cones, *scenario.removed)}
     poses_m = np.array([pair.pose.sigma_enu_m for pair in drive.frame_pairs])
     noise = (trajectory.HORIZONTAL_M, trajectory.HORIZONTAL_M, trajectory.VERTICAL_M)
@@ -88,11 +89,13 @@ def test_the_written_files_project_truth_to_its_rendered_position(tiny_drive: Pa
         in_road = np.array([cone.x_m, cone.y_m, 0.0, 1.0])
         for pair, true_pose in zip(drive.frame_pairs, poses, strict=True):
             for side, number, camera in (("left", 2, drive.rig.left), ("right", 3, drive.rig.right)):
-                road_SE3_camera = np.linalg.inv(trajectory.map_SE3_road()) @ true_pose @ rig.body_SE3_camera(number)
+                road_SE3_camera = (
+                    np.linalg.inv(trajectory.map_SE3_road()) @ true_pose @ trajectory.body_SE3_camera(number)
+                )
                 x, y, z = (np.linalg.inv(road_SE3_camera) @ in_road)[:3]
                 if z < 4.0:
                     continue
-                rendered = rig.camera.f_px * np.array([x, y]) / z + [rig.camera.cx_px, rig.camera.cy_px]
+                rendered = simulated.fx_px * np.array([x, y]) / z + [simulated.cx_px, simulated.cy_px]
                 true_camera = true_pose @ body_SE3_camera(drive.rig, side)
                 by_truth = project(camera, (np.linalg.inv(true_camera) @ [*truth, 1.0])[:3])
                 assert np.abs(by_truth - rendered).max() < 2e-3
@@ -100,7 +103,7 @@ def test_the_written_files_project_truth_to_its_rendered_position(tiny_drive: Pa
                 by_files = project(
                     camera, (np.linalg.inv(map_SE3_camera(pair.pose, drive.rig, side)) @ [*truth, 1.0])[:3]
                 )
-                assert np.abs(by_files - rendered).max() < rig.camera.f_px * (0.12 / z + 0.003)
+                assert np.abs(by_files - rendered).max() < simulated.fx_px * (0.12 / z + 0.003)
                 checked += 1
     assert checked > 200
 
@@ -127,10 +130,10 @@ def test_tiny_drive_is_whole_and_equal_seeds_give_equal_files(tiny_drive: Path, 
 
 
 def test_road_image_is_well_exposed_and_has_an_orange_cone() -> None:
-    scenario, rig = scenario_pass(1), simulated_rig(96, 64)
-    poses = trajectory.true_poses(scenario, np.array([1.2]), float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
-    view = np.linalg.inv(trajectory.map_SE3_road()) @ poses[0] @ rig.body_SE3_camera(2)
-    radiance = render(build_scene(scenario.world), rig.camera, view, samples_per_pixel=4, seed=1)
+    scenario, camera = scenario_pass(1), simulated_camera(96, 64)
+    poses = trajectory.true_poses(scenario, np.array([1.2]))
+    view = np.linalg.inv(trajectory.map_SE3_road()) @ poses[0] @ trajectory.body_SE3_camera(2)
+    radiance = render(build_scene(scenario.world), camera, view, samples_per_pixel=4, seed=1)
     assert radiance.shape == (64, 96, 3)
     image = develop(radiance, exposure_gain(radiance), np.random.default_rng(0))
     assert 60 < np.median(image) < 200
@@ -164,7 +167,7 @@ def test_without_mitsuba_the_extra_is_named(tmp_path: Path) -> None:
 
 def test_a_barricade_on_the_verge_is_seen_down_to_its_true_foot() -> None:
     """Behind a kerb the ground is 8 cm higher than the road."""
-    camera = PinholeCamera(width_px=240, height_px=160, f_px=900.0, cx_px=119.5, cy_px=-30.0)
+    camera = Camera(width_px=240, height_px=160, fx_px=900.0, fy_px=900.0, cx_px=119.5, cy_px=-30.0)
     road = Road(markings=())
     item = RoadObject("type_3", 9.0, 4.6, height_m=1.2, length_m=1.4, ground_m=road.ground_m(4.6))
     view = _looking_along_x(1.5, 0.0)
@@ -178,7 +181,7 @@ def test_a_barricade_on_the_verge_is_seen_down_to_its_true_foot() -> None:
     ]  # fmt: skip
     changed = np.abs(images[0] - images[1]) > 0.3 * images[1]  # more than noise, less than grey feet on grass
     near_end_m = item.x_m - 0.45  # of the feet of a barricade
-    row = camera.cy_px + camera.f_px * (1.5 - 0.08) / near_end_m
+    row = camera.cy_px + camera.fx_px * (1.5 - 0.08) / near_end_m
     assert np.flatnonzero(changed.sum(axis=1) >= 3).max() == pytest.approx(row, abs=2.0)
 
 
@@ -190,7 +193,7 @@ def test_objects_of_all_classes_are_rendered_where_their_truth_says() -> None:
         "mandatory_disc": (2.0, 0.6),
         "warning_triangle": (2.0, 0.8), "rectangle": (2.2, 0.6),
     }  # fmt: skip
-    camera = PinholeCamera(width_px=480, height_px=80, f_px=200.0, cx_px=239.5, cy_px=35.0)
+    camera = Camera(width_px=480, height_px=80, fx_px=200.0, fy_px=200.0, cx_px=239.5, cy_px=35.0)
     items = [
         RoadObject(kind, 14.0, 13.0 - 2.6 * n, height_m=height, length_m=width, colour=(0.95, 0.4, 0.1))
         for n, (kind, (height, width)) in enumerate(kinds.items())
@@ -206,11 +209,11 @@ def test_objects_of_all_classes_are_rendered_where_their_truth_says() -> None:
     changed = np.abs(images[0] - images[1]) > 0.1 * images[1]
     for item in items:
         shape = true_shape(item)
-        middle = camera.cx_px - camera.f_px * item.y_m / item.x_m
+        middle = camera.cx_px - camera.fx_px * item.y_m / item.x_m
         columns = slice(round(middle) - 1, round(middle) + 2)
         rows = np.flatnonzero(changed[:, columns].any(axis=1))
         top, low = (
-            camera.cy_px + camera.f_px * (1.5 - z) / item.x_m for z in (shape.foot_m + shape.height_m, shape.foot_m)
+            camera.cy_px + camera.fx_px * (1.5 - z) / item.x_m for z in (shape.foot_m + shape.height_m, shape.foot_m)
         )
         assert shape.foot_m + shape.height_m == pytest.approx(item.height_m)
         assert rows.min() == pytest.approx(top, abs=2.0), item.kind

@@ -11,12 +11,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from conetl.model.rig import Camera
 from conetl.simulation.scenario import Cone, RoadObject, World
-from conetl.simulation.scene import PinholeCamera, build_scene, render
+from conetl.simulation.scene import build_scene, render
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
 
-CAMERA = PinholeCamera(160, 96, 200.0, 79.5, 40.0)
+CAMERA = Camera(width_px=160, height_px=96, fx_px=200.0, fy_px=200.0, cx_px=79.5, cy_px=40.0)
 CONE = Cone("R1", 7.0, 0.0, 0.7, dirt=0.0)
 WORLD = World(cones=(CONE,), objects=(), sun_elevation_deg=50.0, sun_azimuth_deg=100.0, sun_scale=0.0)
 

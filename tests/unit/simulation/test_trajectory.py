@@ -19,13 +19,13 @@ from conetl.readers.trajectories.oxts import parse_oxts
 from conetl.readers.trajectories.times import parse_timestamp
 from conetl.simulation import simulate, trajectory
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.simulate import CAMERA_HEIGHT_M, simulated_rig
+from conetl.simulation.simulate import simulated_camera
 
 
 def _drive(pass_number: int) -> tuple[np.ndarray, np.ndarray]:
-    scenario, rig = scenario_pass(pass_number), simulated_rig()
+    scenario = scenario_pass(pass_number)
     times = np.arange(scenario.frame_count) * trajectory.FRAME_PERIOD_S
-    return times, trajectory.true_poses(scenario, times, float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
+    return times, trajectory.true_poses(scenario, times)
 
 
 def _exact(poses: np.ndarray, times: np.ndarray) -> list[list[float]]:
@@ -85,17 +85,18 @@ def test_measured_poses_differ_as_the_noise_model_says() -> None:
 
 
 def test_written_calibration_is_the_chain_of_the_renderer(tmp_path: Path) -> None:
-    rig = simulated_rig()
-    simulate.write_calibration(tmp_path, rig, datetime(2026, 3, 2, tzinfo=UTC))
+    camera = simulated_camera()
+    simulate.write_calibration(tmp_path, camera, datetime(2026, 3, 2, tzinfo=UTC))
     read = read_rig(tmp_path)
-    np.testing.assert_allclose(body_SE3_camera(read, "left"), rig.body_SE3_camera(2), atol=1e-9)
-    np.testing.assert_allclose(body_SE3_camera(read, "right"), rig.body_SE3_camera(3), atol=1e-9)
+    np.testing.assert_allclose(body_SE3_camera(read, "left"), trajectory.body_SE3_camera(2), atol=1e-9)
+    np.testing.assert_allclose(body_SE3_camera(read, "right"), trajectory.body_SE3_camera(3), atol=1e-9)
     assert (read.left.fx_px, read.left.cx_px, read.left.cy_px) == pytest.approx(
-        (rig.camera.f_px, rig.camera.cx_px, rig.camera.cy_px)
+        (camera.fx_px, camera.cx_px, camera.cy_px)
     )
-    left = rig.body_SE3_camera(2)
-    assert left[2, 3] + rig.imu_height_m == pytest.approx(CAMERA_HEIGHT_M)
-    assert np.linalg.norm(rig.body_SE3_camera(3)[:3, 3] - left[:3, 3]) == pytest.approx(0.54, abs=0.01)
+    left = trajectory.body_SE3_camera(2)
+    cameras = np.linalg.inv(trajectory.map_SE3_road()) @ _drive(1)[1] @ left
+    assert cameras[:, 2, 3] == pytest.approx(trajectory.CAMERA_HEIGHT_M, abs=0.05)
+    assert np.linalg.norm(trajectory.body_SE3_camera(3)[:3, 3] - left[:3, 3]) == pytest.approx(0.54, abs=0.01)
 
 
 def test_timestamps_are_read_back() -> None:
