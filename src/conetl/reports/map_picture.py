@@ -15,6 +15,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
@@ -244,10 +245,10 @@ def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[figures.Handle
     labelled = [mark for mark in shown if mark.label]
     for mark in sorted(labelled, key=lambda mark: mark.kind is DeltaKind.CONFIRMED)[:_MAX_LABELS]:
         ink = colour if mark.kind is DeltaKind.MOVED else _INK
-        axes.annotate(
-            mark.label, xy=mark.xy_m, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color=ink, zorder=14,
-            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
-        )  # fmt: skip
+        text = axes.annotate(
+            mark.label, xy=mark.xy_m, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color=ink
+        )
+        text.set(zorder=14, path_effects=[withStroke(linewidth=2, foreground="white")])
     return handles
 
 
