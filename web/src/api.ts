@@ -6,7 +6,8 @@ export type Vec3 = Schemas["Feature"]["xyz_m"];
 export type ChangeKind = Schemas["Change"]["kind"];
 export type MapItem = Schemas["MapItem"];
 export type BaseMapItem = Schemas["BaseMapItem"];
-export type Projection = Schemas["MapProjection"];
+/** The document of the server states lists; these are pairs. */
+export type Projection = Schemas["MapProjection"] & Record<"centre_m" | "unit_per_degree", [number, number]> & Record<"to_degrees" | "to_metres", [number[], number[]]>;
 export type TimelineItem = Schemas["TimelineItem"];
 export type Timeline = Schemas["Timeline"];
 export type Feature = Schemas["Feature"];

@@ -55,19 +55,19 @@ class MapProjection(Record):
     its inverse. Coefficients of u^i v^j with i + j <= degree, in the order of i, then j.
     """
 
-    centre_m: tuple[float, float]
+    centre_m: list[float]
     """x, y as an offset from the map's origin."""
     radius_m: float
     """Half the side of the square."""
     lon_deg: float
     lat_deg: float
     degree: int
-    unit_per_degree: tuple[float, float]
+    unit_per_degree: list[float]
     """Of longitude and latitude."""
-    to_degrees: tuple[list[float], list[float]]
-    """The coefficients of longitude and of latitude."""
-    to_metres: tuple[list[float], list[float]]
-    """Those of x and of y."""
+    to_degrees: list[list[float]]
+    """Two lists: the coefficients of longitude and of latitude."""
+    to_metres: list[list[float]]
+    """Two lists: those of x and of y."""
 
 
 class TimelineItem(ChangesetFacts):

@@ -152,7 +152,7 @@ def fit_projection(srid: int, origin_m: tuple[float, float, float], centre_m: tu
     if not worst_m <= TOLERANCE_M:
         raise ValueError(f"EPSG:{srid} is too distorted there")
     return m.MapProjection(
-        centre_m=centre_m, radius_m=RADIUS_M, lon_deg=float(lon0), lat_deg=float(lat0), degree=_DEGREE,
+        centre_m=list(centre_m), radius_m=RADIUS_M, lon_deg=float(lon0), lat_deg=float(lat0), degree=_DEGREE,
         unit_per_degree=_scale(lat0).tolist(), to_degrees=to_degrees.T.tolist(), to_metres=to_metres.T.tolist(),
     )  # fmt: skip
 
